@@ -117,7 +117,7 @@ class TestFiles:
         times = count(1_790_000_001_000_000_000)
         after = {"plate": (), "stud": ("plate",)}
         path = folder / "kr120_panel.jsonl"
-        ledger = Ledger(path, after, "a" * 64, lambda: next(times), "/cell.yaml", {"plate": "E1"})
+        ledger = Ledger(path, after, "a" * 64, lambda: next(times), "/cell.yaml", {"E1": "plate"})
         plate = ledger.book.tasks["plate"]
         assert (plate.state, plate.placed, plate.base_T_element[:3]) == (TaskState.DONE, True, (1.0, 2.0, 0.5))
         assert ledger.book.accepted == "5c" * 32 and ledger.book.in_state(TaskState.READY) == ("stud",)
