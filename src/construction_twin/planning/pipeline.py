@@ -17,6 +17,7 @@ from construction_twin.core.motion_errors import NoSceneError, SceneChangedError
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import InverseKinematics, inverse_kinematics
 from construction_twin.planning.cartesian import plan_cartesian
+from construction_twin.planning.limit_usage import sampled_usage
 from construction_twin.planning.planner import Planner, PlannerSettings, PlanRequest
 from construction_twin.planning.recheck import recheck
 from construction_twin.planning.tool_path import ToolWaypoint
@@ -168,7 +169,7 @@ class PlanningPipeline:
 
         def checked(world: CollisionWorld) -> Plan:
             try:
-                return self._checked(make, "waypoints", request, world)
+                return self._checked(make, "waypoints", request, world, waypoints.times is not None)
             except WaypointTimesError as error:
                 if not retime:
                     raise
@@ -208,12 +209,18 @@ class PlanningPipeline:
         return speed_scale, request.acceleration_scale
 
     def _checked(
-        self, make: Callable[[CollisionWorld], Trajectory], planner: str, request: PlanRequest, world: CollisionWorld
+        self,
+        make: Callable[[CollisionWorld], Trajectory],
+        planner: str,
+        request: PlanRequest,
+        world: CollisionWorld,
+        given_times: bool = False,
     ) -> Plan:
         began = self._clock()
         trajectory = make(world)
         planning_time = self._clock() - began
-        measured = recheck(trajectory, self._robot, world, self._clock)
+        sampled = sampled_usage(trajectory, self._robot, given_times)
+        measured = recheck(trajectory, self._robot, world, self._clock, sampled)
         return request.plan(planner, planning_time, trajectory, measured, world.scene.hash)
 
     def _in_scene(self, make: Callable[[CollisionWorld], Plan]) -> Plan:

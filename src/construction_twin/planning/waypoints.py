@@ -396,7 +396,7 @@ def _fitted_accelerations(times: np.ndarray, positions: np.ndarray, velocities: 
 
 def _check_limits(trajectory: Trajectory, waypoints: Waypoints, robot: RobotModel) -> None:
     """Check every 4 ms sample; an error names the waypoint that the motion goes to at that time."""
-    sampled = sampled_usage(trajectory, robot)
+    sampled = sampled_usage(trajectory, robot, given_times=True)
 
     def place(sample: int) -> tuple[int, Sentence]:
         time = float(sampled.times[sample])
