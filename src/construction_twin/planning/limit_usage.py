@@ -17,9 +17,9 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import LimitUsage
 from construction_twin.robot.trajectory import Trajectory
 
-#: A time in a message is a whole number of these [s]. Off by one, a waypoint is beside the motion by its velocity times this, and the
-#: first three derivatives of the curve through it have so many times as much, over that power of the time to the next waypoint; so
-#: many at most, whether velocities and accelerations are given or not.
+#: A time in a message is a whole number of these [s]. Off by one, a waypoint is beside the motion by its velocity times this, and
+#: the first three derivatives of the curve through it have so many times as much, over that power of the time to the next waypoint;
+#: so many at most, whether velocities and accelerations are given or not.
 TIME_UNIT = 1e-9
 BENDS = (2.0, 6.0, 60.0)
 #: Points closer than this are one, and ranges are met to this [rad] or [m], per joint.
@@ -64,8 +64,8 @@ def sampled_usage(trajectory: Trajectory, robot: RobotModel, given_times: bool =
     """Return a trajectory's use of the limits at every 4 ms sample. Ranges are not checked.
 
     Args:
-        given_times: Leave out what the rounding of its times to `TIME_UNIT` can add: much of the curve's jerk between close waypoints
-            (60 rad/s^3 at 1 rad/s where they are 1 ms apart), and next to nothing of the differences.
+        given_times: Leave out what the rounding of its times to `TIME_UNIT` can add: much of the curve's jerk between close
+            waypoints (60 rad/s^3 at 1 rad/s where they are 1 ms apart), and next to nothing of the differences.
     """
     times = cycle_times(trajectory)
     q, *derivatives = trajectory.sample_many(times)
@@ -96,7 +96,7 @@ def sampled_usage(trajectory: Trajectory, robot: RobotModel, given_times: bool =
 
 
 def _rounding(trajectory: Trajectory) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Return how far the rounding of times puts waypoints beside the motion, and what the curve's derivatives have of it, per segment."""
+    """Return how far the rounding of times puts waypoints beside the motion, and what its derivatives have of it, per segment."""
     spans = np.diff(trajectory.times)
     # velocities or accelerations that were not given come of the segments on both sides
     shortest = np.minimum(spans, np.minimum(np.append(spans[1:], np.inf), np.append(np.inf, spans[:-1])))[:, None]

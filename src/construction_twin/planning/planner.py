@@ -344,7 +344,7 @@ class Planner:
     def along_lines(
         self, points: np.ndarray, times: np.ndarray, request: PlanRequest, world: CollisionWorld, planner: str
     ) -> Plan | None:
-        """Plan a motion on the straight lines between points, with rounded corners; None if it touches something however tight they are.
+        """Plan a motion on the straight lines between points, with rounded corners; None if even the tightest touches something.
 
         Args:
             points: Shape (m, n). From the start to the goal; successive points differ, and the lines between them are free.
