@@ -180,7 +180,7 @@ class PlanningPipeline:
 
         return self._in_scene(checked)
 
-    def _retimed(self, path: Waypoints, request: PlanRequest, world: CollisionWorld, why: Sentence) -> Plan:
+    def _retimed(self, path: Waypoints, request: PlanRequest, world: CollisionWorld, why: str) -> Plan:
         """Time a path anew through its points, or on the free lines between them where the curve through them touches something."""
         # what was asked for is the sender's own pace, not the planner's default
         speed = 1.0 if request.speed_scale is None else request.speed_scale
@@ -201,7 +201,7 @@ class PlanningPipeline:
         path: Waypoints,
         request: PlanRequest,
         world: CollisionWorld,
-        why: Sentence,
+        why: str,
         error: CollisionError,
         timed: TimedPath,
     ) -> Plan:
@@ -225,7 +225,7 @@ class PlanningPipeline:
         made = f"waypoints, timed anew ({told})"
         plan = self._planner.along_lines(path.positions[kept], path.times[kept], request, world, made)
         if plan is None:
-            raise RetimedCollisionError(error.between, way, why, lines_free=True) from error
+            raise RetimedCollisionError((first, second), way, why, lines_free=True) from error
         return replace(plan, retimed=told)
 
     def work(self, start: JointValues, task: str, segments: Sequence[WorkSegment], request: PlanRequest) -> Plan:
