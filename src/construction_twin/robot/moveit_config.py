@@ -27,8 +27,15 @@ PLANNERS: dict[str, dict[str, Any]] = {
     "PRMstar": {"type": "geometric::PRMstar"},
     "BITstar": {"type": "geometric::BITstar"},
 }
-#: Steps in which MoveIt checks a motion, as a part of the space's extent; the plan is checked here again, every 4 ms.
-_SEGMENT = 0.005
+#: Steps in which MoveIt checks a motion, as a part of the space's extent; the plan is checked here again, without gaps.
+_SEGMENT = 0.002
+_SEGMENT_COMMENT = (
+    "longest_valid_segment_fraction: MoveIt looks for contacts at steps of this part of the sum of the joints' ranges, and\n"
+    "sees nothing between them. For the KR 120 0.002 is 0.085 rad, 0.23 m at the tool where A1 alone turns the stretched arm,\n"
+    "0.02 m in the median of random motions; the usual 0.005 is 0.56 m. Past clutter and through a window 84 % of its plans\n"
+    "came to a review with 0.005, 92 % with 0.002, 94 % with 0.001, which takes nearly twice as long to plan\n"
+    "(docs/tutorials/moveit.md)."
+)
 #: The action of `follow_joint_trajectory`, below the robot's name. The launch file puts the robot's namespace in.
 _ACTION = "follow_joint_trajectory"
 
@@ -103,7 +110,7 @@ def _ompl(groups: tuple[PlanningGroup, ...]) -> str:
             "projection_evaluator": f"joints({','.join(group.joints[:2])})",
             "longest_valid_segment_fraction": _SEGMENT,
         }
-    return _text("", "Planners of OMPL, and which of them each group may use.", content)
+    return _text("", f"Planners of OMPL, and which of them each group may use.\n{_SEGMENT_COMMENT}", content)
 
 
 def _controllers(robot: RobotModel) -> str:

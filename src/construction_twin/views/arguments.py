@@ -268,7 +268,7 @@ def _add_work(work: argparse.ArgumentParser, common: argparse.ArgumentParser) ->
     for name, text in (
         ("skip", "take a task out: what comes after it no longer waits for it"),
         ("redo", "have a task done again: its element is back in its stock"),
-        ("removed", "say that what people were to take down is gone: it is no obstacle any more"),
+        ("removed", "say that what people were to take down, or what was placed, is gone: no obstacle any more"),
     ):
         told = step(name, text)
         _add_task(told)
@@ -278,7 +278,7 @@ def _add_work(work: argparse.ArgumentParser, common: argparse.ArgumentParser) ->
     answer.add_argument(
         "answer",
         metavar="ANSWER",
-        help="in_stock, in_grip, placed, gone, done or not_done: one of those that `show` lists",
+        help="in_stock, in_grip, placed, gone, done, not_done, same, stands or taken_away: one of those that `show` lists",
     )
     _add_person(answer)
     _add_person(step("accept", "accept the schedule that was proposed from the geometry"))

@@ -12,9 +12,11 @@ import subprocess
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 import yaml
 
+from construction_twin.kinematics.chain import Chain
 from construction_twin.planning.waypoints import START_TOLERANCE_M, START_TOLERANCE_RAD
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.moveit_config import moveit_files
@@ -176,6 +178,19 @@ def test_every_group_of_the_srdf_has_a_solver_and_planners(name):
         assert set(ompl[group.name]["planner_configs"]) == set(planners)
         assert ompl[group.name]["default_planner_config"] in planners
         assert ompl[group.name]["projection_evaluator"] == f"joints({group.joints[0]},{group.joints[1]})"
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_moveit_checks_a_motion_in_steps_that_find_what_stands_in_a_cell(name):
+    """MoveIt's step is this fraction of the sum of a group's ranges; joint_a1 alone sweeps the stretched arm through it."""
+    robot = robot_of(name)
+    ranges = dict(zip(robot.joint_names, np.subtract(robot.upper, robot.lower)))
+    stretched = Chain(robot).forward([0.0] * len(ranges)).position[0]
+    assert stretched > 2.5
+    ompl = yaml.safe_load((MOVEIT / "config" / name / "ompl_planning.yaml").read_text())
+    for group in planning_groups(robot):
+        extent = sum(ranges[joint] for joint in group.joints)
+        assert ompl[group.name]["longest_valid_segment_fraction"] * extent * stretched < 0.25
 
 
 def test_the_srdf_is_the_one_of_bringup():

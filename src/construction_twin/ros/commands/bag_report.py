@@ -12,6 +12,7 @@ from rich.console import Console
 from construction_twin.core.errors import ConstructionTwinError, spoken
 from construction_twin.core.files import check_writable
 from construction_twin.evaluation.recording import Recording
+from construction_twin.evaluation.tables import table_console
 from construction_twin.ros.commands.bag import read_recording
 
 
@@ -42,7 +43,7 @@ def report_bag(
         0, or 1 after a sentence on standard error.
     """
     directory = options.output or options.bag.with_suffix("").with_name(options.bag.stem + options.suffix)
-    console = Console(highlight=False)
+    console = table_console()
     try:
         # before anything that takes long
         check_writable(directory)

@@ -18,7 +18,7 @@ from construction_twin.core.files import check_writable
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import from_wire
 from construction_twin.evaluation.report import Report, write_report
-from construction_twin.evaluation.tables import render_tables
+from construction_twin.evaluation.tables import render_tables, table_console
 from construction_twin.msg import Execution, Feedback, Link, Sync
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.commands.bag import read_recording
@@ -260,7 +260,7 @@ def point_latest(results: Path, directory: Path) -> None:
 
 def main() -> int:
     """Run the experiment node; return the process's status: 0, or 1 after a sentence."""
-    console = Console(highlight=False)
+    console = table_console()
     try:
         await_master()
         with ending_on_signals():

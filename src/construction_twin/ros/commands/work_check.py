@@ -26,6 +26,7 @@ from construction_twin.core.errors import ConstructionTwinError, spoken
 from construction_twin.core.extras import check_extras
 from construction_twin.core.files import check_writable, write_whole
 from construction_twin.core.sentences import Sentence
+from construction_twin.evaluation.tables import table_console
 from construction_twin.kinematics.chain import Chain
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.commands.evaluate import package_file
@@ -69,7 +70,7 @@ def main(arguments: list[str]) -> int:
         0, 1 or 2, see above.
     """
     options = _parser().parse_args(arguments)
-    console = Console(highlight=False)
+    console = table_console()
     directory = options.output or options.model.with_name(options.model.stem + "_check")
     try:
         check_extras("work")
@@ -84,7 +85,7 @@ def main(arguments: list[str]) -> int:
 
             # what is doubted, or has no usable body, stands as an obstacle
             stands = standing(work.building, pieces, work.site, robot, Path(folder))
-            notes = (*work.notes, *inexact, *stands.notes)
+            notes = tuple(map(work.building.called, (*work.notes, *inexact, *stands.notes)))
             for note in notes:
                 console.print(note, markup=False, soft_wrap=True)
             setup = Setup(
@@ -147,7 +148,6 @@ def _pieces(work: _Work, folder: Path) -> tuple[dict[str, tuple[SceneObject, ...
     notes += [
         Sentence(
             "work.body.larger_checked",
-            name=repr(work.building.element(name).name),
             element=name,
             excess=1e3 * shape.excess,
         )

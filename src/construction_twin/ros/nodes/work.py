@@ -265,12 +265,13 @@ class WorkNode:
         )
         if rospy.is_shutdown():
             return
-        path = ledger_path(ros_home() / settings.folder, self._robot.name, prepared.model)
+        path = ledger_path(ros_home() / settings.folder, self._robot.name, prepared.cell)
         ledger = Ledger(
-            path, prepared.after, prepared.digest, time.time_ns, str(Path(prepared.cell).resolve()), prepared.element_of,
-            prepared.staying,
+            path, prepared.after, prepared.digest, time.time_ns, str(Path(prepared.cell).resolve()),
+            prepared.schedule.placing, prepared.standing_elements, self._robot.name,
         )  # fmt: skip
         board = TaskBoard(prepared, ledger, self._robot.name, self._robot.tip_link)
+        board.look_around()
         rospy.loginfo(
             "%s: %d tasks, %d lines in %s; read in %.1f s",
             prepared.model, len(prepared.schedule.jobs), ledger.lines, path, time.monotonic() - began,
@@ -363,8 +364,8 @@ class WorkNode:
                 "plan", task=task, element=board.element_of(task), start=start, scene=scene, held=held
             )
         except WorkerError as error:
-            board.failures[task] = str(error)
-            raise
+            board.failures[task] = board.called(error.sentence)
+            raise WorkRefused(board.failures[task]) from error
         board.failures.pop(task, None)
         rospy.loginfo("%s: planned with %s in %.2f s", board.title(task), plan.method, time.monotonic() - began)
         return self._offer(task, plan, work)
@@ -540,9 +541,9 @@ def _under_review(sentence: str, task: str, plan_id: str, plan_hash: str, durati
     return Outcome(True, sentence, fields=fields)
 
 
-def ledger_path(folder: Path, robot: str, model: str) -> Path:
-    """Return the file of a ledger: one for each robot and name of a model, whatever its version."""
-    return folder / f"{robot}_{Path(model).stem}.jsonl"
+def ledger_path(folder: Path, robot: str, cell: str) -> Path:
+    """Return the file of a ledger: one for each robot and site, by the name of its cell file, whatever is built there."""
+    return folder / f"{robot}_{Path(cell).stem}.jsonl"
 
 
 def _call(name: str, kind: type, timeout: float, request: Any) -> tuple[str, Any]:
