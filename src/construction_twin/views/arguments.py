@@ -278,7 +278,8 @@ def _add_work(work: argparse.ArgumentParser, common: argparse.ArgumentParser) ->
     answer.add_argument(
         "answer",
         metavar="ANSWER",
-        help="in_stock, in_grip, placed, gone, done, not_done, same, stands or taken_away: one of those that `show` lists",
+        help="in_stock, in_grip, placed, gone, done, not_done, same, stands or taken_away: one of those that `show` lists; "
+        "with `all` in place of TASK, which is all that was placed and asks: same, stands or placed",
     )
     _add_person(answer)
     _add_person(step("accept", "accept the schedule that was proposed from the geometry"))

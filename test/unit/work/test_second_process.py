@@ -272,7 +272,7 @@ def test_a_line_of_place_is_written_as_before_there_were_processes(bench):
     bench.start()
     bench.planned()
     (offered,) = (json.loads(line) for line in bench.ledger_lines if '"offered"' in line)
-    of_element = {"element", "name", "body", "goal"}
+    of_element = {"element", "name", "body", "goal", "seen"}
     assert set(offered) == {"time", "time_ns", "previous", "event", "task", "offer", "grip", "pose"} | of_element
 
 

@@ -92,7 +92,7 @@ def main(arguments: list[str]) -> int:
                 arm, options.cell, work.building, pieces, work.jobs, changes=options.changes, robot=options.robot,
                 standing=stands.pieces, removals=work.schedule.removals,
             )  # fmt: skip
-            checked = _remarked(_check(setup, options.processes, console), work.schedule)
+            checked = _remarked(_check(setup, options.processes, console), work)
             header = _header(options, work, notes, robot, checked)
             files = _write(directory, header, checked.tasks, setup.layout(robot))
     except (ConstructionTwinError, OSError) as error:
@@ -165,9 +165,9 @@ def _check(setup: Setup, processes: int, console: Console) -> Checked:
         return check_all(setup, processes, lambda _: progress.update(bar, advance=1, refresh=True))
 
 
-def _remarked(checked: Checked, schedule: Schedule) -> Checked:
-    tasks = (replace(task, remarks=schedule.remarks.get(task.job, ())) for task in checked.tasks)
-    return replace(checked, tasks=tuple(tasks))
+def _remarked(checked: Checked, work: _Work) -> Checked:
+    remarks = {job: tuple(map(work.building.called, said)) for job, said in work.schedule.remarks.items()}
+    return replace(checked, tasks=tuple(replace(task, remarks=remarks.get(task.job, ())) for task in checked.tasks))
 
 
 def _header(
@@ -215,12 +215,11 @@ def _print(console: Console, checked: Checked, files: Iterable[Path], changes: f
         )
     console.print(table)
     for task in checked.tasks:
+        about = f"{task.number + 1} {task.name} ({task.element_name or task.element})"
         if not task.possible:
-            console.print(f"{task.number + 1} {task.name} ({task.element}): {why(task)}", markup=False, soft_wrap=True)
+            console.print(f"{about}: {why(task)}", markup=False, soft_wrap=True)
         for remark in task.remarks:
-            console.print(
-                f"{task.number + 1} {task.name} ({task.element}), note: {remark}", markup=False, soft_wrap=True
-            )
+            console.print(f"{about}, note: {remark}", markup=False, soft_wrap=True)
     if not all(task.possible for task in checked.tasks):
         console.print(f"Changes were tried for {changes:g} s in all, the first task of each reason first (--changes)")
     count = sum(task.possible for task in checked.tasks)
