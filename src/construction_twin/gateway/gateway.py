@@ -727,7 +727,7 @@ class Gateway:
         # what cannot tell how often an account was answered must not refuse its stop
         if (
             self.side_effects.run("the pace of answers", self._stop_pace.take, stop.account, now) is False
-            and self.fault
+            and self.stopped
         ):
             self.counters["stops_repeated"] += 1
             # it changes nothing now, and yet a reset that is under way does not know of it
