@@ -39,7 +39,7 @@ _COLUMNS = (
     "track, m",
     "clearance, mm",
     "time, s",
-    "why not, what helps, notes",
+    "why not, notes",
 )
 
 
@@ -65,7 +65,7 @@ class Header:
 
 
 def row(task: CheckedTask) -> tuple[str, ...]:
-    """Return a task's cells: number, name, element, possible, grip, track, clearance, time, why not and what helps."""
+    """Return a task's cells: number, name, element, possible, grip, track, clearance, time, why not."""
     return (
         str(task.number + 1),
         task.name,
@@ -80,13 +80,8 @@ def row(task: CheckedTask) -> tuple[str, ...]:
 
 
 def why(task: CheckedTask) -> str:
-    """Return why a task is not possible and what would help; empty: it is possible."""
-    if task.possible:
-        return ""
-    reason = f"{task.stage}: {task.reason}" if task.stage else task.reason
-    if task.change:
-        return f"{reason}. Would help: {task.change}"
-    return f"{reason}. {'Nothing that was tried helps' if task.tried else 'No change was tried'}"
+    """Return why a task is not possible; empty: it is possible."""
+    return f"{task.stage}: {task.reason}" if task.stage else task.reason
 
 
 def short_why(task: CheckedTask) -> str:

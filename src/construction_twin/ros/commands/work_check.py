@@ -88,8 +88,8 @@ def main(arguments: list[str]) -> int:
             for note in notes:
                 console.print(note, markup=False, soft_wrap=True)
             setup = Setup(
-                arm, options.cell, work.building, pieces, work.jobs, changes=options.changes, robot=options.robot,
-                standing=stands.pieces, removals=work.schedule.removals,
+                arm, options.cell, work.building, pieces, work.jobs, robot=options.robot, standing=stands.pieces,
+                removals=work.schedule.removals,
             )  # fmt: skip
             checked = _remarked(_check(setup, options.processes, console), work.schedule)
             header = _header(options, work, notes, robot, checked)
@@ -99,7 +99,7 @@ def main(arguments: list[str]) -> int:
         said = "a process was ended, perhaps for want of memory; try --processes 1" if ended else spoken(error)
         print(f"work check: {said}", file=sys.stderr)
         return NOT_CHECKED
-    _print(console, checked, files, options.changes)
+    _print(console, checked, files)
     return ALL if all(task.possible for task in checked.tasks) else SOME
 
 
@@ -197,7 +197,7 @@ _COLUMNS = {
 _BESIDE_GRIP = 66
 
 
-def _print(console: Console, checked: Checked, files: Iterable[Path], changes: float) -> None:
+def _print(console: Console, checked: Checked, files: Iterable[Path]) -> None:
     impossible = any(not task.possible for task in checked.tasks)
     # numbers are shown whole; in a narrow terminal words are cut
     table = Table(box=box.SIMPLE, padding=(0, 1, 0, 0))
@@ -221,8 +221,6 @@ def _print(console: Console, checked: Checked, files: Iterable[Path], changes: f
             console.print(
                 f"{task.number + 1} {task.name} ({task.element}), note: {remark}", markup=False, soft_wrap=True
             )
-    if not all(task.possible for task in checked.tasks):
-        console.print(f"Changes were tried for {changes:g} s in all, the first task of each reason first (--changes)")
     count = sum(task.possible for task in checked.tasks)
     console.print(
         f"{count} of {len(checked.tasks)} tasks are possible; checked in {checked.seconds:.0f} s, {checked.rss_mb:.0f} MB"
@@ -249,13 +247,6 @@ def _processes(text: str) -> int:
     return value
 
 
-def _seconds(text: str) -> float:
-    value = float(text)
-    if not 0.0 <= value <= 3600.0:
-        raise argparse.ArgumentTypeError(Sentence("view.argument.range", value=value, lowest=0, largest=3600))
-    return value
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="work check", description="What the arm can do of a building model: a table, report.html and check.json."
@@ -270,11 +261,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--processes", type=_processes, default=max(1, min(8, os.cpu_count() or 1)), metavar="N",
         help="tasks that are checked at once (default: one per core, at most 8)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--changes", type=_seconds, default=60.0, metavar="SECONDS",
-        help="how long changes are tried in all, at most 15 s per task, the first task of each reason before others "
-        "(default: 60; 0: not at all)",
     )  # fmt: skip
     parser.add_argument(
         "--write-schedule", type=Path, metavar="FILE", help="also write a proposed order into a copy of the model"
