@@ -12,7 +12,6 @@ import sys
 import tempfile
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from datetime import datetime
 from pathlib import Path
 from typing import Literal
 
@@ -108,16 +107,7 @@ def _work(options: argparse.Namespace, robot: RobotModel) -> _Work:
     site = read_site(options.cell)
     missing = proposed = not building.tasks
     if proposed:
-        proposal = propose(building)
-        if options.write_schedule:
-            # ifcopenshell is needed for this only
-            from construction_twin.work.ifc.schedule_writer import write_schedule
-
-            write_schedule(
-                options.model, options.write_schedule, "Proposed order", proposal.tasks, proposal.sequences,
-                datetime.now().replace(microsecond=0), "From the geometry; not accepted yet.",
-            )  # fmt: skip
-        building = proposal.applied(building)
+        building = propose(building).applied(building)
     schedule = Schedule.of(building, proposed, site.recipes.process)
     proposed = schedule.proposed
     model_T_base = site.model_T_base(building)
@@ -262,9 +252,6 @@ def _parser() -> argparse.ArgumentParser:
         "--processes", type=_processes, default=max(1, min(8, os.cpu_count() or 1)), metavar="N",
         help="tasks that are checked at once (default: one per core, at most 8)",
     )  # fmt: skip
-    parser.add_argument(
-        "--write-schedule", type=Path, metavar="FILE", help="also write a proposed order into a copy of the model"
-    )
     parser.add_argument("--robot-xacro", type=Path, metavar="FILE", help="URDF or xacro of another arm")
     parser.add_argument("--robot-xacro-args", default="", metavar="'NAME=VALUE ...'", help="arguments of the xacro")
     parser.add_argument("--robot-config", type=Path, metavar="FILE", help="its robot YAML")
