@@ -48,7 +48,7 @@ def test_a_model_without_schedule_is_checked_in_a_proposed_order(small, tmp_path
     assert status == ALL and "1 of 1 tasks are possible" in printed
     assert "a person must accept it" in " ".join(printed.split())
     content = json.loads((out / "check.json").read_text())
-    assert content["proposed"] and content["possible"] == 1 and (out / "report.html").exists()
+    assert content["proposed"] and content["possible"] == 1 and (out / "check.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_task_that_is_not_possible_ends_with_another_code_and_its_reason(small, tmp_path, capsys):

@@ -188,7 +188,7 @@ def test_the_check_before_the_work_plans_it_too(work):
     checker = Checker(robot(), pairs(), settings, work, jobs, lambda: 0.0, np.random.default_rng(0))
     found = checker.check(0)
     assert found.possible and found.grip == "point 50 0 71 mm" and found.track is not None and found.path
-    assert row(found)[4] == "point 50 0 71 mm" and cell_picture((found,), work).startswith(b"\x89PNG")
+    assert row(found)[3] == "point 50 0 71 mm" and cell_picture((found,), work).startswith(b"\x89PNG")
 
 
 def test_the_works_child_process_reads_a_model_with_it_and_plans_it(tmp_path, work):

@@ -1,6 +1,6 @@
 """work check: what the arm can do of a building model, before anything starts. Runs without a ROS master.
 
-Prints one line per task and writes report.html and check.json. Exit code 0: every task is possible; 1: some are not; 2: it could
+Prints one line per task and writes check.json and check.png. Exit code 0: every task is possible; 1: some are not; 2: it could
 not be checked, after one sentence on standard error.
 """
 
@@ -31,14 +31,12 @@ from construction_twin.ros.commands.evaluate import package_file
 from construction_twin.ros.commands.work_check_pool import Arm, Checked, Setup, check_all
 from construction_twin.scene.objects import SceneObject
 from construction_twin.work.building import BuildingModel
-from construction_twin.work.check import CheckedTask
-from construction_twin.work.check_report import Header, as_json, page, row, short_why, why
+from construction_twin.work.check_report import as_json, cell_picture, row, why
 from construction_twin.work.ifc.reading import read_building
 from construction_twin.work.placement import check_placement
 from construction_twin.work.proposed_schedule import propose
 from construction_twin.work.schedule import Job, Schedule
 from construction_twin.work.site import Site, pose_of, read_site
-from construction_twin.work.site_scene import Layout
 from construction_twin.work.worker import WorkerError
 
 #: By how much bodies may be larger than their element without being told [m].
@@ -91,14 +89,20 @@ def main(arguments: list[str]) -> int:
                 removals=work.schedule.removals,
             )  # fmt: skip
             checked = _remarked(_check(setup, options.processes, console), work.schedule)
-            header = _header(options, work, notes, robot, checked)
-            files = _write(directory, header, checked.tasks, setup.layout(robot))
+            about = {
+                "model": work.building.file, "digest": work.building.digest, "cell": str(options.cell), "robot": robot.name,
+                "proposed": work.schedule.proposed, "seconds": checked.seconds, "rss_mb": checked.rss_mb, "notes": notes,
+            }  # fmt: skip
+            picture = cell_picture(checked.tasks, setup.layout(robot))
+            contents = {"check.json": as_json(about, checked.tasks), "check.png": picture}
+            for name, content in contents.items():
+                write_whole(directory / name, content)
     except (ConstructionTwinError, OSError) as error:
         ended = isinstance(error, WorkerError) and not error.kind
         said = "a process was ended, perhaps for want of memory; try --processes 1" if ended else spoken(error)
         print(f"work check: {said}", file=sys.stderr)
         return NOT_CHECKED
-    _print(console, checked, files)
+    _print(console, checked, [directory / name for name in contents])
     return ALL if all(task.possible for task in checked.tasks) else SOME
 
 
@@ -160,24 +164,6 @@ def _remarked(checked: Checked, schedule: Schedule) -> Checked:
     return replace(checked, tasks=tuple(tasks))
 
 
-def _header(
-    options: argparse.Namespace, work: _Work, notes: tuple[str, ...], robot: RobotModel, checked: Checked
-) -> Header:
-    return Header(
-        work.building.file, work.building.digest, str(options.cell), robot.name, work.schedule.proposed,
-        checked.seconds, checked.rss_mb, notes,
-    )  # fmt: skip
-
-
-def _write(directory: Path, header: Header, tasks: Iterable[CheckedTask], layout: Layout) -> tuple[Path, ...]:
-    found = tuple(tasks)
-    contents = {"report.html": page(header, found, layout), "check.json": as_json(header, found)}
-    directory.mkdir(parents=True, exist_ok=True)
-    for name, text in contents.items():
-        write_whole(directory / name, text)
-    return tuple(directory / name for name in contents)
-
-
 #: Headings of the table in the terminal; whether the column holds words; its greatest width, 0: what is left of the terminal.
 _COLUMNS = {
     "#": (False, 4), "task": (True, 20), "possible": (False, 8), "grip": (True, 0), "track\nm": (False, 6),
@@ -197,12 +183,7 @@ def _print(console: Console, checked: Checked, files: Iterable[Path]) -> None:
             justify: Literal["left", "right"] = "left" if words else "right"
             table.add_column(heading, justify=justify, no_wrap=True, overflow="ellipsis", max_width=most or widest)
     for task in checked.tasks:
-        place, name, _, possible, grip, track, clearance, duration, _ = row(task)
-        table.add_row(
-            *(place, name, possible, grip, track, clearance, duration),
-            *([short_why(task)] if impossible else []),
-            style="" if task.possible else "red",
-        )
+        table.add_row(*row(task)[: len(table.columns)], style="" if task.possible else "red")
     console.print(table)
     for task in checked.tasks:
         if not task.possible:
@@ -239,7 +220,7 @@ def _processes(text: str) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="work check", description="What the arm can do of a building model: a table, report.html and check.json."
+        prog="work check", description="What the arm can do of a building model: a table, check.json and check.png."
     )
     parser.add_argument("model", type=Path, help="an IFC file")
     parser.add_argument(
