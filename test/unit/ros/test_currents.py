@@ -13,8 +13,7 @@ from construction_twin.msg import AxisCurrent, Execution, Feedback
 from sensor_msgs.msg import JointState
 from servo_chain import NAMES, servo_chain
 
-from construction_twin.evaluation import pure_bag
-from construction_twin.ros.commands.bag import read_recording
+from construction_twin.evaluation.bag import read_recording
 from construction_twin.ros.commands.currents import main
 from construction_twin.ros.messages.convert import plan_to_msg
 from construction_twin.ros.transport.joint_stream import to_time
@@ -104,9 +103,6 @@ def test_a_reference_that_is_not_there_is_named(bags, tmp_path, capsys):
     assert "none.bag" in capsys.readouterr().err
 
 
-def test_both_readers_of_bags_read_the_same_currents(bags):
-    ours, pure = read_recording(bags["worn"]), pure_bag.read_recording(bags["worn"])
-    assert np.array_equal(ours.currents.values, pure.currents.values) and len(ours.currents) > 500
-    assert np.array_equal(ours.currents.command_stamps, pure.currents.command_stamps)
-    assert np.array_equal(ours.setpoints.positions, pure.setpoints.positions)
+def test_a_bag_without_currents_has_none(bags):
+    assert len(read_recording(bags["worn"]).currents) > 500
     assert read_recording(bags["bare"]).currents is None

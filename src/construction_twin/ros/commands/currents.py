@@ -10,11 +10,11 @@ import rospy
 from rich.console import Console
 
 from construction_twin.core.files import write_whole
+from construction_twin.evaluation.bag import read_recording
 from construction_twin.evaluation.current_tables import currents_csv, render_currents
 from construction_twin.evaluation.currents import CurrentRun, compare_currents, runs_of, same_plan, summary_of
 from construction_twin.evaluation.recording import Recording
-from construction_twin.ros.commands.bag import read_plans, read_recording
-from construction_twin.ros.commands.bag_report import bag_parser, report_bag
+from construction_twin.ros.commands.bag_report import bag_parser, read_plans, report_bag
 from construction_twin.ros.commands.evaluate import shipped_robot
 
 

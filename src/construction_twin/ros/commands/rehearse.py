@@ -28,7 +28,7 @@ from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
 from construction_twin.robot.tool import read_tool, tool_hash
 from construction_twin.robot.trajectory import Trajectory
-from construction_twin.ros.commands.bag import read_plans
+from construction_twin.ros.commands.bag_report import read_plans
 from construction_twin.ros.commands.evaluate import package_file
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene
