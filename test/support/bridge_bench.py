@@ -7,10 +7,10 @@ import json
 from collections import Counter
 from types import SimpleNamespace
 
+from construction_twin.core.axis_quantities import QUANTITIES
 from gateway_cell import CONFIG, RUN, START
 from unplugged import ask
 
-from construction_twin.core.axis_quantities import QUANTITIES
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.states import LinkState
 from construction_twin.mqtt.client import Broker

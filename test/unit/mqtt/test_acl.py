@@ -6,11 +6,11 @@ import itertools
 import socket
 
 import pytest
+from construction_twin.core.axis_quantities import QUANTITIES
 from processes import ROOT, wait_until
 from site_broker import ROBOTS, Listener, SiteBroker
 
 from construction_twin.broker.access import MOVING, PLC, PROGRAMS, RIGHTS, ROLES, Grant, Person, Site, access_rules
-from construction_twin.core.axis_quantities import QUANTITIES
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import REQUESTS

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pinocchio
 import pytest
+from construction_twin.monitor.torque_watch import TorqueSettings, TorqueWatch
 from physics_samples import READY, bodies_of, drives, dynamics_of, model_of, robot_of
 from scene_samples import random_poses
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.units import CYCLE_NS
-from construction_twin.monitor.torque_watch import TorqueSettings, TorqueWatch
 from construction_twin.physics.mass import payload_of
 from construction_twin.physics.plant import InverseDynamics, Plant, bare_model
 from construction_twin.scene.objects import Scene, SceneObject

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import pytest
 import rospy
 from construction_twin.msg import AxisTorque, Execution, Link, Plan, Segment, Sync, WorkTask, WorkTasks
+from construction_twin.ros.shared.load_follower import Loads
 from construction_twin.srv import ConfigureGateRequest
 from executor_bench import ROBOT
 from processes import wait_until
@@ -25,7 +26,6 @@ from construction_twin.monitor.states import SyncEvent, SyncState
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.ros.messages.scene_convert import scene_to_msg
 from construction_twin.ros.nodes import pca_monitor as module
-from construction_twin.ros.shared.load_follower import Loads
 from construction_twin.ros.shared.stop_memory import PARAMETER
 from construction_twin.ros.transport.joint_stream import from_time, to_time
 from construction_twin.scene.objects import Scene, SceneObject
