@@ -89,12 +89,7 @@ def main(arguments: list[str]) -> int:
                 arm, options.cell, work.building, pieces, work.jobs, robot=options.robot, standing=stands.pieces,
                 removals=work.schedule.removals,
             )  # fmt: skip
-<<<<<<< HEAD
             checked = _remarked(_check(setup, options.processes, console), work)
-            header = _header(options, work, notes, robot, checked)
-            files = _write(directory, header, checked.tasks, setup.layout(robot))
-=======
-            checked = _remarked(_check(setup, options.processes, console), work.schedule)
             about = {
                 "model": work.building.file, "digest": work.building.digest, "cell": str(options.cell), "robot": robot.name,
                 "proposed": work.schedule.proposed, "seconds": checked.seconds, "rss_mb": checked.rss_mb, "notes": notes,
@@ -103,7 +98,6 @@ def main(arguments: list[str]) -> int:
             contents = {"check.json": as_json(about, checked.tasks), "check.png": picture}
             for name, content in contents.items():
                 write_whole(directory / name, content)
->>>>>>> 1f05cc40e3b300288b8f2bbbbb08f06f373b4d49
     except (ConstructionTwinError, OSError) as error:
         ended = isinstance(error, WorkerError) and not error.kind
         said = "a process was ended, perhaps for want of memory; try --processes 1" if ended else spoken(error)
@@ -196,15 +190,7 @@ def _print(console: Console, checked: Checked, files: Iterable[Path]) -> None:
         if not task.possible:
             console.print(f"{about}: {why(task)}", markup=False, soft_wrap=True)
         for remark in task.remarks:
-<<<<<<< HEAD
             console.print(f"{about}, note: {remark}", markup=False, soft_wrap=True)
-    if not all(task.possible for task in checked.tasks):
-        console.print(f"Changes were tried for {changes:g} s in all, the first task of each reason first (--changes)")
-=======
-            console.print(
-                f"{task.number + 1} {task.name} ({task.element}), note: {remark}", markup=False, soft_wrap=True
-            )
->>>>>>> 1f05cc40e3b300288b8f2bbbbb08f06f373b4d49
     count = sum(task.possible for task in checked.tasks)
     console.print(
         f"{count} of {len(checked.tasks)} tasks are possible; checked in {checked.seconds:.0f} s, {checked.rss_mb:.0f} MB"
