@@ -46,7 +46,7 @@ ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr1
 THIRD_PARTY = {
     "numpy", "scipy", "ompl", "toppra", "pydantic", "yaml", "xacro", "urdf_parser_py", "PyKDL", "paho", "matplotlib", "rich",
     "mpl_toolkits", "coal", "pinocchio", "eaik", "py_opw_kinematics", "manifold3d", "ifcopenshell", "isodate",
-    "mujoco", "rosbags", "rospkg", "shtab",
+    "mujoco", "rosbags", "rospkg",
 }  # fmt: skip
 #: The only folder or file that may need a package that is not everywhere: `setup/setup.sh work` and `console` install it.
 #: Everything else must run without.
