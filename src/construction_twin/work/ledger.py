@@ -1,6 +1,6 @@
 """The ledger: the log of what was done of a building model, one event per line, on the disk before anybody acts on it.
 
-A chained file (`review.chained_file`), one per robot and site. From its events `book.fold` computes the state of every task, so
+An append-only file (`core.append_only`), one per robot and site. From its events `book.fold` computes the state of every task, so
 that a node that was killed at any instant comes back with what is true. Its file is the only memory, with the bodies beside it that
 its lines name by digest. When the model has changed since, a person is asked about everything that was touched.
 """
@@ -15,11 +15,11 @@ from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
+from construction_twin.core.append_only import AppendOnlyFile, read_lines
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.files import write_whole
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import LedgerError
-from construction_twin.review.chained_file import ChainedFile, read_whole
 from construction_twin.scene.objects import SceneObject
 from construction_twin.work.book import Book, Present, fold
 from construction_twin.work.events import CHANGED, MENDED, OPENED, Entry, entry_of
@@ -67,14 +67,14 @@ class Ledger:
             # read in full before every use: a ledger of this size is no ledger
             if self.path.exists() and self.path.stat().st_size > LARGEST:
                 raise LedgerError(str(path), Sentence("work.ledger.size", most=LARGEST / 2**20))
-            self._file = ChainedFile(self.path, LedgerError, "work node", mend=True)
+            self._file = AppendOnlyFile(self.path, LedgerError, "work node")
         except ConfigurationError as error:
             raise LedgerError(str(path), _problem(error, str(path))) from error
         except OSError as error:
             raise LedgerError(str(path), str(error)) from error
         try:
             self.book = replay(self.path, after)
-            if self._file.state.lines == 0:
+            if self._file.lines == 0:
                 self.add(Entry(OPENED, model=model, cell=cell, robot=robot))
             if self._file.mended:
                 self.add(Entry(MENDED, reason=f"{self._file.mended} bytes of a line without its end were cut off"))
@@ -92,12 +92,7 @@ class Ledger:
     @property
     def lines(self) -> int:
         """Number of lines."""
-        return self._file.state.lines
-
-    @property
-    def head(self) -> str:
-        """SHA-256 of the last line."""
-        return self._file.state.head
+        return self._file.lines
 
     def add(self, entry: Entry) -> None:
         """Write an event, then count with it; when this returns it is on the disk.
@@ -214,18 +209,17 @@ def replay(path: Path, after: Mapping[str, tuple[str, ...]]) -> Book:
 
 
 def read_entries(path: Path) -> Iterator[Entry]:
-    """Read the lines of a ledger; the chain is checked elsewhere.
+    """Read the lines of a ledger.
 
     Raises:
         LedgerError: Naming the line that is none of a ledger.
     """
     try:
-        content = read_whole(path)
+        lines = read_lines(path)
     except ConfigurationError as error:
-        raise LedgerError(str(path), Sentence("work.ledger.unread")) from error
-    # without the last line that a node of another robot has not written to its end yet
-    for number, line in enumerate(content[: content.rfind(b"\n") + 1].splitlines(), start=1):
+        raise LedgerError(str(path), _problem(error, str(path))) from error
+    for number, fields in enumerate(lines, start=1):
         try:
-            yield entry_of(json.loads(line))
+            yield entry_of(fields)
         except (ValueError, TypeError, AttributeError) as error:
             raise LedgerError(str(path), Sentence("work.ledger.strange", number=number, problem=str(error))) from error

@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from construction_twin.core.work_errors import LedgerError
-from construction_twin.review.chained_file import verify
 from construction_twin.work.book import fold
 from construction_twin.work.events import Entry
 from construction_twin.work.ledger import Ledger, read_entries
@@ -70,7 +69,7 @@ def test_every_line_is_replayed_to_the_state_it_left(tmp_path):
     memory = first.book.tasks["plate"]
     assert memory.placed and not memory.in_grip and memory.base_T_element == STANDS
     assert first.book.in_state(TaskState.READY) == ("stud",)
-    assert verify(path).lines == first.lines == len(STEPS) + 1
+    assert len(path.read_text().splitlines()) == first.lines == len(STEPS) + 1
 
 
 @pytest.mark.parametrize("number", range(len(STEPS)))
@@ -288,17 +287,6 @@ def test_a_file_that_is_no_ledger_is_refused(tmp_path):
     ledger(path).close()
     path.write_text(path.read_text().replace("opened", "mended"))
     with pytest.raises(LedgerError, match="this is no ledger"):
-        ledger(path)
-
-
-def test_an_edited_line_is_refused(tmp_path):
-    path = tmp_path / "ledger.jsonl"
-    book = ledger(path)
-    for entry, _ in STEPS:
-        book.add(entry)
-    book.close()
-    path.write_text(path.read_text().replace('"E1"', '"E2"', 1))
-    with pytest.raises(LedgerError, match="line"):
         ledger(path)
 
 

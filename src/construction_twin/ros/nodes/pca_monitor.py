@@ -60,6 +60,8 @@ SETPOINTS_KEPT = 25
 FEEDBACK_KEPT = 50
 #: Longest time between two `sync` of an open gate while the command rests [ns]: five nodes read each of them.
 RESTING_SYNC = NANOSECONDS // 10
+#: How long transitions wait for their file [s].
+WRITE_PERIOD = 0.1
 
 
 class Settings(NodeSettings, Behaviour):
@@ -160,8 +162,11 @@ class PcaMonitorNode:
             self._note_changes()
             stopped = self._gate.state is SyncState.STOPPED
         self._publish(now)
-        self._outputs.transitions.flush()
         self._stopped.keep((self._session or "") if stopped else "", now)
+
+    def write_transitions(self) -> None:
+        """Write the transitions to their file, in a thread of its own: a disk that hangs must not silence `sync`."""
+        self._outputs.transitions.flush()
 
     def on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
         """Take the twin's pose [rad] with its stamp [ns]."""
@@ -439,7 +444,10 @@ INTERFACE = Interface(
         Subscription("link", Link, PcaMonitorNode.on_link, queue_size=5),
     ),
     serves=(Served("configure_gate", ConfigureGate, PcaMonitorNode.on_configure, reason="configure_gate"),),
-    every=(Every(lambda settings: 1 / settings.sync_rate, lambda node, _ports: node.watch()),),
+    every=(
+        Every(lambda settings: 1 / settings.sync_rate, lambda node, _ports: node.watch()),
+        Every(lambda _settings: WRITE_PERIOD, lambda node, _ports: node.write_transitions()),
+    ),
 )
 FILE = ConfigFile(
     lambda given: {

@@ -528,7 +528,7 @@ class WorkNode:
                 return Report(ERROR if self._broken else WARN, self._problem)
             board = self._work.board
             values: dict[str, object] = {state.value: len(board.book.in_state(state)) for state in TaskState}
-            values |= {"lines of the ledger": board.ledger.lines, "SHA-256 of the last line": board.ledger.head}
+            values["lines of the ledger"] = board.ledger.lines
             values["notes on the model"] = len(board.notes)
             asks = bool(board.book.in_state(TaskState.ASKS))
             return Report(WARN if asks else OK, board.summary(time.time_ns()), values)
