@@ -116,8 +116,6 @@ def check_placement(model: BuildingModel, model_T_base: Pose, reach: float, base
 
 def _check_pose(pose: Pose) -> None:
     position, rotation = np.asarray(pose.position, dtype=float), np.asarray(pose.rotation, dtype=float)
-    if position.shape != (3,) or rotation.shape != (3, 3):
-        raise PlacementError(Sentence("work.place.shapes", position=str(position.shape), rotation=str(rotation.shape)))
     if not (np.isfinite(position).all() and np.isfinite(rotation).all()):
         raise PlacementError(Sentence("work.place.finite", position=_figures(position)))
     error = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
