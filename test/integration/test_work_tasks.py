@@ -5,7 +5,6 @@ A machine that pauses for a tenth of a second makes the gate hold, as it should.
 person would: the question is answered by what the gripper reads, and the task is planned anew.
 """
 
-import json
 import os
 import signal
 import sys
@@ -18,7 +17,7 @@ from construction_twin.srv import EditScene, WorkDecide, WorkMeasured, WorkPlanT
 from geometry_msgs.msg import PoseStamped
 from twin_client import RobotTest, TwinClient, node_pid
 
-from construction_twin.review.chained_file import verify
+from construction_twin.core.append_only import read_lines
 from construction_twin.ros.shared.params import ros_home
 
 #: Longest that reading the model and doing a task may take, on a machine that does other things too [s].
@@ -137,8 +136,7 @@ class WorkTest(RobotTest):
 
     def entries(self) -> list[dict]:
         """Return the lines of the ledger."""
-        verify(self.ledger())
-        return [json.loads(line) for line in self.ledger().read_text().splitlines()]
+        return read_lines(self.ledger())
 
     # -- the steps
 

@@ -145,13 +145,34 @@ class CollisionError(PlanningError):
     Attributes:
         between: Length 2. Names of the two: a link or a carried object first, then a link or an object of the scene.
         where: ``the start``, ``the goal``, ``at 1.204 s``, ...
+        time: In a motion [s]; None where there is none.
     """
 
-    def __init__(self, between: tuple[str, str], where: str):
+    def __init__(self, between: tuple[str, str], where: str, time: float | None = None):
         self.between = tuple(between)
-        self.where = where
+        self.where, self.time = where, time
         first, second = between
-        super().__init__(Sentence("motion.collision", first=first, second=second, where=where))
+        super().__init__(self._sentence(first=first, second=second, where=where))
+
+    def _sentence(self, **values: str) -> Sentence:
+        return Sentence("motion.collision", **values)
+
+
+class RetimedCollisionError(CollisionError):
+    """A motion whose times were replaced touches something; `where` names points of the sender, who knows no others.
+
+    Attributes:
+        why: Why the times were replaced.
+        lines_free: Nothing touches on the straight lines between the points.
+    """
+
+    def __init__(self, between: tuple[str, str], where: str, why: str, lines_free: bool):
+        self.why, self.lines_free = why, lines_free
+        super().__init__(between, where)
+
+    def _sentence(self, **values: str) -> Sentence:
+        key = "motion.retimed.beside_lines" if self.lines_free else "motion.retimed.on_line"
+        return Sentence(key, **values, why=self.why)
 
 
 class DurationError(PlanningError):

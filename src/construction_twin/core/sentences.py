@@ -4,7 +4,7 @@ A place in braces is a named value, and is written as its format says; `web/src/
 
     {name}                a text or a whole number, as it is; in a reason one word
     {name:s}              in a reason, a text of several words, or another sentence
-    {name:t}              in a reason, a task: its name in quotes with its id behind in parentheses, or one word
+    {name:t}              in a reason, a task: its name in quotes, with its id behind in parentheses if others have it, or one word
     {name:.3f}            a number with three decimals
     {name:g}              a number with at most six digits
     {name:.6q}            a `Quantity` with six decimals, in its own unit
@@ -184,7 +184,7 @@ def _read(form: str | None, part: str) -> Value:
 
 
 #: What places with other values than one word may hold.
-_READ = {"s": "(.+?)", "t": r"""((?:'.*?'|".*?") \(\S+\)|\S+?)""", "p": r"(\S+ \S+?)", "q": r"(\S+ \S+?)"}
+_READ = {"s": "(.+?)", "t": r"""((?:'.*?'|".*?")(?: \(\S+\))?|\S+?)""", "p": r"(\S+ \S+?)", "q": r"(\S+ \S+?)"}
 _Pattern = tuple[str, str, re.Pattern[str], list[tuple[str, str | None]], bool]
 
 

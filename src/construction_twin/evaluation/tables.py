@@ -33,6 +33,8 @@ ARM_NOT_TOLD = (
     "The recording has no mock_rsi/status: the arm was a robot, or this is a simulation whose status was not recorded."
 )
 NO_MOTION = "Nothing moved while this was recorded: the figures say nothing of how twin and arm agree in motion."
+#: Columns of what is no terminal.
+_WIDEST = 10_000
 #: Names and fractions of the reported percentiles.
 PERCENTILES = {"p50": 0.5, "p99": 0.99, "p99_9": 0.999}
 
@@ -124,6 +126,14 @@ def table_csv(tables: Mapping) -> str:
     return text.getvalue()
 
 
+def table_console(stderr: bool = False, markup: bool = True) -> Console:
+    """Return a console for tables: into a pipe or a file they are as wide as they need, on a terminal as wide as that."""
+    console = Console(highlight=False, stderr=stderr, markup=markup)
+    if not console.is_terminal:
+        console.width = _WIDEST
+    return console
+
+
 def render_tables(summary: Mapping, console: Console | None = None) -> None:
     """Print a summary: one table per alignment beside the paper's figures, then lag, counts, rates and times.
 
@@ -131,7 +141,7 @@ def render_tables(summary: Mapping, console: Console | None = None) -> None:
         summary: As `summary.json` holds it.
         console: Default: standard output.
     """
-    console = console or Console(highlight=False)
+    console = console or table_console()
     rows = list(table_rows(summary["tables"]))
     for alignment, meaning in ALIGNMENTS.items():
         if summary["tables"].get(alignment) is None:

@@ -101,8 +101,7 @@ def interpolated(points: np.ndarray, pace: np.ndarray) -> JointCurve:
     """
     if len(points) == 2:
         return straight(points[0], points[1], pace)
-    knots = np.concatenate(([0.0], np.cumsum(_spans(points, pace))))
-    return JointCurve(CubicSpline(knots, points))
+    return JointCurve(CubicSpline(parameters(points, pace), points))
 
 
 def monotone(points: np.ndarray, pace: np.ndarray) -> JointCurve:
@@ -149,8 +148,7 @@ def rounded(points: np.ndarray, pace: np.ndarray, corner_fraction: float) -> Joi
     """
     if len(points) == 2:
         return straight(points[0], points[1], pace)
-    spans = _spans(points, pace)
-    corners = np.concatenate(([0.0], np.cumsum(spans)))
+    spans, corners = _spans(points, pace), parameters(points, pace)
     reach = 0.5 * corner_fraction * np.minimum(spans[:-1], spans[1:])
     inner = np.sort(np.concatenate((corners[1:-1] - reach, corners[1:-1], corners[1:-1] + reach)))
     length = corners[-1]
@@ -173,6 +171,32 @@ def rounded(points: np.ndarray, pace: np.ndarray, corner_fraction: float) -> Joi
     steps = (slopes + (2.0 * a0 + a1) / 6.0 * h) * h
     values = points[0] + np.concatenate((np.zeros_like(a0[:1]), np.cumsum(steps, axis=0)))[:-1]
     return JointCurve(PPoly(np.stack((third / 6.0, 0.5 * a0, slopes, values)), knots[3:-3]))
+
+
+def parameters(points: np.ndarray, pace: np.ndarray) -> np.ndarray:
+    """Return where on a curve each of its points is, shape (m,); of `rounded` where it is nearest to its corners.
+
+    Args:
+        points, pace: As for the curve. Points between two of them, on the line, change nothing.
+    """
+    return np.concatenate(([0.0], np.cumsum(_spans(points, pace))))
+
+
+def with_close_corners(points: np.ndarray, pace: np.ndarray, levers: np.ndarray, miss: float) -> np.ndarray:
+    """Add points on the lines beside the corners, so that `rounded` misses no point by more than `miss`.
+
+    Args:
+        points, pace: As for `rounded`.
+        levers: Shape (n,). What one unit of each joint moves at most.
+        miss: Sum over the joints of what each misses the point by, times its lever.
+    """
+    spans, at = _spans(points, pace), parameters(points, pace)
+    turns = np.abs(np.diff(np.diff(points, axis=0) / spans[:, None], axis=0)) @ levers
+    wide = 0.5 * np.minimum(spans[:-1], spans[1:]) * turns > 6.0 * miss
+    # the cut of a corner ends half way to the next point
+    beside = 12.0 * miss / turns[wide]
+    where = np.unique(np.concatenate((at, at[1:-1][wide] - beside, at[1:-1][wide] + beside)))
+    return np.column_stack([np.interp(where, at, column) for column in points.T])
 
 
 def _spans(points: np.ndarray, pace: np.ndarray) -> np.ndarray:

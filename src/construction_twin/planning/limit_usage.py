@@ -17,6 +17,11 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import LimitUsage
 from construction_twin.robot.trajectory import Trajectory
 
+#: A time in a message is a whole number of these [s]. Off by one, a waypoint is beside the motion by its velocity times this, and
+#: the first three derivatives of the curve through it have so many times as much, over that power of the time to the next waypoint;
+#: so many at most, whether velocities and accelerations are given or not.
+TIME_UNIT = 1e-9
+BENDS = (2.0, 6.0, 60.0)
 #: Points closer than this are one, and ranges are met to this [rad] or [m], per joint.
 SAME_POINT = 1e-9
 
@@ -55,27 +60,49 @@ def cycle_times(trajectory: Trajectory) -> np.ndarray:
     return np.arange(0.0, trajectory.duration + 2.0 * CYCLE, CYCLE)
 
 
-def sampled_usage(trajectory: Trajectory, robot: RobotModel) -> SampledUsage:
-    """Return a trajectory's use of the limits at every 4 ms sample. Ranges are not checked."""
+def sampled_usage(trajectory: Trajectory, robot: RobotModel, given_times: bool = False) -> SampledUsage:
+    """Return a trajectory's use of the limits at every 4 ms sample. Ranges are not checked.
+
+    Args:
+        given_times: Leave out what the rounding of its times to `TIME_UNIT` can add: much of the curve's jerk between close
+            waypoints (60 rad/s^3 at 1 rad/s where they are 1 ms apart), and next to nothing of the differences.
+    """
     times = cycle_times(trajectory)
-    q, qd, qdd, qddd = trajectory.sample_many(times)
-    velocity, acceleration, jerk = np.abs(qd), np.abs(qdd), np.abs(qddd)
-    # a difference belongs to the sample it ends at, or to the middle one; before and after the motion the arm rests
-    step = np.diff(q, axis=0)
-    second_difference = np.diff(step, axis=0, prepend=0.0, append=0.0)
-    third_difference = np.diff(second_difference, axis=0, prepend=0.0, append=0.0)
-    np.maximum(velocity[1:], np.abs(step) / CYCLE, out=velocity[1:])
-    np.maximum(acceleration, np.abs(second_difference) / CYCLE**2, out=acceleration)
-    np.maximum(jerk, np.maximum(np.abs(third_difference[:-1]), np.abs(third_difference[1:])) / CYCLE**3, out=jerk)
-    samples = np.minimum(np.searchsorted(times, trajectory.times), len(times) - 1)
+    q, *derivatives = trajectory.sample_many(times)
+    curve = [np.abs(values) for values in derivatives]
     after, before, _ = segment_jerks(
         trajectory.times, trajectory.positions, trajectory.velocities, trajectory.accelerations
     )
+    after, before = np.abs(after), np.abs(before)
+    # a difference belongs to the sample it ends at, or to the middle one; before and after the motion the arm rests
+    step = np.diff(q, axis=0, prepend=q[:1])
+    second = np.diff(step, axis=0, append=0.0)
+    third = np.abs(np.diff(second, axis=0, prepend=0.0, append=0.0))
+    steps = [np.abs(step) / CYCLE, np.abs(second) / CYCLE**2, np.maximum(third[:-1], third[1:]) / CYCLE**3]
+    if given_times:
+        beside, bends = _rounding(trajectory)
+        segments = np.clip(np.searchsorted(trajectory.times, times, side="right") - 1, 0, len(beside) - 1)
+        for order, bend in enumerate(bends, 1):
+            curve[order - 1] -= bend[segments]
+            steps[order - 1] -= (2.0 / CYCLE) ** order * beside[segments]
+        after, before = after - bends[-1], before - bends[-1]
+    velocity, acceleration, jerk = map(np.maximum, curve, steps)
     # a waypoint is assigned to the sample after it; there may be several waypoints between two samples
-    np.maximum.at(jerk, samples[:-1], np.abs(after))
-    np.maximum.at(jerk, samples[1:], np.abs(before))
+    samples = np.minimum(np.searchsorted(times, trajectory.times), len(times) - 1)
+    np.maximum.at(jerk, samples[:-1], after)
+    np.maximum.at(jerk, samples[1:], before)
     fractions = velocity / robot.velocity, acceleration / robot.acceleration, jerk / robot.jerk
     return SampledUsage(trajectory, times, q, *fractions)
+
+
+def _rounding(trajectory: Trajectory) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Return how far the rounding of times puts waypoints beside the motion, and what its derivatives have of it, per segment."""
+    spans = np.diff(trajectory.times)
+    # velocities or accelerations that were not given come of the segments on both sides
+    shortest = np.minimum(spans, np.minimum(np.append(spans[1:], np.inf), np.append(np.inf, spans[:-1])))[:, None]
+    speeds = np.abs(trajectory.velocities)
+    beside = TIME_UNIT * np.maximum(speeds[:-1], speeds[1:])
+    return beside, [factor * beside / shortest**order for order, factor in enumerate(BENDS, 1)]
 
 
 def range_excess(q: np.ndarray, robot: RobotModel) -> np.ndarray:

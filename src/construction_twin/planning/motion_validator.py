@@ -13,7 +13,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from construction_twin.planning.curves import rounded
+from construction_twin.planning.curves import parameters, rounded
 from construction_twin.scene.collision_world import CollisionWorld
 
 #: Most points added to a path to keep its rounded corners free.
@@ -201,8 +201,7 @@ class CornerRounding:
         if len(path) == 2:
             return path if self._validator.free(*path) else None
         for _ in range(CORNERS_TIGHTENED):
-            spans = np.max(np.abs(np.diff(path, axis=0)) / self._pace, axis=1)
-            knots = np.concatenate(([0.0], np.cumsum(spans)))
+            knots = parameters(path, self._pace)
             samples = self._samples(path, knots)
             place = self._contact(rounded(path, self._pace, 1.0)(samples))
             if place is None:

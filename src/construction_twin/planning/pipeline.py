@@ -13,15 +13,26 @@ from dataclasses import replace
 import numpy as np
 
 from construction_twin.core.clock import MONOTONIC, Clock
-from construction_twin.core.motion_errors import NoSceneError, SceneChangedError, SceneError, WaypointTimesError
+from construction_twin.core.motion_errors import (
+    CollisionError,
+    NoSceneError,
+    RetimedCollisionError,
+    SceneChangedError,
+    SceneError,
+    WaypointTimesError,
+)
+from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import InverseKinematics, inverse_kinematics
 from construction_twin.planning.cartesian import plan_cartesian
+from construction_twin.planning.limit_usage import sampled_usage
 from construction_twin.planning.planner import Planner, PlannerSettings, PlanRequest
 from construction_twin.planning.recheck import recheck
+from construction_twin.planning.request_limits import distinct
+from construction_twin.planning.timing import TimedPath
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.planning.way_back import WAY_BACK, way_back
-from construction_twin.planning.waypoints import Waypoints, plan_waypoints, retime_waypoints
+from construction_twin.planning.waypoints import Waypoints, asked_path, plan_waypoints, time_asked
 from construction_twin.planning.work_plan import plan_work
 from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import JointValues, RobotModel
@@ -156,23 +167,63 @@ class PlanningPipeline:
         def make(world: CollisionWorld) -> Trajectory:
             return plan_waypoints(waypoints, start, self._robot, *self._scales(request), self._settings.bounds)
 
-        def retimed(world: CollisionWorld) -> Trajectory:
-            # what was asked for is the sender's own pace, not the planner's default
-            speed = 1.0 if request.speed_scale is None else request.speed_scale
-            return retime_waypoints(
-                waypoints, start, self._robot, speed, request.acceleration_scale, self._settings.bounds
-            )
-
         def checked(world: CollisionWorld) -> Plan:
             try:
-                return self._checked(make, "waypoints", request, world)
+                return self._checked(make, "waypoints", request, world, waypoints.times is not None)
             except WaypointTimesError as error:
                 if not retime:
                     raise
-                plan = self._checked(retimed, f"waypoints, timed anew ({error})", request, world)
-                return replace(plan, retimed=error.sentence)
+                return self._retimed(asked_path(waypoints, start, self._robot), request, world, error.sentence)
 
         return self._in_scene(checked)
+
+    def _retimed(self, path: Waypoints, request: PlanRequest, world: CollisionWorld, why: str) -> Plan:
+        """Time a path anew through its points, or on the free lines between them where the curve through them touches something."""
+        # what was asked for is the sender's own pace, not the planner's default
+        speed = 1.0 if request.speed_scale is None else request.speed_scale
+        request = replace(request, speed_scale=speed, duration=None, waypoints=None)
+        began = self._clock()
+        timed = time_asked(path, self._robot, speed, request.acceleration_scale, self._settings.bounds)
+        planning_time = self._clock() - began
+        try:
+            measured = recheck(timed.trajectory, self._robot, world, self._clock, timed.usage)
+        except CollisionError as error:
+            return self._along_lines(path, request, world, why, error, timed)
+        made = f"waypoints, timed anew ({why})"
+        plan = request.plan(made, planning_time, timed.trajectory, measured, world.scene.hash)
+        return replace(plan, retimed=why)
+
+    def _along_lines(
+        self,
+        path: Waypoints,
+        request: PlanRequest,
+        world: CollisionWorld,
+        why: str,
+        error: CollisionError,
+        timed: TimedPath,
+    ) -> Plan:
+        """Time a path anew on the lines between its points, where the curve through them, which is `timed`, touches something.
+
+        Raises:
+            RetimedCollisionError: Between which points it touches.
+        """
+        found = world.first_contact(path.positions)
+        if found is not None:
+            place, contact = found
+            on_way = path.way_to(min(int(place) + 1, len(path.rows) - 1))
+            raise RetimedCollisionError(contact.between, on_way, why, lines_free=False) from error
+        assert timed.passed is not None and path.times is not None and error.time is not None
+        kept = np.flatnonzero(distinct(path.positions))
+        way = path.way_to(int(kept[np.clip(np.searchsorted(timed.passed, error.time), 1, len(kept) - 1)]))
+        first, second = error.between
+        told = Sentence("motion.retimed.along_lines", why=why, first=first, second=second, where=way)
+        # of equal points at the end the last one is the goal, and its time the motion's
+        kept[-1] = len(path.rows) - 1
+        made = f"waypoints, timed anew ({told})"
+        plan = self._planner.along_lines(path.positions[kept], path.times[kept], request, world, made)
+        if plan is None:
+            raise RetimedCollisionError((first, second), way, why, lines_free=True) from error
+        return replace(plan, retimed=told)
 
     def work(self, start: JointValues, task: str, segments: Sequence[WorkSegment], request: PlanRequest) -> Plan:
         """Join the segments of a task to a work plan and check each in its scene; see `work_plan.plan_work`."""
@@ -205,12 +256,18 @@ class PlanningPipeline:
         return speed_scale, request.acceleration_scale
 
     def _checked(
-        self, make: Callable[[CollisionWorld], Trajectory], planner: str, request: PlanRequest, world: CollisionWorld
+        self,
+        make: Callable[[CollisionWorld], Trajectory],
+        planner: str,
+        request: PlanRequest,
+        world: CollisionWorld,
+        given_times: bool = False,
     ) -> Plan:
         began = self._clock()
         trajectory = make(world)
         planning_time = self._clock() - began
-        measured = recheck(trajectory, self._robot, world, self._clock)
+        sampled = sampled_usage(trajectory, self._robot, given_times)
+        measured = recheck(trajectory, self._robot, world, self._clock, sampled)
         return request.plan(planner, planning_time, trajectory, measured, world.scene.hash)
 
     def _in_scene(self, make: Callable[[CollisionWorld], Plan]) -> Plan:

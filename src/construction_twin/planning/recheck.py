@@ -113,12 +113,13 @@ def check_free(q: np.ndarray, times: np.ndarray, world: World) -> None:
         times: Shape (m,). When each is reached [s], for the message.
 
     Raises:
-        CollisionError: For the first contact, with the pair and ``at ... s``.
+        CollisionError: For the first contact, with the pair and its time.
     """
     found = world.first_contact(q)
     if found is not None:
         place, contact = found
-        raise CollisionError(contact.between, _at(at_place(times, place)))
+        seconds = at_place(times, place)
+        raise CollisionError(contact.between, _at(seconds), seconds)
 
 
 def at_place(times: np.ndarray, place: float) -> float:

@@ -326,5 +326,6 @@ def _stages(knots: np.ndarray) -> np.ndarray:
     """Return toppra's grid: every knot of the curve, and enough stages between them."""
     spans = np.diff(knots)
     counts = np.maximum(PIECE_STAGES, np.ceil(STAGES * spans / knots[-1])).astype(int)
-    pieces = [np.linspace(a, b, count, endpoint=False) for a, b, count in zip(knots[:-1], knots[1:], counts)]
-    return np.concatenate([*pieces, knots[-1:]])
+    piece = np.repeat(np.arange(len(spans)), counts)
+    place = np.arange(len(piece)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return np.append(place * (spans / counts)[piece] + knots[piece], knots[-1])

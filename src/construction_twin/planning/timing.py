@@ -16,7 +16,7 @@ import numpy as np
 from construction_twin.core.motion_errors import DurationError, JointRangeError, PlanningError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
-from construction_twin.planning.curves import JointCurve, interpolated, monotone, rounded
+from construction_twin.planning.curves import JointCurve, interpolated, monotone, parameters, rounded
 from construction_twin.planning.limit_usage import SampledUsage, check_range, sampled_usage, segment_jerks
 from construction_twin.planning.request_limits import PlanBounds, check_path, check_request, distinct
 from construction_twin.planning.time_scaling import (
@@ -58,8 +58,9 @@ CURVE_ROUNDS = 8
 #: The same where no part may be passed faster than asked: the rest of the excess slows the whole motion, by at most this factor.
 PACE_SLOWING = 1.01
 PACE_ROUNDS = 12
-#: Samples of a motion for each point, to find when it passes them.
+#: Samples of a motion for each point, to find when it passes them; of many points no more than these.
 PASSING_SAMPLES = 200
+MOST_PASSING_SAMPLES = 40_000
 LARGEST_REST = 4.0
 #: No straight motion is shorter [s].
 SHORTEST_MOTION = 0.04
@@ -97,8 +98,8 @@ def timed_path(
             available length (`curves.rounded`); never out of range. Default: a curve through all points (`curves.interpolated`, or
             `curves.monotone` where that would leave the range).
         bounds: Largest duration and number of waypoints. Default: any.
-        times: Shape (m,). Increasing [s]: from one point to the next the motion takes no less time than these do. Not with
-            `corner_fraction`.
+        times: Shape (m,). Increasing [s]: from one point to the next the motion takes no less time than these do; with
+            `corner_fraction` from where it is nearest to one to where it is nearest to the next.
 
     Returns:
         The trajectory with what was measured on it.
@@ -117,21 +118,18 @@ def timed_path(
     fractions = VELOCITY_FRACTION * speed_scale, ACCELERATION_FRACTION * acceleration_scale
     request = _Request(robot, duration, *fractions, waypoints, bounds)
     pace, ends, inside = np.array(robot.velocity), path[[0, -1]], _off_the_edge(path, robot)
+    if asked is not None:
+        at = parameters(path, pace)
+        request = replace(request, asked=(at, asked), local_slowing=PACE_SLOWING, local_rounds=PACE_ROUNDS)
     if corner_fraction is not None:
         return request.run(rounded(inside, pace, corner_fraction), ends)
     # a cubic spline overshoots its points by a fraction of their distance, so closer points may keep it in range
-    slow = (
-        request
-        if asked is None
-        else replace(request, asked=asked, local_slowing=PACE_SLOWING, local_rounds=PACE_ROUNDS)
-    )
-    between = slow if asked is None else replace(slow, asked=with_midpoints(asked[:, None])[:, 0])
-    for way, points in ((slow, path), (between, with_midpoints(path))):
+    for points in (path, with_midpoints(path)):
         try:
-            return way.run(interpolated(points, pace), ends)
+            return request.run(interpolated(points, pace), ends)
         except JointRangeError:
             continue
-    return slow.run(monotone(inside, pace), ends)
+    return request.run(monotone(inside, pace), ends)
 
 
 def time_path(
@@ -218,10 +216,15 @@ def with_midpoints(path: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class TimedPath:
-    """A trajectory with its use of the limits, if that was measured."""
+    """A trajectory with its use of the limits, if that was measured.
+
+    Attributes:
+        passed: When it passes the points whose times were given [s]; None where none were. Of equal points only the first counts.
+    """
 
     trajectory: Trajectory
     usage: SampledUsage | None
+    passed: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,20 +266,24 @@ class _Request:
     local_slowing: float = LOCAL_SLOWING
     local_rounds: int = LOCAL_ROUNDS
     whole_cycles: bool = False
-    #: Times of the curve's knots [s]: between two of them the motion takes no less time.
-    asked: np.ndarray | None = None
+    #: Where on the curve points are, and their times [s]: between two of them the motion takes no less time.
+    asked: tuple[np.ndarray, np.ndarray] | None = None
 
     def run(self, curve: JointCurve, ends: np.ndarray) -> TimedPath:
         """Time a curve; raises `JointRangeError` if the curve or the trajectory leaves the range."""
         timed = self.timed(curve, ends)
         minimum = timed.trajectory.duration
         if self.duration is None:
-            return TimedPath(timed.trajectory, timed.usage)
+            return TimedPath(timed.trajectory, timed.usage, self._passed(timed.scaling, timed.stretch))
         if self.duration < minimum:
             # rounded up, so that a request for the duration in the message succeeds
             raise DurationError(self.duration, math.ceil(minimum * 1e3) / 1e3)
-        slower = self._way(curve, timed.scaling, self.duration / timed.scaling.duration, ends, self.duration)
-        return TimedPath(slower.trajectory(self.robot), None)
+        stretch = self.duration / timed.scaling.duration
+        slower = self._way(curve, timed.scaling, stretch, ends, self.duration)
+        return TimedPath(slower.trajectory(self.robot), None, self._passed(timed.scaling, stretch))
+
+    def _passed(self, scaling: TimeScaling, stretch: float) -> np.ndarray | None:
+        return None if self.asked is None else stretch * _passing_times(scaling, self.asked[0])
 
     def timed(self, curve: JointCurve, ends: np.ndarray, top_speed: float = math.inf) -> TimedCurve:
         """Return the fastest motion along a curve."""
@@ -287,15 +294,15 @@ class _Request:
         check_range(curve(_between(curve.knots)), self.robot)
         search = TimeScalingSearch(curve, limits, top_speed)
         if self.asked is not None:
-            search.slow_down(*_asked_speed(curve.knots, self.asked))
+            search.slow_down(*_asked_speed(*self.asked))
         scaling, early = search.find(), np.ones(1)
         for rounds_left in range(self.local_rounds, -1, -1):
             self.bounds.check(scaling.duration)
             way = _Way.along(curve, scaling, self._times(scaling, scaling.duration))
             factor = way.too_fast(limits)
             if self.asked is not None:
-                passed = _passing_times(scaling, curve.knots)
-                early = np.diff(self.asked) / np.diff(passed)
+                passed = _passing_times(scaling, self.asked[0])
+                early = np.diff(self.asked[1]) / np.diff(passed)
                 factor = np.maximum(factor, early[np.clip(np.searchsorted(passed, way.times) - 1, 0, len(early) - 1)])
             if not rounds_left or np.max(factor) <= self.local_slowing:
                 break
@@ -450,19 +457,19 @@ def _asked_times(times: np.ndarray, kept: np.ndarray) -> np.ndarray:
     return asked
 
 
-def _asked_speed(knots: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean ds/dt between knots that are passed at these times, over s; at a knot the smaller one of both sides."""
-    speed, margin = np.diff(knots) / np.diff(times), 1e-6 * np.diff(knots)
-    at_knots = np.minimum(np.append(speed, np.inf), np.concatenate(([np.inf], speed)))
-    inside = np.column_stack((knots[:-1], knots[:-1] + margin, knots[1:] - margin)).ravel()
-    values = np.column_stack((at_knots[:-1], speed, speed)).ravel()
-    return np.append(inside, knots[-1]), np.append(values, at_knots[-1])
+def _asked_speed(at: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean ds/dt between points that are passed at these times, over s; at a point the smaller one of both sides."""
+    speed, margin = np.diff(at) / np.diff(times), 1e-6 * np.diff(at)
+    at_points = np.minimum(np.append(speed, np.inf), np.concatenate(([np.inf], speed)))
+    inside = np.column_stack((at[:-1], at[:-1] + margin, at[1:] - margin)).ravel()
+    values = np.column_stack((at_points[:-1], speed, speed)).ravel()
+    return np.append(inside, at[-1]), np.append(values, at_points[-1])
 
 
-def _passing_times(scaling: TimeScaling, knots: np.ndarray) -> np.ndarray:
-    """Return when a motion passes the knots of its curve [s]."""
-    times = np.linspace(0.0, scaling.duration, PASSING_SAMPLES * len(knots))
-    passed = np.interp(knots, np.maximum.accumulate(scaling.pieces.states(times)[0]), times)
+def _passing_times(scaling: TimeScaling, at: np.ndarray) -> np.ndarray:
+    """Return when a motion passes some places of its curve, the first and last of which are its ends [s]."""
+    times = np.linspace(0.0, scaling.duration, max(4 * len(at), min(PASSING_SAMPLES * len(at), MOST_PASSING_SAMPLES)))
+    passed = np.interp(at, np.maximum.accumulate(scaling.pieces.states(times)[0]), times)
     passed[0], passed[-1] = 0.0, scaling.duration
     return passed
 

@@ -18,7 +18,7 @@ from construction_twin.core.motion_errors import TrajectoryError, WaypointsError
 from construction_twin.core.sentences import Sentence
 from construction_twin.planning.limit_usage import range_excess, sampled_usage
 from construction_twin.planning.request_limits import PlanBounds
-from construction_twin.planning.timing import time_path
+from construction_twin.planning.timing import TimedPath, time_path, timed_path
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.trajectory import Trajectory
 
@@ -71,6 +71,13 @@ class Waypoints:
     times: np.ndarray | None = None
     velocities: np.ndarray | None = None
     accelerations: np.ndarray | None = None
+
+    def way_to(self, index: int) -> Sentence:
+        """Return how messages call the way to a waypoint, e.g. ``between point 3 and point 4``."""
+        # of a single waypoint the other one is the present pose
+        if self.rows[index - 1] == self.rows[index]:
+            return Sentence("motion.where.way", place=self.place(index))
+        return Sentence("motion.where.between", first=self.place(index - 1), second=self.place(index))
 
     def place(self, index: int) -> str:
         """Return how messages call a waypoint, e.g. ``line 7``."""
@@ -226,23 +233,47 @@ def retime_waypoints(
     Raises:
         WaypointsError, PlanSizeError, PlanningError: As `plan_waypoints` without times.
     """
-    if len(waypoints.positions) == 1:
-        waypoints = _goal_from(waypoints, np.array(present, dtype=float))
-    if waypoints.times is None:
-        return plan_waypoints(waypoints, present, robot, speed_scale, acceleration_scale, bounds)
+    path = asked_path(waypoints, present, robot, bounds)
+    return time_asked(path, robot, speed_scale, acceleration_scale, bounds).trajectory
+
+
+def asked_path(
+    waypoints: Waypoints, present: JointValues, robot: RobotModel, bounds: PlanBounds = PlanBounds()
+) -> Waypoints:
+    """Return waypoints with times, checked but for what times can mend: from the present pose, at 0 s.
+
+    Raises:
+        WaypointsError, PlanSizeError: As `plan_waypoints`.
+    """
+    assert waypoints.times is not None  # only with times
     bounds.check(0.0, len(waypoints.rows))
     robot.check_range(present)
     _check_ranges(waypoints, robot)
-    path = _from_present(waypoints, np.array(present, dtype=float), robot)
-    _check_times(waypoints, waypoints.times)
-    times = waypoints.times - waypoints.times[0]
+    if len(waypoints.positions) == 1:
+        waypoints = _goal_from(waypoints, np.array(present, dtype=float))
+    times = waypoints.times
+    assert times is not None  # as before
+    positions = _from_present(waypoints, np.array(present, dtype=float), robot)
+    _check_times(waypoints, times)
+    return replace(waypoints, positions=positions, times=times - times[0])
 
-    def timed(duration: float | None) -> Trajectory:
-        return time_path(path, robot, duration, speed_scale, acceleration_scale, bounds=bounds, times=times)
 
-    fastest = timed(None)
-    requested = float(times[-1])
-    return fastest if fastest.duration >= requested else timed(requested)
+def time_asked(
+    path: Waypoints,
+    robot: RobotModel,
+    speed_scale: float,
+    acceleration_scale: float | None = None,
+    bounds: PlanBounds = PlanBounds(),
+) -> TimedPath:
+    """Time an `asked_path` through all of its points, in no less time from any of them to the next than it says."""
+    assert path.times is not None  # only with times
+
+    def timed(duration: float | None) -> TimedPath:
+        scales = speed_scale, acceleration_scale
+        return timed_path(path.positions, robot, duration, *scales, bounds=bounds, times=path.times)
+
+    fastest, requested = timed(None), float(path.times[-1])
+    return fastest if fastest.trajectory.duration >= requested else timed(requested)
 
 
 def _point_array(name: str, values, points: int, joints: int) -> np.ndarray:
@@ -396,7 +427,7 @@ def _fitted_accelerations(times: np.ndarray, positions: np.ndarray, velocities: 
 
 def _check_limits(trajectory: Trajectory, waypoints: Waypoints, robot: RobotModel) -> None:
     """Check every 4 ms sample; an error names the waypoint that the motion goes to at that time."""
-    sampled = sampled_usage(trajectory, robot)
+    sampled = sampled_usage(trajectory, robot, given_times=True)
 
     def place(sample: int) -> tuple[int, Sentence]:
         time = float(sampled.times[sample])

@@ -1,31 +1,18 @@
-"""The review record: a file of verdicts and of what became of them, one JSON object per line, each chained to the one before.
-
-Every line carries the SHA-256 of the line before it in `previous`, so that an edited, removed or moved line breaks the chain. The
-last line has no successor: compare its hash with one that was noted elsewhere, to find what was cut off, added or changed there.
-Durations in s, distances in m.
-"""
+"""The review record: an append-only file of verdicts and of what became of them. Durations in s, distances in m."""
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
-import sys
-import threading
-from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from construction_twin.core.append_only import AppendOnlyFile, read_lines
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RecordError
 from construction_twin.core.reports import SessionRequest, SpeedChange
 from construction_twin.core.sentences import Sentence
-from construction_twin.review.chained_file import ChainedFile, LogState, read_whole, verify
 from construction_twin.review.plan_under_review import APPROVED, Ending, Rehearsed, Verdict
 from construction_twin.robot.plan import Plan
-
-#: Records that are kept while the file cannot be written; what comes then is counted, and the number is recorded later.
-KEPT = 1000
 
 
 @dataclass(frozen=True)
@@ -64,15 +51,6 @@ Record = Verdict | Ending | Responsibility | Release | SessionRequest | SpeedCha
 
 
 @dataclass(frozen=True)
-class _Deferred:
-    """A record that waits for the disk: when it was made, UTC [ns], and whose responsibility was in force then."""
-
-    time: int
-    record: Record
-    responsibility: Responsibility | None
-
-
-@dataclass(frozen=True)
 class Fate:
     """What became of one plan, as the record says.
 
@@ -97,15 +75,14 @@ def read_fate(path: str | Path, plan_id: str, source: str = "") -> Fate:
         source: Part of the plan's source; empty: its id must fit.
     """
     try:
-        lines = read_whole(Path(path)).split(b"\n")[:-1]
         found = Fate(plan_id, False)
-        for fields in map(json.loads, lines):
+        for fields in read_lines(path):
             named = fields.get("plan", "")
             if (plan_id and named == plan_id) or (source and source in fields.get("source", "")):
                 plan_id = plan_id or named
                 approved = bool(found.approved) or fields.get("verdict") == APPROVED
                 found = Fate(named, approved, fields.get("outcome", "") or found.outcome)
-    except (ConfigurationError, ValueError, AttributeError, TypeError):
+    except (ConfigurationError, TypeError):
         return Fate(plan_id, None)
     return found
 
@@ -118,43 +95,29 @@ class ReviewLog:
         clock: Returns the time since 1970 in UTC [ns].
 
     Attributes:
+        file: Where they stand.
         responsibility: What is in force; it is recorded with every verdict.
-        lost: Deferred records that were not kept, because `KEPT` others waited for a file that could not be written.
 
     Raises:
-        ConfigurationError: When the path is empty, the file cannot be written, another process writes it, or its chain is broken.
+        ConfigurationError: When the path is empty, the file cannot be written, another process writes it, or it is no record.
         RecordError: When the record of an execution that had no end cannot be written.
     """
 
     def __init__(self, path: str | Path, clock: Callable[[], int]):
         if not str(path).strip():
             raise ConfigurationError("review file", str(path), Sentence("expected.record.path"))
-        self.path = Path(path).expanduser()
         self._clock = clock
-        self._lock = threading.Lock()
-        self._deferred: deque[_Deferred] = deque()
         self.responsibility: Responsibility | None = None
-        # `defer` counts the one, `flush` the other: they are called from two threads
-        self.lost = self._reported = 0
-        self._file = ChainedFile(self.path, RecordError, "executor")
+        self.file = AppendOnlyFile(path, RecordError, "executor")
         try:
             self._end_interrupted()
         except ConstructionTwinError:
             self.close()
             raise
 
-    @property
-    def state(self) -> LogState:
-        """Number of lines, and the hash of the last one."""
-        return self._file.state
-
     def defer(self, record: Record) -> None:
         """Keep a record for the next `flush`, with the present time; does not touch the disk."""
-        if len(self._deferred) >= KEPT:
-            # no verdict is taken meanwhile: `append` writes these first, and fails
-            self.lost += 1
-            return
-        self._deferred.append(_Deferred(self._clock(), record, self.responsibility))
+        self.file.defer(self._clock(), _fields(record, self.responsibility))
 
     def flush(self) -> None:
         """Write what was deferred.
@@ -162,16 +125,7 @@ class ReviewLog:
         Raises:
             RecordError: When it cannot be; what is not written stays deferred.
         """
-        with self._lock:
-            while self._deferred:
-                first = self._deferred[0]
-                self._file.append(first.time, _fields(first.record, first.responsibility))
-                self._deferred.popleft()
-            number = self.lost - self._reported
-            if number:
-                reason = f"the file could not be written, and {KEPT} records waited already"
-                self._file.append(self._clock(), {"record": "gap", "lost": number, "reason": reason})
-                self._reported += number
+        self.file.flush()
 
     def append(self, record: Record) -> None:
         """Write one record, behind those that were deferred; when this returns it is on the disk.
@@ -179,17 +133,15 @@ class ReviewLog:
         Raises:
             RecordError: When it is not. What could be written of it is taken back.
         """
-        self.flush()
-        with self._lock:
-            self._file.append(self._clock(), _fields(record, self.responsibility))
+        self.file.append(self._clock(), _fields(record, self.responsibility))
 
     def close(self) -> None:
         """Let go of the file."""
-        self._file.close()
+        self.file.close()
 
     def _end_interrupted(self) -> None:
         """Record the end of an execution whose executor ended first: a restarted one never goes on with it."""
-        last = _execution_without_end(read_whole(self.path))
+        last = _execution_without_end(read_lines(self.file.path))
         if last is not None:
             reason = "the executor ended before the execution did"
             fields = {
@@ -198,21 +150,7 @@ class ReviewLog:
                 "plan": last["plan"],
                 "trajectory": last["trajectory"],
             }
-            self._file.append(self._clock(), fields | {"scene": last["scene"], "reason": reason})
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Check the review file named on the command line; return the exit code."""
-    parser = argparse.ArgumentParser(prog="review_log", description="Check the chain of a review file.")
-    parser.add_argument("file", type=Path, help="review file, e.g. ~/.ros/construction_twin/kr120_reviews.jsonl")
-    options = parser.parse_args(arguments)
-    try:
-        state = verify(options.file)
-    except ConfigurationError as error:
-        print(f"review_log: {error}", file=sys.stderr)
-        return 1
-    print(f"{options.file}: {state.lines} records, none changed; the last one's SHA-256 is {state.head}")
-    return 0
+            self.file.append(self._clock(), fields | {"scene": last["scene"], "reason": reason})
 
 
 # -- records
@@ -287,10 +225,10 @@ def _number(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _execution_without_end(content: bytes) -> dict | None:
+def _execution_without_end(lines: Iterable[dict]) -> dict | None:
     """Return the last approval if no end of its execution is recorded after it."""
     last = None
-    for fields in map(json.loads, content.splitlines()):
+    for fields in lines:
         if fields.get("verdict") == APPROVED:
             last = fields
         elif last is not None and fields.get("record") == "execution" and fields.get("plan") == last["plan"]:

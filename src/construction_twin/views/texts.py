@@ -61,11 +61,10 @@ def caller_line(client: str, connected: bool | None) -> str:
 
 
 def segment_lines(plan: Plan, changes: Sequence[SceneChange] = ()) -> list[str]:
-    """Return a work plan's task and a table of its segments: times, and what happens in each and at its end; nothing for others."""
+    """Return a table of a work plan's segments: times, and what happens in each and at its end; nothing for others."""
     if not plan.segments:
         return []
     lines = [
-        f"task       {plan.task}",
         f"segments   {Sentence('view.segments', count=len(plan.segments))}",
     ]
     width = max(len(cut(segment.name)) for segment in plan.segments)

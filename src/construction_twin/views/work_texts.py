@@ -35,11 +35,17 @@ def list_lines(work: WorkReport) -> list[str]:
     schedule = work.schedule or Sentence("view.work.not_read")
     model = Sentence("view.work.schedule", model=work.model, schedule=schedule)
     lines = [f"model      {model}", f"work       {work.reason}"]
-    wide = max((len(task.name) for task in work.tasks), default=0)
-    for number, task in enumerate(work.tasks, start=1):
+    names = [task.name for task in work.tasks]
+    # the id of what has no name, and beside a name that others have
+    called = [
+        task.name if names.count(task.name) == 1 and task.name else f"{task.name} {task.id}".strip()
+        for task in work.tasks
+    ]
+    wide = max(map(len, called), default=0)
+    for number, (task, name) in enumerate(zip(work.tasks, called, strict=True), start=1):
         mark = ">" if task.id == work.next else " "
         far = f"  {task.deviation_mm:.2f} mm {task.deviation_deg:.3f} deg" if math.isfinite(task.deviation_mm) else ""
-        lines.append(f"{mark}{number:4} {task.id} {task.name:{wide}} {task.state:10}{far}".rstrip())
+        lines.append(f"{mark}{number:4} {name:{wide}} {task.state:10}{far}".rstrip())
         if task.question:
             asked = Sentence("view.work.answers", question=task.question, answers=", ".join(task.answers))
             lines.append(f"        {asked}")

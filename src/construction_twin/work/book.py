@@ -8,15 +8,31 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import LedgerError
-from construction_twin.work.events import ACCEPTED, CHANGED, OF_NO_TASK, OPENED, Entry
+from construction_twin.work.events import ACCEPTED, CHANGED, NOT_IN_MODEL, OF_NO_TASK, OPENED, PLANNED, Entry
 from construction_twin.work.task_memory import TaskMemory
 from construction_twin.work.task_states import SETTLED, UNDER_WAY, TaskEvent, TaskState
 
 _FREED, _BLOCKED = Entry(TaskEvent.FREED.value), Entry(TaskEvent.BLOCKED.value)
+
+
+@dataclass(frozen=True)
+class Present:
+    """What the present model says of a task's element.
+
+    Attributes:
+        element: GlobalId.
+        digest: SHA-256 of all that a person is asked about when it changes: GlobalId, name, class, shape, place; empty: no shape.
+    """
+
+    element: str
+    name: str = ""
+    ifc_class: str = ""
+    digest: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,11 +41,11 @@ class Book:
 
     Attributes:
         after: Ids of the tasks that must be settled before each task, in the order in which they can be done.
-        tasks: By id, in that order.
+        tasks: By id, in that order; behind them those that the schedule does not have any more.
         accepted: Digest of the schedule that a person has accepted; empty: none.
         model, cell: SHA-256 of the model and path of the cell that were worked with last; empty: none yet.
-        former: What is known of tasks that the schedule does not have any more.
-        former_element: GlobalId of the element of each of these.
+        robot: Its name; empty: not known.
+        found: What other ledgers say was placed, as `found` named it.
     """
 
     after: Mapping[str, tuple[str, ...]]
@@ -37,8 +53,8 @@ class Book:
     accepted: str = ""
     model: str = ""
     cell: str = ""
-    former: Mapping[str, TaskMemory] = field(default_factory=dict)
-    former_element: Mapping[str, str] = field(default_factory=dict)
+    robot: str = ""
+    found: frozenset[str] = frozenset()
 
     def then(self, entry: Entry) -> Book:
         """Return what is known after one more event.
@@ -49,30 +65,24 @@ class Book:
         if entry.event == ACCEPTED:
             return replace(self, accepted=entry.schedule)
         if entry.event in (OPENED, CHANGED):
-            return replace(self, model=entry.model, cell=entry.cell)
+            return replace(self, model=entry.model, cell=entry.cell, robot=entry.robot or self.robot)
         if entry.event in OF_NO_TASK:
             return self
-        if entry.task not in self.tasks:
-            memory = _taken(self.former.get(entry.task, TaskMemory(entry.task)), entry)
-            element = entry.element or self.former_element.get(entry.task, "")
-            return replace(
-                self,
-                former={**self.former, entry.task: memory},
-                former_element={**self.former_element, entry.task: element},
-            )
-        former_state, memory = self.tasks[entry.task].state, _taken(self.tasks[entry.task], entry)
-        stays = memory.stays
+        before = self.tasks.get(entry.task, TaskMemory(entry.task))
+        memory = _taken(before, entry)
         tasks = {**self.tasks, entry.task: memory}
-        if memory.state is TaskState.READY or (memory.state in SETTLED) != (former_state in SETTLED):
+        for task, other in self.tasks.items():
+            # what is said now of where an element is replaces what was known of it by a task that is no more
+            no_more = task not in self.after and entry.task in self.after and not memory.stays
+            if task == entry.former or (no_more and entry.element and other.element == entry.element):
+                del tasks[task]
+                if task in self.after:
+                    tasks[task] = TaskMemory(task, TaskState.READY)
+        if entry.former or memory.state is TaskState.READY or (memory.state in SETTLED) != (before.state in SETTLED):
             # only then somebody waits who did not, or waits no longer
             tasks = _settled(self.after, tasks)
-        former = {
-            # what is said now of where an element is replaces what was known of it by a task that is no more
-            task: memory
-            for task, memory in self.former.items()
-            if not entry.element or self.former_element[task] != entry.element or stays
-        }
-        return replace(self, tasks=tasks, former=former)
+        found = self.found | {entry.source} if entry.event == TaskEvent.FOUND.value else self.found
+        return replace(self, tasks=tasks, found=found)
 
     def check(self, entry: Entry) -> None:
         """Refuse what does not fit the present states, before it is written.
@@ -83,9 +93,9 @@ class Book:
         """
         if entry.event in OF_NO_TASK:
             return
-        if entry.task not in self.tasks:
+        if entry.task not in self.tasks and not entry.former and entry.event != TaskEvent.FOUND.value:
             raise LedgerError("ledger", Sentence("work.ledger.no_task", task=repr(entry.task), count=len(self.tasks)))
-        self.tasks[entry.task].then(entry)
+        self.tasks.get(entry.task, TaskMemory(entry.task)).then(entry)
 
     # -- what is known
 
@@ -110,8 +120,13 @@ class Book:
 
     @property
     def open(self) -> tuple[str, ...]:
-        """The tasks that are neither done nor skipped."""
-        return tuple(name for name, memory in self.tasks.items() if memory.state not in SETTLED)
+        """The tasks of the schedule that are neither done nor skipped."""
+        return tuple(name for name in self.after if self.tasks[name].state not in SETTLED)
+
+    @property
+    def asking(self) -> tuple[str, ...]:
+        """The tasks whose question is open."""
+        return tuple(name for name in self.in_state(TaskState.ASKS) if name in self.after or name in self.former)
 
     def missing(self, task: str) -> tuple[str, ...]:
         """Return the predecessors that are neither done nor skipped."""
@@ -127,39 +142,83 @@ class Book:
     # -- another model or schedule
 
     @property
-    def strange(self) -> tuple[str, ...]:
-        """One sentence for each task which the schedule does not have any more."""
-        return tuple(
-            Sentence("work.strange", task=task, element=self.former_element[task], state=memory.state.value)
-            for task, memory in self.former.items()
-        )
+    def former(self) -> dict[str, TaskMemory]:
+        """What is known of elements that were taken from their stock by tasks that the schedule does not have any more."""
+        left = {task: memory for task, memory in self.tasks.items() if task not in self.after}
+        return {task: memory for task, memory in left.items() if memory.touched and not memory.stays}
 
-    @property
-    def left_behind(self) -> dict[str, TaskMemory]:
-        """What is known of elements that were taken from their stock by such tasks, by GlobalId."""
-        left = {task: memory for task, memory in self.former.items() if _touched(memory) and not memory.stays}
-        return {self.former_element[task]: memory for task, memory in left.items()}
+    def handed_over(self, present: Mapping[str, Present]) -> list[Entry]:
+        """Return the events after which no task of the schedule counts with what it has done to another element than it has now.
 
-    def doubts(self, elements: Mapping[str, str], staying: Collection[str] = ()) -> list[Entry]:
-        """Return the events by which a person is asked about all that was touched for another version of the model.
+        What it has left of that one goes by the element's own id, as of a task that is no more.
 
         Args:
-            elements: GlobalId of the element of each task of the present schedule.
-            staying: The tasks that leave it where it stands.
+            present: As of `doubts`.
         """
-        left, found = self.left_behind, []
+        found = []
         for task, memory in self.tasks.items():
-            element = elements.get(task, "")
-            if memory.state is TaskState.ASKS:
+            if task not in present or memory.element in ("", present[task].element) or memory.stays:
                 continue
-            if _touched(memory):
+            reason = Sentence("work.event.task_changed")
+            if memory.touched:
+                own = memory.element if memory.element not in self.tasks else f"{memory.element} {task}"
+                found.append(placed_elsewhere("found" if memory.placed else "unknown", own, memory, reason=reason))
+            elif memory.gone and memory.state is TaskState.DONE:
+                found.append(Entry("redone", task, present[task].element, reason=reason))
+        return found
+
+    def doubts(
+        self,
+        model: str,
+        placing: Mapping[str, str],
+        standing: Collection[str] = (),
+        present: Mapping[str, Present] = MappingProxyType({}),
+    ) -> list[Entry]:
+        """Return the events by which a person is asked about what was touched for another version of model or schedule.
+
+        What was placed is not asked about again where nothing has changed since it was placed or answered.
+
+        Args:
+            model: SHA-256 of the present one.
+            placing: The task of the present schedule that places each element.
+            standing: The elements that stand in the present model without a task that places them.
+            present: What the model says of the element of each task of the schedule.
+        """
+        found, called = [], {(each.name, each.ifc_class) for each in present.values()}
+        for task, memory in self.tasks.items():
+            no_more, stands = task not in self.after, memory.placed and memory.state in SETTLED
+            heir = placing.get(memory.element, "") if no_more else ""
+            if not memory.touched or (no_more and memory.stays):
+                continue
+            if heir and self.tasks[heir].state in (TaskState.WAITING, TaskState.READY):
+                event, reason = "found" if memory.placed else "unknown", Sentence("work.event.task_changed")
+                if stands and heir in present and memory.seen == present[heir].digest:
+                    event = "same"
+                found.append(placed_elsewhere(event, heir, memory, reason=reason))
+            elif memory.state is TaskState.ASKS or (no_more and stands and memory.element in standing):
+                continue
+            elif stands and task in present and memory.seen == present[task].digest:
+                continue
+            elif (
+                stands and no_more and memory.seen == NOT_IN_MODEL and (memory.name, memory.ifc_class) not in called
+            ):
+                continue
+            elif self.model != model or (no_more and not stands):
                 # what is on its way out stands; only then can it be asked about
                 times = 2 if memory.state is TaskState.RETREATING else 1
-                found += [Entry("unknown", task, element, reason=Sentence("work.event.model_changed"))] * times
-            elif element in left and memory.state in (TaskState.WAITING, TaskState.READY) and task not in staying:
-                pose = left[element].base_T_element
-                found.append(Entry("unknown", task, element, pose=pose, reason=Sentence("work.event.task_changed")))
+                reason = Sentence("work.event.model_changed")
+                found += [Entry("unknown", task, memory.element, reason=reason)] * times
         return found
+
+
+def placed_elsewhere(event: str, task: str, memory: TaskMemory, reason: str = "", source: str = "") -> Entry:
+    """Return the event by which a task takes over what another one has left where it stands."""
+    if event == TaskEvent.SAME.value and memory.as_planned:
+        source = PLANNED
+    return Entry(
+        event, task, memory.element, pose=memory.base_T_element, name=memory.name, ifc_class=memory.ifc_class,
+        body=memory.body, goal=memory.goal, seen=memory.seen, former=memory.task, reason=reason, source=source,
+    )  # fmt: skip
 
 
 def fold(after: Mapping[str, tuple[str, ...]], entries: Iterable[Entry] = ()) -> Book:
@@ -183,7 +242,7 @@ def _taken(memory: TaskMemory, entry: Entry) -> TaskMemory:
 
 
 def _missing(after: Mapping[str, tuple[str, ...]], tasks: Mapping[str, TaskMemory], task: str) -> tuple[str, ...]:
-    return tuple(name for name in after[task] if name in tasks and tasks[name].state not in SETTLED)
+    return tuple(name for name in after.get(task, ()) if name in tasks and tasks[name].state not in SETTLED)
 
 
 def _settled(after: Mapping[str, tuple[str, ...]], tasks: Mapping[str, TaskMemory]) -> dict[str, TaskMemory]:
@@ -195,12 +254,3 @@ def _settled(after: Mapping[str, tuple[str, ...]], tasks: Mapping[str, TaskMemor
         elif memory.state is TaskState.READY and _missing(after, tasks, name):
             settled[name] = memory.then(_BLOCKED)
     return settled
-
-
-def _touched(memory: TaskMemory) -> bool:
-    """Return whether an element may be elsewhere than in its stock, or is asked about."""
-    doubtful = (TaskState.PLANNED, TaskState.ASKS, *UNDER_WAY)
-    if memory.state is TaskState.DONE and memory.gone:
-        # what was taken down is gone, whatever the model says since
-        return False
-    return memory.placed or memory.in_grip or memory.state is TaskState.DONE or memory.state in doubtful

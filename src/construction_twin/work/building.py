@@ -6,15 +6,16 @@ placement, without map conversion), `element` is the product's placement. Record
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.kinematics.chain import Pose
+from construction_twin.work.names import labels, named
 
 #: Values of properties and quantities, as IFC has them.
 Value = str | float | int | bool | None
@@ -68,6 +69,8 @@ class Element:
         mass: [kg], from quantities, or density times volume; None: not known.
         status: ``existing``: it stands already; ``demolish``: it stands and is to be taken down; empty: neither is said.
         doubt: Why its bodies are not what the model says, so that they are an obstacle at most; empty: they are.
+        on: GlobalIds of the elements that it is in or on: what it fills, covers, projects from or fastens.
+        members: Of a group or a part of the site that a task is assigned to: GlobalIds of what it holds; it has no bodies then.
     """
 
     id: str
@@ -84,6 +87,8 @@ class Element:
     mass: float | None
     status: str = ""
     doubt: str = ""
+    on: tuple[str, ...] = ()
+    members: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -136,10 +141,6 @@ class Sequence:
     lag: float = 0.0
 
 
-#: A body of an element in the scene.
-_BODY = re.compile(r"(?<![\w$#/])([\w$#]{1,64})/\d+(?![\w/])")
-
-
 @dataclass(frozen=True, eq=False)
 class BuildingModel:
     """One IFC file.
@@ -179,18 +180,15 @@ class BuildingModel:
         return self.elements[global_id]
 
     def called(self, sentence: str, own: str = "") -> str:
-        """Return a sentence with elements by their names where it has bodies of theirs, ``<GlobalId>/<number>``.
+        """Return a sentence with elements and tasks by their names where it has ids, or bodies ``<GlobalId>/<number>``.
 
         Args:
             own: GlobalId of the element that the sentence is about, which is called "the element".
         """
+        return named(sentence, {**self.labels, **({own: "the element"} if own else {})})
 
-        def name(found: re.Match[str]) -> str:
-            element = self.elements.get(found.group(1))
-            if element is None:
-                return found.group()
-            if element.id == own:
-                return "the element"
-            return f"{element.name} ({element.id})" if element.name else element.id
-
-        return _BODY.sub(name, sentence)
+    @cached_property
+    def labels(self) -> dict[str, str]:
+        """What a sentence has for each id of element and task that has a name, see `names.named`."""
+        tasks = {task.id: task.name for task in self.tasks.values()}
+        return {**labels(tasks), **labels({one.id: one.name for one in self.elements.values()})}

@@ -74,8 +74,8 @@ def as_built(base_T_tool0: Pose, base_T_tool0_planned: Pose, tool0_T_element: Po
 
 
 def placed_at(memory: TaskMemory, base_T_goal: Pose) -> Pose:
-    """Return where a placed element stands: as built, as far as that is known, else where the model has it."""
-    return pose_of_tuple(memory.base_T_element) if memory.base_T_element else base_T_goal
+    """Return where a placed element stands: as built, as far as that is known, else where the model has it, or had it then."""
+    return pose_of_tuple(memory.base_T_element or memory.goal) if memory.base_T_element or memory.goal else base_T_goal
 
 
 def objects_of(
@@ -84,17 +84,18 @@ def objects_of(
     """Return the scene's objects of one element as the ledger has it; None: what is there is left as it is.
 
     Args:
-        bodies: Convex pieces ``<GlobalId>/0``, ..., in the element's frame.
+        bodies: Convex pieces ``<GlobalId>/0``, ..., in the element's frame; of a placed element as it was placed.
         memory: Of the task that places it; None: no task does, it stands where the model has it.
         base_T_stock: None: it does not lie in its stock, even if it was not taken.
         link: What carries the tool.
     """
     if memory is None:
         return at(bodies, base_T_goal)
+    if memory.placed:
+        # also while it is asked about: it stands until a person says that it does not
+        return at(bodies, placed_at(memory, base_T_goal))
     if memory.state is TaskState.ASKS:
         return None
-    if memory.placed:
-        return at(bodies, placed_at(memory, base_T_goal))
     if memory.in_grip:
         return at(bodies, pose_of_tuple(memory.tool0_T_element), link)
     return () if memory.gone or base_T_stock is None else at(bodies, base_T_stock)

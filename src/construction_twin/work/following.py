@@ -220,9 +220,17 @@ def question(memory: TaskMemory, element_name: str) -> str:
         return Sentence(
             "work.question.done", element=element_name, known=_known(f"work.known.stays.{memory.before.value}")
         )
-    # of an element that waits, the state says as little as of one that is ready
-    before = TaskState.WAITING if memory.before is TaskState.READY else memory.before
-    return Sentence("work.question.where", element=element_name, known=_known(f"work.known.{before.value}"))
+    return Sentence("work.question.where", element=element_name, known=known_of(memory))
+
+
+def known_of(memory: TaskMemory) -> str:
+    """Return what is known last of where the element of a task is that asks."""
+    if memory.source:
+        return Sentence("work.known.elsewhere", ledger=memory.source)
+    # of an element that waits, the state says as little as of one that is ready; unless another task has placed it
+    waits = memory.before in (TaskState.WAITING, TaskState.READY)
+    before = memory.before if not waits else TaskState.DONE if memory.placed else TaskState.WAITING
+    return _known(f"work.known.{before.value}")
 
 
 def _known(key: str) -> str:

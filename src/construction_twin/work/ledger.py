@@ -1,22 +1,27 @@
 """The ledger: the log of what was done of a building model, one event per line, on the disk before anybody acts on it.
 
-A chained file (`review.chained_file`), one per robot and name of the model. From its events `book.fold` computes the state of every
-task, so that a node that was killed at any instant comes back with what is true. Its file is the only memory. When the model has
-changed since, a person is asked about everything that was touched.
+An append-only file (`core.append_only`), one per robot and site. From its events `book.fold` computes the state of every task, so
+that a node that was killed at any instant comes back with what is true. Its file is the only memory, with the bodies beside it that
+its lines name by digest. When the model has changed since, a person is asked about everything that was touched.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
-from collections.abc import Callable, Collection, Iterator, Mapping
+import os
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
+from construction_twin.core.append_only import AppendOnlyFile, read_lines
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.files import write_whole
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import LedgerError
-from construction_twin.review.chained_file import ChainedFile, read_whole
-from construction_twin.work.book import Book, fold
+from construction_twin.scene.objects import SceneObject
+from construction_twin.work.book import Book, Present, fold
 from construction_twin.work.events import CHANGED, MENDED, OPENED, Entry, entry_of
 from construction_twin.work.task_memory import NotNow
 
@@ -32,7 +37,9 @@ class Ledger:
         model: SHA-256 of the model's file.
         clock: Returns the time since 1970 in UTC [ns].
         cell: Path of the cell file, for the record.
-        elements, staying: As of `Book.doubts`.
+        placing, standing: As of `Book.doubts`.
+        robot: Its name, in whose frame the poses are.
+        present: As of `Book.doubts`.
 
     Attributes:
         book: What all lines so far say.
@@ -48,29 +55,33 @@ class Ledger:
         model: str,
         clock: Callable[[], int],
         cell: str = "",
-        elements: Mapping[str, str] | None = None,
-        staying: Collection[str] = (),
+        placing: Mapping[str, str] = MappingProxyType({}),
+        standing: Collection[str] = (),
+        robot: str = "",
+        present: Mapping[str, Present] = MappingProxyType({}),
     ):
         self.path = Path(path)
+        self._bodies = self.path.parent / "standing"
         self._clock = clock
         try:
             # read in full before every use: a ledger of this size is no ledger
             if self.path.exists() and self.path.stat().st_size > LARGEST:
                 raise LedgerError(str(path), Sentence("work.ledger.size", most=LARGEST / 2**20))
-            self._file = ChainedFile(self.path, LedgerError, "work node", mend=True)
+            self._file = AppendOnlyFile(self.path, LedgerError, "work node")
         except ConfigurationError as error:
             raise LedgerError(str(path), _problem(error, str(path))) from error
         except OSError as error:
             raise LedgerError(str(path), str(error)) from error
         try:
             self.book = replay(self.path, after)
-            if self._file.state.lines == 0:
-                self.add(Entry(OPENED, model=model, cell=cell))
+            if self._file.lines == 0:
+                self.add(Entry(OPENED, model=model, cell=cell, robot=robot))
             if self._file.mended:
                 self.add(Entry(MENDED, reason=f"{self._file.mended} bytes of a line without its end were cut off"))
-            if self.book.model != model:
-                for entry in self.book.doubts(elements or {}, staying):
-                    self.add(entry)
+            for entry in self.book.handed_over(present):
+                self.add(entry)
+            for entry in self.book.doubts(model, placing, standing, present):
+                self.add(entry)
             # last: killed before it, the next start asks again
             if (self.book.model, self.book.cell) != (model, cell):
                 self.add(Entry(CHANGED, model=model, cell=cell))
@@ -81,12 +92,7 @@ class Ledger:
     @property
     def lines(self) -> int:
         """Number of lines."""
-        return self._file.state.lines
-
-    @property
-    def head(self) -> str:
-        """SHA-256 of the last line."""
-        return self._file.state.head
+        return self._file.lines
 
     def add(self, entry: Entry) -> None:
         """Write an event, then count with it; when this returns it is on the disk.
@@ -103,6 +109,78 @@ class Ledger:
     def close(self) -> None:
         """Let go of the file."""
         self._file.close()
+
+    # -- bodies
+
+    def keep(self, bodies: Sequence[SceneObject]) -> str:
+        """Keep an element's pieces, whatever becomes of model and cache; return their digest. They are on the disk then.
+
+        Raises:
+            LedgerError: If they cannot be written.
+        """
+        try:
+            for item in bodies:
+                if item.mesh:
+                    self._write(_mesh_name(item), Path(item.mesh).read_bytes())
+            text = _contents(bodies)
+            digest = hashlib.sha256(text).hexdigest()
+            self._write(f"{digest}.json", text)
+        except OSError as error:
+            raise LedgerError(str(self._bodies), str(error)) from error
+        return digest
+
+    def _write(self, name: str, contents: bytes) -> None:
+        path = self._bodies / name
+        if path.exists() and path.read_bytes() == contents:
+            return
+        write_whole(path, contents)
+        for each in (path, self._bodies, self._bodies.parent):
+            handle = os.open(each, os.O_RDONLY)
+            try:
+                os.fsync(handle)
+            finally:
+                os.close(handle)
+
+    def body(self, element: str, digest: str) -> tuple[SceneObject, ...]:
+        """Return the pieces of an element that were kept, called ``<element>/0``, ..., in its frame.
+
+        Raises:
+            LedgerError: If they are not there, or not what they were.
+        """
+        path = self._bodies / f"{digest}.json"
+        try:
+            content = path.read_bytes()
+            if hashlib.sha256(content).hexdigest() != digest:
+                raise ValueError(Sentence("work.ledger.body_changed"))
+            pieces = tuple(
+                SceneObject(
+                    f"{element}/{number}", **{**kept, "mesh": kept["mesh"] and str(self._bodies / kept["mesh"])}
+                )
+                for number, kept in enumerate(json.loads(content))
+            )
+            if any(item.mesh and item.mesh_digest != Path(item.mesh).stem for item in pieces):
+                raise ValueError(Sentence("work.ledger.body_changed"))
+        except (OSError, ValueError, ConstructionTwinError) as error:
+            raise LedgerError(str(path), str(error)) from error
+        return pieces
+
+
+#: What is kept of each piece, besides its mesh.
+_OF_BODY = ("shape", "size", "position", "quaternion", "padding")
+
+
+def body_digest(bodies: Sequence[SceneObject]) -> str:
+    """Return the digest by which an element's pieces are kept."""
+    return hashlib.sha256(_contents(bodies)).hexdigest()
+
+
+def _contents(bodies: Sequence[SceneObject]) -> bytes:
+    each = [{**{key: getattr(item, key) for key in _OF_BODY}, "mesh": _mesh_name(item)} for item in bodies]
+    return json.dumps(each).encode()
+
+
+def _mesh_name(item: SceneObject) -> str:
+    return f"{item.mesh_digest}{Path(item.mesh).suffix}" if item.mesh else ""
 
 
 def _problem(error: ConfigurationError, path: str) -> str:
@@ -131,17 +209,17 @@ def replay(path: Path, after: Mapping[str, tuple[str, ...]]) -> Book:
 
 
 def read_entries(path: Path) -> Iterator[Entry]:
-    """Read the lines of a ledger; the chain is checked elsewhere.
+    """Read the lines of a ledger.
 
     Raises:
         LedgerError: Naming the line that is none of a ledger.
     """
     try:
-        content = read_whole(path)
+        lines = read_lines(path)
     except ConfigurationError as error:
-        raise LedgerError(str(path), Sentence("work.ledger.unread")) from error
-    for number, line in enumerate(content.splitlines(), start=1):
+        raise LedgerError(str(path), _problem(error, str(path))) from error
+    for number, fields in enumerate(lines, start=1):
         try:
-            yield entry_of(json.loads(line))
+            yield entry_of(fields)
         except (ValueError, TypeError, AttributeError) as error:
             raise LedgerError(str(path), Sentence("work.ledger.strange", number=number, problem=str(error))) from error

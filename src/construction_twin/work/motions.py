@@ -195,7 +195,7 @@ class Search:
         """
         world = self.worlds.of(scene)
         try:
-            plan = self.planner.plan_to_joints(start, goal, PlanRequest("work", 0, speed_scale=scale), world)
+            plan = self.planner.plan_to_joints(start, goal, PlanRequest("work", speed_scale=scale), world)
             trajectory = whole_cycles(plan.trajectory)
             self._checked(trajectory, world)
         except (PlanningError, KinematicsError) as error:

@@ -30,6 +30,7 @@ from construction_twin.work.first_few import first_few
 from construction_twin.work.processes import process_of
 from construction_twin.work.proposed_schedule import propose
 from construction_twin.work.recipe import DEFAULT, RECIPE
+from construction_twin.work.wholes import parts_of
 from construction_twin.work.workpieces import workpieces
 
 _KINDS = {"FINISH_START": True, "FINISH_FINISH": True, "START_START": False, "START_FINISH": False}
@@ -472,17 +473,10 @@ class _Reading:
         return tuple(dict.fromkeys(found))
 
     def _parts(self, whole: str) -> list[str]:
-        """Return what is a part of an element, or of a part of it."""
-        found, left = [], [whole]
-        while left:
-            at = left.pop()
-            parts = [element.id for element in self._model.elements.values() if element.assembly == at]
-            found += parts
-            left += parts
-        return found
+        return parts_of(self._model.elements, whole)
 
     def _of_assembly(self, identifier: str, element: str) -> tuple[str, ...]:
-        """Return an element; of one without a body that has parts: its workpieces that no other task makes, as proposed."""
+        """Return an element; of what has no body but parts or members: its workpieces that no other task makes, as proposed."""
         model = self._model
         if model.elements[element].bodies:
             return (element,)
@@ -490,14 +484,17 @@ class _Reading:
         if not parts:
             return (element,)
         # also the parts of an assembly within this one that has a task of its own, done or not
-        elsewhere = {
-            part
-            for name, task in self._tasks.items()
-            if name != identifier
-            for one in task.products
-            if one in parts and self._moves(name, one)
-            for part in (one, *self._parts(one))
-        }
+        elsewhere: set[str] = set()
+        earlier = True
+        for name, task in self._tasks.items():
+            earlier = earlier and name != identifier
+            for one in task.products if name != identifier and task.kind == "makes" else ():
+                if one not in model.elements or not self._moves(name, one):
+                    continue
+                theirs = set(self._parts(one))
+                # of groups with something in common the smaller one has it, else the first
+                if one in parts or (theirs & parts and (theirs < parts or (earlier and not theirs > parts))):
+                    elsewhere |= {one, *theirs}
         wanted = [one for one in workpieces(model) if one in parts - elsewhere]
         task = self._tasks[identifier]
         if wanted:
@@ -505,10 +502,11 @@ class _Reading:
             proposal = propose(alone)
             wanted = [one for part in proposal.tasks for one in part.products]
             self.guessed = self.guessed or len(wanted) > 1
-        key = "work.order.assembly" if wanted else "work.order.assembly_empty"
-        called = model.elements[element].name or element
+        told = {"id": identifier, "name": repr(task.name), "element": model.elements[element].name or element}
         self.notes.append(
-            Sentence(key, id=identifier, name=repr(task.name), element=called, parts=self._called(wanted))
+            Sentence("work.order.assembly", parts=self._called(wanted), **told)
+            if wanted
+            else Sentence("work.order.assembly_empty", **told)
         )
         return tuple(wanted)
 

@@ -21,6 +21,7 @@ from construction_twin.work.jobs import WorkJob, bare_job
 from construction_twin.work.racks import Slot, StockPlan, plan_stock
 from construction_twin.work.schedule import Job
 from construction_twin.work.site import Site, inverse
+from construction_twin.work.wholes import comes_after
 
 #: Elements at a pose whose objects are kept.
 _STOOD = 5000
@@ -52,6 +53,7 @@ class Layout:
     Attributes:
         standing: What stands from the beginning, fixed, in the robot's base_link.
         stays: The elements in `order` that no job moves: they stand at their place all the time.
+        comes_after: Elements that are placed before what stands is there, by its GlobalId, see `wholes.comes_after`.
 
     Raises:
         ConfigurationError, BuildingError: See `racks.plan_stock`.
@@ -87,6 +89,7 @@ class Layout:
             for element, items in standing.items()
             for item in items
         )
+        self.comes_after = comes_after(building.elements, moved)
         self._shapes = Shapes()
         self._stood: dict[tuple[str, bytes], tuple[SceneObject, ...]] = {}
 
@@ -109,7 +112,7 @@ class Layout:
     def scene(self, state: WorkState = WorkState()) -> Scene:
         """Return the scene at a state: surroundings, the tool on the arm, what is in stock, what stands."""
         surroundings = self.site.scene
-        standing = [item for item in self.standing if item.name.split("/", 1)[0] not in state.gone]
+        standing = [item for item in self.standing if self._is_there(item.name.split("/", 1)[0], state)]
         objects = [*surroundings.objects, *standing, *self._tool]
         for element in self.delivered(state):
             objects += self._standing(element, self.stock.slots[element].base_T_element)
@@ -120,6 +123,9 @@ class Layout:
             if element in self._pieces:
                 objects += self._standing(element, pose)
         return Scene(tuple(objects), surroundings.padding)
+
+    def _is_there(self, standing: str, state: WorkState) -> bool:
+        return standing not in state.gone and state.placed.keys() >= self.comes_after.get(standing, frozenset())
 
     def job_for(self, element: str, scene: Scene, task: str = "") -> WorkJob:
         """Return the job of an element.

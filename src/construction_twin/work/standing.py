@@ -53,8 +53,7 @@ def standing(building: BuildingModel, made: Collection[str], site: Site, robot: 
             near.append(element)
     shapes, failures = element_shapes(near, folder)
     notes = tuple(
-        Sentence("work.body.box", name=repr(building.element(name).name), element=name, problem=failure.sentence)
-        for name, failure in failures.items()
+        Sentence("work.body.box", element=name, problem=failure.sentence) for name, failure in failures.items()
     )
     boxes = {name: (box_of(building.element(name)),) for name in failures}
     return Standing({name: shape.objects for name, shape in shapes.items()} | boxes, notes)

@@ -5,9 +5,14 @@ Pure but for the ledger's file. Times in ns since 1970, poses in the robot's bas
 
 from __future__ import annotations
 
+import functools
+import hashlib
+import json
 import math
-from collections.abc import Collection, Iterator, Mapping
+import shlex
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -16,20 +21,25 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import WorkError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.tool import Tool
-from construction_twin.scene.objects import SceneObject, product
-from construction_twin.work.book import Book
+from construction_twin.scene.objects import SceneObject
+from construction_twin.work.book import Book, Present, placed_elsewhere
 from construction_twin.work.built import Deviation, at, deviation, objects_of, placed_at, pose_of_tuple, pose_tuple
-from construction_twin.work.events import ACCEPTED, Entry
-from construction_twin.work.following import GripReading, question
-from construction_twin.work.ledger import Ledger
+from construction_twin.work.convex_bodies import Pieces
+from construction_twin.work.events import ACCEPTED, NOT_IN_MODEL, PLANNED, Entry
+from construction_twin.work.following import GripReading, known_of, question
+from construction_twin.work.ledger import Ledger, body_digest, replay
+from construction_twin.work.names import labels, named
 from construction_twin.work.racks import StockPlan
-from construction_twin.work.schedule import Schedule
-from construction_twin.work.site import inverse
+from construction_twin.work.schedule import Job, Schedule
 from construction_twin.work.task_memory import TaskMemory
 from construction_twin.work.task_states import (
+    ANSWERS_FOR_ALL,
+    ANSWERS_OF_FORMER,
     PLANNABLE,
+    SAME,
     SETTLED,
     UNDER_WAY,
+    TaskEvent,
     TaskState,
 )  # fmt: skip
 
@@ -47,6 +57,7 @@ class ElementFacts:
 
     Attributes:
         bodies: Convex pieces ``<GlobalId>/0``, ..., in the element's frame.
+        ifc_class: ``IfcMember``.
         triangles: Shape (t, 3, 3). For pictures, in the element's frame [m].
         mass: That is planned with [kg]; None: nobody says.
     """
@@ -56,6 +67,7 @@ class ElementFacts:
     base_T_goal: Pose
     triangles: np.ndarray
     mass: float | None = None
+    ifc_class: str = ""
 
 
 @dataclass(frozen=True)
@@ -85,7 +97,7 @@ class Prepared:
         unplannable: Why an element can never be planned, by GlobalId; it has no slot.
         standing: What stands where the model has it, and no task makes.
         scheduled: By id of the job.
-        standing_at: Where the model has each element of those, by GlobalId.
+        comes_after: Elements that are placed before such an element is there, by its GlobalId, of those that wait for any.
     """
 
     model: str
@@ -101,7 +113,7 @@ class Prepared:
     unplannable: Mapping[str, str] = field(default_factory=dict)
     standing: tuple[SceneObject, ...] = ()
     scheduled: Mapping[str, Scheduled] = field(default_factory=dict)
-    standing_at: Mapping[str, Pose] = field(default_factory=dict)
+    comes_after: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
     @property
     def after(self) -> dict[str, tuple[str, ...]]:
@@ -111,19 +123,27 @@ class Prepared:
             for job in (*self.schedule.removals, *self.schedule.jobs)
         }
 
+    @cached_property
+    def titles(self) -> dict[str, str]:
+        """Return what each job and removal is called in sentences."""
+        every = {job.id: job.name for job in (*self.schedule.jobs, *self.schedule.removals)}
+        return {**{job: job for job in every}, **labels(every)}
+
+    @cached_property
+    def present(self) -> dict[str, Present]:
+        """Return what the model says of the element of each job and removal."""
+        jobs = (*self.schedule.jobs, *self.schedule.removals)
+        return {job.id: _present(job.element, self.elements[job.element]) for job in jobs}
+
     @property
-    def element_of(self) -> dict[str, str]:
-        """GlobalId of each job's element."""
-        return {job.id: job.element for job in self.schedule.jobs}
+    def standing_elements(self) -> frozenset[str]:
+        """GlobalIds of what stands where the model has it, as no task places it."""
+        worked_on = (job.element for job in self.schedule.jobs if not job.moves)
+        return frozenset((*map(_element_in, self.standing), *worked_on)) - {*self.schedule.placing}
 
     def stays(self, job: str) -> bool:
         """Return whether the process of a job leaves its element where it stands."""
         return not self.schedule.job(job).moves
-
-    @property
-    def staying(self) -> tuple[str, ...]:
-        """The jobs that leave their element where it stands."""
-        return tuple(job.id for job in self.schedule.jobs if not job.moves)
 
     @property
     def removals(self) -> dict[str, str]:
@@ -146,9 +166,25 @@ class Appearance:
     pose: Pose
 
 
+def _present(element: str, facts: ElementFacts) -> Present:
+    """Return what the model says of an element; where it is to 0.1 mm, so that how a file writes its numbers is no change."""
+    digest = ""
+    if facts.bodies:
+        goal = np.column_stack((facts.base_T_goal.rotation, facts.base_T_goal.position))
+        # no -0.0 beside 0.0
+        place = (np.round(goal, 4) + 0.0).tolist()
+        said = [element, facts.name, facts.ifc_class, body_digest(facts.bodies), place]
+        digest = hashlib.sha256(json.dumps(said).encode()).hexdigest()
+    return Present(element, facts.name, facts.ifc_class, digest)
+
+
+def _element_in(item: SceneObject) -> str:
+    return item.name.split("/", 1)[0]
+
+
 def removed_command(task: str) -> str:
-    """Return the command by which a person says that what a removal takes down is gone; the reason of such a task names it."""
-    return f"`twin work removed {task}`"
+    """Return the command by which a person says that what a removal takes down, or what was placed, is gone; sentences name it."""
+    return f"`twin work removed {shlex.quote(task)}`"
 
 
 class TaskBoard:
@@ -161,12 +197,20 @@ class TaskBoard:
 
     Attributes:
         failures: Why a task could not be planned when it was tried last, by id; not on the disk.
+
+    Raises:
+        LedgerError: If the body of something placed is not where the ledger keeps it.
     """
 
     def __init__(self, prepared: Prepared, ledger: Ledger, robot: str, tip_link: str):
         self.prepared, self.ledger = prepared, ledger
         self._robot, self._tip_link = robot, tip_link
         self.failures: dict[str, str] = {}
+        self._kept: dict[tuple[str, str], tuple[SceneObject, ...]] = {}
+        for memory in self.book.tasks.values():
+            if memory.placed and memory.body:
+                # what stands and cannot be shown is told at once
+                self._bodies(memory)
 
     @property
     def book(self) -> Book:
@@ -176,14 +220,26 @@ class TaskBoard:
     def add(self, entry: Entry) -> None:
         """Write an event of a task, with the task's element; when this returns it is on the disk.
 
+        The first one, and each that is about to be handled, says what the element is, so that it can stand without its model.
+
         Raises as `Ledger.add`.
         """
-        self.ledger.add(replace(entry, element=self.element_of(entry.task)))
+        task, memory = entry.task, self.book.tasks[entry.task]
+        handled = entry.event == TaskEvent.OFFERED.value and not memory.in_grip
+        if task in self.book.after and (handled or not memory.body) and self._element(task).bodies:
+            facts = self._element(task)
+            entry = replace(
+                entry, name=facts.name, ifc_class=facts.ifc_class, body=self.ledger.keep(facts.bodies),
+                goal=pose_tuple(facts.base_T_goal),
+            )  # fmt: skip
+        if task in self.book.after and entry.event in _SEEING:
+            entry = replace(entry, seen=self.prepared.present[task].digest)
+        self.ledger.add(replace(entry, element=self.element_of(task)))
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What a person should know of model, schedule and ledger before anything is accepted or planned."""
-        return (*self.prepared.notes, *self.prepared.schedule.notes, *self.book.strange)
+        return (*self.prepared.notes, *self.prepared.schedule.notes)
 
     # -- the schedule
 
@@ -209,7 +265,7 @@ class TaskBoard:
 
     def next(self, now: int) -> str:
         """Return the task that comes next; empty: none can be planned."""
-        return next((job for job in self.book.tasks if not self.obstacle(job, now)), "")
+        return next((job for job in self.book.after if not self.obstacle(job, now)), "")
 
     def obstacle(self, task: str, now: int) -> str:
         """Return why a task cannot be planned now, as a sentence; empty: it can.
@@ -218,13 +274,15 @@ class TaskBoard:
             now: Since 1970 [ns].
         """
         book = self.book
-        if task not in book.tasks:
+        if task not in book.after:
             return Sentence("work.no_task", task=repr(task))
         if self.schedule_word == PROPOSED:
             return Sentence("work.proposed")
-        asking = book.in_state(TaskState.ASKS)
-        if asking:
-            return self._asking("work.asks_first", asking[0])
+        if book.asking:
+            return self._asking("work.asks_first", book.asking[0])
+        for name, memory in book.former.items():
+            if not memory.body:
+                return Sentence("work.shapeless", element=self._element(name).name, command=removed_command(name))
         busy = book.busy
         if busy:
             what = "under_review" if book.tasks[busy].state is TaskState.PLANNED else "under_way"
@@ -239,7 +297,9 @@ class TaskBoard:
             return Sentence(f"work.is.{state.value}", task=self.title(task))
         if task in self.prepared.removals:
             return Sentence(
-                "work.taken_down_by_people", element=self._element(task).name, command=removed_command(task)
+                "work.taken_down_by_people",
+                element=self._element(task).name,
+                command=removed_command(self._typed(task)),
             )
         robots = self.prepared.schedule.job(task).robots
         if robots and self._robot not in robots:
@@ -286,7 +346,7 @@ class TaskBoard:
 
     def element_of(self, task: str) -> str:
         """Return the GlobalId of a task's element."""
-        return self.prepared.schedule.job(task).element
+        return self._job(task).element
 
     def goal(self, task: str) -> Pose:
         """Return where the model has a task's element."""
@@ -311,17 +371,19 @@ class TaskBoard:
         return Sentence(key, task=self.title(task))
 
     def removed(self, task: str, person: str, reason: str) -> str:
-        """Take a person's word that what a removal takes down is gone, and no obstacle any more; return a sentence.
+        """Take a person's word that what a removal takes down, or what was placed, is gone, and no obstacle; return a sentence.
 
         Raises WorkRefused.
         """
-        memory = self._memory(task, person)
-        if task not in self.prepared.removals:
+        memory = self._memory(task, person, former=True)
+        if task in self.prepared.removals:
+            if memory.state is TaskState.DONE:
+                raise WorkRefused(Sentence("work.removed_already", element=self._element(task).name))
+        elif not memory.placed:
             raise WorkRefused(Sentence("work.removed_nothing", task=self.title(task)))
-        if memory.state is TaskState.DONE:
-            raise WorkRefused(Sentence("work.removed_already", element=self._element(task).name))
-        self.add(Entry("removed", task, person=person, reason=reason))
-        return Sentence("work.removed", person=person, element=self._element(task).name)
+        name, answer = self._element(task).name, "gone" if memory.state is TaskState.ASKS else ""
+        self.add(Entry("answered" if answer else "removed", task, answer=answer, person=person, reason=reason))
+        return Sentence("work.removed", person=person, element=name)
 
     def redo(self, task: str, person: str, reason: str) -> str:
         """Have a task done again, its element back in stock; of one that counts as carried, have it asked about; return a sentence.
@@ -364,8 +426,8 @@ class TaskBoard:
 
         Raises WorkRefused.
         """
-        memory = self._memory(task, person)
-        possible = memory.possible_answers()
+        memory = self._memory(task, person, former=True)
+        possible = self._answers(task)
         if not possible:
             raise self._not_in(memory.state, "work.answer_nothing", task)
         question = self._question(task)
@@ -377,9 +439,75 @@ class TaskBoard:
             )
         if answer == "in_stock":
             self._slot_free(task)
-        self.add(Entry("answered", task, answer=answer, person=person, reason=reason))
         meaning, name = Sentence(f"work.answer.{answer}"), self._element(task).name
-        return Sentence("work.answered", task=self.title(task), element=name, answer=meaning)
+        sentence = Sentence("work.answered", task=self.title(task), element=name, answer=meaning)
+        if answer == SAME:
+            self._take_as(task, self._counterpart(task), person, reason)
+        else:
+            said, seen = ANSWERS_OF_FORMER.get(answer, answer), NOT_IN_MODEL if answer in ANSWERS_OF_FORMER else ""
+            self.add(Entry("answered", task, answer=said, person=person, reason=reason, seen=seen))
+        return sentence
+
+    def answer_all(self, answer: str, person: str, reason: str) -> str:
+        """Answer, with what leaves it an obstacle, what is asked of all that was placed and can be answered so; return a sentence.
+
+        Raises WorkRefused.
+        """
+        self._named(person)
+        if answer not in ANSWERS_FOR_ALL:
+            raise WorkRefused(Sentence("work.answer_one", answer=repr(answer), answers=", ".join(ANSWERS_FOR_ALL)))
+        count = 0
+        for task in self.book.asking:
+            # each is looked at when it is its turn: what was answered before may have taken its counterpart
+            if self.book.tasks[task].placed and answer in self._answers(task):
+                self.answer(task, answer, person, reason)
+                count += 1
+        left = len(self.book.asking)
+        return Sentence("work.answered_all", count=count, answer=Sentence(f"work.answer.{answer}"), left=left)
+
+    def _take_as(self, task: str, heir: str, person: str, reason: str) -> None:
+        """Count what a task that is no more has placed as placed by one of the schedule."""
+        memory, facts = self.book.tasks[task], self._element(heir)
+        entry = replace(placed_elsewhere("same", heir, memory, reason), seen=self.prepared.present[heir].digest)
+        body, goal = self.ledger.keep(facts.bodies), pose_tuple(facts.base_T_goal)
+        if body != memory.body:
+            # its frame may be another one: where it stands is known as well as places are compared
+            entry = replace(entry, pose=goal, source=PLANNED, body=body, goal=goal)
+        self.ledger.add(replace(entry, element=self.element_of(heir), person=person))
+
+    def look_around(self) -> None:
+        """Have it asked about what other ledgers of the folder say was placed, where it is of this model or at a place of it.
+
+        Raises:
+            LedgerError: If one of them cannot be read.
+        """
+        for path in sorted(self.ledger.path.parent.glob("*.jsonl")):
+            if path == self.ledger.path:
+                continue
+            book = replay(path, {})
+            mine = self._robot == book.robot or (not book.robot and path.name.startswith(f"{self._robot}_"))
+            for memory in book.tasks.values():
+                source = f"{path.name} {memory.task} {memory.settled_ns}"
+                if memory.placed and source not in self.book.found:
+                    self._look_at(memory if mine else replace(memory, base_T_element=(), goal=()), mine, source)
+
+    def _look_at(self, memory: TaskMemory, mine: bool, source: str) -> None:
+        """Have it asked about what another ledger says was placed; its pose is known in the frame of the same robot only."""
+        book, task = self.book, self.prepared.schedule.placing.get(memory.element, "")
+        if any(each.element == memory.element and each.touched for each in book.tasks.values()):
+            return
+        if not task:
+            here = _box(self._bodies(memory), placed_at(memory, _ORIGIN)) if mine and memory.body else None
+            if here is None or not any(
+                _overlap(here, self._goal_box(one))
+                for one in self.prepared.schedule.placing.values()
+                if self._element(one).bodies
+            ):
+                return
+            task = memory.element
+        elif book.tasks[task].state not in (TaskState.WAITING, TaskState.READY):
+            return
+        self.ledger.add(replace(placed_elsewhere("found", task, memory, source=source), former=""))
 
     def measured(self, element: str, pose: Pose, person: str, reason: str) -> Deviation:
         """Take where an element really is.
@@ -402,43 +530,67 @@ class TaskBoard:
 
     # -- what stands where
 
-    @property
-    def in_doubt(self) -> bool:
-        """Whether the model was changed and a person has not said yet what of the record is still so: nothing is tidied then."""
-        book = self.book
-        doubted = (TaskState.WAITING, TaskState.READY, TaskState.DONE, TaskState.SKIPPED)
-        return any(book.tasks[task].before in doubted for task in book.in_state(TaskState.ASKS))
-
     def wanted_scene(self) -> tuple[dict[str, SceneObject], tuple[str, ...]]:
         """Return the work's objects of the scene by name, and the elements whose objects are left as they are."""
-        gone = self._gone()
-        wanted = {item.name: item for item in (*self.prepared.tool_objects, *self._standing(gone))}
-        # what stands, but is no longer in the model, goes only when a person takes it out
-        alone = [element for element in self.book.left_behind if element not in self.prepared.elements]
-        present = self._present()
+        gone, former = self._gone(), {memory.element: memory for memory in self.book.former.values()}
+        wanted = {item.name: item for item in self.prepared.tool_objects}
+        # what was placed stands as it was placed, whatever the model says of it
+        for item in self.prepared.standing:
+            element = _element_in(item)
+            there = element not in gone and self._stand(self.prepared.comes_after.get(element, ()))
+            if there and not (element in former and former[element].body):
+                wanted[item.name] = item
+        alone, present = [], self._present()
+        for element, memory in former.items():
+            objects = objects_of(self._bodies(memory), memory, None, _ORIGIN, self._tip_link) if memory.body else None
+            if objects is None:
+                alone.append(element)
+            else:
+                wanted |= {item.name: item for item in objects}
         for element in self._elements():
-            if element in gone:
+            if element in gone or (element in former and former[element].body):
                 continue
             facts, stock = self.prepared.elements[element], self._stock(element) if element in present else None
-            objects = objects_of(facts.bodies, self._placing(element), stock, facts.base_T_goal, self._tip_link)
+            known = self._placing(element)
+            bodies = self._bodies(known) if known is not None and known.placed and known.body else facts.bodies
+            objects = objects_of(bodies, known, stock, facts.base_T_goal, self._tip_link)
             if objects is None:
                 alone.append(element)
             else:
                 wanted |= {item.name: item for item in objects}
         return wanted, tuple(alone)
 
-    def _standing(self, gone: Collection[str]) -> Iterator[SceneObject]:
-        """Return what stands without a task; what a former task of ours placed, where that task left it."""
-        left = self.book.left_behind
-        for item in self.prepared.standing:
-            element = item.name.split("/", 1)[0]
-            memory = left.get(element)
-            if element in gone or (memory is not None and not memory.placed):
-                continue
-            if memory is not None and memory.base_T_element and element in self.prepared.standing_at:
-                moved = product(pose_of_tuple(memory.base_T_element), inverse(self.prepared.standing_at[element]))
-                item = item.moved(product(moved, item.pose))
-            yield item
+    def _bodies(self, memory: TaskMemory) -> tuple[SceneObject, ...]:
+        """Return an element's pieces as they were placed; they are kept, because they do not change."""
+        key = memory.element, memory.body
+        if key not in self._kept:
+            self._kept[key] = self.ledger.body(*key)
+        return self._kept[key]
+
+    def _goal_box(self, task: str) -> np.ndarray:
+        facts = self._element(task)
+        return _box(facts.bodies, facts.base_T_goal)
+
+    def _counterpart(self, task: str) -> str:
+        """Return the task that is to place what has name, class and place of what one that is no more has placed; empty: none."""
+        memory = self.book.tasks[task]
+        if task in self.book.after or not (memory.placed and memory.body):
+            return ""
+        here = _box(self._bodies(memory), placed_at(memory, _ORIGIN))
+        for element, heir in self.prepared.schedule.placing.items():
+            facts, free = (
+                self.prepared.elements[element],
+                self.book.tasks[heir].state in (TaskState.WAITING, TaskState.READY),
+            )
+            if free and facts.bodies and (facts.name, facts.ifc_class) == (memory.name, memory.ifc_class):
+                if np.abs(here - self._goal_box(heir)).max() <= _SAME_PLACE:
+                    return heir
+        return ""
+
+    def _stand(self, elements: Iterable[str]) -> bool:
+        """Return whether all of these elements were placed."""
+        known = (self._placing(element) for element in elements)
+        return all(memory is not None and memory.placed for memory in known)
 
     def forms(self, task: str) -> tuple[tuple[SceneObject, ...], ...]:
         """Return the objects of a task's element as the record can have them: in its stock, in the grip, at its place."""
@@ -463,12 +615,14 @@ class TaskBoard:
     def _placing(self, element: str) -> TaskMemory | None:
         """Return what is known of where an element is: of the task that places it, or did; None: it stands as the model has it."""
         task = self.prepared.schedule.placing.get(element)
-        return self.book.tasks[task] if task is not None else self.book.left_behind.get(element)
+        if task is not None:
+            return self.book.tasks[task]
+        return next((memory for memory in self.book.former.values() if memory.element == element), None)
 
     def deviation(self, task: str) -> Deviation | None:
-        """Return how far a placed element stands from the model; None: it is not placed, or where was not measured."""
+        """Return how far a placed element stands from the model; None: it is not placed, not in it, or where was not measured."""
         memory = self.book.tasks[task]
-        if not (memory.placed and memory.base_T_element) or memory.as_planned:
+        if task not in self.book.after or not (memory.placed and memory.base_T_element) or memory.as_planned:
             return None
         return deviation(pose_of_tuple(memory.base_T_element), self._element(task).base_T_goal)
 
@@ -518,14 +672,23 @@ class TaskBoard:
             engaged=False,
             next=self.next(now),
             reason=self.summary(now),
-            tasks=tuple(self._row(task, now) for task in self.book.tasks),
+            tasks=tuple(self._row(task, now) for task in (*self.book.after, *self.book.former)),
             notes=self.notes,
         )
 
     def title(self, task: str) -> str:
-        """Return a task's name for sentences."""
-        name = self.prepared.schedule.job(task).name
-        return f"{name!r} ({task})" if name else task
+        """Return a task's name for sentences; its id where it has none, and behind it where others have the same."""
+        return self.prepared.titles.get(task) or repr(self._element(task).name)
+
+    def _typed(self, task: str) -> str:
+        """Return what a person types for a task: its name, or its id where others have the same name."""
+        name = self._job(task).name
+        return name if name and self.title(task) == repr(name) else task
+
+    def called(self, sentence: str) -> str:
+        """Return a sentence with names in place of the ids of tasks, and of elements that are not in the model any more."""
+        former = labels({each.element: each.name for each in self.book.former.values()})
+        return named(sentence, {**self.prepared.titles, **former})
 
     def summary(self, now: int) -> str:
         """Return one sentence: what the work waits for."""
@@ -538,7 +701,7 @@ class TaskBoard:
         return self.obstacle(book.open[0], now) if book.open else Sentence("work.all_over")
 
     def _row(self, task: str, now: int) -> TaskReport:
-        job, memory = self.prepared.schedule.job(task), self.book.tasks[task]
+        job, memory = self._job(task), self.book.tasks[task]
         facts, far, scheduled = (
             self._element(task),
             self.deviation(task),
@@ -561,7 +724,7 @@ class TaskBoard:
             tolerance_mm=OFF * 1e3,
             tolerance_deg=math.degrees(OFF_ANGLE),
             question=self._question(task),
-            answers=memory.possible_answers(),
+            answers=self._answers(task),
             grip=memory.grip,
             scheduled_start=scheduled.start,
             begun=memory.begun_ns,
@@ -579,6 +742,8 @@ class TaskBoard:
 
     def _stands(self, task: str, now: int) -> str:
         memory = self.book.tasks[task]
+        if task not in self.book.after:
+            return "" if memory.state is TaskState.ASKS else Sentence("work.task.not_in_model")
         if memory.state is TaskState.WAITING:
             return Sentence("work.task.waits", tasks=self._missing(task))
         if memory.state in PLANNABLE:
@@ -601,7 +766,20 @@ class TaskBoard:
         return ""
 
     def _question(self, task: str) -> str:
-        return question(self.book.tasks[task], self._element(task).name)
+        memory = self.book.tasks[task]
+        if task in self.book.after or memory.state is not TaskState.ASKS:
+            return question(memory, self._element(task).name)
+        first = self._answers(task)[0]
+        return Sentence(f"work.question.{first}", element=self._element(task).name, known=known_of(memory))
+
+    def _answers(self, task: str) -> tuple[str, ...]:
+        """Return what can be answered to a task's question; of what has no task any more, whether it stands."""
+        memory = self.book.tasks[task]
+        if task in self.book.after or memory.state is not TaskState.ASKS:
+            return memory.possible_answers()
+        if not memory.placed:
+            return ("taken_away",)
+        return (*((SAME,) if self._counterpart(task) else ()), *ANSWERS_OF_FORMER)
 
     def _asking(self, key: str, task: str, **values: str) -> str:
         return Sentence(key, task=self.title(task), question=self._question(task), **values)
@@ -619,7 +797,10 @@ class TaskBoard:
         # what was skipped has started, too
         started = {**finished, **started}
         blockers = self.prepared.schedule.blockers(task, started, finished, now / 1e9)
-        return Sentence("work.lag.waits", task=self.title(task), until=blockers[0].text) if blockers else ""
+        if not blockers:
+            return ""
+        until = named(blockers[0].text, self.prepared.titles)
+        return Sentence("work.lag.waits", task=self.title(task), until=until)
 
     def _stock(self, element: str) -> Pose | None:
         """Return where an element lies before it is taken; None: it has no slot."""
@@ -645,12 +826,30 @@ class TaskBoard:
         return [element for element, task in self.prepared.schedule.placing.items() if tasks[task].taken]
 
     def _element(self, task: str) -> ElementFacts:
-        return self.prepared.elements[self.element_of(task)]
+        if task in self.book.after:
+            return self.prepared.elements[self.element_of(task)]
+        memory = self.book.tasks[task]
+        name, bodies = memory.name or memory.element or task, self._bodies(memory) if memory.body else ()
+        return ElementFacts(name, bodies, placed_at(memory, _ORIGIN), np.empty((0, 3, 3)))
 
-    def _memory(self, task: str, person: str) -> TaskMemory:
-        """Return what is known of a task of which a person says something; refuse one that there is not, or nobody's word."""
-        if task not in self.book.tasks:
+    def _job(self, task: str) -> Job:
+        """Return a task's job; of one that the schedule does not have any more what the ledger says."""
+        if task in self.book.after:
+            return self.prepared.schedule.job(task)
+        memory = self.book.tasks[task]
+        return Job(task, task, memory.name, memory.element, (), ())
+
+    def _memory(self, task: str, person: str, former: bool = False) -> TaskMemory:
+        """Return what is known of a task of which a person says something; refuse one that there is not, or nobody's word.
+
+        Args:
+            former: It may be one that the schedule does not have any more.
+        """
+        if task not in self.book.after and task not in self.book.former:
             raise WorkRefused(Sentence("work.no_task", task=repr(task)))
+        if task not in self.book.after and not former:
+            name = self._element(task).name
+            raise WorkRefused(Sentence("work.not_in_model", element=name, command=removed_command(name)))
         self._named(person)
         return self.book.tasks[task]
 
@@ -658,6 +857,28 @@ class TaskBoard:
     def _named(person: str) -> None:
         if not person.strip():
             raise WorkRefused(Sentence("work.nameless"))
+
+
+#: Events by which what the model says of an element is seen by the arm, or by a person.
+_SEEING = ("offered", "answered")
+#: Boxes whose sides are all closer than this are at the same place; boxes that reach further than that into each other overlap [m].
+_SAME_PLACE, _OVERLAP = 0.02, 0.005
+_ORIGIN = Pose(np.zeros(3), np.eye(3))
+
+
+def _box(bodies: tuple[SceneObject, ...], pose: Pose) -> np.ndarray:
+    """Return the lowest and highest coordinates of an element's pieces at its pose, shape (2, 3)."""
+    points = _corners(bodies) @ pose.rotation.T + pose.position
+    return np.array([points.min(axis=0), points.max(axis=0)])
+
+
+@functools.lru_cache(maxsize=4096)
+def _corners(bodies: tuple[SceneObject, ...]) -> np.ndarray:
+    return Pieces(bodies).points
+
+
+def _overlap(first: np.ndarray, second: np.ndarray) -> bool:
+    return bool((np.minimum(first[1], second[1]) - np.maximum(first[0], second[0]) > _OVERLAP).all())
 
 
 #: A measured element further than this from its place was not measured in the robot's frame [m].

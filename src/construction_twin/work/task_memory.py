@@ -17,6 +17,7 @@ from construction_twin.work.task_states import (
     ROWS,
     SAYS,
     SETTLED,
+    UNDER_WAY,
     Action,
     Guard,
     Row,
@@ -26,6 +27,9 @@ from construction_twin.work.task_states import (
 
 #: States in which an element is surely not in the grip.
 _NOT_HELD = (TaskState.WAITING, TaskState.READY, TaskState.DONE, TaskState.SKIPPED)
+
+#: What lines say of the element; the last one that says it counts.
+_ELEMENT = ("element", "name", "ifc_class", "body", "goal", "seen")
 
 
 class NotNow(WorkError):
@@ -44,6 +48,8 @@ class TaskMemory:
         before: The state that a question is about: in which its answer was lost.
         plan, offer, grip: Of the plan under review or under way; `grip` stays with the element.
         process: Of the plan that was offered last; empty: `recipe.DEFAULT`.
+        element, name, ifc_class, body, goal, seen: Of the element, see `Entry`; empty: no line says it.
+        source: The other ledger that says that it was placed; empty: this one.
         in_grip: The element is held by the tool, as far as is known.
         gone: It is neither in its stock nor placed; of a task that is done: taken down.
         tool0_T_element, base_T_element: Length 7 or 0. How it is held, or will be, and where it stands as built: x, y, z [m],
@@ -69,6 +75,13 @@ class TaskMemory:
     begun_ns: int = 0
     settled_ns: int = 0
     process: str = ""
+    element: str = ""
+    name: str = ""
+    ifc_class: str = ""
+    body: str = ""
+    goal: tuple[float, ...] = ()
+    seen: str = ""
+    source: str = ""
 
     @property
     def stays(self) -> bool:
@@ -89,7 +102,11 @@ class TaskMemory:
         if row is None:
             raise NotNow(self.task, self.state, TaskEvent(entry.event))
         changed = {"before": row.state, "state": row.target or self.state, **_CHANGES[row.action](self, entry)}
-        if row.event in (TaskEvent.RELEASED, TaskEvent.MEASURED):
+        changed |= {name: value for name in _ELEMENT if (value := getattr(entry, name))}
+        if row.event is TaskEvent.FOUND:
+            # "<file> <task> <time>", so that it is asked once
+            changed["source"] = entry.source.split(" ")[0]
+        if row.event in (TaskEvent.RELEASED, TaskEvent.MEASURED, TaskEvent.SAME):
             changed["as_planned"] = entry.source == PLANNED
         if row.event is TaskEvent.OFFERED:
             changed["process"] = entry.process
@@ -110,6 +127,15 @@ class TaskMemory:
         if self.before in (TaskState.PLANNED, TaskState.WORKING, TaskState.GRIPPING) and not self.in_grip:
             return ("in_stock", "in_grip", "gone")
         return ANSWERS
+
+    @property
+    def touched(self) -> bool:
+        """Whether an element may be elsewhere than in its stock, or is asked about."""
+        if self.state is TaskState.DONE and self.gone:
+            # what was taken down is gone, whatever the model says since
+            return False
+        doubtful = (TaskState.PLANNED, TaskState.ASKS, TaskState.DONE, *UNDER_WAY)
+        return self.placed or self.in_grip or self.state in doubtful
 
     @property
     def taken(self) -> bool:

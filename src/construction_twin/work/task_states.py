@@ -51,6 +51,8 @@ class TaskEvent(Enum):
     SKIPPED = "skipped"
     REDONE = "redone"
     REMOVED = "removed"
+    FOUND = "found"
+    SAME = "same"
 
 
 class Guard(Enum):
@@ -130,8 +132,13 @@ TABLE: tuple[Row, ...] = (
     *rows(_S.ASKS, _E.ANSWERED, _S.READY, _A.NOT_IN_GRIP, _G.SAYS_NOT_DONE),
     *rows((_S.DONE, _S.SKIPPED), _E.MEASURED, None, _A.MEASURED),
     *rows((_S.WAITING, _S.READY, _S.HELD), _E.SKIPPED, _S.SKIPPED),
-    # only of what people take down: a person says that it is gone
+    # of what people take down: a person says that it is gone
     *rows((_S.WAITING, _S.READY, _S.SKIPPED), _E.REMOVED, _S.DONE, _A.REMOVED),
+    # of what was placed: a person has taken it away
+    *rows(_S.DONE, _E.REMOVED, _S.HELD, _A.GONE),
+    # another task, of a former model or in another ledger, has placed it, or has placed what a person says is the same
+    *rows((_S.WAITING, _S.READY), _E.FOUND, _S.ASKS, _A.PLACED),
+    *rows((_S.WAITING, _S.READY), _E.SAME, _S.DONE, _A.PLACED),
     # a person says that the element is back in its stock; of what was taken down, that it stands
     *rows((_S.DONE, _S.SKIPPED, _S.HELD), _E.REDONE, _S.READY, _A.NOT_IN_GRIP),
     # the model was changed: what the record of the former one says of its elements is no longer sure; of what is
@@ -144,6 +151,12 @@ ROWS = state_table.by_cause(TABLE)
 ANSWERS = ("in_stock", "in_grip", "placed", "gone")
 #: The same of a task whose process does not move the element.
 ANSWERS_OF_STAYING = ("done", "not_done")
+#: The same of what was placed by a task that the schedule does not have any more, with what they are in the ledger; before them
+#: `SAME`, where the model has a counterpart.
+ANSWERS_OF_FORMER = {"stands": "placed", "taken_away": "gone"}
+SAME = "same"
+#: What can be answered for all that was placed at once: each leaves it an obstacle.
+ANSWERS_FOR_ALL = (SAME, "stands", "placed")
 #: The guard that each of them satisfies.
 SAYS = {
     "in_stock": _G.SAYS_STOCK, "in_grip": _G.SAYS_GRIP, "placed": _G.SAYS_PLACED, "gone": _G.SAYS_GONE,

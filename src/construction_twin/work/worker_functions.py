@@ -84,6 +84,8 @@ def prepare(
     shapes, failures = element_shapes(map(building.element, sure), Path(cache) / "bodies")
     pieces = {element: shape.objects for element, shape in shapes.items()}
     stands = standing(building, pieces, site, robot, Path(cache) / "bodies")
+    schedule.notes = tuple(map(building.called, schedule.notes))
+    schedule.remarks = {job: tuple(map(building.called, said)) for job, said in schedule.remarks.items()}
     # one element without usable body does not stop the others
     usable = [element for element in order if element in pieces]
     layout = Layout(site, building, pieces, usable, robot.tip_link, stands.pieces, schedule.jobs)
@@ -96,6 +98,7 @@ def prepare(
         elements[element] = ElementFacts(
             read.name or read.tag or element, pieces.get(element, ()),
             layout.base_T_goal(element), element_triangles(read), _mass(site, building, schedule, read),
+            read.ifc_class,
         )  # fmt: skip
     notes = [
         *building.notes,
@@ -104,7 +107,7 @@ def prepare(
         *stands.notes,
     ]
     notes += [
-        Sentence("work.body.larger", name=elements[element].name, element=element, excess=1e3 * shape.excess)
+        Sentence("work.body.larger", element=element, excess=1e3 * shape.excess)
         for element, shape in shapes.items()
         if shape.excess > _TOLD
     ]
@@ -126,11 +129,11 @@ def prepare(
         stock=layout.stock,
         tool=site.tool.tool,
         tool_objects=tool_objects(site.tool, robot.tip_link),
-        notes=tuple(notes),
-        unplannable=unplannable,
+        notes=tuple(map(building.called, notes)),
+        unplannable={element: building.called(why) for element, why in unplannable.items()},
         standing=layout.standing,
         scheduled=_scheduled(building, schedule),
-        standing_at={element: layout.base_T_goal(element) for element in stands.pieces},
+        comes_after=layout.comes_after,
     )
 
 

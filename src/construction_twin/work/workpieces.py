@@ -21,6 +21,7 @@ CLASSES = (
     "IfcBuildingElementProxy",
     "IfcProxy",
     "IfcWall",
+    "IfcElementAssembly",
 )
 
 
@@ -33,13 +34,16 @@ def is_workpiece(element: Element, has_parts: bool) -> bool:
     """Return whether an element is a workpiece by default.
 
     Args:
-        has_parts: Whether other elements are parts of it.
+        has_parts: Whether other elements with bodies are parts of it.
     """
     # what stands already is no workpiece
-    if not element.bodies or element.status or plain_class(element.ifc_class) not in CLASSES:
+    kind = plain_class(element.ifc_class)
+    if not element.bodies or element.status or kind not in CLASSES:
         return False
-    # a wall of several bodies, or one that is made of parts, is built and not placed
-    return plain_class(element.ifc_class) != "IfcWall" or (len(element.bodies) == 1 and not has_parts)
+    # a wall of several bodies, or what is made of parts, is built and not placed
+    return not (has_parts and kind in ("IfcWall", "IfcElementAssembly")) and (
+        kind != "IfcWall" or len(element.bodies) == 1
+    )
 
 
 def workpieces(model: BuildingModel, also: Iterable[str] = (), only: Iterable[str] = ()) -> tuple[str, ...]:
@@ -67,7 +71,7 @@ def workpieces(model: BuildingModel, also: Iterable[str] = (), only: Iterable[st
             expected = Sentence("expected.work.class")
             raise BuildingError(model.file, f"workpieces {name!r}", "nothing of that name", expected)
     wanted = {plain_class(name) if name not in model.elements else name for name in named}
-    parents = {element.assembly for element in model.elements.values()}
+    parents = {element.assembly for element in model.elements.values() if element.bodies}
     return tuple(
         element.id
         for element in model.elements.values()

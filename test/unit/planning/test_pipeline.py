@@ -277,6 +277,15 @@ def test_times_that_break_a_limit_are_replaced_only_where_that_is_allowed_and_th
     assert (kept.planner, kept.retimed, kept.trajectory.duration) == ("waypoints", "", 30.0)
 
 
+def test_many_points_whose_times_were_rounded_are_kept_by_the_last_check_too():
+    x = np.linspace(0.0, 1.0, 4000)
+    rows = HOME + np.outer(x**3 * (10.0 - 15.0 * x + 6.0 * x**2), np.full(6, 0.3))
+    points = from_points(ROBOT, ROBOT.joint_names, rows, times=np.floor(x * 1.3e9) / 1e9)
+    plan = pipeline(max_waypoints=4000).through(HOME, points, REQUEST, retime=True)
+    assert (plan.planner, len(plan.trajectory.times)) == ("waypoints", 4000)
+    assert max(plan.report.usage.jerk) < 1.0
+
+
 def test_a_place_that_is_wrong_is_refused_whatever_the_times():
     points = from_points(ROBOT, ROBOT.joint_names, [np.add(HOME, 0.1), LEFT], times=[0.0, 0.05])
     with pytest.raises(WaypointsError, check=says("motion.points.start")):

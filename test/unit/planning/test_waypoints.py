@@ -371,6 +371,46 @@ def test_a_first_point_elsewhere_and_later_is_refused_with_what_to_do():
     assert plan_waypoints(with_start, HOME, ROBOT).duration == 4.0
 
 
+#: How a time of `time_from_start` comes to whole nanoseconds: genpy cuts off, roscpp and MATLAB round.
+WHOLE_NS = {"cut": lambda times: np.floor(times * 1e9) / 1e9, "rounded": lambda times: np.round(times * 1e9) / 1e9}
+
+
+def densely(points: int, duration: float, whole: str, more: str, jerk: float = 0.95):
+    """One smooth motion in many points, which needs so much of some joint's largest jerk and little else."""
+    x = np.linspace(0.0, 1.0, points)
+    # a quintic from rest to rest has its largest jerk at both ends, 60 times its way per time cubed
+    way = np.array([0.5, -0.4, 0.6, 1.0, -0.8, 1.0])
+    way *= jerk * np.min(np.array(ROBOT.jerk) / np.abs(way)) * duration**3 / 60.0
+    values = {
+        "velocities": np.outer(30.0 * x**2 * (1.0 - x) ** 2 / duration, way),
+        "accelerations": np.outer(60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / duration**2, way),
+    }
+    rows = HOME + np.outer(x**3 * (10.0 - 15.0 * x + 6.0 * x**2), way)
+    given = {name: values[name] for name in ("velocities", "accelerations")[: ("", "v", "va").index(more)]}
+    return from_points(ROBOT, NAMES, rows, times=WHOLE_NS[whole](x * duration), **given)
+
+
+@pytest.mark.parametrize("more", ["", "v", "va"])
+@pytest.mark.parametrize("whole", WHOLE_NS)
+@settings(max_examples=10, deadline=None)
+@given(points=st.integers(500, 20_000), duration=st.floats(0.5, 1.05))
+def test_times_that_were_rounded_to_a_nanosecond_are_kept_however_many_points_there_are(whole, more, points, duration):
+    given = densely(points, duration, whole, more)
+    motion = plan_waypoints(given, HOME, ROBOT)
+    np.testing.assert_array_equal(motion.times, given.times)
+    # what the controller gets, every 4 ms, has none of it
+    _, q = samples_of(motion)
+    for order, limits in ((1, ROBOT.velocity), (2, ROBOT.acceleration), (3, ROBOT.jerk)):
+        assert np.max(np.abs(np.diff(q, order, axis=0)) / 0.004**order / limits) < 1.0
+
+
+@pytest.mark.parametrize("more", ["", "v", "va"])
+@pytest.mark.parametrize("points", [500, 20_000])
+def test_too_much_jerk_is_refused_however_many_points_there_are(points, more):
+    with pytest.raises(WaypointTimesError, check=says("motion.points.jerk")):
+        plan_waypoints(densely(points, 0.8, "rounded", more, jerk=1.1), HOME, ROBOT)
+
+
 def passing_times(motion, rows) -> np.ndarray:
     """When a motion along a straight line passes the rows on it."""
     way = rows[-1] - rows[0]

@@ -46,7 +46,7 @@ ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr1
 THIRD_PARTY = {
     "numpy", "scipy", "ompl", "toppra", "pydantic", "yaml", "xacro", "urdf_parser_py", "PyKDL", "paho", "matplotlib", "rich",
     "mpl_toolkits", "coal", "pinocchio", "eaik", "py_opw_kinematics", "manifold3d", "ifcopenshell", "isodate",
-    "mujoco", "rosbags", "rospkg", "shtab",
+    "mujoco", "rosbags", "rospkg",
 }  # fmt: skip
 #: The only folder or file that may need a package that is not everywhere: `setup/setup.sh work` and `console` install it.
 #: Everything else must run without.
@@ -95,10 +95,6 @@ DEPLOYMENT = {
         "decimals",
         "realtime_priority",
         "transition_file",
-        "torque_watch",
-        "tool",
-        "drives",
-        "payload",
         "servo_model",
     },
     "mock_rsi": {"gateway_host", "gateway_port", "make", "ethernet_xml", "tool", "drives", "payload"},
@@ -348,8 +344,6 @@ def test_every_key_of_a_configuration_is_explained_above_it(node):
                 "arm": "mock",
                 "decimals": 3,
                 "transition_file": "t.jsonl",
-                "torque_watch": False,
-                "drives": "",
                 "servo_model": "",
             },
         ),

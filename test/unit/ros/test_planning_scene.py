@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import io
 import sys
-from types import ModuleType
 
 import coal
 import genpy
 import numpy as np
 import pinocchio
 import pytest
+import rospy
 from moveit_messages import PART_MD5, PLANNING_SCENE_MD5, MoveitScene, md5_sums, message_types, modules
 from neighbour_cell import AWAY, BESIDE, STEP, TOWARDS, other
 from planning_cell import ROBOT
@@ -18,7 +18,8 @@ from scene_samples import box_triangles, kr120, kr120_pairs, write_stl
 
 from construction_twin.kinematics.chain import Pose
 from construction_twin.ros.messages.planning_scene import MoveitTypes, moveit_types
-from construction_twin.ros.shared.planning_scene import OtherArmPublisher, PlanningScenePublisher
+from construction_twin.ros.shared import ports
+from construction_twin.ros.shared.planning_scene import PLANNING_SCENE, OtherArmPublisher, PlanningScenePublisher
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.neighbour import Neighbour, Obstacle
 from construction_twin.scene.neighbour_objects import neighbour_objects
@@ -65,14 +66,53 @@ def test_the_types_are_the_official_ones():
     assert {name: sums[name] for name in PART_MD5} == PART_MD5
 
 
-def test_installed_types_are_taken_and_without_them_there_are_none(monkeypatch):
+@pytest.fixture
+def install(monkeypatch, tmp_path):
+    """Return what installs moveit_msgs, whose messages import those of another package, as genpy's do."""
+    names = [name for package in ("moveit_msgs", "shape_msgs") for name in (package, f"{package}.msg")]
+    # noted now, so that what the test imports is forgotten after it
+    for name in names:
+        monkeypatch.setitem(sys.modules, name, None)
+        del sys.modules[name]
+
+    def made(needs: str) -> None:
+        for package, text in (("moveit_msgs", f"import {needs}.msg\nclass PlanningScene: pass\n"), ("shape_msgs", "")):
+            (tmp_path / package / "msg").mkdir(parents=True)
+            (tmp_path / package / "__init__.py").touch()
+            (tmp_path / package / "msg" / "__init__.py").write_text(text)
+        monkeypatch.syspath_prepend(tmp_path)
+
+    return made
+
+
+def opened(monkeypatch) -> tuple[object, list[str]]:
+    """Return the topic that MoveIt reads, None without it, and what the node warned of."""
+    warned: list[str] = []
+    monkeypatch.setattr(rospy, "logwarn", lambda *words: warned.append(words[0] % words[1:]))
+    monkeypatch.setattr(ports, "Publisher", lambda _topic, kind, *_, **__: kind.__name__)
+    return PLANNING_SCENE.open(ROBOT), warned
+
+
+def test_installed_types_are_taken(monkeypatch, install):
+    install("shape_msgs")
+    assert opened(monkeypatch) == ("PlanningScene", [])
+    types = moveit_types()
+    assert (types.moveit.__name__, types.shapes.__name__) == ("moveit_msgs.msg", "shape_msgs.msg")
+
+
+def test_without_moveit_s_messages_nothing_is_published_and_nothing_is_wrong(monkeypatch):
     monkeypatch.setitem(sys.modules, "moveit_msgs", None)
-    assert moveit_types() is None
-    monkeypatch.setitem(sys.modules, "moveit_msgs", ModuleType("moveit_msgs"))
-    monkeypatch.setitem(sys.modules, "moveit_msgs.msg", TYPES.moveit)
-    monkeypatch.setitem(sys.modules, "shape_msgs", ModuleType("shape_msgs"))
-    monkeypatch.setitem(sys.modules, "shape_msgs.msg", TYPES.shapes)
-    assert moveit_types() == TYPES
+    assert opened(monkeypatch) == (None, [])
+
+
+@pytest.mark.parametrize("package", ["object_recognition_msgs", "octomap_msgs", "shape_msgs"])
+def test_a_package_that_moveit_s_messages_need_is_missed_in_one_warning(package, monkeypatch, install):
+    install(package)
+    monkeypatch.setitem(sys.modules, package, None)
+    assert opened(monkeypatch) == (
+        None,
+        [f"planning_scene is not published: moveit_msgs needs {package}, which is not installed"],
+    )
 
 
 def test_objects_have_their_shape_pose_and_frame(tmp_path):

@@ -643,7 +643,7 @@ def test_what_no_task_waits_for_is_told(read):
     model, _, (first, _) = two_studs()
     model.sequence(model.root("IfcEvent", Name="approval"), first)
     found = read(model)
-    assert said(found, "ifc.note.unread", "1", "IfcEvent") and said(found, "ifc.note.foreign_order")
+    assert said(found, "ifc.note.unread", "1", "IfcEvent") and remarked(found, first, "ifc.note.between", "IfcEvent")
 
 
 # -- schemas and contexts

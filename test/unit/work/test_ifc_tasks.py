@@ -9,6 +9,7 @@ from sentence_checks import has_parts
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.building import Sequence
 from construction_twin.work.ifc.reader import read_ifc
+from construction_twin.work.schedule import Schedule
 
 
 @pytest.fixture
@@ -144,3 +145,123 @@ def test_a_task_that_is_part_of_itself_is_refused_with_its_number(read):
     model.root("IfcRelNests", RelatingObject=first, RelatedObjects=[top])
     with pytest.raises(BuildingError, match=rf"#({top.id()}|{first.id()})=IFCTASK: found part of itself"):
         read(model)
+
+
+def test_a_ratio_of_50_as_lag_is_half_of_the_duration_before(read):
+    model, _, _, (first, second) = two_tasks()
+    first.TaskTime = model.make("IfcTaskTime", ScheduleDuration="PT8H")
+    model.sequence(first, second, lag=50.0)
+    found = read(model)
+    assert [each.lag for each in found.sequences] == [4 * 3600.0]
+    assert any(has_parts(note, "ifc.note.lag_percent") for note in found.notes)
+
+
+@pytest.mark.parametrize(("parts", "done"), [((100.0, 1.0), (True, False)), ((0.5, 1.0), (False, True))])
+def test_a_file_counts_what_is_done_in_percent_or_in_parts(read, parts, done):
+    model, _, _, tasks = two_tasks()
+    for task, part in zip(tasks, parts):
+        task.TaskTime = model.make("IfcTaskTime", Completion=part)
+    found = read(model)
+    assert tuple(found.tasks[task.GlobalId].completed for task in tasks) == done
+    assert any(has_parts(note, "ifc.note.percent") for note in found.notes) == (max(parts) > 1.0)
+
+
+def test_without_a_scheduled_start_the_early_one_is_taken_and_else_the_late_one(read):
+    model, _, _, (first, second) = two_tasks()
+    first.TaskTime = model.make("IfcTaskTime", EarlyStart="2027-01-05T08:00:00", LateStart="2027-01-07T08:00:00")
+    second.TaskTime = model.make("IfcTaskTime", LateStart="2027-01-04T08:00:00", LateFinish="2027-01-04T09:00:00")
+    found = read(model)
+    one, two = found.tasks[first.GlobalId], found.tasks[second.GlobalId]
+    assert (one.start, two.start, two.finish) == ("2027-01-05T08:00:00", "2027-01-04T08:00:00", "2027-01-04T09:00:00")
+    assert [job.task for job in Schedule.of(found).jobs] == [second.GlobalId, first.GlobalId]
+    assert all(any(has_parts(said, "ifc.note.other_start") for said in found.remarks[at]) for at in (one.id, two.id))
+
+
+@pytest.mark.parametrize("nested", [False, True])
+@pytest.mark.parametrize(
+    ("schema", "kind"), [("IFC4", "IfcEvent"), ("IFC4X3", "IfcProcedure"), ("IFC2X3", "IfcProcedure")]
+)
+def test_an_event_between_two_tasks_keeps_their_order_and_lags(read, nested, schema, kind):
+    model, _, top, (first, second) = two_tasks(schema)
+    event = model.root(kind, Name="inspected")
+    if nested:
+        model.root("IfcRelNests", RelatingObject=top, RelatedObjects=[event])
+    # the second first
+    lag = 60.0 if schema == "IFC2X3" else "PT1M"
+    model.sequence(second, event, lag=lag)
+    model.sequence(event, first, lag=lag)
+    found = read(model)
+    schedule = Schedule.of(found)
+    assert [job.task for job in schedule.jobs] == [second.GlobalId, first.GlobalId]
+    assert [(wait.job, wait.lag) for wait in schedule.job(first.GlobalId).after] == [(second.GlobalId, 120.0)]
+    assert any(has_parts(said, "ifc.note.between", kind) for said in found.remarks[first.GlobalId])
+
+
+def test_an_event_in_a_task_that_nests_no_others_stands_for_it(read):
+    model, studs, _, (first, second) = two_tasks()
+    event = model.root("IfcEvent", Name="set")
+    model.root("IfcRelNests", RelatingObject=second, RelatedObjects=[event])
+    model.sequence(event, first)
+    model.sequence(second, event)
+    found = read(model)
+    assert found.sequences == (Sequence(second.GlobalId, first.GlobalId),)
+    assert [job.element for job in Schedule.of(found).jobs] == [studs[1].GlobalId, studs[0].GlobalId]
+
+
+def test_orders_with_the_tasks_of_a_baseline_are_not_told_one_by_one(read):
+    model = IfcModel()
+    stud = model.box("stud", (0.1, 0.1, 1.0))
+    planned = model.task("place", [stud], schedule=model.schedule("Plan", PredefinedType="PLANNED"))
+    before = model.task("place then", [stud], schedule=model.schedule("Old", PredefinedType="BASELINE"))
+    model.sequence(before, planned)
+    found = read(model)
+    assert len(found.notes) == 1 and not found.remarks and not found.sequences
+
+
+def held(model, kind, *elements):
+    """A group of elements, or a part of the site that holds them."""
+    if kind == "IfcGroup":
+        group = model.root(kind, Name="Takt 1")
+        model.root("IfcRelAssignsToGroup", RelatingGroup=group, RelatedObjects=list(elements))
+        return group
+    model.aggregate(model.building, [floor := model.root(kind, Name="Upper floor")])
+    model.root("IfcRelContainedInSpatialStructure", RelatingStructure=floor, RelatedElements=list(elements))
+    return floor
+
+
+@pytest.mark.parametrize(
+    ("kind", "inputs"), [("IfcGroup", True), ("IfcBuildingStorey", True), ("IfcBuildingStorey", False)]
+)
+def test_a_task_of_a_group_or_a_storey_makes_what_is_in_it(read, kind, inputs):
+    model = IfcModel()
+    upper = model.box("upper", (1.0, 0.1, 0.1), at=(0.0, 0.0, 0.1))
+    lower = model.box("lower", (1.0, 0.1, 0.1))
+    group = held(model, kind, upper, lower)
+    task = model.task("takt", [] if inputs else [group])
+    if inputs:
+        model.inputs(task, group)
+    schedule = Schedule.of(read(model))
+    assert [(job.task, job.element) for job in schedule.jobs] == [
+        (task.GlobalId, lower.GlobalId), (task.GlobalId, upper.GlobalId),
+    ]  # fmt: skip
+    assert schedule.proposed and not schedule.unmade
+    assert any(has_parts(note, "work.order.assembly", "takt") for note in schedule.notes)
+
+
+def test_of_groups_that_share_elements_the_smaller_one_has_them_or_else_the_first(read):
+    model = IfcModel()
+    a, b, c = (model.box(name, (0.1, 0.1, 1.0), at=(k, 0, 0)) for k, name in enumerate("abc"))
+    groups = [held(model, "IfcGroup", *members) for members in ((a, b, c), (a, b), (b, a))]
+    whole, small, same = (model.task(f"t{k}", [group]) for k, group in enumerate(groups))
+    schedule = Schedule.of(read(model))
+    assert {job.element: job.task for job in schedule.jobs} == {
+        a.GlobalId: small.GlobalId, b.GlobalId: small.GlobalId, c.GlobalId: whole.GlobalId,
+    }  # fmt: skip
+    assert any(has_parts(note, "work.order.assembly_empty", same.GlobalId) for note in schedule.notes)
+
+
+def test_a_task_that_takes_down_a_storey_takes_down_what_is_in_it(read):
+    model = IfcModel()
+    old = model.box("old", (0.1, 0.1, 1.0), kind="IfcDoor")
+    model.task("clear", [held(model, "IfcBuildingStorey", old)], PredefinedType="DEMOLITION")
+    assert [job.element for job in Schedule.of(read(model)).removals] == [old.GlobalId]

@@ -268,7 +268,8 @@ def test_a_line_of_place_is_written_as_before_there_were_processes(bench):
     bench.start()
     bench.planned()
     (offered,) = (json.loads(line) for line in bench.ledger_lines if '"offered"' in line)
-    assert set(offered) == {"time", "time_ns", "previous", "event", "task", "element", "offer", "grip", "pose"}
+    of_element = {"element", "name", "body", "goal", "seen"}
+    assert set(offered) == {"time", "time_ns", "previous", "event", "task", "offer", "grip", "pose"} | of_element
 
 
 def test_people_read_of_it_in_the_list_and_can_have_it_done_again(bench):
@@ -278,7 +279,7 @@ def test_people_read_of_it_in_the_list_and_can_have_it_done_again(bench):
     assert "state      done: done" in show_lines(facts, facts.tasks[0])
     board = bench.board
     assert [one.word for one in board.appearances(0)] == ["placed"]
-    assert board.redo(work_bench.TASK, "eva", "") == "'Place stud' (T1) is to be done again"
+    assert board.redo(work_bench.TASK, "eva", "") == "'Place stud' is to be done again"
     assert [one.word for one in board.appearances(0)] == ["next"]
     assert board.skip(work_bench.TASK, "eva", "").endswith("no longer waits")
 
@@ -320,7 +321,7 @@ def test_what_is_placed_is_not_done_before_it_was_let_go():
 
 def ledger(path, model="a" * 64) -> Ledger:
     times = count(1_800_000_000_000_000_000)
-    return Ledger(path, {"T": ()}, model, lambda: next(times), "/cell.yaml", {"T": "E"})
+    return Ledger(path, {"T": ()}, model, lambda: next(times), "/cell.yaml")
 
 
 def test_another_model_asks_whether_it_was_done_and_leaves_nothing_behind_where_its_task_is_gone(tmp_path):
@@ -334,8 +335,8 @@ def test_another_model_asks_whether_it_was_done_and_leaves_nothing_behind_where_
     assert question(memory, "stud").values["known"].key == "work.known.stays.done"
     again.close()
     times = count(1_800_000_000_000_000_000)
-    other = Ledger(tmp_path / "l", {"U": ()}, "c" * 64, lambda: next(times), "/cell.yaml", {"U": "E"})
-    assert other.book.left_behind == {} and other.book.tasks["U"].state is TaskState.READY
+    other = Ledger(tmp_path / "l", {"U": ()}, "c" * 64, lambda: next(times), "/cell.yaml")
+    assert other.book.former == {} and other.book.tasks["U"].state is TaskState.READY
     other.close()
 
 

@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from construction_twin.core.work_errors import LedgerError
-from construction_twin.review.chained_file import verify
 from construction_twin.work.book import fold
 from construction_twin.work.events import Entry
 from construction_twin.work.ledger import Ledger, read_entries
@@ -54,9 +53,9 @@ AFTER_A_KILL = {
 }
 
 
-def ledger(path: Path, after=AFTER, model: str = MODEL, elements=None) -> Ledger:
+def ledger(path: Path, after=AFTER, model: str = MODEL, placing=None) -> Ledger:
     numbers = count(1_700_000_000_000_000_000, 1_000_000)
-    return Ledger(path, after, model, lambda: next(numbers), "/cell.yaml", elements or {"plate": "E1", "stud": "E2"})
+    return Ledger(path, after, model, lambda: next(numbers), "/cell.yaml", placing or {"E1": "plate", "E2": "stud"})
 
 
 def test_every_line_is_replayed_to_the_state_it_left(tmp_path):
@@ -70,7 +69,7 @@ def test_every_line_is_replayed_to_the_state_it_left(tmp_path):
     memory = first.book.tasks["plate"]
     assert memory.placed and not memory.in_grip and memory.base_T_element == STANDS
     assert first.book.in_state(TaskState.READY) == ("stud",)
-    assert verify(path).lines == first.lines == len(STEPS) + 1
+    assert len(path.read_text().splitlines()) == first.lines == len(STEPS) + 1
 
 
 @pytest.mark.parametrize("number", range(len(STEPS)))
@@ -208,8 +207,8 @@ def test_a_changed_schedule_does_not_undo_what_was_done(tmp_path):
     again = ledger(path, {"stud": (), "plate": ("stud",)})
     assert again.book.tasks["plate"].state is TaskState.DONE
     again.close()
-    gone = ledger(path, {"stud": ()})
-    assert len(gone.book.strange) == 1 and "task plate of element E1 as done" in gone.book.strange[0]
+    gone = ledger(path, {"stud": ()}, placing={"E2": "stud"})
+    assert gone.book.former["plate"].placed and gone.book.asking == ()
 
 
 @pytest.mark.parametrize("number", range(len(STEPS)))
@@ -248,10 +247,10 @@ def test_an_element_that_another_task_places_now_is_asked_about(tmp_path):
     for entry, _ in STEPS:
         before.add(entry)
     before.close()
-    again = ledger(path, {"new": ()}, "b" * 64, {"new": "E1"})
+    again = ledger(path, {"new": ()}, "b" * 64, {"E1": "new"})
     memory = again.book.tasks["new"]
     assert memory.state is TaskState.ASKS and memory.possible_answers() == ("in_stock", "placed", "gone")
-    assert again.book.left_behind == {}
+    assert again.book.former == {}
     again.add(Entry("answered", "new", "E1", answer="placed", person="eva"))
     memory = again.book.tasks["new"]
     assert memory.state is TaskState.DONE and memory.base_T_element == STANDS
@@ -263,10 +262,9 @@ def test_an_element_that_is_no_longer_in_the_model_is_not_forgotten(tmp_path):
     for entry, _ in STEPS:
         before.add(entry)
     before.close()
-    again = ledger(path, {"stud": ()}, "b" * 64, {"stud": "E2"})
+    again = ledger(path, {"stud": ()}, "b" * 64, {"E2": "stud"})
     assert again.book.tasks["stud"].state is TaskState.READY
-    assert again.book.left_behind["E1"].base_T_element == STANDS
-    assert "E1" in again.book.strange[0]
+    assert again.book.former["plate"].base_T_element == STANDS and again.book.asking == ("plate",)
 
 
 def test_a_kill_while_it_is_asked_for_a_changed_model_asks_again(tmp_path):
@@ -289,17 +287,6 @@ def test_a_file_that_is_no_ledger_is_refused(tmp_path):
     ledger(path).close()
     path.write_text(path.read_text().replace("opened", "mended"))
     with pytest.raises(LedgerError, match="this is no ledger"):
-        ledger(path)
-
-
-def test_an_edited_line_is_refused(tmp_path):
-    path = tmp_path / "ledger.jsonl"
-    book = ledger(path)
-    for entry, _ in STEPS:
-        book.add(entry)
-    book.close()
-    path.write_text(path.read_text().replace('"E1"', '"E2"', 1))
-    with pytest.raises(LedgerError, match="line"):
         ledger(path)
 
 

@@ -15,6 +15,7 @@ from construction_twin.core.files import check_writable
 from construction_twin.core.sentences import Sentence
 from construction_twin.evaluation.bag import PLAN, TYPES, choose_robot, open_bag, read_recording
 from construction_twin.evaluation.recording import Recording
+from construction_twin.evaluation.tables import table_console
 from construction_twin.msg import Plan as PlanMsg
 from construction_twin.robot.plan import Plan
 from construction_twin.ros.messages.convert import plan_from_msg
@@ -70,7 +71,7 @@ def report_bag(
         0, or 1 after a sentence on standard error.
     """
     directory = options.output or options.bag.with_suffix("").with_name(options.bag.stem + options.suffix)
-    console = Console(highlight=False)
+    console = table_console()
     try:
         # before anything that takes long
         check_writable(directory)

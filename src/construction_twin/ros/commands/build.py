@@ -159,7 +159,7 @@ class Builder:
                 f"task {task}",
             )
             row = self._row(task)
-            if row.state == "ready" and removed_command(task) in row.reason:
+            if row.state == "ready" and any(removed_command(said) in row.reason for said in (task, row.name)):
                 self._remove(row)
             elif row.state in ("ready", "carried"):
                 self._plan_and_play(task, title)

@@ -19,7 +19,7 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import from_wire
 from construction_twin.evaluation.bag import read_recording
 from construction_twin.evaluation.report import Report, write_report
-from construction_twin.evaluation.tables import render_tables
+from construction_twin.evaluation.tables import render_tables, table_console
 from construction_twin.msg import Execution, Feedback, Link, Sync
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.commands.bag_report import print_files
@@ -260,7 +260,7 @@ def point_latest(results: Path, directory: Path) -> None:
 
 def main() -> int:
     """Run the experiment node; return the process's status: 0, or 1 after a sentence."""
-    console = Console(highlight=False)
+    console = table_console()
     try:
         await_master()
         with ending_on_signals():

@@ -20,6 +20,7 @@ from construction_twin.core.errors import ConstructionTwinError, FileError, spok
 from construction_twin.core.extras import check_extras
 from construction_twin.core.records import document
 from construction_twin.core.sentences import Sentence
+from construction_twin.evaluation.tables import table_console
 from construction_twin.physics.known_mass import TOOL, body_of, masses_of
 from construction_twin.planning.waypoint_file import parse_waypoints
 from construction_twin.planning.waypoints import plan_waypoints
@@ -96,7 +97,7 @@ def _rehearse(options: argparse.Namespace) -> int:
     plan = _plan(*_trajectory(options, robot), scene)
     film = Film() if options.picture or options.video else None
     report = rehearsal.of_plan(plan, {scene.hash: scene}, time.perf_counter, film.watch if film else None)
-    console = Console(highlight=False, stderr=bool(options.json))
+    console = table_console(stderr=bool(options.json))
     if options.json:
         print(json.dumps(document(report), indent=2, sort_keys=True))
     else:

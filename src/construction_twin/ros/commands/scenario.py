@@ -24,6 +24,7 @@ from construction_twin.core.files import check_writable
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import from_wire
+from construction_twin.evaluation.tables import table_console
 from construction_twin.gateway.trace import read_trace
 from construction_twin.msg import Execution, Link, Plan, Sync, Transition
 from construction_twin.robot.description import RobotModel, read_robot_files
@@ -307,7 +308,7 @@ def command(arguments: list[str]) -> int:
     0; 1 when a scenario failed or something cannot be read.
     """
     options = _parser().parse_args(arguments)
-    console = Console(highlight=False, markup=False)
+    console = table_console(markup=False)
     try:
         if options.judge:
             return _judge(options, console)
@@ -363,7 +364,7 @@ def main() -> int:
     arguments = rospy.myargv()[1:]
     if arguments:
         return command(arguments)
-    console = Console(highlight=False, markup=False)
+    console = table_console(markup=False)
     try:
         await_master()
         with ending_on_signals():

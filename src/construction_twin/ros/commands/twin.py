@@ -9,8 +9,10 @@ import argparse
 import getpass
 import os
 import sys
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import rospy
@@ -31,6 +33,7 @@ from construction_twin.ros.shared.robot_listener import RobotListener
 from construction_twin.views.arguments import TRIGGERS, Exit
 from construction_twin.views.goals import joint_goal, pose_goal
 from construction_twin.views.texts import caller_line, plan_lines, status_lines
+from construction_twin.work.names import named
 
 #: States of the executor in which no plan is under way.
 _AT_REST = (Execution.WAITING, Execution.IDLE)
@@ -114,16 +117,20 @@ class Command:
         work = WorkCommand(self._options, self._namespace, account_name(), self._client)
         if self._options.step != "approve":
             return work.run()
-        return self._approve(work.plan_under_review())
+        return self._approve(*work.plan_under_review())
 
-    def _approve(self, expected: str = "") -> Exit:
-        """Approve the plan under review; refuse another one than `expected`, if that is given."""
+    def _approve(self, expected: str = "", names: Mapping[str, str] = MappingProxyType({})) -> Exit:
+        """Approve the plan under review; refuse another one than `expected`, if that is given.
+
+        Args:
+            names: What is printed for each id, see `work.names.named`.
+        """
         options = self._options
         listener = self._listener()
         plan = self._under_review(listener)
         if expected and plan.id != expected:
             raise RequestRefused(Sentence("view.refused.not_of_task", plan=plan.id, expected=expected))
-        self._print_plan(plan, listener)
+        self._print_plan(plan, listener, names)
         seen = self._print_rehearsal(plan) if options.override_rehearsal else None
         if not options.yes and not _confirmed():
             print("not approved; the plan still waits", file=sys.stderr)
@@ -212,11 +219,11 @@ class Command:
     def _reported(listener: RobotListener, name: str) -> bool:
         return listener.newest(name) is not None
 
-    def _print_plan(self, plan: Plan, listener: RobotListener) -> None:
+    def _print_plan(self, plan: Plan, listener: RobotListener, names: Mapping[str, str] = MappingProxyType({})) -> None:
         lines = plan_lines(plan, self._robot().linear, listener.changes(plan.id))
         if plan.source.startswith(f"{BY_ACTION} "):
             lines.append(self._caller_line(plan, listener))
-        print("\n".join(lines))
+        print("\n".join(named(line, names) for line in lines))
 
     def _caller_line(self, plan: Plan, listener: RobotListener) -> str:
         def told() -> bool:

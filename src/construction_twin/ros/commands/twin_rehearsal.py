@@ -5,10 +5,10 @@ from __future__ import annotations
 import contextlib
 
 import rospy
-from rich.console import Console
 
 from construction_twin.core.errors import ConstructionTwinError, SilenceError
 from construction_twin.core.sentences import Sentence
+from construction_twin.evaluation.tables import table_console
 from construction_twin.msg import Rehearsal
 from construction_twin.physics.report import PASSED, RehearsalReport, is_whole
 from construction_twin.ros.messages.records import from_msg
@@ -60,4 +60,4 @@ def _read(message: Rehearsal) -> RehearsalReport:
 
 
 def _print(report: RehearsalReport) -> None:
-    Console(highlight=False, soft_wrap=True).print(rehearsal_table(report))
+    table_console().print(rehearsal_table(report))

@@ -20,8 +20,11 @@ from construction_twin.srv import WorkDecide, WorkMeasured
 from construction_twin.views.arguments import Exit
 from construction_twin.views.goals import pose_goal
 from construction_twin.views.work_texts import chosen, list_lines, note_lines, show_lines
+from construction_twin.work.names import labels
 
 _DECISIONS = {"skip": "skip", "redo": "redo", "answer": "answer", "removed": "removed", "accept": "accept_schedule"}
+#: Stands for every task that asks about what was placed.
+ALL = "all"
 
 
 class WorkCommand:
@@ -49,13 +52,13 @@ class WorkCommand:
             getattr(self, f"_{step}")()
         return Exit.DONE
 
-    def plan_under_review(self) -> str:
-        """Return the id of the plan of a task that waits for approval; refuse when there is none."""
+    def plan_under_review(self) -> tuple[str, dict[str, str]]:
+        """Return the id of the plan of a task that waits for approval, and the names of elements; refuse when there is none."""
         work = self._work()
         found = next((task.plan_id for task in work.tasks if task.state == "planned" and task.plan_id), "")
         if not found:
             raise RequestRefused(Sentence("view.refused.no_task_plan", reason=work.reason))
-        return found
+        return found, labels({task.element: task.element_name for task in work.tasks})
 
     def _list(self) -> None:
         print("\n".join(list_lines(self._work())))
@@ -71,13 +74,17 @@ class WorkCommand:
     def _decide(self, step: str) -> None:
         options = self._options
         work = self._work()
-        task = chosen(work.tasks, options.task).id if step != "accept" else ""
+        # of an element with a task of its own name that one is meant which asks
+        asking = [task for task in work.tasks if task.question] if step == "answer" else []
+        every = step == "accept" or (step == "answer" and options.task == ALL)
+        task = "" if every else chosen(asking or work.tasks, options.task).id
         if step == "accept":
             # what was left out or understood in some way is known before it is accepted
             print("\n".join(note_lines(work) or ["no notes on model and schedule"]))
         answer = options.answer if step == "answer" else ""
         person = options.person or self._account
-        fields = {"task": task, "decision": _DECISIONS[step], "answer": answer, "person": person}
+        decision = "answer_all" if every and step == "answer" else _DECISIONS[step]
+        fields = {"task": task, "decision": decision, "answer": answer, "person": person}
         print(self._client.ask("work/decide", WorkDecide, reason=options.reason, **fields).message)
 
     def _measured(self) -> None:

@@ -25,6 +25,7 @@ from construction_twin.core.errors import ConstructionTwinError, spoken
 from construction_twin.core.extras import check_extras
 from construction_twin.core.files import check_writable, write_whole
 from construction_twin.core.sentences import Sentence
+from construction_twin.evaluation.tables import table_console
 from construction_twin.kinematics.chain import Chain
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.commands.evaluate import package_file
@@ -66,7 +67,7 @@ def main(arguments: list[str]) -> int:
         0, 1 or 2, see above.
     """
     options = _parser().parse_args(arguments)
-    console = Console(highlight=False)
+    console = table_console()
     directory = options.output or options.model.with_name(options.model.stem + "_check")
     try:
         check_extras("work")
@@ -81,14 +82,14 @@ def main(arguments: list[str]) -> int:
 
             # what is doubted, or has no usable body, stands as an obstacle
             stands = standing(work.building, pieces, work.site, robot, Path(folder))
-            notes = (*work.notes, *inexact, *stands.notes)
+            notes = tuple(map(work.building.called, (*work.notes, *inexact, *stands.notes)))
             for note in notes:
                 console.print(note, markup=False, soft_wrap=True)
             setup = Setup(
                 arm, options.cell, work.building, pieces, work.jobs, robot=options.robot, standing=stands.pieces,
                 removals=work.schedule.removals,
             )  # fmt: skip
-            checked = _remarked(_check(setup, options.processes, console), work.schedule)
+            checked = _remarked(_check(setup, options.processes, console), work)
             about = {
                 "model": work.building.file, "digest": work.building.digest, "cell": str(options.cell), "robot": robot.name,
                 "proposed": work.schedule.proposed, "seconds": checked.seconds, "rss_mb": checked.rss_mb, "notes": notes,
@@ -141,7 +142,6 @@ def _pieces(work: _Work, folder: Path) -> tuple[dict[str, tuple[SceneObject, ...
     notes += [
         Sentence(
             "work.body.larger_checked",
-            name=repr(work.building.element(name).name),
             element=name,
             excess=1e3 * shape.excess,
         )
@@ -159,9 +159,9 @@ def _check(setup: Setup, processes: int, console: Console) -> Checked:
         return check_all(setup, processes, lambda _: progress.update(bar, advance=1, refresh=True))
 
 
-def _remarked(checked: Checked, schedule: Schedule) -> Checked:
-    tasks = (replace(task, remarks=schedule.remarks.get(task.job, ())) for task in checked.tasks)
-    return replace(checked, tasks=tuple(tasks))
+def _remarked(checked: Checked, work: _Work) -> Checked:
+    remarks = {job: tuple(map(work.building.called, said)) for job, said in work.schedule.remarks.items()}
+    return replace(checked, tasks=tuple(replace(task, remarks=remarks.get(task.job, ())) for task in checked.tasks))
 
 
 #: Headings of the table in the terminal; whether the column holds words; its greatest width, 0: what is left of the terminal.
@@ -186,12 +186,11 @@ def _print(console: Console, checked: Checked, files: Iterable[Path]) -> None:
         table.add_row(*row(task)[: len(table.columns)], style="" if task.possible else "red")
     console.print(table)
     for task in checked.tasks:
+        about = f"{task.number + 1} {task.name} ({task.element_name or task.element})"
         if not task.possible:
-            console.print(f"{task.number + 1} {task.name} ({task.element}): {why(task)}", markup=False, soft_wrap=True)
+            console.print(f"{about}: {why(task)}", markup=False, soft_wrap=True)
         for remark in task.remarks:
-            console.print(
-                f"{task.number + 1} {task.name} ({task.element}), note: {remark}", markup=False, soft_wrap=True
-            )
+            console.print(f"{about}, note: {remark}", markup=False, soft_wrap=True)
     count = sum(task.possible for task in checked.tasks)
     console.print(
         f"{count} of {len(checked.tasks)} tasks are possible; checked in {checked.seconds:.0f} s, {checked.rss_mb:.0f} MB"

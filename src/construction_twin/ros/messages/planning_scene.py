@@ -27,14 +27,9 @@ class MoveitTypes:
     shapes: ModuleType
 
 
-def moveit_types() -> MoveitTypes | None:
-    """Return the installed types, or None where moveit_msgs is not installed."""
-    try:
-        return MoveitTypes(importlib.import_module("moveit_msgs.msg"), importlib.import_module("shape_msgs.msg"))
-    except ModuleNotFoundError as error:
-        if error.name is None or error.name.split(".")[0] not in ("moveit_msgs", "shape_msgs"):
-            raise
-        return None
+def moveit_types() -> MoveitTypes:
+    """Return the installed types: call it only where moveit_msgs is installed."""
+    return MoveitTypes(importlib.import_module("moveit_msgs.msg"), importlib.import_module("shape_msgs.msg"))
 
 
 def planning_scene_message(

@@ -716,15 +716,14 @@ class ExecutorNode:
 
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
-        executor, log = self._executor, self._log
+        executor, log = self._executor, self._log.file
         values = {
             "outcome of the last plan": executor.outcome,
             "rate": f"{executor.rate:.3f}",
             "speed limit": f"{self._limit.limit:.3f}",
             "speed limit because": self._limit.reason,
-            "records": log.state.lines,
+            "records": log.lines,
             "records lost": log.lost,
-            "SHA-256 of the last record": log.state.head,
         } | self._side_effects.report()
         if problem := self._record_problem or self._engagement_problem:
             return Report(ERROR, problem, values)
@@ -792,12 +791,12 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> ExecutorNode:
             tool_command=ports.publishers["tool_command"],
             engagement=ports.publishers["engagement"],
         ),
-        EngagementFile(log.path.with_name(f"{log.path.stem}_engagement.json"), robot.joint_names),
+        EngagementFile(log.file.path.with_name(f"{log.file.path.stem}_engagement.json"), robot.joint_names),
         ports.diagnostics,
         WithoutPerson(settings.auto_approve, settings.auto_approve_sources),
     )
     rospy.on_shutdown(node.write_records)
-    rospy.loginfo("verdicts are recorded in %s (%d so far)", log.path, log.state.lines)
+    rospy.loginfo("verdicts are recorded in %s (%d so far)", log.file.path, log.file.lines)
     if settings.auto_approve:
         rospy.logwarn("auto_approve is on: every plan is approved by itself, without a person")
     elif settings.auto_approve_sources:

@@ -208,10 +208,8 @@ def start(settings: NeighbourSettings, robot: RobotModel, ports: Ports) -> Neigh
     timeout = VERDICT_TIMEOUT / NANOSECONDS
     horizon = braking_horizon(robot, other.robot, settings.max_pose_age, timeout, DELAY)
     judge = PathJudge(robot, settings.name, settings.watch_padding, settings.own_step, horizon)
-    types, moveit = moveit_types(), None
     told = ports.publishers.get(PLANNING_SCENE.topic)
-    if types is not None and told is not None:
-        moveit = OtherArmPublisher(types, robot, told, settings.padding)
+    moveit = None if told is None else OtherArmPublisher(moveit_types(), robot, told, settings.padding)
     rospy.loginfo("watches %s; a conflict is acted upon at least %.2f s ahead", settings.name, horizon)
     return NeighbourNode(settings, own, other, judge, horizon, ports.publishers["conflict"], moveit)
 

@@ -241,13 +241,10 @@ class SceneNode:
 
     def _for_moveit(self, publisher: Sink | None) -> PlanningScenePublisher | None:
         """Return what tells MoveIt of the scene, where its message types are installed."""
-        types = moveit_types()
-        if types is None or publisher is None:
-            rospy.loginfo(
-                "moveit_msgs is not installed: planning_scene is not published; `twin scene --moveit` writes a file"
-            )
+        if publisher is None:
+            rospy.loginfo("planning_scene is not published without moveit_msgs; `twin scene --moveit` writes a file")
             return None
-        return PlanningScenePublisher(types, self._robot, self._world.self_collision, publisher)
+        return PlanningScenePublisher(moveit_types(), self._robot, self._world.self_collision, publisher)
 
     def _publish_markers(self) -> None:
         names = set(self._world.scene.names)

@@ -265,12 +265,13 @@ class WorkNode:
         )
         if rospy.is_shutdown():
             return
-        path = ledger_path(ros_home() / settings.folder, self._robot.name, prepared.model)
+        path = ledger_path(ros_home() / settings.folder, self._robot.name, prepared.cell)
         ledger = Ledger(
-            path, prepared.after, prepared.digest, time.time_ns, str(Path(prepared.cell).resolve()), prepared.element_of,
-            prepared.staying,
+            path, prepared.after, prepared.digest, time.time_ns, str(Path(prepared.cell).resolve()),
+            prepared.schedule.placing, prepared.standing_elements, self._robot.name, prepared.present,
         )  # fmt: skip
         board = TaskBoard(prepared, ledger, self._robot.name, self._robot.tip_link)
+        board.look_around()
         rospy.loginfo(
             "%s: %d tasks, %d lines in %s; read in %.1f s",
             prepared.model, len(prepared.schedule.jobs), ledger.lines, path, time.monotonic() - began,
@@ -363,8 +364,8 @@ class WorkNode:
                 "plan", task=task, element=board.element_of(task), start=start, scene=scene, held=held
             )
         except WorkerError as error:
-            board.failures[task] = str(error)
-            raise
+            board.failures[task] = board.called(error.sentence)
+            raise WorkRefused(board.failures[task]) from error
         board.failures.pop(task, None)
         rospy.loginfo("%s: planned with %s in %.2f s", board.title(task), plan.method, time.monotonic() - began)
         return self._offer(task, plan, work)
@@ -444,6 +445,8 @@ class WorkNode:
     def _decided(board: TaskBoard, request: WorkDecideRequest) -> str:
         if request.decision == "accept_schedule":
             return board.accept(request.person, request.reason)
+        if request.decision == "answer_all":
+            return board.answer_all(request.answer, request.person, request.reason)
         if request.decision == "answer":
             return board.answer(request.task, request.answer, request.person, request.reason, request.question)
         if request.decision in DECISIONS:
@@ -525,7 +528,7 @@ class WorkNode:
                 return Report(ERROR if self._broken else WARN, self._problem)
             board = self._work.board
             values: dict[str, object] = {state.value: len(board.book.in_state(state)) for state in TaskState}
-            values |= {"lines of the ledger": board.ledger.lines, "SHA-256 of the last line": board.ledger.head}
+            values["lines of the ledger"] = board.ledger.lines
             values["notes on the model"] = len(board.notes)
             asks = bool(board.book.in_state(TaskState.ASKS))
             return Report(WARN if asks else OK, board.summary(time.time_ns()), values)
@@ -540,9 +543,9 @@ def _under_review(sentence: str, task: str, plan_id: str, plan_hash: str, durati
     return Outcome(True, sentence, fields=fields)
 
 
-def ledger_path(folder: Path, robot: str, model: str) -> Path:
-    """Return the file of a ledger: one for each robot and name of a model, whatever its version."""
-    return folder / f"{robot}_{Path(model).stem}.jsonl"
+def ledger_path(folder: Path, robot: str, cell: str) -> Path:
+    """Return the file of a ledger: one for each robot and site, by the name of its cell file, whatever is built there."""
+    return folder / f"{robot}_{Path(cell).stem}.jsonl"
 
 
 def _call(name: str, kind: type, timeout: float, request: Any) -> tuple[str, Any]:

@@ -77,21 +77,21 @@ class Publication:
 
     def open(self, _robot: RobotModel) -> Sink | None:
         """Return the publisher; None where its kind is not installed."""
-        kind = installed(self.kind) if isinstance(self.kind, str) else self.kind
+        kind = self._installed(self.kind) if isinstance(self.kind, str) else self.kind
         if kind is None:
             return None
         return Publisher(self.topic, kind, self.queue_size, latch=self.latch, tcp_nodelay=self.tcp_nodelay)
 
-
-def installed(kind: str) -> type | None:
-    """Return a type of messages by its ROS name, None where its package is not installed."""
-    package, name = kind.split("/")
-    try:
-        return getattr(import_module(f"{package}.msg"), name)
-    except ModuleNotFoundError as error:
-        if error.name is None or error.name.split(".")[0] != package:
-            raise
-        return None
+    def _installed(self, kind: str) -> type | None:
+        """Return a type of messages by its ROS name; None where its package, or one that it needs, is not installed."""
+        package, name = kind.split("/")
+        try:
+            return getattr(import_module(f"{package}.msg"), name)
+        except ModuleNotFoundError as error:
+            missing = str(error.name).split(".")[0]
+            if missing != package:
+                rospy.logwarn("%s is not published: %s needs %s, which is not installed", self.topic, package, missing)
+            return None
 
 
 @dataclass(frozen=True)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import rospy
 
+from construction_twin.core.append_only import AppendOnlyFile, iso_time
 from construction_twin.core.errors import TransitionLogError
 from construction_twin.monitor.states import SyncState, Transition
-from construction_twin.monitor.transition_log import TransitionLog
 from construction_twin.msg import Transition as TransitionMsg
-from construction_twin.review.chained_file import iso_time
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.params import ros_home
 from construction_twin.ros.transport.joint_stream import to_time
@@ -44,7 +44,7 @@ class TransitionReport:
         self.problem = ""
         self.count = 0
         self._names = names
-        self._log = TransitionLog(ros_home() / Path(file).expanduser(), names)
+        self._log = AppendOnlyFile(ros_home() / Path(file).expanduser(), TransitionLogError, "pca_monitor")
         self._said = DeferredLog()
         self._recent: deque[Transition] = deque(maxlen=SHOWN)
         self._publisher = publisher
@@ -52,14 +52,14 @@ class TransitionReport:
 
     def report(self, change: Transition) -> None:
         """Publish a transition and keep it for both logs."""
-        self._log.defer(change)
+        self._log.defer(change.at, transition_fields(change, self._names))
         self._recent.appendleft(change)
         self.count += 1
         self._publisher.publish(self._message(change))
         self._said.add(_say(change.target), "%s", change)
 
     def flush(self) -> None:
-        """Write what is kept to the logs; not for the path of the setpoints."""
+        """Write what is kept to the logs; waits for the disk."""
         self._said.flush()
         try:
             self._log.flush()
@@ -93,6 +93,25 @@ class TransitionReport:
         if change.comparison is not None:
             message.error, message.threshold = change.comparison.error, change.comparison.threshold
         return message
+
+
+def transition_fields(change: Transition, names: Sequence[str]) -> dict:
+    """Return what a line of the log holds of a transition, besides its time; `error` and `threshold` by joint [rad], [m]."""
+    last = change.comparison
+    return {
+        "from": change.source.name,
+        "to": change.target.name,
+        "event": change.event.value,
+        "reason": change.reason,
+        "error": _by_joint(names, last.error) if last else {},
+        "threshold": _by_joint(names, last.threshold) if last else {},
+        "held_stamp_ns": change.held_stamp,
+    }
+
+
+def _by_joint(names: Sequence[str], values: Sequence[float]) -> dict[str, float | None]:
+    """Return values by joint name; JSON has no word for what is no number."""
+    return {name: value if math.isfinite(value) else None for name, value in zip(names, values)}
 
 
 def _say(state: SyncState) -> Callable[..., None]:

@@ -74,8 +74,6 @@ class WorkScene:
         if scene is None:
             return
         with self._lock:
-            if self._board.in_doubt:
-                return
             wanted, alone = self._board.wanted_scene()
         wrong = change(scene, wanted, alone)
         if wrong != SceneChange():

@@ -20,7 +20,7 @@ from construction_twin.core.files import read_file
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.kinematics.chain import Pose
-from construction_twin.work.building import Body, BuildingModel, Element
+from construction_twin.work.building import Body, BuildingModel, Element, Task
 from construction_twin.work.ifc.doubts import Doubts, check_complete, entries
 from construction_twin.work.ifc.geometry import NO_UNIT_CODES, Shape, shapes
 from construction_twin.work.ifc.notes import Misread, Notes, Where
@@ -29,10 +29,11 @@ from construction_twin.work.ifc.properties import HEAVIEST, read_mass, read_mate
 from construction_twin.work.ifc.relations import Relations, read_relations
 from construction_twin.work.ifc.representations import body_of, reach
 from construction_twin.work.ifc.step_text import for_parser
-from construction_twin.work.ifc.tasks import read_tasks, unique_id
+from construction_twin.work.ifc.tasks import Groups, read_tasks, unique_id
 from construction_twin.work.ifc.units import Units, read_units
 from construction_twin.work.ifc.unread import note_unread
 from construction_twin.work.mesh_checks import volume
+from construction_twin.work.wholes import in_one_piece
 from construction_twin.work.workpieces import is_workpiece
 
 #: Takes what is being done, how much of it is done, and how much there is.
@@ -102,10 +103,11 @@ def read_ifc(path: str | Path, most_bytes: int, progress: Progress = lambda *_: 
     _note_map(file, found)
     _note_origin(file, found)
     elements, ids = _elements(file, found, progress)
-    parents = {element.assembly for element in elements.values()}
-    workpieces = [element.id for element in elements.values() if is_workpiece(element, element.id in parents)]
-    tasks, sequences = read_tasks(file, name, ids, workpieces, found.units, notes)
     note_unread(file, name, elements, notes)
+    given, groups = _given(elements), Groups(found.relations, ids, notes)
+    tasks, sequences = read_tasks(file, name, groups, given, found.units, notes)
+    elements |= groups.elements
+    elements |= _in_one_piece(file, elements, ids, tasks, found)
     project = file.by_type("IfcProject")[0]
     with Where(name, project):
         title = project.Name or getattr(project, "LongName", None) or ""
@@ -114,6 +116,37 @@ def read_ifc(path: str | Path, most_bytes: int, progress: Progress = lambda *_: 
         name, digest, file.schema, title, found.units.length, elements, tasks, sequences, notes.sentences(names),
         notes.remarks({*elements, *tasks}),
     )  # fmt: skip
+
+
+def _given(elements: dict[str, Element]) -> set[str]:
+    """Return what a task that it is given to builds: workpieces, and assemblies without a body of which they are parts."""
+    parents = {element.assembly for element in elements.values()}
+    found = {element.id for element in elements.values() if is_workpiece(element, element.id in parents)}
+    for name in list(found):
+        whole = elements[name].assembly
+        while whole in elements and not elements[whole].bodies and whole not in found:
+            found.add(whole)
+            whole = elements[whole].assembly
+    return found
+
+
+def _in_one_piece(
+    file: ifcopenshell.file, elements: dict[str, Element], ids: dict[int, str], tasks: dict[str, Task], found: _Found
+) -> dict[str, Element]:
+    """Return what comes in one piece, as `in_one_piece` does, and note it."""
+    with Where(found.name, Sentence("ifc.file")):
+        factory = {
+            ids[each.id()]
+            for each in file.by_type("IfcElementAssembly")
+            if each.AssemblyPlace == "FACTORY" and each.id() in ids
+        }
+    changed = in_one_piece(elements, tasks, factory)
+    for name, element in changed.items():
+        if element.bodies:
+            found.notes.add(Sentence("ifc.note.one_piece"), element.name or name, name)
+            if element.mass is None:
+                found.notes.add(Sentence("ifc.note.one_piece_mass"), element.name or name, name)
+    return changed
 
 
 def _contents(path: str | Path, name: str, most_bytes: int) -> bytes:
@@ -347,6 +380,7 @@ def _element(
         mass=mass,
         status=read_status(product, element_id, properties, found.notes),
         doubt=doubt,
+        on=tuple(ids[host.id()] for host in found.relations.on.get(product.id(), ()) if host.id() in ids),
     )
 
 

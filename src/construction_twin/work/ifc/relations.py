@@ -1,7 +1,8 @@
-"""Which object is part of which: aggregation, nesting, storeys. Loops are refused here, before anything follows the relations."""
+"""Which object is part of, in or on which: aggregation, nesting, storeys, fillings. Loops are refused before anything follows."""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
 
 import ifcopenshell
@@ -9,6 +10,15 @@ import ifcopenshell
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.ifc.notes import Where, label
+
+_Entities = dict[int, list[ifcopenshell.entity_instance]]
+#: Relations of what is in or on elements: attributes of the elements, and of what is in or on them.
+_ON = {
+    "IfcRelFillsElement": (("RelatingOpeningElement",), "RelatedBuildingElement"),
+    "IfcRelCoversBldgElements": (("RelatingBuildingElement",), "RelatedCoverings"),
+    "IfcRelProjectsElement": (("RelatingElement",), "RelatedFeatureElement"),
+    "IfcRelConnectsWithRealizingElements": (("RelatingElement", "RelatedElement"), "RealizingElements"),
+}
 
 
 @dataclass(frozen=True)
@@ -19,11 +29,30 @@ class Relations:
         whole: What a part is aggregated or nested into.
         container: Spatial element that holds an element.
         openings: What is cut from an element.
+        on: What something fills, covers, projects from or fastens.
+        members: What a group or a part of the site holds, by its own id.
     """
 
     whole: dict[int, ifcopenshell.entity_instance]
     container: dict[int, ifcopenshell.entity_instance]
-    openings: dict[int, list[ifcopenshell.entity_instance]]
+    openings: _Entities
+    on: _Entities
+    members: _Entities
+
+    def within(self, group: ifcopenshell.entity_instance) -> list[ifcopenshell.entity_instance]:
+        """Return what a group or a part of the site holds, what holds things itself replaced by these."""
+        found: dict[int, ifcopenshell.entity_instance] = {}
+        left, seen = [group], set()
+        while left:
+            at = left.pop(0)
+            if at.id() in seen:
+                continue
+            seen.add(at.id())
+            if at.id() in self.members:
+                left += self.members[at.id()]
+            elif at is not group:
+                found[at.id()] = at
+        return [found[number] for number in sorted(found)]
 
     def wholes(self, entity: ifcopenshell.entity_instance) -> list[ifcopenshell.entity_instance]:
         """Return what an entity is part of, the nearest first."""
@@ -52,22 +81,45 @@ def read_relations(file: ifcopenshell.file, name: str) -> Relations:
         BuildingError: If something is part of itself.
     """
     whole: dict[int, ifcopenshell.entity_instance] = {}
+    members: _Entities = defaultdict(list)
     # in IFC2x3 both are subtypes of IfcRelDecomposes; nesting of tasks and resources is read with them, for its loops
     for relation in (*file.by_type("IfcRelAggregates"), *file.by_type("IfcRelNests")):
         with Where(name, relation):
             for part in relation.RelatedObjects:
                 whole.setdefault(part.id(), relation.RelatingObject)
+                if relation.RelatingObject.is_a("IfcProduct") and not relation.RelatingObject.is_a("IfcElement"):
+                    members[relation.RelatingObject.id()].append(part)
     container: dict[int, ifcopenshell.entity_instance] = {}
     for relation in file.by_type("IfcRelContainedInSpatialStructure"):
         with Where(name, relation):
             for part in relation.RelatedElements:
                 container.setdefault(part.id(), relation.RelatingStructure)
-    openings: dict[int, list[ifcopenshell.entity_instance]] = {}
+                members[relation.RelatingStructure.id()].append(part)
+    for relation in file.by_type("IfcRelAssignsToGroup"):
+        with Where(name, relation):
+            members[relation.RelatingGroup.id()] += relation.RelatedObjects
+    voided: dict[int, ifcopenshell.entity_instance] = {}
+    openings: _Entities = defaultdict(list)
     for relation in file.by_type("IfcRelVoidsElement"):
         with Where(name, relation):
-            openings.setdefault(relation.RelatingBuildingElement.id(), []).append(relation.RelatedOpeningElement)
+            openings[relation.RelatingBuildingElement.id()].append(relation.RelatedOpeningElement)
+            voided[relation.RelatedOpeningElement.id()] = relation.RelatingBuildingElement
     _refuse_loops(file, name, whole)
-    return Relations(whole, container, openings)
+    return Relations(whole, container, dict(openings), _on(file, name, voided), dict(members))
+
+
+def _on(file: ifcopenshell.file, name: str, voided: dict[int, ifcopenshell.entity_instance]) -> _Entities:
+    found: _Entities = defaultdict(list)
+    for kind, (hosts, guests) in _ON.items():
+        for relation in file.by_type(kind):
+            with Where(name, relation):
+                given = getattr(relation, guests)
+                for host in filter(None, (getattr(relation, attribute) for attribute in hosts)):
+                    # what fills an opening is in the element that it is cut out of
+                    element = voided.get(host.id(), host)
+                    for guest in filter(None, given if isinstance(given, tuple) else (given,)):
+                        found[guest.id()].append(element)
+    return dict(found)
 
 
 def _refuse_loops(file: ifcopenshell.file, name: str, whole: dict[int, ifcopenshell.entity_instance]) -> None:

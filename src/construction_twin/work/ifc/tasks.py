@@ -15,16 +15,23 @@ import ifcopenshell
 import ifcopenshell.util.date
 import ifcopenshell.util.element
 import isodate
+import numpy as np
 
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
-from construction_twin.work.building import Sequence, Task
+from construction_twin.kinematics.chain import Pose
+from construction_twin.work.building import Element, Sequence, Task
 from construction_twin.work.ifc.notes import Notes, Where, label
 from construction_twin.work.ifc.properties import read_properties
+from construction_twin.work.ifc.relations import Relations
 from construction_twin.work.ifc.units import Units
 from construction_twin.work.recipe import PROPERTY_SET, RECIPE
 
 _NO_TIME = Sentence("ifc.note.no_time_unit")
+#: A ratio above this is counted in percent: nobody waits ten times as long as something took.
+_MOST_RATIO = 10.0
+#: Dates of a task, the first that is said counts.
+_DATES = ("Schedule", "Early", "Late")
 _KINDS = ("FINISH_START", "START_START", "FINISH_FINISH", "START_FINISH")
 #: Resources that do work; materials and products are no robots.
 _WORKERS = ("IfcConstructionEquipmentResource", "IfcCrewResource", "IfcLaborResource", "IfcSubContractResource")
@@ -66,13 +73,45 @@ class _Assigned:
     schedules: dict[int, ifcopenshell.entity_instance] = field(default_factory=dict)
     times: dict[int, ifcopenshell.entity_instance] = field(default_factory=dict)
     calendars: dict[int, str] = field(default_factory=dict)
+    #: A `Completion` of this is all of a task: 100 where the file counts in percent.
+    whole: float = 1.0
+
+
+class Groups:
+    """What tasks are assigned to: elements, and groups and parts of the site, which become records of their own.
+
+    Args:
+        ids: Id of the element's record, by the entity's id.
+
+    Attributes:
+        elements: Records of the groups and parts of the site that tasks are assigned to, by their ids.
+    """
+
+    def __init__(self, relations: Relations, ids: dict[int, str], notes: Notes):
+        self._relations, self._ids, self._notes = relations, dict(ids), notes
+        self.elements: dict[str, Element] = {}
+
+    def named(self, entity: ifcopenshell.entity_instance) -> str:
+        """Return the id of an element, or of what holds elements; empty: it is neither."""
+        if entity.id() not in self._ids:
+            within = self._relations.within(entity)
+            members = tuple(self._ids[each.id()] for each in within if each.id() in self._ids)
+            if not members:
+                return ""
+            own = unique_id(entity, self._ids.values(), self._notes)
+            self._ids[entity.id()] = own
+            self.elements[own] = Element(
+                own, entity.is_a(), entity.Name or "", "", "", "", "", "", Pose(np.zeros(3), np.eye(3)), (), {}, None,
+                members=members,
+            )  # fmt: skip
+        return self._ids[entity.id()]
 
 
 def read_tasks(
     file: ifcopenshell.file,
     name: str,
-    ids: dict[int, str],
-    workpieces: Collection[str],
+    groups: Groups,
+    given: Collection[str],
     units: Units,
     notes: Notes,
 ) -> tuple[dict[str, Task], tuple[Sequence, ...]]:
@@ -80,8 +119,7 @@ def read_tasks(
 
     Args:
         name: For messages.
-        ids: Id of the element's record, by the entity's id.
-        workpieces: Ids of elements that are workpieces by default.
+        given: Ids of elements that a task builds where it has them as inputs only.
         units: The project's.
 
     Raises BuildingError.
@@ -89,7 +127,7 @@ def read_tasks(
     assigned = _assigned(file, name, notes)
     every = sorted(file.by_type("IfcTask"), key=lambda task: task.id())
     entities = _scheduled(every, assigned, notes)
-    recorded = _recorded(every, entities, assigned, ids)
+    recorded = _recorded(every, entities, assigned, groups)
     task_ids: dict[int, str] = {}
     for entity in entities:
         with Where(name, entity):
@@ -100,12 +138,13 @@ def read_tasks(
             about = entity.Name or task_ids[entity.id()]
             notes.add(Sentence("ifc.note.calendar", calendar=calendar), about, task_ids[entity.id()])
         with Where(name, entity):
-            task = _task(entity, name, task_ids, assigned, ids, set(workpieces), units, notes)
+            task = _task(entity, name, task_ids, assigned, groups, set(given), units, notes)
             tasks[task.id] = _as_recorded(task, recorded, notes)
     sequences = []
-    for relation in file.by_type("IfcRelSequence"):
+    for relation in file.by_type("IfcRelSequence") if tasks else ():
         with Where(name, relation):
-            sequence = _sequence(relation, task_ids, units.time, tasks, notes)
+            ends = [_end(each, assigned, task_ids, tasks, notes) for each in _ends(relation)]
+            sequence = _sequence(relation, ends, units.time, tasks, notes)
         if sequence is not None:
             sequences.append(sequence)
     return tasks, tuple(sequences)
@@ -141,10 +180,10 @@ def _assigned(file: ifcopenshell.file, name: str, notes: Notes) -> _Assigned:
     for relation in file.by_type("IfcRelAssignsToProcess"):
         with Where(name, relation):
             for each in relation.RelatedObjects:
-                if each.is_a("IfcProduct"):
-                    found.inputs[relation.RelatingProcess.id()].append(each)
-                elif each.is_a("IfcResource"):
+                if each.is_a("IfcResource"):
                     _work(found, relation.RelatingProcess, each)
+                else:
+                    found.inputs[relation.RelatingProcess.id()].append(each)
     for relation in file.by_type("IfcRelAssignsToResource"):
         with Where(name, relation):
             for each in relation.RelatedObjects:
@@ -162,7 +201,18 @@ def _assigned(file: ifcopenshell.file, name: str, notes: Notes) -> _Assigned:
                     found.schedules.setdefault(each.id(), relation.RelatingControl)
                 if getattr(relation, "TimeForTask", None) is not None:
                     found.times[each.id()] = relation.TimeForTask
+    with Where(name, Sentence("ifc.file")):
+        times = [*found.times.values(), *(getattr(each, "TaskTime", None) for each in file.by_type("IfcTask"))]
+        if any((_completion(time) or 0.0) > 1.0 for time in times):
+            found.whole = 100.0
+            notes.add(Sentence("ifc.note.percent"))
     return found
+
+
+def _completion(time: ifcopenshell.entity_instance | None) -> float | None:
+    """Return what is done of a task, as the file counts; None: not said."""
+    part = getattr(time, "Completion", None)
+    return float(part) if isinstance(part, (int, float)) else None
 
 
 def _work(found: _Assigned, task: ifcopenshell.entity_instance, resource: ifcopenshell.entity_instance) -> None:
@@ -217,7 +267,7 @@ def _recorded(
     every: list[ifcopenshell.entity_instance],
     kept: list[ifcopenshell.entity_instance],
     assigned: _Assigned,
-    ids: dict[int, str],
+    groups: Groups,
 ) -> set[str]:
     """Return the elements that are made by completed tasks of a schedule of the kind ``ACTUAL`` that is left out."""
     left_out = {entity.id(): entity for entity in every}
@@ -228,8 +278,8 @@ def _recorded(
         above = [*_above(entity, assigned)]
         if _schedule_kind(assigned.schedules.get(above[-1].id())) != "ACTUAL":
             continue
-        if any(_says_completed(each, assigned.times.get(each.id())) for each in above):
-            found |= {ids[each.id()] for each in assigned.products[entity.id()] if each.id() in ids}
+        if any(_says_completed(each, assigned) for each in above):
+            found |= {groups.named(each) for each in assigned.products[entity.id()]} - {""}
     return found
 
 
@@ -251,15 +301,15 @@ def _task(
     name: str,
     task_ids: dict[int, str],
     assigned: _Assigned,
-    ids: dict[int, str],
-    workpieces: set[str],
+    groups: Groups,
+    given: set[str],
     units: Units,
     notes: Notes,
 ) -> Task:
     task_id = task_ids[entity.id()]
     shown = entity.Name or task_id
-    products = _elements(assigned.products[entity.id()], ids, shown, task_id, notes)
-    inputs = _elements(assigned.inputs[entity.id()], ids, shown, task_id, notes)
+    products = _elements(assigned.products[entity.id()], groups, shown, task_id, notes)
+    inputs = _elements(assigned.inputs[entity.id()], groups, shown, task_id, notes)
     cancelled = _is_cancelled(entity, assigned)
     properties = read_properties(entity, task_id, units, notes).get(PROPERTY_SET, {})
     by_recipe = properties.get(RECIPE) is not None
@@ -269,7 +319,12 @@ def _task(
         notes.add(sentence, shown, task_id)
     if by_recipe and not products and kind == "makes":
         products, inputs = inputs, []
-    elif not products and inputs and kind == "makes" and (made := [each for each in inputs if each in workpieces]):
+    elif (
+        not products
+        and inputs
+        and kind == "makes"
+        and (made := [each for each in inputs if each in given or each in groups.elements])
+    ):
         notes.add(
             Sentence("ifc.note.inputs_only"),
             shown,
@@ -279,7 +334,7 @@ def _task(
     if kind == "makes" and products:
         _doubt_names(entity, assigned, task_id, shown, notes)
     parent = assigned.parents.get(entity.id())
-    start, finish, duration = _times(entity, assigned.times.get(entity.id()), units.time, shown, task_id, notes)
+    start, finish, duration = _times(_time_of(entity, assigned), units.time, shown, task_id, notes)
     return Task(
         id=task_id,
         name=entity.Name or "",
@@ -383,13 +438,17 @@ def _is_cancelled(entity: ifcopenshell.entity_instance, assigned: _Assigned) -> 
     return any(_status_word(each) in _CANCELLED_WORDS for each in _above(entity, assigned))
 
 
-def _says_completed(entity: ifcopenshell.entity_instance, control: ifcopenshell.entity_instance | None) -> bool:
-    """Return whether a task says of itself that it is done: by its status, or by its times (`control`: those of IFC2x3)."""
-    time = control if control is not None else getattr(entity, "TaskTime", None)
-    part = getattr(time, "Completion", None)
+def _time_of(entity: ifcopenshell.entity_instance, assigned: _Assigned) -> ifcopenshell.entity_instance | None:
+    """Return the times of a task; those of IFC2x3 are a control's."""
+    return assigned.times.get(entity.id()) or getattr(entity, "TaskTime", None)
+
+
+def _says_completed(entity: ifcopenshell.entity_instance, assigned: _Assigned) -> bool:
+    """Return whether a task says of itself that it is done: by its status, or by its times."""
+    time = _time_of(entity, assigned)
     return (
         _status_word(entity) in _DONE_WORDS
-        or (isinstance(part, (int, float)) and part >= (100.0 if part > 1.0 else 1.0))
+        or (_completion(time) or 0.0) >= assigned.whole
         or getattr(time, "ActualFinish", None) is not None
     )
 
@@ -398,22 +457,17 @@ def _completed(
     entity: ifcopenshell.entity_instance, assigned: _Assigned, task_id: str, shown: str, notes: Notes
 ) -> bool:
     """Return whether the file says that a task is done; one that is under way, or says both, is noted."""
-    control = assigned.times.get(entity.id())
-    time = control if control is not None else getattr(entity, "TaskTime", None)
-    status = _status_word(entity)
-    part = getattr(time, "Completion", None)
-    if _says_completed(entity, control):
+    time, status = _time_of(entity, assigned), _status_word(entity)
+    if _says_completed(entity, assigned):
         sentence = Sentence("ifc.note.completed")
         notes.add(sentence, shown, task_id)
         if status and status not in _DONE_WORDS:
             notes.add(Sentence("ifc.note.completed_by_times", status=repr(entity.Status)), shown, task_id)
         return True
-    begun = getattr(time, "ActualStart", None) is not None or (isinstance(part, (int, float)) and part > 0)
+    begun = getattr(time, "ActualStart", None) is not None or (_completion(time) or 0.0) > 0.0
     by_status = Sentence("ifc.note.begun_status", status=repr(entity.Status))
     said = by_status if status else Sentence("ifc.note.begun_times")
-    whole = next(
-        (each for each in _above(entity, assigned) if _says_completed(each, assigned.times.get(each.id()))), None
-    )
+    whole = next((each for each in _above(entity, assigned) if _says_completed(each, assigned)), None)
     if whole is not None:
         because = Sentence("ifc.note.nest_in", name=whole.Name or whole.GlobalId)
         if status or begun:
@@ -435,26 +489,32 @@ def _completed(
 
 
 def _elements(
-    entities: list[ifcopenshell.entity_instance], ids: dict[int, str], task: str, at: str, notes: Notes
+    entities: list[ifcopenshell.entity_instance], groups: Groups, task: str, at: str, notes: Notes
 ) -> list[str]:
+    found: dict[str, None] = {}
     for entity in entities:
-        if entity.id() not in ids:
+        if own := groups.named(entity):
+            found[own] = None
+        else:
             notes.add(Sentence("ifc.note.no_element", kind=entity.is_a()), task, at)
-    return list(dict.fromkeys(ids[entity.id()] for entity in entities if entity.id() in ids))
+    return list(found)
 
 
 def _times(
-    entity: ifcopenshell.entity_instance,
-    control: ifcopenshell.entity_instance | None,
+    time: ifcopenshell.entity_instance | None,
     time_unit: float | None,
     task: str,
     task_id: str,
     notes: Notes,
 ) -> tuple[str, str, float | None]:
-    time = control if control is not None else getattr(entity, "TaskTime", None)
     if time is None:
         return "", "", None
-    start, finish = (_moment(value, task, task_id, notes) for value in (time.ScheduleStart, time.ScheduleFinish))
+    start, finish = (
+        next(filter(None, (_moment(getattr(time, said + end), task, task_id, notes) for said in _DATES)), "")
+        for end in ("Start", "Finish")
+    )
+    if start and time.ScheduleStart is None:
+        notes.add(Sentence("ifc.note.other_start"), task, task_id)
     given = time.ScheduleDuration
     if isinstance(given, str):
         return start, finish, _seconds(given, task, (task_id,), notes)
@@ -508,18 +568,46 @@ def _told(sentence: str, about: str, at: Iterable[str], notes: Notes) -> None:
         notes.remark(sentence, task)
 
 
+def _ends(relation: ifcopenshell.entity_instance) -> tuple[ifcopenshell.entity_instance, ...]:
+    return relation.RelatingProcess, relation.RelatedProcess
+
+
+def _end(
+    process: ifcopenshell.entity_instance,
+    assigned: _Assigned,
+    task_ids: dict[int, str],
+    tasks: dict[str, Task],
+    notes: Notes,
+) -> str:
+    """Return the id of the task that an order names; empty: it is left out with its schedule.
+
+    An event or a procedure passes the order on, as a milestone does; in a task that nests no others it stands for that.
+    """
+    parent = assigned.parents.get(process.id())
+    if process.is_a("IfcTask") or process.id() in task_ids:
+        return task_ids.get(process.id(), "")
+    above = "" if parent is None else task_ids.get(parent.id(), "")
+    if above and not any(task.parent == above for task in tasks.values()):
+        return above
+    own = task_ids[process.id()] = unique_id(process, task_ids.values(), notes)
+    tasks[own] = Task(own, process.Name or "", parent=above, milestone=True, kind="other")
+    return own
+
+
 def _sequence(
     relation: ifcopenshell.entity_instance,
-    task_ids: dict[int, str],
+    ends: list[str],
     time_unit: float | None,
     tasks: dict[str, Task],
     notes: Notes,
 ) -> Sequence | None:
-    before, after = (task_ids.get(end.id()) for end in (relation.RelatingProcess, relation.RelatedProcess))
-    if before is None or after is None:
-        at = [task for task in (before, after) if task is not None]
-        _told(Sentence("ifc.note.foreign_order"), label(relation), at, notes)
+    before, after = ends
+    # what is in one task needs no order
+    if not before or not after or (before == after and not all(each.is_a("IfcTask") for each in _ends(relation))):
         return None
+    process = relation.RelatingProcess
+    if not process.is_a("IfcTask"):
+        notes.add(Sentence("ifc.note.between", kind=process.is_a()), process.Name or before, after)
     kind = relation.SequenceType
     if kind not in _KINDS:
         sentence = Sentence("ifc.note.order_kind")
@@ -545,8 +633,9 @@ def _lag(
             if before.duration is None:
                 _told(Sentence("ifc.note.lag_unknown"), about, at, notes)
                 return 0.0
-            seconds = value.wrappedValue * before.duration
-            _told(Sentence("ifc.note.lag_part"), about, at, notes)
+            percent = value.wrappedValue > _MOST_RATIO
+            seconds = value.wrappedValue * before.duration / (100.0 if percent else 1.0)
+            _told(Sentence("ifc.note.lag_percent" if percent else "ifc.note.lag_part"), about, at, notes)
         else:
             seconds = _seconds(value.wrappedValue, about, at, notes)
         if lag.DurationType == "WORKTIME" and seconds:

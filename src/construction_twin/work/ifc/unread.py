@@ -17,7 +17,6 @@ _UNREAD = {
     "IfcOrderAction": Sentence("ifc.unread.orders"),
     "IfcRelConnectsElements": Sentence("ifc.unread.connections"),
     "IfcRelConnectsStructuralActivity": Sentence("ifc.unread.loads"),
-    "IfcRelProjectsElement": Sentence("ifc.unread.projections"),
     "IfcRelInterferesElements": Sentence("ifc.unread.interferences"),
     "IfcConstraint": Sentence("ifc.unread.constraints"),
 }

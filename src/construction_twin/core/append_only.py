@@ -1,0 +1,170 @@
+"""An append-only file of JSON objects, one per line: verdicts, the ledger of the work, the monitor's changes of state."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import threading
+from collections import deque
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, problem_of
+from construction_twin.core.sentences import Sentence
+from construction_twin.core.units import NANOSECONDS
+
+#: Deferred lines that are kept while the file cannot be written; what comes then is counted, and the number is written later.
+KEPT = 1000
+
+
+def iso_time(now: int) -> str:
+    """Return a time since 1970 [ns] in ISO 8601, UTC, with all nine decimals."""
+    seconds, nanoseconds = divmod(now, NANOSECONDS)
+    return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{nanoseconds:09d}Z"
+
+
+def read_lines(path: str | Path) -> list[dict]:
+    """Return the lines of a file that another process may be writing, without a last one that has no end.
+
+    Raises:
+        ConfigurationError: If it cannot be read, or a line is no JSON object.
+    """
+    content = _read(Path(path))
+    lines = []
+    for number, line in enumerate(content[: content.rfind(b"\n") + 1].split(b"\n")[:-1], start=1):
+        try:
+            fields = json.loads(line)
+            if not isinstance(fields, dict):
+                raise ValueError(type(fields).__name__)
+        except ValueError as error:
+            found = line[:80].decode(errors="replace")
+            expected = Sentence("expected.record.object", problem=str(error))
+            raise ConfigurationError(f"{path} line {number}", found, expected) from error
+        lines.append(fields)
+    return lines
+
+
+class AppendOnlyFile:
+    """Appends lines to a file, which is created when it does not exist; for use from several threads.
+
+    A last line without its end was never reported as written (the power failed): it is cut off.
+
+    Args:
+        path: ``~`` is the home folder.
+        failure: Takes the path and what is wrong; returns the error that is raised when a line cannot be written.
+        writer: Who else may be writing it, for the sentence: ``executor``.
+
+    Attributes:
+        lines: Number of lines.
+        mended: Bytes that were cut off.
+        lost: Deferred lines that were not kept, because `KEPT` others waited for a file that could not be written.
+
+    Raises:
+        ConfigurationError: When the file cannot be written, or another process writes it.
+    """
+
+    def __init__(self, path: str | Path, failure: Callable[[str, str], ConstructionTwinError], writer: str):
+        self.path = Path(path).expanduser()
+        # `defer` counts the one, `flush` the other: they are called from two threads
+        self.lost = self._reported = 0
+        self._failure = failure
+        self._lock = threading.Lock()
+        self._deferred: deque[tuple[int, dict]] = deque()
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = os.open(self.path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o644)
+        except OSError as error:
+            raise ConfigurationError(str(self.path), problem_of(error), Sentence("expected.writable")) from error
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            content = _read(self.path)
+            self.lines, self._size = content.count(b"\n"), content.rfind(b"\n") + 1
+            self.mended = len(content) - self._size
+            if self.mended:
+                os.ftruncate(self._file, self._size)
+                os.fsync(self._file)
+        except (ConfigurationError, OSError) as error:
+            self.close()
+            if isinstance(error, ConfigurationError):
+                raise
+            raise ConfigurationError(
+                str(self.path), str(error), Sentence("expected.record.own", writer=writer)
+            ) from error
+
+    def defer(self, now: int, fields: dict) -> None:
+        """Keep a line for the next `flush`; does not touch the disk.
+
+        Args:
+            now: Time since 1970 [ns].
+            fields: What JSON can hold.
+        """
+        if len(self._deferred) >= KEPT:
+            # no verdict is taken meanwhile: `append` writes these first, and fails
+            self._lost_at = now
+            self.lost += 1
+            return
+        self._deferred.append((now, fields))
+
+    def flush(self) -> None:
+        """Write what was deferred.
+
+        Raises:
+            ConstructionTwinError: What `failure` makes. What is not written stays deferred.
+        """
+        with self._lock:
+            while self._deferred:
+                self._append(*self._deferred[0])
+                self._deferred.popleft()
+            number = self.lost - self._reported
+            if number:
+                reason = f"the file could not be written, and {KEPT} records waited already"
+                self._append(self._lost_at, {"record": "gap", "lost": number, "reason": reason})
+                self._reported += number
+
+    def append(self, now: int, fields: dict) -> None:
+        """Write one line, behind those that were deferred; when this returns it is on the disk.
+
+        Raises:
+            ConstructionTwinError: What `failure` makes. What could be written of the line is taken back.
+        """
+        self.flush()
+        with self._lock:
+            self._append(now, fields)
+
+    def close(self) -> None:
+        """Let go of the file."""
+        os.close(self._file)
+
+    def _append(self, now: int, fields: dict) -> None:
+        data = json.dumps({"time": iso_time(now), "time_ns": now} | fields, allow_nan=False).encode() + b"\n"
+        self._check_there()
+        try:
+            written = os.write(self._file, data)
+            if written != len(data):
+                raise OSError(Sentence("reason.file.cut", written=written, count=len(data)))
+            os.fsync(self._file)
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._file, self._size)
+            raise self._failure(str(self.path), str(error)) from error
+        self._size += len(data)
+        self.lines += 1
+
+    def _check_there(self) -> None:
+        """What is written to a file that was removed or replaced is on no disk."""
+        try:
+            there, here = os.stat(self.path), os.fstat(self._file)
+        except OSError as error:
+            raise self._failure(str(self.path), Sentence("reason.file.gone", problem=str(error))) from error
+        if (there.st_dev, there.st_ino) != (here.st_dev, here.st_ino):
+            raise self._failure(str(self.path), Sentence("reason.file.replaced"))
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ConfigurationError(str(path), problem_of(error), Sentence("expected.readable")) from error
