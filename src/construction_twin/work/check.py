@@ -22,7 +22,6 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.scene.objects import Scene, product
 from construction_twin.scene.self_collision import SelfCollision
 from construction_twin.work.jobs import TaskMotions, WorkJob
-from construction_twin.work.motions import TaskLimits
 from construction_twin.work.processes import process_of
 from construction_twin.work.recipe import DEFAULT
 from construction_twin.work.schedule import Job
@@ -80,7 +79,6 @@ class Checker:
         layout: With the elements of `jobs`, in their order.
         jobs: In the order of the schedule; those whose element has no geometry are not possible.
         clock: Returns seconds from any fixed origin.
-        limits: For each task; by default those of the work node.
         removals: What people take down: gone for the jobs that wait for it, an obstacle for all others.
     """
 
@@ -93,7 +91,6 @@ class Checker:
         jobs: Sequence[Job],
         clock: Callable[[], float],
         rng: np.random.Generator,
-        limits: TaskLimits = TaskLimits(),
         removals: Sequence[Job] = (),
     ):
         self._robot, self._layout, self._clock = robot, layout, clock
@@ -102,7 +99,7 @@ class Checker:
         solver = inverse_kinematics(self._chain, IkSettings(), rng, clock)
         site = layout.site
         self._tool0_T_tcp = pose_of(site.tool.tool.tool0_T_tcp)
-        self._planner = TaskPlanner(robot, solver, settings, self_collision, site.tool, site.recipes, clock, limits)
+        self._planner = TaskPlanner(robot, solver, settings, self_collision, site.tool, site.recipes, clock)
 
     def check(self, number: int) -> CheckedTask:
         """Return what was found for one job of the schedule, by its number from 0."""

@@ -32,6 +32,8 @@ from construction_twin.work.worker import Worker, serve_parent
 
 #: What a process is started with.
 PROGRAM = (sys.executable, "-m", "construction_twin.ros.commands.work_check_pool")
+#: Of every planning: the same model and cell give the same findings.
+SEED = 1
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,6 @@ class Setup:
     building: BuildingModel
     pieces: dict[str, tuple[SceneObject, ...]]
     jobs: tuple[Job, ...]
-    seed: int = 1
     robot: str = ""
     standing: dict[str, tuple[SceneObject, ...]] = field(default_factory=dict)
     removals: tuple[Job, ...] = ()
@@ -94,9 +95,9 @@ class Setup:
         robot = self.arm.robot()
         shipped = yaml.safe_load(self.arm.planner.read_text(encoding="utf-8"))
         known = {key: value for key, value in shipped.items() if key in PlannerSettings.model_fields}
-        settings = PlannerSettings(**{**known, "seed": self.seed})
+        settings = PlannerSettings(**{**known, "seed": SEED})
         layout = self.layout(robot)
-        rng = np.random.default_rng(self.seed)
+        rng = np.random.default_rng(SEED)
         collision = read_self_collision(self.arm.self_collision, robot)
         return Checker(robot, collision, settings, layout, self.jobs, time.monotonic, rng, removals=self.removals)
 
