@@ -20,10 +20,8 @@ from construction_twin.robot.description import home_positions, read_robot_files
 from construction_twin.ros.commands.experiment_settings import ExperimentSettings
 from construction_twin.ros.nodes.executor import Settings as ExecutorSettings
 from construction_twin.ros.nodes.follow_joint_trajectory import Settings as FollowSettings
-from construction_twin.ros.nodes.joint_velocities import Settings as VelocitySettings
 from construction_twin.ros.nodes.mqtt_bridge import Settings as BridgeSettings
 from construction_twin.ros.nodes.mqtt_planner import Settings as RemotePlannerSettings
-from construction_twin.ros.nodes.mqtt_review import Settings as ReviewSettings
 from construction_twin.ros.nodes.pca_monitor import Settings as MonitorSettings
 from construction_twin.ros.nodes.planner import Settings as PlannerSettings
 from construction_twin.ros.nodes.tool_marker import Settings as MarkerSettings
@@ -77,7 +75,6 @@ DEPLOYMENT = {
     "follow_joint_trajectory": {"arm"},
     "separation": set(),
     "mqtt_bridge": {"host", "port", "protocol", "prefix", "account", "realtime_priority", "gateway_kind"},
-    "mqtt_review": {"host", "port", "protocol", "prefix", "account", "tool", "realtime_priority"},
     "mqtt_planner": {
         "host",
         "port",
@@ -306,7 +303,6 @@ SETTINGS = {
     "executor": set(ExecutorSettings.model_fields),
     "follow_joint_trajectory": set(FollowSettings.model_fields),
     "mqtt_bridge": set(BridgeSettings.model_fields),
-    "mqtt_review": set(ReviewSettings.model_fields),
     "mqtt_planner": set(RemotePlannerSettings.model_fields),
     "neighbour": set(NeighbourSettings.model_fields),
     "pca_monitor": set(MonitorSettings.model_fields),
@@ -340,7 +336,6 @@ def test_every_key_of_a_configuration_is_explained_above_it(node):
         (ExperimentSettings, "experiment", {"results_dir": "/tmp"}),
         (MockSettings, "mock_rsi", {"gateway_host": "127.0.0.1", "gateway_port": 49152}),
         (BridgeSettings, "mqtt_bridge", {"host": "127.0.0.1", "port": 1883}),
-        (ReviewSettings, "mqtt_review", {"host": "127.0.0.1", "port": 1883}),
         (RemotePlannerSettings, "mqtt_planner", {"host": "127.0.0.1", "port": 1883}),
         (
             MonitorSettings,
@@ -358,7 +353,6 @@ def test_every_key_of_a_configuration_is_explained_above_it(node):
         (FollowSettings, "follow_joint_trajectory", {"arm": "mock"}),
         (SeparationSettings, "separation", {}),
         (NeighbourSettings, "neighbour", {"name": "b"}),
-        (VelocitySettings, "joint_velocities", {"arm": "mock", "frame_rate": 25.0}),
         (MarkerSettings, "tool_marker", {"self_collision": "/tmp/pairs.yaml", "tf_prefix": "", "reviewer": "me"}),
         (PlannerSettings, "planner", {"self_collision": "/tmp/pairs.yaml", "tf_prefix": ""}),
     ],

@@ -82,7 +82,6 @@ class World:
             behaviour,
             ROBOT.joint_names,
             True,
-            50.0,
             outputs,
             SimpleNamespace(refuse=lambda *said: self.refused.append(said)),
             self.parameters.get(PARAMETER, ""),
@@ -450,7 +449,7 @@ def test_without_a_model_it_publishes_none_and_says_so(world):
 
 def test_it_publishes_expected_poses_only_with_a_model_and_an_arm():
     (topic,) = (each for each in module.INTERFACE.publishes if each.topic == "expected/joint_states")
-    plain = SETTINGS | {"decimals": 3, "sync_rate": 50.0, "transition_file": "t", "drives": "", "torque_watch": False}
+    plain = SETTINGS | {"decimals": 3, "transition_file": "t", "drives": "", "torque_watch": False}
     told = [
         topic.when(module.Settings(**plain | {"arm": arm, "servo_model": file}))
         for arm, file in (("mock", "servos.yaml"), ("mock", ""), ("none", "servos.yaml"))
@@ -523,7 +522,6 @@ def test_it_listens_only_where_it_watches_an_arm():
     plain = SETTINGS | {
         "arm": "mock",
         "decimals": 3,
-        "sync_rate": 50.0,
         "transition_file": "t",
         "drives": "",
         "servo_model": "",

@@ -103,7 +103,7 @@ from construction_twin.srv import (
     StopPlanRequest,
 )
 
-#: The gate counts as closed this long after the monitor's last word; it speaks at `sync_rate` [ns].
+#: The gate counts as closed this long after the monitor's last word; it speaks at its `SYNC_RATE` [ns].
 SYNC_TIMEOUT = NANOSECONDS // 2
 #: How often deferred records are written, and a plan is checked for that may be approved by itself [s].
 BACKGROUND_PERIOD = 0.05

@@ -73,6 +73,8 @@ TORQUE_SILENCE = 2.0
 FEEDBACK_KEPT = 50
 #: Longest time between two `sync` of an open gate while the command rests [ns]: five nodes read each of them.
 RESTING_SYNC = NANOSECONDS // 10
+#: Rate of `sync` while its state does not change [Hz]. After 0.5 s of silence the executor takes the gate for closed.
+SYNC_RATE = 50.0
 #: How long transitions wait for their file [s].
 WRITE_PERIOD = 0.1
 
@@ -82,7 +84,6 @@ class Settings(NodeSettings, Behaviour):
 
     arm: Literal["mock", "real", "none"]
     decimals: int = pydantic.Field(ge=1, le=6)
-    sync_rate: float = pydantic.Field(ge=5)
     transition_file: Annotated[str, pydantic.Field(min_length=1)]
     torque_watch: bool
     drives: str
@@ -117,7 +118,6 @@ class PcaMonitorNode:
         behaviour: What the gate was given.
         names: Joint names.
         compares: Whether there is a physical arm.
-        sync_rate: How often `sync` is published while its state does not change [Hz]; at rest see `RESTING_SYNC`.
         diagnostics: Counts what is refused.
         stopped_in: The session in which a monitor before this one was STOPPED: the gate stays so until the link tells of another
             session.
@@ -130,7 +130,6 @@ class PcaMonitorNode:
         behaviour: Behaviour,
         names: tuple[str, ...],
         compares: bool,
-        sync_rate: float,
         outputs: Outputs,
         diagnostics: NodeDiagnostics,
         stopped_in: str = "",
@@ -148,7 +147,7 @@ class PcaMonitorNode:
         if stopped_in:
             self._session = stopped_in
             gate.stay_stopped(Sentence("reason.gate.stopped_before", session=stopped_in), time.monotonic_ns())
-        self._sync_period = round(NANOSECONDS / sync_rate)
+        self._sync_period = round(NANOSECONDS / SYNC_RATE)
         self._sync_at = 0
         self._reported: tuple = ()
         #: As it was told last; empty: not yet.
@@ -181,7 +180,7 @@ class PcaMonitorNode:
         self._publish(now)
 
     def watch(self) -> None:
-        """Notice what did not come, and do what may wait; to be called at `sync_rate`."""
+        """Notice what did not come, and do what may wait; to be called at `SYNC_RATE`."""
         now = time.monotonic_ns()
         with self._lock:
             self._gate.watch(now)
@@ -503,7 +502,6 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> PcaMonitorNode
         Behaviour.model_validate(settings.model_dump(include=set(Behaviour.model_fields))),
         names,
         compares,
-        settings.sync_rate,
         Outputs(
             ports.publishers["command/joint_states"],
             ports.publishers["sync"],
@@ -562,7 +560,7 @@ INTERFACE = Interface(
     ),
     serves=(Served("configure_gate", ConfigureGate, PcaMonitorNode.on_configure, reason="configure_gate"),),
     every=(
-        Every(lambda settings: 1 / settings.sync_rate, lambda node, _ports: node.watch()),
+        Every(lambda _settings: 1 / SYNC_RATE, lambda node, _ports: node.watch()),
         Every(lambda _settings: WRITE_PERIOD, lambda node, _ports: node.write_transitions()),
     ),
 )

@@ -81,6 +81,9 @@ from construction_twin.work.task_board import Prepared, TaskBoard, WorkRefused
 from construction_twin.work.task_states import TaskState
 from construction_twin.work.worker import Worker, WorkerError
 
+#: Oldest pose of twin and arm that counts as the present one, and longest wait for one [s].
+MAX_POSE_AGE = 0.5
+
 
 class Settings(pydantic.BaseModel):
     """Private parameters: behaviour is explained in config/work.yaml, the others are given in launch/work.launch.
@@ -93,7 +96,7 @@ class Settings(pydantic.BaseModel):
         folder: Of the ledgers.
         arm: ``mock``, ``real`` or ``none``: without a physical arm the twin's pose counts as measured.
         private: Folder of what a console serves to whom is logged in, relative to ROS_HOME; empty: no console was started.
-        max_pose_age, service_timeout, listen_time, retry_time: [s]
+        service_timeout, listen_time, retry_time: [s]
     """
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
@@ -106,7 +109,6 @@ class Settings(pydantic.BaseModel):
     folder: str
     arm: str
     private: str = ""
-    max_pose_age: Annotated[float, pydantic.Field(gt=0.0, le=60.0)]
     service_timeout: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]
     listen_time: Annotated[float, pydantic.Field(gt=0.0, le=60.0)]
     retry_time: Annotated[float, pydantic.Field(gt=0.0, le=60.0)]
@@ -562,7 +564,7 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> WorkNode:
     twin = ports.poses["twin/joint_states"]
     # without a physical arm the twin's pose counts as measured
     arm = ports.poses.get("physical/joint_states", twin)
-    age, timeout = settings.max_pose_age, settings.service_timeout
+    timeout = settings.service_timeout
     frames = listen_to_frames(robot, settings.tf_prefix, timeout, refuse)
     review_file = ros_home() / Path(settings.review_file).expanduser()
     worker = Worker()
@@ -573,7 +575,7 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> WorkNode:
         ports.parameters["planner"],
         worker,
         WorkListener(ports.connections, rospy.is_shutdown, review_file, refuse),
-        Inputs(functools.partial(twin.pose, age, age), functools.partial(arm.pose, age, age), frames.transform),
+        Inputs(*(functools.partial(each.pose, MAX_POSE_AGE, MAX_POSE_AGE) for each in (twin, arm)), frames.transform),
         Outputs(
             ports.publishers["work/tasks"],
             ports.publishers["work/markers"],
