@@ -33,7 +33,6 @@ SWITCHES = (
     "track",
     "gui",
     "separation",
-    "mqtt_trajectories",
     "console",
     "console_files",
 )

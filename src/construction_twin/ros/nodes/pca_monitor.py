@@ -14,6 +14,7 @@ import rospy
 
 from construction_twin.core.errors import ConfigurationError, RequestRefused
 from construction_twin.core.extras import check_extras
+from construction_twin.core.files import check_writable
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.reports import HoldReport, SyncReport
 from construction_twin.core.sentences import Sentence
@@ -36,7 +37,7 @@ from construction_twin.ros.shared.launch_arguments import arm_of, decimals_of, p
 from construction_twin.ros.shared.load_follower import LoadFollower, Loads
 from construction_twin.ros.shared.model_builder import ModelBuilder
 from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
-from construction_twin.ros.shared.params import NodeSettings
+from construction_twin.ros.shared.params import NodeSettings, robot_file
 from construction_twin.ros.shared.ports import (
     Every,
     Interface,
@@ -493,6 +494,12 @@ def loads_of(settings: Settings, robot: RobotModel) -> Loads:
     return Loads(build, tool_mass(settings.tool))
 
 
+def check(settings: Settings, robot: RobotModel) -> None:
+    """Check what fits the model and yet cannot work; see `NodeShell`."""
+    make_gate(settings, robot, 0)
+    check_writable(robot_file(settings.transition_file, robot.name).parent)
+
+
 def start(settings: Settings, robot: RobotModel, ports: Ports) -> PcaMonitorNode:
     """Return the monitor with its parameters, topics and services."""
     names = robot.joint_names
@@ -506,7 +513,7 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> PcaMonitorNode
             ports.publishers["command/joint_states"],
             ports.publishers["sync"],
             ports.publishers["hold"],
-            TransitionReport(settings.transition_file, names, ports.publishers["transitions"]),
+            TransitionReport(robot_file(settings.transition_file, robot.name), names, ports.publishers["transitions"]),
             rospy.ServiceProxy("plan_to_joints", PlanToJoints),
             ports.keeper(PARAMETER),
             ports.publishers.get("expected/joint_states"),
@@ -567,7 +574,6 @@ INTERFACE = Interface(
 FILE = ConfigFile(
     lambda given: {
         "arm": arm_of(given),
-        "transition_file": "transitions",
         "decimals": decimals_of(given),
         "torque_watch": is_true(given, "torque_watch"),
         "drives": given.get("drives", ""),
@@ -576,9 +582,7 @@ FILE = ConfigFile(
         "servo_model": given.get("servo_model", ""),
     }
 )
-NODE = NodeShell(
-    "pca_monitor", Settings, start, INTERFACE, lambda settings, robot: make_gate(settings, robot, 0), FILE, fast=True
-)
+NODE = NodeShell("pca_monitor", Settings, start, INTERFACE, check, FILE, fast=True)
 
 
 def main() -> None:

@@ -5,6 +5,7 @@ The menu is in `ros.shared.tool_marker_menu`, the shapes are in `ros.shared.tool
 
 from __future__ import annotations
 
+import getpass
 import threading
 import time
 from typing import Annotated
@@ -53,13 +54,13 @@ _Positive = Annotated[float, pydantic.Field(gt=0.0, allow_inf_nan=False)]
 
 
 class Settings(pydantic.BaseModel):
-    """Private parameters: behaviour in config/tool_marker.yaml; `self_collision`, `tf_prefix`, `reviewer` in the launch file.
+    """Private parameters: behaviour in config/tool_marker.yaml; `self_collision`, `tf_prefix` in the launch file.
 
     Attributes:
         scale: [m]
         self_collision: YAML of the link pairs that are not checked.
         tf_prefix: Of the tf frames of the robot's links; empty: none.
-        reviewer: Who approves and rejects by the menu.
+        reviewer: Who approves and rejects by the menu; empty: the user who starts it.
     """
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
@@ -67,7 +68,7 @@ class Settings(pydantic.BaseModel):
     scale: _Positive
     self_collision: str
     tf_prefix: str
-    reviewer: Annotated[str, pydantic.Field(min_length=1)]
+    reviewer: str
 
 
 class ToolMarkerNode:
@@ -102,7 +103,7 @@ class ToolMarkerNode:
             self._listener.under_review,
             self._goal,
             self._robot.home,
-            self._settings.reviewer,
+            self._settings.reviewer or getpass.getuser(),
             self._say,
         )
         self._verdicts = ports.publishers["tool_marker/verdict"]

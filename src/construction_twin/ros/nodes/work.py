@@ -41,7 +41,7 @@ from construction_twin.ros.shared.frame_listener import FRAMES
 from construction_twin.ros.shared.frames import listen_to_frames
 from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.params import ros_home
+from construction_twin.ros.shared.params import robot_file, ros_home
 from construction_twin.ros.shared.ports import (
     Interface,
     NewestPose,
@@ -81,6 +81,8 @@ from construction_twin.work.task_board import Prepared, TaskBoard, WorkRefused
 from construction_twin.work.task_states import TaskState
 from construction_twin.work.worker import Worker, WorkerError
 
+#: The executor's record of verdicts.
+RECORD = "executor/review_file"
 #: Oldest pose of twin and arm that counts as the present one, and longest wait for one [s].
 MAX_POSE_AGE = 0.5
 
@@ -92,7 +94,6 @@ class Settings(pydantic.BaseModel):
         model, cell: Absolute paths of the IFC file and of the cell file.
         self_collision: YAML of the link pairs that are not checked.
         tf_prefix: Of the twin's tf frames.
-        review_file: The executor's record of verdicts, which is read after a restart.
         folder: Of the ledgers.
         arm: ``mock``, ``real`` or ``none``: without a physical arm the twin's pose counts as measured.
         private: Folder of what a console serves to whom is logged in, relative to ROS_HOME; empty: no console was started.
@@ -105,7 +106,6 @@ class Settings(pydantic.BaseModel):
     cell: str
     self_collision: str
     tf_prefix: str
-    review_file: str
     folder: str
     arm: str
     private: str = ""
@@ -566,7 +566,8 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> WorkNode:
     arm = ports.poses.get("physical/joint_states", twin)
     timeout = settings.service_timeout
     frames = listen_to_frames(robot, settings.tf_prefix, timeout, refuse)
-    review_file = ros_home() / Path(settings.review_file).expanduser()
+    # what became of a plan is read there after a restart
+    review_file = robot_file(ports.parameters[RECORD], robot.name)
     worker = Worker()
     rospy.on_shutdown(worker.close)
     return WorkNode(
@@ -594,7 +595,7 @@ def _heard(handler: Callable[[WorkListener, Any], object]) -> Callable[[WorkNode
 
 INTERFACE = Interface(
     report=WorkNode.report,
-    parameters=(SharedParameter("planner", {}),),
+    parameters=(SharedParameter("planner", {}), SharedParameter(RECORD, "")),
     publishes=(
         Publication("work/tasks", WorkTasks, queue_size=5, latch=True),
         Publication("work/markers", MarkerArray, queue_size=2, latch=True),
@@ -617,7 +618,7 @@ INTERFACE = Interface(
 )
 FILE = ConfigFile(
     lambda _given: {
-        "model": "", "cell": "", "self_collision": "", "tf_prefix": "", "review_file": "", "arm": "mock",
+        "model": "", "cell": "", "self_collision": "", "tf_prefix": "", "arm": "mock",
     },
     lambda given: bool(given.get("work_model")),
 )  # fmt: skip
