@@ -2,9 +2,7 @@
 """A stalled joint: the gate holds, the twin waits, states and transitions say so; after the release a re-plan ends at the goal."""
 
 import json
-import os
 import sys
-from pathlib import Path
 
 import numpy as np
 import rospy
@@ -13,6 +11,7 @@ from construction_twin.msg import Sync, Transition
 from twin_client import LEFT, RobotTest, Stream, TwinClient, wait
 
 from construction_twin.core.units import radians
+from construction_twin.ros.shared.params import robot_file
 
 JOINT = "joint_a3"
 #: Cycles over which a held pose is watched.
@@ -100,7 +99,7 @@ class StallTest(RobotTest):
         # nobody has told the gate how the servos answer: it says so, and compares with the twin alone
         self.assertIn("none: ", self.client.diagnostics("pca_monitor")["servo model"])
         self.assertEqual(first.held_stamp, held)
-        path = Path(os.environ.get("ROS_HOME") or Path.home() / ".ros") / rospy.get_param("pca_monitor/transition_file")
+        path = robot_file(rospy.get_param("pca_monitor/transition_file"), rospy.get_param("robot/name"))
         stamps = [change.header.stamp.to_nsec() for change in changes]
 
         def recorded() -> list:

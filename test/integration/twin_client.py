@@ -11,7 +11,6 @@ import unittest
 import xmlrpc.client
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 import rosgraph
@@ -28,7 +27,7 @@ from construction_twin.gateway.trace import read_trace
 from construction_twin.physics.report import RehearsalReport
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.shared.gateway_config import config_from_parameters
-from construction_twin.ros.shared.params import robot_from_parameters, ros_home
+from construction_twin.ros.shared.params import robot_file, robot_from_parameters
 from construction_twin.scenario.trace_check import trace_excesses
 
 #: The home pose and two more, far enough for a motion of seconds, on the wire's grid [deg].
@@ -427,7 +426,7 @@ class RehearsedClient(TwinClient):
 
     def recorded(self, plan_id: str) -> dict:
         """Return the last verdict on a plan in the executor's record."""
-        path = ros_home() / Path(rospy.get_param("executor/review_file"))
+        path = robot_file(rospy.get_param("executor/review_file"), rospy.get_param("robot/name"))
         lines = [json.loads(line) for line in path.read_text().splitlines()]
         return [line for line in lines if line.get("plan") == plan_id and line["record"] == "verdict"][-1]
 

@@ -29,7 +29,6 @@ QUICK = dict(
     planner="RRTConnect",
     planning_budget=5.0,
     edge_step=0.1,
-    goals=8,
     speed_scale=1.0,
     max_waypoints=2000,
     max_duration=600.0,

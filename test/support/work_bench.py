@@ -124,8 +124,8 @@ class Bench:
     def start(self, worker=None, **files: str) -> None:
         """Start a node that has heard nothing yet, with a worker and files of its own if they are given."""
         settings = module.Settings(
-            model="panel.ifc", cell="/cell.yaml", self_collision="", tf_prefix="", review_file=str(self.review_file),
-            folder="work", arm="mock", max_pose_age=0.5, service_timeout=1.0, listen_time=0.02, retry_time=0.01,
+            model="panel.ifc", cell="/cell.yaml", self_collision="", tf_prefix="",
+            folder="work", arm="mock", service_timeout=1.0, listen_time=0.02, retry_time=0.01,
         ).model_copy(update=files)  # fmt: skip
         refuse = self.refuse
         self.heard = WorkListener(self.publishers.__getitem__, lambda: False, self.review_file, refuse)

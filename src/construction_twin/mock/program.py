@@ -41,6 +41,13 @@ _SHIPPED = share_file("krl/ethernet/ctwin_ethernet.xml")
 _Payload = list[Annotated[float, pydantic.Field(allow_inf_nan=False)]]
 _Degrees = list[Annotated[float, pydantic.Field(allow_inf_nan=False)]]
 
+#: servo ideal: cycles from the packet whose reply carries a setpoint to the packet that reports it as reached.
+SERVO_DELAY_CYCLES = 3
+#: servo realistic, physics: natural frequency [rad/s], damping ratio [1], encoder step [deg].
+SERVO_OMEGA, SERVO_ZETA, ENCODER_RESOLUTION_DEG = 60.0, 0.8, 3e-5
+#: The simulated gripper: from its outputs to the inputs that confirm them [s].
+TOOL_TIME = 0.2
+
 
 class MockSettings(pydantic.BaseModel):
     """What can be set on the mock from outside; config/mock_rsi.yaml explains every key."""
@@ -55,29 +62,17 @@ class MockSettings(pydantic.BaseModel):
     precision: Annotated[int, pydantic.Field(ge=1, le=32)] = 6
     timeout: Annotated[int, pydantic.Field(ge=1)] = 100
     stop_required: bool = False
-    cumulative_delay: bool = False
     start_pose_deg: _Degrees = []
-    correction_lower_deg: _Degrees = []
-    correction_upper_deg: _Degrees = []
-    correction_monitor_deg: _Degrees = []
-    velocity_factor: Annotated[float, pydantic.Field(ge=0)] = 2.0
-    acceleration_factor: Annotated[float, pydantic.Field(ge=0)] = 400.0
-    first_ipoc: Annotated[int, pydantic.Field(ge=0)] = 4_208_163_634
     e1_sign: Literal[1, -1] = 1
     e1_offset: Annotated[float, pydantic.Field(allow_inf_nan=False)] = 0.0
     e1_feedback_scale: Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)] = 1.0
     e1_correction_scale: Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)] = 1.0
     servo: Literal["ideal", "realistic", "physics"] = "ideal"
-    servo_delay_cycles: Annotated[int, pydantic.Field(ge=1)] = 3
-    servo_omega: Annotated[float, pydantic.Field(gt=0)] = 60.0
-    servo_zeta: Annotated[float, pydantic.Field(gt=0)] = 0.8
-    encoder_resolution_deg: Annotated[float, pydantic.Field(ge=0)] = 3e-5
     drives: str = ""
     payload: _Payload = []
     fault_seed: Annotated[int, pydantic.Field(ge=0)] = 0
     restart_after: Annotated[float, pydantic.Field(ge=0)] = 0.0
     tool: dict = {}
-    tool_time: Annotated[float, pydantic.Field(ge=0, le=60)] = 0.2
     tool_gated: bool = True
     realtime_priority: Annotated[int, pydantic.Field(ge=0, le=99)] = 0
 
@@ -127,13 +122,6 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
         precision=settings.precision,
         timeout=settings.timeout,
         stop_required=settings.stop_required,
-        cumulative_delay=settings.cumulative_delay,
-        correction_lower=listed("correction_lower_deg"),
-        correction_upper=listed("correction_upper_deg"),
-        correction_monitor=listed("correction_monitor_deg"),
-        velocity_factor=settings.velocity_factor,
-        acceleration_factor=settings.acceleration_factor,
-        first_stamp=settings.first_ipoc,
         gripper=_gripper(settings),
         tool_gated=settings.tool_gated,
     )
@@ -143,10 +131,10 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
 def _gripper(settings: MockSettings) -> Gripper:
     """Return what the tool of a tool file does; ConfigurationError when it is none."""
     if not settings.tool:
-        return Gripper(time=settings.tool_time)
+        return Gripper(time=TOOL_TIME)
     tool = tool_of(settings.tool, "tool")
     grip, release = tool.grip, tool.release
-    return Gripper(grip.set, grip.confirm, release.set, release.confirm, settings.tool_time)
+    return Gripper(grip.set, grip.confirm, release.set, release.confirm, TOOL_TIME)
 
 
 def gateway_address(settings: MockSettings) -> tuple[str, int]:
@@ -178,9 +166,9 @@ def build_servo(settings: MockSettings, robot: RobotModel) -> Servo:
     if settings.servo == "physics":
         return _physics_servo(settings, robot, period)
     if settings.servo == "ideal":
-        return IdealServo(settings.servo_delay_cycles, period)
-    resolution = radians([settings.encoder_resolution_deg])[0]
-    return RealisticServo(settings.servo_omega, settings.servo_zeta, resolution, period)
+        return IdealServo(SERVO_DELAY_CYCLES, period)
+    resolution = radians([ENCODER_RESOLUTION_DEG])[0]
+    return RealisticServo(SERVO_OMEGA, SERVO_ZETA, resolution, period)
 
 
 def _physics_servo(settings: MockSettings, robot: RobotModel, period: float) -> Servo:
@@ -196,11 +184,11 @@ def _physics_servo(settings: MockSettings, robot: RobotModel, period: float) -> 
     drives = read_drives(settings.drives, robot) if settings.drives else drives_of(robot)
     model = bare_model(bodies, drives, payload_of(settings.payload, "payload"))
     return PhysicsServo(
-        Plant(model, settings.servo_omega, settings.servo_zeta),
+        Plant(model, SERVO_OMEGA, SERVO_ZETA),
         lambda q: axis_angles(robot, tuple(q)),
         lambda angles: joint_angles(robot, tuple(angles)),
         [axis.sign for axis in robot.axes],
-        radians([settings.encoder_resolution_deg])[0],
+        radians([ENCODER_RESOLUTION_DEG])[0],
         period,
     )
 

@@ -43,6 +43,8 @@ FINEST_HALVING = 2
 TURN = 2.0 * np.pi
 #: No point of the arm is further than this from where it is at a given point, where a motion cuts the corner there [m].
 CORNER_MISS = 0.01
+#: Most joint solutions of a goal pose that the search is given, nearest first. Straight motions are tried to all.
+GOALS = 8
 #: Name of the planner in a plan that is a straight line between two joint vectors.
 DIRECT = "direct"
 
@@ -54,7 +56,6 @@ class PlannerSettings(pydantic.BaseModel):
         planner: Name of a search, as in `path_searches`.
         planning_budget: [s]
         edge_step: [m]
-        goals: Most joint solutions of a goal pose that the search is given.
         speed_scale: Used by requests that give neither this nor a duration, in (0, 1].
         max_waypoints: A plan with more is refused.
         max_duration: A longer plan is refused [s].
@@ -66,7 +67,6 @@ class PlannerSettings(pydantic.BaseModel):
     planner: str
     planning_budget: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]
     edge_step: Annotated[float, pydantic.Field(ge=0.001, le=0.5)]
-    goals: Annotated[int, pydantic.Field(ge=1)]
     speed_scale: Annotated[float, pydantic.Field(gt=0.0, le=1.0)]
     max_waypoints: Annotated[int, pydantic.Field(ge=2)]
     max_duration: Annotated[float, pydantic.Field(gt=0.0, le=86400.0)]
@@ -274,7 +274,7 @@ class Planner:
                 timed = self._timed(np.array([start, goal]), request, world)
                 if timed is not None:
                     return _Found(DIRECT, timed)
-        goals = goals[: settings.goals]
+        goals = goals[:GOALS]
         lower, upper = self._bounds(start, goals)
         attempt = 0
         while (left := settings.planning_budget - (self._clock() - began)) > 0.0:

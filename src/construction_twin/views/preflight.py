@@ -32,7 +32,6 @@ SWITCHES = (
     "track",
     "gui",
     "separation",
-    "mqtt_trajectories",
     "console",
     "console_files",
 )
@@ -42,7 +41,6 @@ NUMBERS = {
     "broker_port": (1, 65535),
     "rsi_port": (0, 65535),
     "realtime": (0, 80),
-    "frame_rate": (1, 250),
     "console_port": (1, 65535),
     "console_hsts": (0, 365 * 24 * 3600),
 }

@@ -96,7 +96,7 @@ def test_what_lies_behind_is_no_conflict():
 
 
 def test_the_watch_refuses_nothing_that_a_plan_with_the_larger_padding_allows():
-    """Half of `own_step` and the watch's padding are less than the planner's: see `NeighbourSettings`."""
+    """Half of `OWN_STEP` and the watch's padding are less than the planner's: see `NeighbourSettings`."""
     path = line(AWAY, TOWARDS)
     for obstacles in (other().between(AWAY, AWAY), other().along(path).rest(), other().between(TOWARDS, TOWARDS)):
         planned = empty_world().with_neighbour(item.padded(PADDING + OWN_STEP / 2 + 0.02) for item in obstacles)

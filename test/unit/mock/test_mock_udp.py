@@ -221,12 +221,10 @@ def test_settings_choose_servo_and_start_pose(robot):
         gateway_port=9,
         servo="realistic",
         start_pose_deg=[0, -90, 90, 0, 45, 0],
-        correction_upper_deg=[5] * 6,
     )
     controller = build_controller(settings, robot)
     assert isinstance(controller.servo, RealisticServo)
     assert controller.start_pose == radians((0, -90, 90, 0, 45, 0))
-    assert controller.correction_upper == radians((5,) * 6)
 
 
 @pytest.mark.parametrize(

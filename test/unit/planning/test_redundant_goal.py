@@ -13,7 +13,7 @@ from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.self_collision import sample_self_collision
 
 SETTINGS = PlannerSettings(
-    planner="RRTConnect", planning_budget=10.0, edge_step=0.05, goals=8, speed_scale=0.5, max_waypoints=2000,
+    planner="RRTConnect", planning_budget=10.0, edge_step=0.05, speed_scale=0.5, max_waypoints=2000,
     max_duration=600.0, seed=1,
 )  # fmt: skip
 HOME = np.array(PANDA_LIKE.home)

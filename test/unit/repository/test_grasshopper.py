@@ -107,7 +107,7 @@ class Cell:
         self._client = make_client(
             broker, unique_id("kr120", "planner"), "twin/kr120/view", writer.offline().decode(), will_retained=False
         )
-        settings = Settings(host="localhost", port=1, max_trajectory_bytes=2_000_000, view_rate=25.0, max_pose_age=0.25)
+        settings = Settings(host="localhost", port=1, max_trajectory_bytes=2_000_000, view_rate=25.0)
         self.node = MqttPlanner(settings, "kr120", joints, broker, self._client, writer, self.planner, self.refusals)
         self.node.listen(Poses(Stream(), Stream()), lambda: True)
         self.node.on_execution(Execution(text="IDLE", reason="at rest"))

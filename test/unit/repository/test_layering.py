@@ -20,10 +20,8 @@ from construction_twin.robot.description import home_positions, read_robot_files
 from construction_twin.ros.commands.experiment_settings import ExperimentSettings
 from construction_twin.ros.nodes.executor import Settings as ExecutorSettings
 from construction_twin.ros.nodes.follow_joint_trajectory import Settings as FollowSettings
-from construction_twin.ros.nodes.joint_velocities import Settings as VelocitySettings
 from construction_twin.ros.nodes.mqtt_bridge import Settings as BridgeSettings
 from construction_twin.ros.nodes.mqtt_planner import Settings as RemotePlannerSettings
-from construction_twin.ros.nodes.mqtt_review import Settings as ReviewSettings
 from construction_twin.ros.nodes.pca_monitor import Settings as MonitorSettings
 from construction_twin.ros.nodes.planner import Settings as PlannerSettings
 from construction_twin.ros.nodes.tool_marker import Settings as MarkerSettings
@@ -67,7 +65,6 @@ DEPLOYMENT = {
         "arm",
         "auto_approve",
         "auto_approve_sources",
-        "review_file",
         "neighbour",
         "rehearsal",
         "tool",
@@ -76,7 +73,6 @@ DEPLOYMENT = {
     "follow_joint_trajectory": {"arm"},
     "separation": set(),
     "mqtt_bridge": {"host", "port", "protocol", "prefix", "account", "realtime_priority", "gateway_kind"},
-    "mqtt_review": {"host", "port", "protocol", "prefix", "account", "tool", "realtime_priority"},
     "mqtt_planner": {
         "host",
         "port",
@@ -84,7 +80,6 @@ DEPLOYMENT = {
         "prefix",
         "account",
         "realtime_priority",
-        "trajectories",
         "self_collision",
         "cameras",
         "private",
@@ -94,7 +89,6 @@ DEPLOYMENT = {
         "arm",
         "decimals",
         "realtime_priority",
-        "transition_file",
         "servo_model",
     },
     "mock_rsi": {"gateway_host", "gateway_port", "make", "ethernet_xml", "tool", "drives", "payload"},
@@ -103,8 +97,8 @@ DEPLOYMENT = {
     "neighbour": {"name", "realtime_priority"},
     "planner": {"self_collision", "tf_prefix"},
     "rehearsal": {"mode", "drives", "tool", "self_collision", "payload"},
-    "tool_marker": {"self_collision", "tf_prefix", "reviewer"},
-    "work": {"model", "cell", "self_collision", "tf_prefix", "review_file", "arm", "private"},
+    "tool_marker": {"self_collision", "tf_prefix"},
+    "work": {"model", "cell", "self_collision", "tf_prefix", "arm", "private"},
 }
 
 
@@ -301,7 +295,6 @@ SETTINGS = {
     "executor": set(ExecutorSettings.model_fields),
     "follow_joint_trajectory": set(FollowSettings.model_fields),
     "mqtt_bridge": set(BridgeSettings.model_fields),
-    "mqtt_review": set(ReviewSettings.model_fields),
     "mqtt_planner": set(RemotePlannerSettings.model_fields),
     "neighbour": set(NeighbourSettings.model_fields),
     "pca_monitor": set(MonitorSettings.model_fields),
@@ -335,7 +328,6 @@ def test_every_key_of_a_configuration_is_explained_above_it(node):
         (ExperimentSettings, "experiment", {"results_dir": "/tmp"}),
         (MockSettings, "mock_rsi", {"gateway_host": "127.0.0.1", "gateway_port": 49152}),
         (BridgeSettings, "mqtt_bridge", {"host": "127.0.0.1", "port": 1883}),
-        (ReviewSettings, "mqtt_review", {"host": "127.0.0.1", "port": 1883}),
         (RemotePlannerSettings, "mqtt_planner", {"host": "127.0.0.1", "port": 1883}),
         (
             MonitorSettings,
@@ -343,16 +335,14 @@ def test_every_key_of_a_configuration_is_explained_above_it(node):
             {
                 "arm": "mock",
                 "decimals": 3,
-                "transition_file": "t.jsonl",
                 "servo_model": "",
             },
         ),
-        (ExecutorSettings, "executor", {"arm": "mock", "review_file": "reviews.jsonl"}),
+        (ExecutorSettings, "executor", {"arm": "mock"}),
         (FollowSettings, "follow_joint_trajectory", {"arm": "mock"}),
         (SeparationSettings, "separation", {}),
         (NeighbourSettings, "neighbour", {"name": "b"}),
-        (VelocitySettings, "joint_velocities", {"arm": "mock", "frame_rate": 25.0}),
-        (MarkerSettings, "tool_marker", {"self_collision": "/tmp/pairs.yaml", "tf_prefix": "", "reviewer": "me"}),
+        (MarkerSettings, "tool_marker", {"self_collision": "/tmp/pairs.yaml", "tf_prefix": ""}),
         (PlannerSettings, "planner", {"self_collision": "/tmp/pairs.yaml", "tf_prefix": ""}),
     ],
 )

@@ -74,7 +74,6 @@ class World:
             behaviour,
             ROBOT.joint_names,
             True,
-            50.0,
             outputs,
             SimpleNamespace(refuse=lambda *said: self.refused.append(said)),
             self.parameters.get(PARAMETER, ""),
@@ -440,7 +439,7 @@ def test_without_a_model_it_publishes_none_and_says_so(world):
 
 def test_it_publishes_expected_poses_only_with_a_model_and_an_arm():
     (topic,) = (each for each in module.INTERFACE.publishes if each.topic == "expected/joint_states")
-    plain = SETTINGS | {"decimals": 3, "sync_rate": 50.0, "transition_file": "t"}
+    plain = SETTINGS | {"decimals": 3, "transition_file": "t"}
     told = [
         topic.when(module.Settings(**plain | {"arm": arm, "servo_model": file}))
         for arm, file in (("mock", "servos.yaml"), ("mock", ""), ("none", "servos.yaml"))

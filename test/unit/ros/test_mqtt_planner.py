@@ -76,7 +76,7 @@ class Bench:
         self.client, self.asked, self.success, self.error, self.retimed = Client(), [], True, None, ""
         self.steady, self.wall = 1000.0, 1_764_000_000.0
         self.made = Refusals(None)
-        given = {"host": "127.0.0.1", "port": 1, "max_trajectory_bytes": 4096, "view_rate": 25.0, "max_pose_age": 0.25}
+        given = {"host": "127.0.0.1", "port": 1, "max_trajectory_bytes": 4096, "view_rate": 25.0}
         self.node = MqttPlanner(
             Settings(**given | settings), "kr120", JOINTS, Broker("127.0.0.1", 1), self.client,
             ViewWriter("kr120", "cafe", JOINTS), self, self.made,

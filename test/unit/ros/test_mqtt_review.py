@@ -77,7 +77,7 @@ class Bench:
     def __init__(self, account=""):
         self.client = Client()
         self.made = Refusals(None)
-        settings = Settings(host="127.0.0.1", port=1, path_points=10, account=account)
+        settings = Settings(host="127.0.0.1", port=1, account=account)
         self.pressed = []
         self.services = {verb: Trigger(verb, self.pressed) for verb in (STOP, PAUSE, *STARTING)}
         self.decide, self.limit_speed = Later("work/decide"), Later("limit_speed")

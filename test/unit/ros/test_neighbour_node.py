@@ -37,7 +37,7 @@ class Bench:
 
     def __init__(self, monkeypatch):
         self.did: list = []
-        settings = SimpleNamespace(name="b", max_pose_age=0.5, rate=10.0, watch_padding=0.1, own_step=0.1)
+        settings = SimpleNamespace(name="b", watch_padding=0.1)
         self.own = SimpleNamespace(plans=self.plans, scene=EMPTY, poses=lambda _: (AWAY, AWAY))
         self.other = SimpleNamespace(occupied=self.occupied, claim=None, unknown="", complete=True)
         self.judge = SimpleNamespace(followed=self.followed, waiting=self.waiting, forget=lambda _: None)

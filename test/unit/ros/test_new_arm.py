@@ -155,7 +155,7 @@ def check_planning(robot: RobotModel, given: dict[str, str]) -> None:
     times = iter(np.arange(0.0, 1e4, 1e-3))
     solver = inverse_kinematics(chain, IkSettings(), np.random.default_rng(0), lambda: float(next(times)))
     settings = PlannerSettings(
-        planner="RRTConnect", planning_budget=5.0, edge_step=0.1, goals=8, speed_scale=1.0, max_waypoints=2000,
+        planner="RRTConnect", planning_budget=5.0, edge_step=0.1, speed_scale=1.0, max_waypoints=2000,
         max_duration=600.0, seed=1,
     )  # fmt: skip
     pairs = read_self_collision(given["self_collision"], robot)

@@ -236,14 +236,13 @@ def test_a_range_that_the_wire_cannot_carry_is_refused(tmp_path):
             "executor: auto_aprove: found True, expected no such key",
         ),
         ("results_dir", "", "expected a folder that files can be written into"),
-        ("review_file", "", "expected a folder that files can be written into"),
     ],
 )
 def test_what_an_experiment_would_end_with_is_found_before_it_starts(tmp_path, name, text, sentence):
     """A folder that is a file takes no results."""
     file = tmp_path / "given.yaml"
     file.write_text(text)
-    given = f"{file}/reviews.jsonl" if name == "review_file" else str(file)
+    given = str(file)
     said = preflight.contents_problem(KR120 | {name: given})
     assert said.startswith(f"{name}:={given}: ") and sentence in said
 
@@ -739,16 +738,17 @@ def test_the_shipped_files_are_fine(config_folder, kr120):
     [
         ("executor", {"speed_limit_deadlin": 0.5}, "speed_limit_deadlin: found 0.5, expected no such key; did you mean"),
         ("executor", {"speed_limit_deadline": 0}, "speed_limit_deadline: found 0, expected a number above 0"),
+        ("executor", {"review_file": "/dev/null/{robot}.jsonl"}, "expected a folder that files can be written into"),
+        ("pca_monitor", {"transition_file": "/dev/null/{robot}.jsonl"}, "expected a folder that files can be written into"),
         ("pca_monitor", {"threshold": None}, "threshold: found nothing, expected a number"),
         ("pca_monitor", {"thresholds": {"joint_a7": 0.1}}, "thresholds: found 'joint_a7', expected names of joints"),
         ("planner", {"planner": "RTRConnect"}, "planner: found 'RTRConnect', expected one of "),
         ("planner", {"edge_step": 0.0}, "edge_step: found 0.0, expected a number at least 0.001 and at most 0.5"),
-        ("neighbour", {"padding": 0.0}, "watch_padding + own_step / 2 within padding"),
+        ("neighbour", {"padding": 0.0}, "watch_padding + 0.05 m within padding"),
         ("gateway", {"silence": -1.0}, "silence"),
         ("gateway", {"silense": 0.1}, "silense"),
         ("mqtt_bridge", {"reset_timeout": "soon"}, "reset_timeout: found 'soon', expected a number above 0"),
         ("mqtt_planner", {"view_rate": 0}, "view_rate: found 0, expected a number at least 1 and at most 50"),
-        ("mqtt_review", {"path_points": 1}, "path_points: found 1, expected a whole number at least 2 and at most 1000"),
         ("mock_rsi", {"start_pose_deg": [0.0]}, "start_pose_deg: found [0.0], expected 6 numbers"),
         (
             "mock_rsi", {"start_pose_deg": [0.0, -90.0, 999.0, 0.0, 0.0, 0.0]},

@@ -55,7 +55,7 @@ class Bench:
         patch = monkeypatch.setattr
         patch(module, "now_ns", lambda: 0)
         patch(module.time, "monotonic", lambda: self.now)
-        settings = Settings(frame_rate=25.0, tf_prefix="kr120/preview")
+        settings = Settings(tf_prefix="kr120/preview")
         unplugged = Unplugged(monkeypatch, NODE, settings, ROBOT, self.unknown)
         self.callbacks, self.services, self.refused = unplugged.callbacks, unplugged.services, unplugged.refused
         self.messages = unplugged.published["plan_markers"]

@@ -32,7 +32,7 @@ def change(number: int = 0, physical=(0.02, 0.0)) -> Transition:
 
 
 def test_a_line_holds_time_states_event_reason_and_values(tmp_path):
-    report = TransitionReport(str(tmp_path / "log.jsonl"), NAMES, Nobody())
+    report = TransitionReport(tmp_path / "log.jsonl", NAMES, Nobody())
     report.report(change())
     report.flush()
     assert read_lines(tmp_path / "log.jsonl") == [
@@ -60,7 +60,7 @@ def test_without_a_comparison_there_are_no_values():
 
 
 def test_a_disk_that_refuses_is_named_until_it_takes_what_was_kept(tmp_path, monkeypatch):
-    report = TransitionReport(str(tmp_path / "log.jsonl"), NAMES, Nobody())
+    report = TransitionReport(tmp_path / "log.jsonl", NAMES, Nobody())
     report.report(change())
 
     def full(*_):
@@ -77,4 +77,4 @@ def test_a_disk_that_refuses_is_named_until_it_takes_what_was_kept(tmp_path, mon
 
 def test_a_file_that_cannot_be_written_is_named(tmp_path):
     with pytest.raises(ConfigurationError, match=str(tmp_path)):
-        TransitionReport(str(tmp_path), NAMES, Nobody())
+        TransitionReport(tmp_path, NAMES, Nobody())

@@ -73,7 +73,7 @@ def test_a_view_is_published_once_a_period_and_what_a_pause_missed_is_left_out(m
     monkeypatch.setattr(mqtt_planner, "time", SimpleNamespace(monotonic=lambda: clock.now, sleep=clock.sleep))
     monkeypatch.setattr(mqtt_planner, "now_ns", lambda: round(clock.now * NANOSECONDS))
     node = MqttPlanner(
-        Settings(host="127.0.0.1", port=1, max_trajectory_bytes=4096, view_rate=rate, max_pose_age=0.25),
+        Settings(host="127.0.0.1", port=1, max_trajectory_bytes=4096, view_rate=rate),
         "kr120", JOINTS, Broker("127.0.0.1", 1), client, ViewWriter("kr120", "cafe", JOINTS), lambda **_: None, Refusals(None),
     )  # fmt: skip
     node.listen(Poses(Unknown(), Unknown()), lambda: False)

@@ -67,7 +67,7 @@ def test_what_a_file_hands_on_is_known_and_what_it_sets_itself_is_not():
     assert problem("two_robots.launch", decimals="6") == ""
     said = problem("two_robots.launch", rsi_port="5")
     assert said.key == "preflight.argument.near" and said.values["near"].startswith("rsi_port_")
-    assert problem("experiment.launch", quick="true", frame_rate="25") == ""
+    assert problem("experiment.launch", quick="true", realtime="0") == ""
 
 
 def test_an_empty_value_that_roslaunch_drops_is_told_where_the_default_is_another():

@@ -37,6 +37,9 @@ _POLL = 0.05
 #: The bridge reports the gateway's counters this often [s]; the recording goes on until they include the task's end.
 _REPORT_PERIOD = 1.0
 
+#: The arm counts as at rest when no joint left a band of this [rad] for this time [s].
+REST_TOLERANCE, REST_TIME = 1e-6, 0.5
+
 
 class RestDetector:
     """Tells whether a pose has stayed within a band for some time.
@@ -160,7 +163,7 @@ class Experiment:
         subscriber.unregister()
 
     def _wait_for_rest(self) -> None:
-        rest = RestDetector(self._settings.rest_tolerance, self._settings.rest_time)
+        rest = RestDetector(REST_TOLERANCE, REST_TIME)
         subscriber = Subscriber(
             "physical/feedback",
             Feedback,

@@ -24,8 +24,6 @@ class ExperimentSettings(pydantic.BaseModel):
     duration: _Positive
     waypoints: Annotated[int, pydantic.Field(ge=2)]
     timeout: _Positive
-    rest_tolerance: Annotated[float, pydantic.Field(ge=0, allow_inf_nan=False)]
-    rest_time: _Positive
     topics: Annotated[list[str], pydantic.Field(min_length=1)]
 
 

@@ -224,11 +224,6 @@ def _check_scenario(given: Given, _robot: RobotModel) -> None:
     read_scenario(Path(given["scenario"]))
 
 
-def _check_folder_of(name: str) -> Callable[[Given, RobotModel], None]:
-    """Return the check of a file that is written: its folder is relative to ROS_HOME."""
-    return lambda given, _: check_writable((ros_home() / given[name]).parent)
-
-
 def _check_results(given: Given, _robot: RobotModel) -> None:
     check_writable(Path(given["results_dir"]).expanduser())
 
@@ -320,8 +315,6 @@ CONTENTS: tuple[tuple[str, Callable[[Given, RobotModel], None]], ...] = (
     ("task", _check_task),
     ("scenario", _check_scenario),
     ("results_dir", _check_results),
-    ("review_file", _check_folder_of("review_file")),
-    ("transition_file", _check_folder_of("transition_file")),
     ("gateway_trace", _check_trace),
     ("follow_joint_trajectory", _check_action),
     ("console", _check_console),

@@ -11,7 +11,6 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Annotated, Literal, NamedTuple, TypeVar
 
 import pydantic
@@ -27,6 +26,7 @@ from construction_twin.core.errors import (
     RecordError,
     ReviewError,
 )
+from construction_twin.core.files import check_writable
 from construction_twin.core.freshness import LIFETIME, Moment, is_newer, parse_moment, staleness
 from construction_twin.core.reports import ExecutionReport, SessionRequest, SpeedChange, ToolReport
 from construction_twin.core.sentences import Sentence
@@ -73,7 +73,7 @@ from construction_twin.ros.shared.engagement_file import ENDED, EngagementFile
 from construction_twin.ros.shared.launch_arguments import arm_of
 from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.params import NodeSettings, ros_home
+from construction_twin.ros.shared.params import NodeSettings, robot_file
 from construction_twin.ros.shared.ports import (
     Every,
     Interface,
@@ -103,7 +103,7 @@ from construction_twin.srv import (
     StopPlanRequest,
 )
 
-#: The gate counts as closed this long after the monitor's last word; it speaks at `sync_rate` [ns].
+#: The gate counts as closed this long after the monitor's last word; it speaks at its `SYNC_RATE` [ns].
 SYNC_TIMEOUT = NANOSECONDS // 2
 #: How often deferred records are written, and a plan is checked for that may be approved by itself [s].
 BACKGROUND_PERIOD = 0.05
@@ -766,6 +766,7 @@ def execution_report(
 def check(settings: Settings, robot: RobotModel) -> None:
     """Check files before anything starts; see `NodeShell`."""
     tool_hash(settings.tool)
+    check_writable(robot_file(settings.review_file, robot.name).parent)
 
 
 def start(settings: Settings, robot: RobotModel, ports: Ports) -> ExecutorNode:
@@ -777,7 +778,7 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> ExecutorNode:
         executor.on_link(False, Sentence("executor.no_link"))
     else:
         executor.on_tool(ToolReport(reason=NO_ARM), time.monotonic_ns())
-    log = ReviewLog(ros_home() / Path(settings.review_file).expanduser(), time.time_ns)
+    log = ReviewLog(robot_file(settings.review_file, robot.name), time.time_ns)
     node = ExecutorNode(
         robot,
         executor,
@@ -853,7 +854,7 @@ INTERFACE = Interface(
         ),
     ),
 )  # fmt: skip
-FILE = ConfigFile(lambda given: {"arm": arm_of(given), "review_file": "reviews"})
+FILE = ConfigFile(lambda given: {"arm": arm_of(given)})
 NODE = NodeShell("executor", Settings, start, INTERFACE, check, FILE, fast=True)
 
 

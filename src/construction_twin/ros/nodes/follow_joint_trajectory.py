@@ -70,6 +70,9 @@ IN_MOTION = (GoalState.MOVING, GoalState.BRAKING, GoalState.STOPPED, GoalState.S
 #: The streams are read in full then: a plan may begin at any moment of WITHDRAWING. REVIEW lasts minutes.
 FOLLOWED = (GoalState.WITHDRAWING, *IN_MOTION)
 
+#: How long a goal waits for a planner that is being started [s].
+PLANNER_TIMEOUT = 10.0
+
 Tolerance = Annotated[float, pydantic.Field(ge=0.0, allow_inf_nan=False)]
 
 
@@ -86,7 +89,6 @@ class Settings(pydantic.BaseModel):
     goal_tolerance_linear: Tolerance
     goal_time_tolerance: Annotated[float, pydantic.Field(gt=0.0, le=LONGEST)]
     retime: bool
-    planner_timeout: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,7 @@ class FollowJointTrajectoryNode:
     def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
         self._messages = control_messages()
         self._robot = robot
-        self._planner_timeout, self._retime = settings.planner_timeout, settings.retime
+        self._retime = settings.retime
         self._defaults = GoalDefaults(
             Tolerances.default(robot, settings.goal_tolerance, settings.goal_tolerance_linear),
             settings.goal_time_tolerance,
@@ -320,7 +322,7 @@ class FollowJointTrajectoryNode:
 
     def _plan(self, goal: TrajectoryGoal, trajectory) -> None:
         try:
-            rospy.wait_for_service("plan_trajectory", self._planner_timeout)
+            rospy.wait_for_service("plan_trajectory", PLANNER_TIMEOUT)
             planner = rospy.ServiceProxy("plan_trajectory", PlanTrajectory)
             source = f"{BY_ACTION} {goal.client}"
             answer = planner(trajectory=trajectory, retime=self._retime, source=source)

@@ -20,8 +20,7 @@ from sensor_msgs.msg import JointState
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.joint_velocities import JointVelocities
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
-from construction_twin.ros.shared.launch_arguments import arm_of
-from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
+from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.ports import (
     Interface,
     Ports,
@@ -37,21 +36,18 @@ from construction_twin.views.shown_poses import ShownPoses
 
 #: A twin that has published nothing for this time is silent [s]; at a low rate, for two periods.
 SILENCE = 0.25
+#: Between two messages with velocities, which are means over it [s].
+PERIOD = 0.02
+#: Between two poses for tf while they change, for people to look at [s].
+FRAME_PERIOD = 0.04
 
 
 class Settings(pydantic.BaseModel):
-    """Private parameters: see config/joint_velocities.yaml; `arm` and `frame_rate` are given in launch/twin.launch.
-
-    Attributes:
-        arm: The physical arm.
-        frame_rate: Poses for tf per second, while they change.
-    """
+    """The private parameter, given in launch/twin.launch: the physical arm."""
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
-    rate: float = pydantic.Field(ge=1, le=250)
     arm: Literal["mock", "real", "none"]
-    frame_rate: float = pydantic.Field(ge=1, le=250)
 
 
 class ShownStream:
@@ -175,14 +171,13 @@ class JointVelocitiesNode:
 
 def start(settings: Settings, robot: RobotModel, ports: Ports) -> JointVelocitiesNode:
     """Return the node with its parameters and topics."""
-    frame = 1.0 / settings.frame_rate
     return JointVelocitiesNode(
         robot.joint_names,
         JointVelocities(robot.velocity),
-        1.0 / settings.rate,
+        PERIOD,
         ports.publishers["velocities/joint_states"],
-        ShownStream(frame, ports.publishers["shown/twin"]),
-        ShownStream(frame, ports.publishers["shown/physical"]) if has_arm(settings) else None,
+        ShownStream(FRAME_PERIOD, ports.publishers["shown/twin"]),
+        ShownStream(FRAME_PERIOD, ports.publishers["shown/physical"]) if has_arm(settings) else None,
     )
 
 
@@ -217,8 +212,7 @@ INTERFACE = Interface(
         PoseSubscription("physical/joint_states", _on_physical, queue_size=1, when=has_arm),
     ),
 )
-FILE = ConfigFile(lambda given: {"arm": arm_of(given), "frame_rate": float(given.get("frame_rate", "25"))})
-NODE = NodeShell("joint_velocities", Settings, start, INTERFACE, file=FILE)
+NODE = NodeShell("joint_velocities", Settings, start, INTERFACE)
 
 
 def main() -> None:

@@ -82,6 +82,8 @@ REPEAT_WINDOW = 5.0
 #: What `sync`, `link` and `speed_limit_in_force` repeat by themselves counts as lost after so long [s].
 SYNC_AGE, LINK_AGE, SPEED_AGE = 0.5, 3.0, 1.0
 
+#: A pose that is older counts as not known on `view` [s].
+MAX_POSE_AGE = 0.25
 _Record = TypeVar("_Record")
 #: What was reported and its age [s]; None: there is nothing, or it is too old.
 _Report = tuple[_Record, float] | None
@@ -107,7 +109,6 @@ class Settings(MqttSettings):
     servo_model: str = ""
     max_trajectory_bytes: int = pydantic.Field(ge=1024, le=1 << 24)
     view_rate: float = pydantic.Field(ge=1.0, le=50.0)
-    max_pose_age: float = pydantic.Field(gt=0.0, le=5.0)
 
 
 @dataclass(frozen=True)
@@ -472,7 +473,7 @@ def _pose_view(stream: LatestPose | None, settings: Settings) -> PoseView | None
     if stream is None:
         return None
     try:
-        newest = stream.newest(settings.max_pose_age)
+        newest = stream.newest(MAX_POSE_AGE)
     except (PoseUnknownError, PayloadError):
         # it is shown as not known; who publishes something else on the stream is refused and counted by others
         return None
@@ -495,7 +496,7 @@ def _consoles(node: MqttPlanner, settings: Settings, robot: RobotModel, poses: P
     feed = ConsoleFeed(topics, robot.base_link, node.publish_now, node.refuse, deployment, files, cameras, messages)
     services = {kind: rospy.ServiceProxy(service.name, service.kind) for kind, service in PLAN_SERVICES.items()}
     around = RobotContext(
-        twin=lambda: _positions(poses.twin, settings.max_pose_age),
+        twin=lambda: _positions(poses.twin, MAX_POSE_AGE),
         has_work=lambda: ports.connections("work/tasks") > 0,
         is_engaged=node.is_engaged,
     )

@@ -12,7 +12,6 @@ from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-import pydantic
 import rospy
 from std_srvs.srv import Trigger
 
@@ -59,9 +58,8 @@ from construction_twin.ros.messages.plan_services import request_fields
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.endpoint import TOO_OLD, Endpoint, Incoming, Outlets
-from construction_twin.ros.shared.launch_arguments import BROKER, has_link
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
-from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
+from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.ports import Interface, Ports, Subscription
 from construction_twin.ros.shared.remote_interventions import EXECUTOR, remote_interventions
@@ -77,16 +75,17 @@ WAITING = 8
 CHECK_PERIOD = 1.0
 #: Between two writings of the log [s].
 LOG_PERIOD = 0.1
+#: The tool path of a plan on MQTT is thinned to at most so many points; 200 are about 6 kB.
+PATH_POINTS = 200
 
 
 class Settings(MqttSettings):
-    """Private parameters; see config/mqtt_review.yaml, the others are given in launch/link.launch.
+    """Private parameters; given in launch/link.launch.
 
     Attributes:
         tool: Tool file; empty: no tool.
     """
 
-    path_points: int = pydantic.Field(ge=2, le=1000)
     tool: str = ""
 
 
@@ -262,7 +261,7 @@ class MqttReview:
         if view.id == self._gone:
             # in the one text about who asked that every screen shows
             view = replace(view, source=f"{view.source} (connected no more: nobody waits for the result)")
-        self._board.on_plan(view.id, view.to_json(self._settings.path_points))
+        self._board.on_plan(view.id, view.to_json(PATH_POINTS))
 
     def on_verdict(self, message: Review) -> None:
         """Take a plan away that was approved or rejected."""
@@ -527,8 +526,7 @@ INTERFACE = Interface(
         Subscription("link", Link, MqttReview.on_link, queue_size=5),
     ),
 )
-FILE = ConfigFile(lambda _given: BROKER | {"tool": ""}, has_link)
-NODE = NodeShell("mqtt_review", Settings, start, INTERFACE, file=FILE)
+NODE = NodeShell("mqtt_review", Settings, start, INTERFACE)
 
 
 def main() -> None:

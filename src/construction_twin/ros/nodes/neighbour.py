@@ -23,6 +23,8 @@ from construction_twin.ros.messages.planning_scene import moveit_types
 from construction_twin.ros.shared.arm_listener import (
     ARM_POSES,
     ARM_TOPICS,
+    OTHER_POSE_AGE,
+    OWN_STEP,
     ArmListener,
     NeighbourSettings,
     OtherArm,
@@ -37,6 +39,8 @@ from construction_twin.ros.transport.publisher import Sink
 #: From the moment when a verdict counts no longer to the first braking setpoint, and from a pose to its reception, at most
 #: [s]: a few cycles of the executor and the transport of a message, on a busy machine.
 DELAY = 0.1
+#: Checks per second. The executor takes a verdict for 0.5 s: below 5 Hz one that is left out would stop the arm.
+RATE = 10.0
 
 
 @dataclass(frozen=True)
@@ -83,7 +87,7 @@ class NeighbourNode:
 
     def run(self) -> None:
         """Check again and again, in the main thread: an unexpected exception ends the process, which is then started anew."""
-        rate = rospy.Rate(self._settings.rate)
+        rate = rospy.Rate(RATE)
         while not rospy.is_shutdown():
             began = time.monotonic()
             self.check()
@@ -158,7 +162,7 @@ class NeighbourNode:
 
     def _poses(self) -> tuple[np.ndarray, ...]:
         try:
-            return self._own.poses(self._settings.max_pose_age)
+            return self._own.poses(OTHER_POSE_AGE)
         except (PoseUnknownError, PayloadError):
             return ()
 
@@ -206,8 +210,8 @@ def start(settings: NeighbourSettings, robot: RobotModel, ports: Ports) -> Neigh
     other = listen_to_other_arm(robot.name, settings, refuse, streams=True)
     own = ArmListener(robot, refuse, streams=True)
     timeout = VERDICT_TIMEOUT / NANOSECONDS
-    horizon = braking_horizon(robot, other.robot, settings.max_pose_age, timeout, DELAY)
-    judge = PathJudge(robot, settings.name, settings.watch_padding, settings.own_step, horizon)
+    horizon = braking_horizon(robot, other.robot, OTHER_POSE_AGE, timeout, DELAY)
+    judge = PathJudge(robot, settings.name, settings.watch_padding, OWN_STEP, horizon)
     told = ports.publishers.get(PLANNING_SCENE.topic)
     moveit = None if told is None else OtherArmPublisher(moveit_types(), robot, told, settings.padding)
     rospy.loginfo("watches %s; a conflict is acted upon at least %.2f s ahead", settings.name, horizon)

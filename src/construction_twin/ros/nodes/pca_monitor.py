@@ -13,6 +13,7 @@ import pydantic
 import rospy
 
 from construction_twin.core.errors import ConfigurationError, RequestRefused
+from construction_twin.core.files import check_writable
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.reports import HoldReport, SyncReport
 from construction_twin.core.sentences import Sentence
@@ -30,7 +31,7 @@ from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.launch_arguments import arm_of, decimals_of
 from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
-from construction_twin.ros.shared.params import NodeSettings
+from construction_twin.ros.shared.params import NodeSettings, robot_file
 from construction_twin.ros.shared.ports import (
     Every,
     Interface,
@@ -60,6 +61,8 @@ SETPOINTS_KEPT = 25
 FEEDBACK_KEPT = 50
 #: Longest time between two `sync` of an open gate while the command rests [ns]: five nodes read each of them.
 RESTING_SYNC = NANOSECONDS // 10
+#: Rate of `sync` while its state does not change [Hz]. After 0.5 s of silence the executor takes the gate for closed.
+SYNC_RATE = 50.0
 #: How long transitions wait for their file [s].
 WRITE_PERIOD = 0.1
 
@@ -69,7 +72,6 @@ class Settings(NodeSettings, Behaviour):
 
     arm: Literal["mock", "real", "none"]
     decimals: int = pydantic.Field(ge=1, le=6)
-    sync_rate: float = pydantic.Field(ge=5)
     transition_file: Annotated[str, pydantic.Field(min_length=1)]
     servo_model: str
 
@@ -100,7 +102,6 @@ class PcaMonitorNode:
         behaviour: What the gate was given.
         names: Joint names.
         compares: Whether there is a physical arm.
-        sync_rate: How often `sync` is published while its state does not change [Hz]; at rest see `RESTING_SYNC`.
         diagnostics: Counts what is refused.
         stopped_in: The session in which a monitor before this one was STOPPED: the gate stays so until the link tells of another
             session.
@@ -112,7 +113,6 @@ class PcaMonitorNode:
         behaviour: Behaviour,
         names: tuple[str, ...],
         compares: bool,
-        sync_rate: float,
         outputs: Outputs,
         diagnostics: NodeDiagnostics,
         stopped_in: str = "",
@@ -129,7 +129,7 @@ class PcaMonitorNode:
         if stopped_in:
             self._session = stopped_in
             gate.stay_stopped(Sentence("reason.gate.stopped_before", session=stopped_in), time.monotonic_ns())
-        self._sync_period = round(NANOSECONDS / sync_rate)
+        self._sync_period = round(NANOSECONDS / SYNC_RATE)
         self._sync_at = 0
         self._reported: tuple = ()
         #: As it was told last; empty: not yet.
@@ -155,7 +155,7 @@ class PcaMonitorNode:
         self._publish(now)
 
     def watch(self) -> None:
-        """Notice what did not come, and do what may wait; to be called at `sync_rate`."""
+        """Notice what did not come, and do what may wait; to be called at `SYNC_RATE`."""
         now = time.monotonic_ns()
         with self._lock:
             self._gate.watch(now)
@@ -381,6 +381,12 @@ def knows_servos(settings: Settings) -> bool:
     return bool(settings.servo_model) and settings.arm != "none"
 
 
+def check(settings: Settings, robot: RobotModel) -> None:
+    """Check what fits the model and yet cannot work; see `NodeShell`."""
+    make_gate(settings, robot, 0)
+    check_writable(robot_file(settings.transition_file, robot.name).parent)
+
+
 def start(settings: Settings, robot: RobotModel, ports: Ports) -> PcaMonitorNode:
     """Return the monitor with its parameters, topics and services."""
     names = robot.joint_names
@@ -390,12 +396,11 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> PcaMonitorNode
         Behaviour.model_validate(settings.model_dump(include=set(Behaviour.model_fields))),
         names,
         compares,
-        settings.sync_rate,
         Outputs(
             ports.publishers["command/joint_states"],
             ports.publishers["sync"],
             ports.publishers["hold"],
-            TransitionReport(settings.transition_file, names, ports.publishers["transitions"]),
+            TransitionReport(robot_file(settings.transition_file, robot.name), names, ports.publishers["transitions"]),
             rospy.ServiceProxy("plan_to_joints", PlanToJoints),
             ports.keeper(PARAMETER),
             ports.publishers.get("expected/joint_states"),
@@ -445,21 +450,18 @@ INTERFACE = Interface(
     ),
     serves=(Served("configure_gate", ConfigureGate, PcaMonitorNode.on_configure, reason="configure_gate"),),
     every=(
-        Every(lambda settings: 1 / settings.sync_rate, lambda node, _ports: node.watch()),
+        Every(lambda _settings: 1 / SYNC_RATE, lambda node, _ports: node.watch()),
         Every(lambda _settings: WRITE_PERIOD, lambda node, _ports: node.write_transitions()),
     ),
 )
 FILE = ConfigFile(
     lambda given: {
         "arm": arm_of(given),
-        "transition_file": "transitions",
         "decimals": decimals_of(given),
         "servo_model": given.get("servo_model", ""),
     }
 )
-NODE = NodeShell(
-    "pca_monitor", Settings, start, INTERFACE, lambda settings, robot: make_gate(settings, robot, 0), FILE, fast=True
-)
+NODE = NodeShell("pca_monitor", Settings, start, INTERFACE, check, FILE, fast=True)
 
 
 def main() -> None:

@@ -39,7 +39,7 @@ from construction_twin.ros.messages.plan_requests import (
 )
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
-from construction_twin.ros.shared.arm_listener import listen_to_other_arm, neighbour_settings
+from construction_twin.ros.shared.arm_listener import OTHER_POSE_AGE, listen_to_other_arm, neighbour_settings
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.frame_listener import FRAMES
 from construction_twin.ros.shared.frames import listen_to_frames
@@ -68,6 +68,13 @@ from construction_twin.srv import (
     PlanWorkRequest,
 )
 
+#: Oldest pose of the twin that a plan may start from, and longest wait for one [s since its reception].
+MAX_POSE_AGE = 0.5
+#: How long to wait for a tf transform of a goal given in another frame [s].
+TF_TIMEOUT = 1.0
+#: How long a request waits for the first scene when the planner has just started [s].
+SCENE_TIMEOUT = 5.0
+
 
 class Settings(PlannerSettings):
     """The node's parameters: the planner's, and what only the node needs.
@@ -75,15 +82,12 @@ class Settings(PlannerSettings):
     Behaviour is explained in config/planner.yaml; `self_collision` and `tf_prefix` are given in launch/twin.launch.
 
     Attributes:
-        ik_budget, max_pose_age, tf_timeout, scene_timeout: [s]
+        ik_budget: [s]
         self_collision: YAML of the link pairs that are not checked.
         tf_prefix: What stands before the robot's `base_link` in tf; empty: nothing.
     """
 
     ik_budget: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]
-    max_pose_age: Annotated[float, pydantic.Field(gt=0.0)]
-    tf_timeout: Annotated[float, pydantic.Field(ge=0.0, le=60.0)]
-    scene_timeout: Annotated[float, pydantic.Field(ge=0.0, le=60.0)]
     self_collision: str
     tf_prefix: str
 
@@ -105,10 +109,8 @@ class PlannerNode:
         if self._beside is not None:
             beside, refuse = self._beside, self._diagnostics.refuse
             other = listen_to_other_arm(self._robot.name, beside, refuse, streams=False)
-            self._space = OccupiedSpace(other, beside.name, beside.max_pose_age, beside.padding)
-        self._frames = listen_to_frames(
-            self._robot, self._settings.tf_prefix, self._settings.tf_timeout, self._diagnostics.refuse
-        )
+            self._space = OccupiedSpace(other, beside.name, OTHER_POSE_AGE, beside.padding)
+        self._frames = listen_to_frames(self._robot, self._settings.tf_prefix, TF_TIMEOUT, self._diagnostics.refuse)
         self._publisher, self._outcome_publisher = ports.publishers["plan"], ports.publishers["plan_outcome"]
         self._twin = ports.poses["twin/joint_states"]
         self._engagement: Engagement | None = None
@@ -116,7 +118,7 @@ class PlannerNode:
             self._pipeline,
             self._diagnostics,
             functools.partial(ports.connections, "scene"),
-            self._settings.scene_timeout,
+            SCENE_TIMEOUT,
             self._publish,
             self._publish_outcome,
             self._space,
@@ -274,8 +276,7 @@ class PlannerNode:
     # -- inputs of requests
 
     def _present_pose(self) -> tuple[float, ...]:
-        oldest = self._settings.max_pose_age
-        return self._twin.pose(oldest, oldest)
+        return self._twin.pose(MAX_POSE_AGE, MAX_POSE_AGE)
 
     def _goal_in_base(self, goal: PoseStamped) -> Pose:
         """Return ``base_T_tool`` for a goal in a link or any frame tf knows, at the goal's stamp (0: the latest)."""

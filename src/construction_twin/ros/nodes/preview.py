@@ -76,16 +76,17 @@ LINE_WIDTH, POINT_SIZE, MARK_SIZE, LABEL_SIZE = 0.012, 0.06, 0.035, 0.065
 LABEL_AT = (0.0, 0.0, 0.1)
 #: The line of an engaged segment is so much wider: the way there and the way back often lie on each other.
 WIDER = 1.7
+#: Between two poses of the ghost [s].
+FRAME_PERIOD = 0.04
 #: Rehearsals that are remembered: of the plan under review, and of those that come before it is offered.
 REHEARSALS_KEPT = 4
 
 
 class Settings(pydantic.BaseModel):
-    """Private parameters, given in launch/twin.launch: poses of the ghost per second, and what stands before its links in tf."""
+    """Private parameters, given in launch/twin.launch: what stands before the ghost's links in tf."""
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
-    frame_rate: float = pydantic.Field(ge=1, le=250)
     tf_prefix: str
 
 
@@ -409,7 +410,7 @@ INTERFACE = Interface(
         Subscription("rehearsal", Rehearsal, PreviewNode.on_rehearsal, queue_size=2),
     ),
     serves=(Served("preview_plan", PreviewPlan, PreviewNode.on_preview),),
-    every=(Every(lambda settings: 1 / settings.frame_rate, lambda node, _ports: node.move_ghost()),),
+    every=(Every(lambda _settings: FRAME_PERIOD, lambda node, _ports: node.move_ghost()),),
 )
 NODE = NodeShell("preview", Settings, PreviewNode, INTERFACE)
 

@@ -6,7 +6,6 @@ import functools
 import re
 import threading
 from collections.abc import Callable
-from typing import Annotated
 
 import pydantic
 import rosgraph
@@ -53,6 +52,8 @@ from construction_twin.srv import (
 
 #: Oldest pose of the twin that counts as its present one; longest wait for it and for a transform [s].
 _PATIENCE = 1.0
+#: How often the present pose is checked [s].
+CHECK_PERIOD = 0.2
 #: roslaunch's id of this run.
 _RUN = "/run_id"
 
@@ -64,7 +65,6 @@ class Settings(pydantic.BaseModel):
         scene: YAML of the scene at the start; ``none`` or empty: no objects, no padding.
         self_collision: YAML of the link pairs that are not checked.
         tf_prefix: Of the twin's tf frames.
-        check_rate: How often the present pose is checked [Hz].
     """
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
@@ -72,7 +72,6 @@ class Settings(pydantic.BaseModel):
     scene: str
     self_collision: str
     tf_prefix: str
-    check_rate: Annotated[float, pydantic.Field(gt=0.0, le=100.0)]
 
 
 class SceneNode:
@@ -281,7 +280,7 @@ INTERFACE = Interface(
         _edit("clear_scene", Trigger, SceneNode.on_clear),
         _edit("edit_scene", EditScene, SceneNode.on_edit),
     ),
-    every=(Every(lambda settings: 1.0 / settings.check_rate, lambda node, _ports: node.check()),),
+    every=(Every(lambda _settings: CHECK_PERIOD, lambda node, _ports: node.check()),),
 )
 NODE = NodeShell("scene", Settings, SceneNode, INTERFACE)
 

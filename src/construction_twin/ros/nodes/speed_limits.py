@@ -61,6 +61,10 @@ PATIENCE = 0.5
 #: Largest file that is read, and the least that it has [bytes].
 MOST, ROOM = 1 << 16, 4096
 
+#: Between two messages of the limit in force [s], well below `speed_limit_deadline` of executor and gateway. A program's silence is
+#: noticed up to one period late.
+PERIOD = 0.05
+
 
 class Settings(pydantic.BaseModel):
     """Private parameters; see config/speed_limits.yaml."""
@@ -69,7 +73,6 @@ class Settings(pydantic.BaseModel):
 
     arm: Literal["mock", "real", "none"]
     folder: str
-    rate: float = pydantic.Field(ge=1, le=100)
 
 
 class SourceRules(pydantic.BaseModel):
@@ -320,7 +323,7 @@ INTERFACE = Interface(
     ),
     hears=(Subscription("speed_limit", SpeedLimitMessage, SpeedLimitsNode.on_program, queue_size=5, tcp_nodelay=True),),
     serves=(Served("limit_speed", LimitSpeed, SpeedLimitsNode.on_limit_speed),),
-    every=(Every(lambda settings: 1.0 / settings.rate, lambda node, _ports: node.repeat()),),
+    every=(Every(lambda _settings: PERIOD, lambda node, _ports: node.repeat()),),
 )
 NODE = NodeShell("speed_limits", Settings, start, INTERFACE, file=ConfigFile(lambda given: {"arm": arm_of(given)}))
 

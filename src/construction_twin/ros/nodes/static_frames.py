@@ -22,15 +22,14 @@ from construction_twin.scene.cell import load_cell
 class Settings(pydantic.BaseModel):
     """Private parameters, given in the launch file.
 
-    Frame that the robot stands in, and tf prefixes of its copies. Where it stands in it, the parameter ``cell`` says; without
-    one at its origin. Of the copies in `chain_only` the joint states hold the joints of the chain alone, so that the frames of the
-    others come from here; those of floating joints, which no joint state holds, come from here for every copy. `more` has prefixes
-    of further copies of the chain alone, each by the name of its tree.
+    Tf prefixes of the robot's copies. Where it stands in `world`, the parameter ``cell`` says; without one at its origin. Of the
+    copies in `chain_only` the joint states hold the joints of the chain alone, so that the frames of the others come from here;
+    those of floating joints, which no joint state holds, come from here for every copy. `more` has prefixes of further copies of
+    the chain alone, each by the name of its tree.
     """
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
-    parent: str = "world"
     prefixes: list[str]
     chain_only: list[str]
     more: dict[str, str] = {}
@@ -46,7 +45,7 @@ class StaticFramesNode:
         base = parse_urdf(robot.urdf).get_root()
         more = list(settings.more.values())
         prefixes, chain_only = settings.prefixes + more, settings.chain_only + more
-        transforms = [self._transform(settings.parent, tf_frame(prefix, base), place) for prefix in prefixes]
+        transforms = [self._transform("world", tf_frame(prefix, base), place) for prefix in prefixes]
         transforms += [
             self._transform(tf_frame(prefix, frame.parent), tf_frame(prefix, frame.child), frame.pose)
             for prefix in prefixes

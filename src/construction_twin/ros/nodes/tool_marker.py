@@ -5,6 +5,7 @@ The menu is in `ros.shared.tool_marker_menu`, the shapes are in `ros.shared.tool
 
 from __future__ import annotations
 
+import getpass
 import threading
 import time
 from typing import Annotated
@@ -42,30 +43,32 @@ from construction_twin.views.texts import waiting_plan
 
 #: How often the marker follows the tool while it has not been dragged, and the texts are renewed [s].
 PERIOD = 0.1
+#: Oldest pose of the twin that a goal may be judged from [s].
+MAX_POSE_AGE = 0.5
+#: Time for the inverse kinematics of a pose [s]; only arms without a closed form need it.
+IK_BUDGET = 0.1
+#: How long the marker's menu waits for a node that does not answer [s].
+SERVICE_TIMEOUT = 2.0
 
 _Positive = Annotated[float, pydantic.Field(gt=0.0, allow_inf_nan=False)]
 
 
 class Settings(pydantic.BaseModel):
-    """Private parameters: behaviour in config/tool_marker.yaml; `self_collision`, `tf_prefix`, `reviewer` in the launch file.
+    """Private parameters: behaviour in config/tool_marker.yaml; `self_collision`, `tf_prefix` in the launch file.
 
     Attributes:
         scale: [m]
-        max_pose_age, ik_budget, service_timeout: [s]
         self_collision: YAML of the link pairs that are not checked.
         tf_prefix: Of the tf frames of the robot's links; empty: none.
-        reviewer: Who approves and rejects by the menu.
+        reviewer: Who approves and rejects by the menu; empty: the user who starts it.
     """
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     scale: _Positive
-    max_pose_age: _Positive
-    ik_budget: Annotated[float, pydantic.Field(gt=0.0, le=10.0)]
-    service_timeout: _Positive
     self_collision: str
     tf_prefix: str
-    reviewer: Annotated[str, pydantic.Field(min_length=1)]
+    reviewer: str
 
 
 class ToolMarkerNode:
@@ -75,7 +78,7 @@ class ToolMarkerNode:
         self._settings = settings
         self._robot = robot
         self._chain = Chain(self._robot)
-        ik = IkSettings(budget_s=self._settings.ik_budget)
+        ik = IkSettings(budget_s=IK_BUDGET)
         self._solver = inverse_kinematics(Chain(self._robot), ik, np.random.default_rng(0), time.monotonic)
         self._self_collision = read_self_collision(self._settings.self_collision, self._robot)
         self._frame = tf_frame(self._settings.tf_prefix, self._robot.base_link)
@@ -96,11 +99,11 @@ class ToolMarkerNode:
         self._diagnostics = ports.diagnostics
         self._listener = RobotListener(namespace, self._robot, refuse=self._diagnostics.refuse)
         self._menu = ToolMarkerMenu(
-            OperatorClient(namespace, self._settings.service_timeout, "tool_marker"),
+            OperatorClient(namespace, SERVICE_TIMEOUT, "tool_marker"),
             self._listener.under_review,
             self._goal,
             self._robot.home,
-            self._settings.reviewer,
+            self._settings.reviewer or getpass.getuser(),
             self._say,
         )
         self._verdicts = ports.publishers["tool_marker/verdict"]
@@ -192,7 +195,7 @@ class ToolMarkerNode:
     def _follow(self) -> None:
         """Put the marker where the tool is."""
         try:
-            tool = self._chain.forward(self._twin.pose(self._settings.max_pose_age))
+            tool = self._chain.forward(self._twin.pose(MAX_POSE_AGE))
         except (PoseUnknownError, PayloadError) as error:
             self._verdict, self._problem = None, str(error)
             return
@@ -217,7 +220,7 @@ class ToolMarkerNode:
         try:
             if scene is None:
                 raise SceneError("the scene", None, Sentence("expected.scene_topic"))
-            seed = self._twin.pose(self._settings.max_pose_age)
+            seed = self._twin.pose(MAX_POSE_AGE)
             self._verdict = judge_pose(pose, seed, self._solver, self._world_of(scene))
         except ConstructionTwinError as error:
             self._verdict, self._problem = None, str(error)

@@ -41,7 +41,7 @@ from construction_twin.ros.shared.frame_listener import FRAMES
 from construction_twin.ros.shared.frames import listen_to_frames
 from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.params import ros_home
+from construction_twin.ros.shared.params import robot_file, ros_home
 from construction_twin.ros.shared.ports import (
     Interface,
     NewestPose,
@@ -81,6 +81,11 @@ from construction_twin.work.task_board import Prepared, TaskBoard, WorkRefused
 from construction_twin.work.task_states import TaskState
 from construction_twin.work.worker import Worker, WorkerError
 
+#: The executor's record of verdicts.
+RECORD = "executor/review_file"
+#: Oldest pose of twin and arm that counts as the present one, and longest wait for one [s].
+MAX_POSE_AGE = 0.5
+
 
 class Settings(pydantic.BaseModel):
     """Private parameters: behaviour is explained in config/work.yaml, the others are given in launch/work.launch.
@@ -89,11 +94,10 @@ class Settings(pydantic.BaseModel):
         model, cell: Absolute paths of the IFC file and of the cell file.
         self_collision: YAML of the link pairs that are not checked.
         tf_prefix: Of the twin's tf frames.
-        review_file: The executor's record of verdicts, which is read after a restart.
         folder: Of the ledgers.
         arm: ``mock``, ``real`` or ``none``: without a physical arm the twin's pose counts as measured.
         private: Folder of what a console serves to whom is logged in, relative to ROS_HOME; empty: no console was started.
-        max_pose_age, service_timeout, listen_time, retry_time: [s]
+        service_timeout, listen_time, retry_time: [s]
     """
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
@@ -102,11 +106,9 @@ class Settings(pydantic.BaseModel):
     cell: str
     self_collision: str
     tf_prefix: str
-    review_file: str
     folder: str
     arm: str
     private: str = ""
-    max_pose_age: Annotated[float, pydantic.Field(gt=0.0, le=60.0)]
     service_timeout: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]
     listen_time: Annotated[float, pydantic.Field(gt=0.0, le=60.0)]
     retry_time: Annotated[float, pydantic.Field(gt=0.0, le=60.0)]
@@ -564,9 +566,10 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> WorkNode:
     twin = ports.poses["twin/joint_states"]
     # without a physical arm the twin's pose counts as measured
     arm = ports.poses.get("physical/joint_states", twin)
-    age, timeout = settings.max_pose_age, settings.service_timeout
+    timeout = settings.service_timeout
     frames = listen_to_frames(robot, settings.tf_prefix, timeout, refuse)
-    review_file = ros_home() / Path(settings.review_file).expanduser()
+    # what became of a plan is read there after a restart
+    review_file = robot_file(ports.parameters[RECORD], robot.name)
     worker = Worker()
     rospy.on_shutdown(worker.close)
     return WorkNode(
@@ -575,7 +578,7 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> WorkNode:
         ports.parameters["planner"],
         worker,
         WorkListener(ports.connections, rospy.is_shutdown, review_file, refuse),
-        Inputs(functools.partial(twin.pose, age, age), functools.partial(arm.pose, age, age), frames.transform),
+        Inputs(*(functools.partial(each.pose, MAX_POSE_AGE, MAX_POSE_AGE) for each in (twin, arm)), frames.transform),
         Outputs(
             ports.publishers["work/tasks"],
             ports.publishers["work/markers"],
@@ -594,7 +597,7 @@ def _heard(handler: Callable[[WorkListener, Any], object]) -> Callable[[WorkNode
 
 INTERFACE = Interface(
     report=WorkNode.report,
-    parameters=(SharedParameter("planner", {}),),
+    parameters=(SharedParameter("planner", {}), SharedParameter(RECORD, "")),
     publishes=(
         Publication("work/tasks", WorkTasks, queue_size=5, latch=True),
         Publication("work/markers", MarkerArray, queue_size=2, latch=True),
@@ -617,7 +620,7 @@ INTERFACE = Interface(
 )
 FILE = ConfigFile(
     lambda _given: {
-        "model": "", "cell": "", "self_collision": "", "tf_prefix": "", "review_file": "", "arm": "mock",
+        "model": "", "cell": "", "self_collision": "", "tf_prefix": "", "arm": "mock",
     },
     lambda given: bool(given.get("work_model")),
 )  # fmt: skip

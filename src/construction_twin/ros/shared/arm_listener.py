@@ -34,6 +34,11 @@ from construction_twin.scene.objects import Scene as SceneValue
 Refuse = Callable[[str, str], None]
 _Length = Annotated[float, pydantic.Field(ge=0.01, le=1.0)]
 _Distance = Annotated[float, pydantic.Field(ge=0.0, le=10.0)]
+#: Largest distance that any point of our arm moves between two poses that the watch checks [m]; half of it is added.
+OWN_STEP = 0.1
+#: Oldest pose of either arm that counts [s since its reception]. Added to how far ahead a conflict must be seen. The poses come 250
+#: times a second; twin and executor wait for each other as long.
+OTHER_POSE_AGE = 0.5
 
 
 class NeighbourSettings(NodeSettings):
@@ -43,22 +48,17 @@ class NeighbourSettings(NodeSettings):
 
     Attributes:
         name: Of the other robot: its namespace. Given in launch/twin.launch.
-        padding, watch_padding, step, own_step: [m]
-        rate: [Hz]
-        max_pose_age: [s]
+        padding, watch_padding, step: [m]
     """
 
     name: Annotated[str, pydantic.Field(min_length=1)]
     padding: _Distance
     watch_padding: _Distance
     step: _Length
-    own_step: _Length
-    rate: Annotated[float, pydantic.Field(gt=0.0, le=50.0)]
-    max_pose_age: Annotated[float, pydantic.Field(gt=0.0, le=60.0)]
 
     @pydantic.model_validator(mode="after")
     def _plans_may_start(self) -> NeighbourSettings:
-        if self.watch_padding + self.own_step / 2.0 > self.padding:
+        if self.watch_padding + OWN_STEP / 2.0 > self.padding:
             raise ValueError(Sentence("expected.watch_padding"))
         return self
 
@@ -288,4 +288,4 @@ def listen_to_other_arm(
     robot = robot_from_parameters(f"/{settings.name}/")
     cell = load_cell(rospy.get_param(f"{namespace}cell", None))
     arm = Neighbour(settings.name, robot, cell.root_T_root(own, settings.name), settings.step)
-    return OtherArm(ArmListener(robot, refused, streams), arm, settings.max_pose_age)
+    return OtherArm(ArmListener(robot, refused, streams), arm, OTHER_POSE_AGE)

@@ -69,6 +69,11 @@ def robot_from_parameters(namespace: str = "") -> RobotModel:
     return load_robot(*map(rospy.get_param, names))
 
 
+def robot_file(path: str, robot: str) -> Path:
+    """Return where a robot's own file is: relative to ROS_HOME, ``{robot}`` stands for the robot's name."""
+    return ros_home() / Path(path.replace("{robot}", robot)).expanduser()
+
+
 def ros_home() -> Path:
     """Return the folder for a node's own files: environment variable ROS_HOME, by default ``~/.ros`` (as roslaunch does)."""
     return Path(os.environ.get("ROS_HOME") or Path.home() / ".ros")

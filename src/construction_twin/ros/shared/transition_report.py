@@ -14,7 +14,6 @@ from construction_twin.core.errors import TransitionLogError
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.msg import Transition as TransitionMsg
 from construction_twin.ros.shared.deferred_log import DeferredLog
-from construction_twin.ros.shared.params import ros_home
 from construction_twin.ros.transport.joint_stream import to_time
 from construction_twin.ros.transport.publisher import Sink
 
@@ -29,7 +28,7 @@ class TransitionReport:
     """Publishes and records transitions.
 
     Args:
-        file: Log file: absolute, or relative to ROS_HOME.
+        file: Log file.
         names: Joint names.
         publisher: Of `transitions`.
 
@@ -40,11 +39,11 @@ class TransitionReport:
         ConfigurationError: When the log cannot be opened.
     """
 
-    def __init__(self, file: str, names: tuple[str, ...], publisher: Sink):
+    def __init__(self, file: Path, names: tuple[str, ...], publisher: Sink):
         self.problem = ""
         self.count = 0
         self._names = names
-        self._log = AppendOnlyFile(ros_home() / Path(file).expanduser(), TransitionLogError, "pca_monitor")
+        self._log = AppendOnlyFile(file, TransitionLogError, "pca_monitor")
         self._said = DeferredLog()
         self._recent: deque[Transition] = deque(maxlen=SHOWN)
         self._publisher = publisher
