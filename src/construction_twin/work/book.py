@@ -199,9 +199,7 @@ class Book:
                 continue
             elif stands and task in present and memory.seen == present[task].digest:
                 continue
-            elif (
-                stands and no_more and memory.seen == NOT_IN_MODEL and (memory.name, memory.ifc_class) not in called
-            ):
+            elif stands and no_more and memory.seen == NOT_IN_MODEL and (memory.name, memory.ifc_class) not in called:
                 continue
             elif self.model != model or (no_more and not stands):
                 # what is on its way out stands; only then can it be asked about

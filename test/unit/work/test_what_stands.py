@@ -254,7 +254,9 @@ def test_what_may_be_in_the_grip_is_not_answered_with_all_others(two_placed):
 @pytest.mark.parametrize("answer", ["stands", "taken_away"])
 def test_a_task_that_has_another_element_now_does_not_take_over_what_it_has_placed(two_placed, answer):
     ready = model("old", "A", "X", "C", "D", digest="b")
-    jobs = tuple(replace(job, id="ToldB", task="ToldB") if job.element == "oldX" else job for job in ready.schedule.jobs)
+    jobs = tuple(
+        replace(job, id="ToldB", task="ToldB") if job.element == "oldX" else job for job in ready.schedule.jobs
+    )
     ready = replace(ready, schedule=Schedule(jobs, (), ()))
     board = opened(two_placed, ready)
     of_b(board)
