@@ -230,7 +230,9 @@ def _plan(trajectory: Trajectory, plan_id: str, scene: Scene) -> Plan:
     unknown = (float("nan"),) * len(trajectory.joint_names)
     report = PlanReport(Clearance(float("nan")), LimitUsage(unknown, unknown, unknown), 0.0)
     found = trajectory.content_hash()
-    return Plan(plan_id or found[:12], found, "rehearse", "waypoints", scene.hash, Moment("", 0), 0.0, trajectory, report)
+    return Plan(
+        plan_id or found[:12], found, "rehearse", "waypoints", scene.hash, Moment("", 0), 0.0, trajectory, report
+    )
 
 
 def _payload(text: str):
