@@ -238,7 +238,10 @@ def _buried(model: BuildingModel, boxes: dict[str, np.ndarray], base: Pose) -> t
     for identifier, (low, high) in boxes.items():
         inside = points[np.all((points > low) & (points < high), axis=1)]
         element = model.elements[identifier]
-        if any(_contains(body.vertices[body.triangles], element, inside) for body in element.bodies):
+        # the box of a doubtful one is larger than it: it says nothing of where the base is
+        if not element.doubt and any(
+            _contains(body.vertices[body.triangles], element, inside) for body in element.bodies
+        ):
             found.append(identifier)
     return tuple(found)
 
