@@ -95,7 +95,7 @@ def main(arguments: list[str]) -> int:
                 "proposed": work.schedule.proposed, "seconds": checked.seconds, "rss_mb": checked.rss_mb, "notes": notes,
             }  # fmt: skip
             picture = cell_picture(checked.tasks, setup.layout(robot))
-            contents = {"check.json": as_json(about, checked.tasks), "check.png": picture}
+            contents: dict[str, str | bytes] = {"check.json": as_json(about, checked.tasks), "check.png": picture}
             for name, content in contents.items():
                 write_whole(directory / name, content)
     except (ConstructionTwinError, OSError) as error:
