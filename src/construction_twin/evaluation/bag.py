@@ -16,7 +16,6 @@ import numpy as np
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.sentences import Sentence
 from construction_twin.evaluation.recording import (
-    CurrentStream,
     FeedbackStream,
     LinkSnapshot,
     PlayedPlan,
@@ -29,10 +28,8 @@ from construction_twin.evaluation.recording import (
 TWIN = "twin/joint_states"
 PHYSICAL = "physical/joint_states"
 FEEDBACK = "physical/feedback"
-CURRENT = "physical/current"
 COMMAND = "command/joint_states"
 EXPECTED = "expected/joint_states"
-NEXT = "next/joint_states"
 EXECUTION = "execution"
 PLAN = "plan"
 LINK = "link"
@@ -40,7 +37,7 @@ SYNC = "sync"
 REVIEW = "review"
 MOCK = "mock_rsi/status"
 #: Topics read, relative to the robot's namespace. Only twin and physical have to be there.
-TOPICS = (TWIN, PHYSICAL, FEEDBACK, CURRENT, COMMAND, NEXT, EXPECTED, EXECUTION, PLAN, LINK, SYNC, REVIEW, MOCK)
+TOPICS = (TWIN, PHYSICAL, FEEDBACK, COMMAND, EXPECTED, EXECUTION, PLAN, LINK, SYNC, REVIEW, MOCK)
 #: Reports whose changes of state are told, and what they are called.
 REPORTS = {SYNC: "gate", EXECUTION: "execution", LINK: "link"}
 
@@ -49,9 +46,7 @@ TYPES = {
     TWIN: "sensor_msgs/JointState",
     PHYSICAL: "sensor_msgs/JointState",
     FEEDBACK: "construction_twin/Feedback",
-    CURRENT: "construction_twin/AxisCurrent",
     COMMAND: "sensor_msgs/JointState",
-    NEXT: "sensor_msgs/JointState",
     EXPECTED: "sensor_msgs/JointState",
     EXECUTION: "construction_twin/Execution",
     PLAN: "construction_twin/Plan",
@@ -183,8 +178,6 @@ class _Run:
             links=tuple(_link(received, message) for received, message in messages[LINK]),
             mock=_mock(messages[MOCK]),
             expected=self._stream(EXPECTED) if messages[EXPECTED] else None,
-            currents=self._currents(),
-            setpoints=self._stream(NEXT) if messages[NEXT] else None,
             changes=self._changes(),
             verdicts=self._verdicts(),
         )
@@ -214,12 +207,11 @@ class _Run:
         messages = self._messages[topic]
         return {
             "stamps": np.array([self._time(message.header.stamp) for _, message in messages], dtype=np.int64),
-            "positions": self._columns(topic, "position"),
+            "positions": self._positions(topic),
             "received": np.array([received for received, _ in messages], dtype=np.int64),
         }
 
-    def _columns(self, topic: str, field: str) -> np.ndarray:
-        """Return what the messages on a topic hold of each joint, shape (k, n)."""
+    def _positions(self, topic: str) -> np.ndarray:
         messages = self._messages[topic]
         columns: dict[tuple[str, ...], list[int]] = {}
         rows = []
@@ -230,12 +222,11 @@ class _Run:
                 if missing:
                     raise ConstructionTwinError(Sentence("view.bag.no_joints", topic=topic, joints=", ".join(missing)))
                 columns[names] = [names.index(joint) for joint in self._joints]
-            values = getattr(message, field)
-            if len(values) != len(names):
+            if len(message.position) != len(names):
                 raise ConstructionTwinError(
-                    Sentence("view.bag.count", topic=topic, found=len(values), count=len(names))
+                    Sentence("view.bag.count", topic=topic, found=len(message.position), count=len(names))
                 )
-            rows.append([values[column] for column in columns[names]])
+            rows.append([message.position[column] for column in columns[names]])
         return np.array(rows, dtype=float).reshape(len(rows), len(self._joints))
 
     def _stream(self, topic: str) -> Stream:
@@ -250,13 +241,6 @@ class _Run:
             seq=np.array([message.seq for _, message in messages], dtype=np.uint64),
             command_stamps=np.array([self._time(message.command_stamp) for _, message in messages], dtype=np.int64),
         )
-
-    def _currents(self) -> CurrentStream | None:
-        messages = self._messages[CURRENT]
-        if not messages:
-            return None
-        stamps = [self._time(message.command_stamp) for _, message in messages]
-        return CurrentStream(self._columns(CURRENT, "current"), np.array(stamps, dtype=np.int64))
 
     def _plans(self) -> tuple[PlayedPlan, ...]:
         """Return the executions, each with the last outcome that was reported for it."""

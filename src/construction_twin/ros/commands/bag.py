@@ -16,7 +16,7 @@ from std_msgs.msg import String
 
 from construction_twin.evaluation.bag import PLAN, choose_robot, messages_of, recording_of
 from construction_twin.evaluation.recording import Recording
-from construction_twin.msg import AxisCurrent, Execution, Feedback, Link, Plan, Review, Sync
+from construction_twin.msg import Execution, Feedback, Link, Plan, Review, Sync
 from construction_twin.robot.plan import Plan as PlanValue
 from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.shared.known_bag import open_bag
@@ -25,7 +25,6 @@ from construction_twin.ros.shared.known_bag import open_bag
 KINDS: tuple[type[genpy.Message], ...] = (
     JointState,
     Feedback,
-    AxisCurrent,
     Execution,
     Plan,
     Link,

@@ -25,8 +25,6 @@ TOPICS = (
     "twin/joint_states",
     "physical/joint_states",
     "physical/feedback",
-    "physical/current",
-    "next/joint_states",
     "command/joint_states",
     "expected/joint_states",
     "sync",
