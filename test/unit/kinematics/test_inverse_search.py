@@ -1,4 +1,4 @@
-"""Inverse kinematics by search (tried on an arm that also has a closed form, and on two of seven joints) and along a linear axis."""
+"""Inverse kinematics by search (tried on an arm that has a closed form, and on two of seven joints) and along a linear axis."""
 
 from __future__ import annotations
 
