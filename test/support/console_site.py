@@ -97,7 +97,6 @@ class ConsoleSite:
     Args:
         listen, host: Address on which the console listens, and the name by which a browser reaches it.
         hosts: Further names in the certificates.
-        cameras: As the console's option `--camera` has them.
 
     Attributes:
         url: Of the page.
@@ -111,14 +110,11 @@ class ConsoleSite:
         listen: str = "127.0.0.1",
         host: str = "localhost",
         hosts: tuple[str, ...] = (),
-        cameras: tuple[str, ...] = (),
     ):
         self.folder = folder
         self.port = free_ports()
-        self.private, self.results = folder / "private", folder / "results"
+        self.private = folder / "private"
         write_robot_files(self.private)
-        (self.results / "run1").mkdir(parents=True)
-        (self.results / "run1/report.html").write_text("<!doctype html><title>run 1</title><h1>Report of run 1</h1>")
         names = ("localhost", "127.0.0.1", *hosts)
         self.site = SiteBroker(
             folder / "site",
@@ -131,7 +127,7 @@ class ConsoleSite:
         )
         self.url = f"https://{host}:{self.port}/"
         self.log = folder / "console.log"
-        self._page, self._listen, self._cameras = page, listen, cameras
+        self._page, self._listen = page, listen
         self._process: subprocess.Popen | None = None
 
     def start(self) -> ConsoleSite:
@@ -142,11 +138,10 @@ class ConsoleSite:
     def start_console(self) -> None:
         files = self.site.folder / "console"
         self._process = run_console(
-            self.log, self._page, self._listen, self.port, "--private", self.private, "--results", self.results,
+            self.log, self._page, self._listen, self.port, "--private", self.private,
             "--pairings", self.folder / "pairings",
             "--rights", files / "rights.json", "--certificate", files / "console.crt", "--key", files / "console.key",
             "--broker-host", "localhost", "--broker-port", str(self.site.site.port), "--broker-ca", self.site.folder / "ca/ca.crt",
-            *(word for camera in self._cameras for word in ("--camera", camera)),
         )  # fmt: skip
 
     @property

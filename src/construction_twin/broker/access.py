@@ -9,8 +9,6 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from string import Template
 
-from construction_twin.core.camera_address import MOST as MOST_CAMERAS
-from construction_twin.core.camera_address import CameraAddress
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.sentences import Sentence
 from construction_twin.mqtt.messages import Topics
@@ -155,7 +153,6 @@ class Site:
         prefix: First level of the MQTT topics.
         consoles: Names and addresses under which browsers reach the console; empty: no files for one.
         console_port: Its TCP port.
-        cameras: What the console shows beside a robot's picture, to who may `view` that robot.
         folder: Where the broker finds its files.
         listen: The broker's own address on which it listens; empty: all of them.
 
@@ -179,7 +176,6 @@ class Site:
     persons: tuple[Person, ...] = field(default=())
     consoles: tuple[str, ...] = field(default=())
     console_port: int = 8480
-    cameras: tuple[CameraAddress, ...] = field(default=())
 
     def __post_init__(self):
         for option, names, pattern in (
@@ -205,13 +201,6 @@ class Site:
             )
         if not self.folder or re.search(r"\s", self.folder):
             raise ConfigurationError("--broker-folder", self.folder, Sentence("expected.site.folder"))
-        for camera in self.cameras:
-            if camera.robot not in self.robots:
-                known = Sentence("expected.one_of", known=", ".join(self.robots))
-                raise ConfigurationError(f"--camera {camera.name}", camera.robot, known)
-        if len(self.cameras) > MOST_CAMERAS:
-            expected = Sentence("expected.cameras", most=MOST_CAMERAS)
-            raise ConfigurationError("--camera", len(self.cameras), expected)
         for person in self.persons:
             if unknown := {robot for grant in person.grants for robot in grant.robots} - set(self.robots):
                 known = Sentence("expected.one_of", known=", ".join(self.robots))
@@ -320,12 +309,7 @@ def _rules(
     topics, rules = Topics(site.prefix, robot), ""
     for right in rights:
         name, values = f"right_{right}.acl", {"account": account, "topics": f"{site.prefix}/{robot}"}
-        values["cameras"] = "\n".join(
-            f"topic read {each.topic(site.prefix)}" for each in site.cameras if each.robot == robot
-        )
-        text = _filled(name, template(name), **values, writes=_asking(topics, right, account, asks))
-        # a robot without cameras leaves no empty line
-        rules += "".join(line for line in text.splitlines(keepends=True) if line.strip())
+        rules += _filled(name, template(name), **values, writes=_asking(topics, right, account, asks))
     return rules
 
 

@@ -22,9 +22,7 @@ _SCALE = 8
 
 
 class ConsoleFiles:
-    """The folder `console/` of a site: `console.crt`, `console.key`, `ca.crt`, `rights.json`, `addresses.txt`, their QR codes,
-    `cameras.txt`.
-    """
+    """The folder `console/` of a site: `console.crt`, `console.key`, `ca.crt`, `rights.json`, `addresses.txt`, their QR codes."""
 
     def __init__(self, folder: Path):
         self._folder = folder
@@ -41,17 +39,9 @@ class ConsoleFiles:
         Raises:
             ConstructionTwinError: When openssl is missing or a name does not fit.
         """
-        lines, path = [], self._folder / "cameras.txt"
-        if not site.cameras:
-            path.unlink(missing_ok=True)
-        else:
-            make_folder(self._folder)
-            write_private(path, " ".join(map(str, site.cameras)) + "\n")
-            lines.append(
-                f"cameras: give console_cameras of bringup.launch, or --camera of the console, what stands in {path}"
-            )
         if not site.consoles:
-            return lines
+            return []
+        lines = []
         make_folder(self._folder)
         if renew or tuple(before) != site.consoles or not self.certificate.exists():
             authority.issue(_NAME, self._folder / "console.key", self.certificate, days, site.consoles)

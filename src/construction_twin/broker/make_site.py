@@ -11,7 +11,7 @@ import json
 import re
 import secrets
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from datetime import UTC
 from pathlib import Path
 
@@ -30,7 +30,6 @@ from construction_twin.broker.access import (
 )
 from construction_twin.broker.certificates import Authority, expiry, make_folder, run_tool, write_private
 from construction_twin.broker.console_files import ConsoleFiles
-from construction_twin.core.camera_address import CameraAddress, camera_of, cameras_of
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, spoken
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import share_file
@@ -300,15 +299,6 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
         metavar="HOST",
         help="name or address of the console, as tablets write it: makes its certificate, links and QR codes; may be repeated",
     )
-    add(
-        "--camera",
-        action="append",
-        default=[],
-        metavar="NAME=http://ADDRESS[:PORT]/PATH[@ROBOT]",
-        help="a camera whose MJPEG the console shows beside a robot's picture, to who may view that robot: writes the access rule "
-        "of its topic and, for the console, console/cameras.txt; without @ of the site's one robot; may be repeated; a name that "
-        "there is at a robot gets this address",
-    )
     add("--console-port", type=int, help="TCP port of the console [8480]")
     add("--plc", action="store_true", help="also an account for a PLC that commands in place of the bridge")
     add("--certificates", action="store_true", help="also client certificates, on the port above --port")
@@ -356,17 +346,15 @@ def _site(arguments: argparse.Namespace, before: dict) -> Site:
     # without reviewers by name every robot has an account that they share, which may be in use
     shared = before.get("shared", ()) if _names_reviewers(before) else before.get("robots", ())
     reviewed = named["reviewer"] or any("review" in grant.rights for person in persons for grant in person.grants)
-    robots = merged(before.get("robots", ()), arguments.robot)
     given = {
         "hosts": merged(before.get("hosts", ()), arguments.host),
-        "robots": robots,
+        "robots": merged(before.get("robots", ()), arguments.robot),
         **{field: named[role] for role, field in _FIELDS.items()},
         "persons": persons,
         "shared": shared if reviewed else (),
         "plc": arguments.plc or before.get("plc", False),
         "certificates": arguments.certificates or before.get("certificates", False),
         "consoles": merged(before.get("consoles", ()), arguments.console),
-        "cameras": _cameras(arguments.camera, before.get("cameras", ()), robots[0] if len(robots) == 1 else ""),
         "console_port": arguments.console_port or before.get("console_port", 8480),
         "port": arguments.port or before.get("port", 8883),
         "listen": arguments.listen or before.get("listen", ""),
@@ -394,15 +382,6 @@ def _persons(given: Iterable[str], before: Iterable[Mapping]) -> tuple[Person, .
         grants = now[person.name].grants if person.name in now else ()
         now[person.name] = Person(person.name, (*grants, *person.grants))
     return tuple((persons | now).values())
-
-
-def _cameras(given: Sequence[str], before: Iterable[Mapping], robot: str) -> tuple[CameraAddress, ...]:
-    """Return the cameras of before and those given now, which take the place of one of the same name; without ``@`` of `robot`."""
-    for words in given:
-        # one each: what is empty, or several in one, is a slip
-        camera_of(words, robot)
-    found = [CameraAddress(**one) for one in before]
-    return tuple({(one.robot, one.name): one for one in (*found, *cameras_of(given, robot))}.values())
 
 
 def main(argv: list[str] | None = None) -> int:

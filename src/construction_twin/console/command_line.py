@@ -40,7 +40,6 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     add = parser.add_argument
     add("--page", type=Path, help="folder of the page; without it there is none, only the pipe")
     add("--private", type=Path, help="folder of files for who is logged in: robot, scene, building model")
-    add("--results", type=Path, help="folder of recorded runs, whose reports are listed")
     add(
         "--pairings",
         type=Path,
@@ -63,15 +62,5 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     add("--broker-host", default="127.0.0.1", help="the broker's address [%(default)s]")
     add("--broker-port", type=int, default=18830, help="the broker's TCP port [%(default)s]")
     add("--broker-ca", type=Path, help="certificate of who signed the broker's; with it the broker's connection is TLS")
-    add(
-        "--camera",
-        action="append",
-        default=[],
-        metavar="NAME=http://ADDRESS[:PORT]/PATH[@ROBOT]",
-        help="a camera whose MJPEG is shown beside a robot's picture, to whom the broker lets read "
-        "<prefix>/ROBOT/camera/NAME; several separated by blanks; may be repeated",
-    )
-    add("--camera-robot", default="", metavar="ROBOT", help="the robot of cameras that name none")
-    add("--prefix", default="twin", help="first level of the MQTT topics [%(default)s]")
     # roslaunch adds __name:= and __log:= for nodes that speak ROS
     return parser.parse_args([word for word in (sys.argv[1:] if argv is None else argv) if ":=" not in word])

@@ -123,14 +123,12 @@ async def pipe(
     limits: PipeLimits,
     login: Login,
     clock: Callable[[], int] = time.monotonic_ns,
-    on_data: Callable[[bytes], None] | None = None,
 ) -> str:
     """Carry bytes until one side ends; return in one sentence how it ended.
 
     Args:
         login: Says how long a login waits, and gets to know what became of it.
         clock: Returns a time from any origin [ns].
-        on_data: Called with what the broker sends to a browser that is logged in, and with its CONNACK.
     """
     try:
         connecting = asyncio.open_connection(broker.host, broker.port, ssl=broker.tls)
@@ -147,7 +145,7 @@ async def pipe(
     stream = ClientStream(limits.largest)
     attempt = _Attempt()
     up = asyncio.create_task(_from_browser(browser, writer, stream, limits, login, attempt, clock))
-    down = asyncio.create_task(_from_broker(browser, reader, stream, limits, login, attempt, on_data))
+    down = asyncio.create_task(_from_broker(browser, reader, stream, limits, login, attempt))
     gone = asyncio.create_task(_revoked(login))
     try:
         done, _ = await asyncio.wait((up, down, gone), return_when=asyncio.FIRST_COMPLETED)
@@ -276,7 +274,6 @@ async def _from_broker(
     limits: PipeLimits,
     login: Login,
     attempt: _Attempt,
-    on_data: Callable[[bytes], None] | None,
 ) -> None:
     answer: PacketReader | None = PacketReader(limits.largest)
     refused = False
@@ -305,8 +302,6 @@ async def _from_broker(
                     login.wrong(stream.account)
                 if not refused and (why := login.accepted(stream.account)):
                     raise Cut(TOO_MUCH, why)
-        if on_data is not None:
-            on_data(data)
         try:
             await asyncio.wait_for(browser.send(data), limits.stall_s)
         except TimeoutError as error:

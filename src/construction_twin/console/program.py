@@ -17,7 +17,6 @@ from construction_twin.console.pipe import BrokerAddress
 from construction_twin.console.plain_http import LONGEST_HSTS_S
 from construction_twin.console.server import SOCKET, ConsoleServer, ServerSettings
 from construction_twin.console.static_files import read_folder
-from construction_twin.core.camera_address import cameras_of
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.network import is_loopback
 from construction_twin.core.sentences import Sentence
@@ -47,7 +46,6 @@ def settings_of(arguments: argparse.Namespace) -> ServerSettings:
     return ServerSettings(
         read_folder(arguments.page) if arguments.page else {},
         arguments.private,
-        arguments.results,
         BrokerAddress(arguments.broker_host, arguments.broker_port, to_broker),
         frozenset(arguments.origin),
         own,
@@ -55,8 +53,6 @@ def settings_of(arguments: argparse.Namespace) -> ServerSettings:
         arguments.hsts,
         pairings=_pairings(arguments.pairings),
         rights=arguments.rights,
-        cameras=cameras_of(arguments.camera, arguments.camera_robot),
-        prefix=arguments.prefix,
     )
 
 

@@ -21,9 +21,6 @@ from websockets.asyncio.server import ServerConnection, serve
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from construction_twin.console.camera import Camera, CameraLimits
-from construction_twin.console.camera_delivery import deliver_pictures
-from construction_twin.console.camera_rights import CameraRights, TopicScanner
 from construction_twin.console.connection_limits import ConnectionLimits, OpenConnections
 from construction_twin.console.delivery import deliver
 from construction_twin.console.http_connection import HttpConnection, connection_type
@@ -35,10 +32,8 @@ from construction_twin.console.paired import DeviceCookie
 from construction_twin.console.pipe import CLOSE_S, BrokerAddress, PipeLimits, pipe
 from construction_twin.console.plain_http import HSTS_S
 from construction_twin.console.plain_http import answer as plain_answer
-from construction_twin.console.recordings import listing, recordings
 from construction_twin.console.static_files import FileCache, StaticFile, names
 from construction_twin.console.tickets import Tickets
-from construction_twin.core.camera_address import CameraAddress
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 
 if TYPE_CHECKING:
@@ -49,8 +44,6 @@ log = logging.getLogger("console")
 SOCKET, PRIVATE = "/mqtt", "/private/"
 #: Below `PRIVATE`: who has which right.
 RIGHTS = "rights.json"
-#: Below `PRIVATE`: pictures of a camera, by robot and name.
-CAMERA = "camera/"
 #: The subprotocol that MQTT has for WebSockets (MQTT 5.0, section 6).
 SUBPROTOCOL = "mqtt"
 #: A browser is paired on a WebSocket of its own, and asks whether it is; see `pair_socket.py`, which needs more packages.
@@ -59,11 +52,6 @@ PAIR, PAIR_SUBPROTOCOL, PAIRED = "/pair", "twin-pair", "/paired.json"
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; "
     "manifest-src 'self'; worker-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-)
-#: A report is a page of its own with style and figures inside, without a script. From its sandbox a request would bring no cookie.
-REPORT_POLICY = (
-    "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; "
-    "frame-ancestors 'none'; sandbox"
 )
 
 
@@ -74,22 +62,17 @@ class ServerSettings:
     Attributes:
         files: The page, for everybody, by path; empty for a console that only pipes.
         private: Folder of files for who is logged in: robot model, scene, building model.
-        results: Folder of the recorded runs.
         origins: Further origins whose pages may connect.
         rights: `rights.json` of `make_site`; None: the page does not know who may do what.
         names: With TLS, names and addresses of this server: who comes to one of them without TLS is sent to https.
         hsts_s: With TLS, for so long a browser asks by https alone for anything of the host's name [s]; 0: what it was told before
             ends.
-        cameras: Whose pictures may be seen.
-        prefix: First level of the MQTT topics.
-        camera_right_s: For so long the broker's word that an account may see a camera counts [s].
         file_stall_s: Who takes nothing of a file for so long is cut off [s].
         pairings: Devices that log in with a PIN; None: there are none.
     """
 
     files: Mapping[str, StaticFile]
     private: Path | None
-    results: Path | None
     broker: BrokerAddress
     origins: frozenset[str] = frozenset()
     tls: ssl.SSLContext | None = None
@@ -101,10 +84,6 @@ class ServerSettings:
     file_stall_s: float = 20.0
     pairings: Pairings | None = None
     rights: Path | None = None
-    cameras: tuple[CameraAddress, ...] = ()
-    prefix: str = "twin"
-    camera_limits: CameraLimits = field(default_factory=CameraLimits)
-    camera_right_s: float = 30.0
 
 
 class ConsoleServer:
@@ -125,9 +104,6 @@ class ConsoleServer:
         self._delivering: set[HttpConnection] = set()
         self._cache = FileCache()
         self._lines = Lines(1, 20, time.monotonic_ns)
-        self._cameras = {f"{each.robot}/{each.name}": Camera(each, settings.camera_limits) for each in settings.cameras}
-        topics = (each.topic(settings.prefix) for each in settings.cameras)
-        self._camera_rights = CameraRights(topics, settings.camera_right_s)
 
     @property
     def wrong_passwords(self) -> int:
@@ -193,12 +169,7 @@ class ConsoleServer:
         if path == PAIR and self._settings.pairings is not None:
             return self._refuse_socket(connection, request, PAIR_SUBPROTOCOL)
         assert isinstance(connection, HttpConnection)
-        if path.startswith(PRIVATE + CAMERA):
-            answer = self._strict(self._camera_answer(path.removeprefix(PRIVATE + CAMERA), request))
-            if answer.status_code == http.HTTPStatus.OK:
-                return await self._show_camera(connection, path.removeprefix(PRIVATE + CAMERA), request, answer)
-        else:
-            answer = self._strict(await self._answer_to(path, request))
+        answer = self._strict(await self._answer_to(path, request))
         peer = _peer(connection)
         self._delivering.add(connection)
         try:
@@ -222,52 +193,13 @@ class ConsoleServer:
         file = self._settings.files.get("/index.html" if path == "/" else path)
         if file is None:
             return _answer(http.HTTPStatus.NOT_FOUND, b"no such page\n")
-        return _file_answer(file, request, POLICY)
-
-    # -- cameras
-
-    def _may_see(self, camera: Camera, request: Request) -> bool:
-        accounts = self._logins.tickets.accounts(_joined(request.headers, "Cookie", "; "))
-        return self._camera_rights.may_see(accounts, camera.address.topic(self._settings.prefix), time.monotonic())
-
-    def _camera_answer(self, name: str, request: Request) -> Response:
-        """Return the head of a camera's pictures, or why there are none."""
-        status, camera = http.HTTPStatus, self._cameras.get(name)
-        if request.method != "GET":
-            return _answer(status.METHOD_NOT_ALLOWED, b"only GET\n")
-        if not self._logins.tickets.is_known(_joined(request.headers, "Cookie", "; ")):
-            return _answer(status.FORBIDDEN, b"log in first\n")
-        # to who may see none of them, a camera that there is and one that there is not are the same
-        if camera is None or not self._may_see(camera, request):
-            return _answer(status.FORBIDDEN, b"the broker lets this account read no such camera's topic\n")
-        if not camera.has_place(_joined(request.headers, "Cookie", "; ") or ""):
-            return _answer(status.SERVICE_UNAVAILABLE, b"too many look at this camera\n")
-        headers = {"Content-Type": "application/octet-stream", "Cache-Control": "no-store", "Connection": "close"}
-        return Response(200, "OK", Headers(headers | _COMMON | {"Content-Security-Policy": POLICY}), b"")
-
-    async def _show_camera(self, connection: HttpConnection, name: str, request: Request, answer: Response) -> Response:
-        camera, peer = self._cameras[name], _peer(connection)
-        browser = _joined(request.headers, "Cookie", "; ") or ""
-        self._delivering.add(connection)
-        self._lines.write(logging.INFO, f"{peer} looks at camera {name}")
-        try:
-            stall_s, may_see = self._settings.limits.stall_s, lambda: self._may_see(camera, request)
-            end = await deliver_pictures(connection, answer.serialize(), camera, may_see, browser, stall_s)
-            self._lines.write(logging.INFO, f"{peer} looks at camera {name} no more: {_CAMERA_ENDS[end]}")
-        finally:
-            self._delivering.discard(connection)
-        # the connection has ended: the library sends nothing more
-        return answer
+        return _file_answer(file, request)
 
     def _private(self, name: str, request: Request) -> Response:
         settings = self._settings
-        path, policy = None, POLICY
-        if name == "runs.json" and settings.results is not None:
-            return _file_answer(StaticFile.of(name, listing(settings.results)), request, POLICY, private=True)
+        path = None
         if name == RIGHTS:
             path = settings.rights
-        elif name.startswith("runs/") and settings.results is not None:
-            path, policy = recordings(settings.results).get(name.removeprefix("runs/")), REPORT_POLICY
         elif settings.private is not None:
             path = names(settings.private).get(name)
         try:
@@ -279,7 +211,7 @@ class ConsoleServer:
             )
         if file is None:
             return _answer(http.HTTPStatus.NOT_FOUND, b"no such file\n")
-        return _file_answer(file, request, policy, private=True)
+        return _file_answer(file, request, private=True)
 
     # -- paired devices
 
@@ -376,21 +308,12 @@ class ConsoleServer:
             await self._on_pairing(connection, peer)
             return
         login = ConnectionLogin(self._logins, number, peer, connection.ticket, self._cookie(request))
-        scanner, session = TopicScanner(), id(connection)
-
-        def on_data(data: bytes) -> None:
-            for topic in scanner.feed(data):
-                for account in login.accounts:
-                    self._camera_rights.delivered(session, account, topic, time.monotonic())
-
         try:
-            looked = on_data if self._cameras else None
-            how = await pipe(connection, self._settings.broker, self._settings.limits, login, on_data=looked)
+            how = await pipe(connection, self._settings.broker, self._settings.limits, login)
             # a wrong password has had its line
             if not login.is_wrong:
                 self._lines.write(logging.INFO, f"{peer}: {how}")
         finally:
-            self._camera_rights.ended(session)
             login.end()
 
 
@@ -421,12 +344,6 @@ def _answer(status: http.HTTPStatus, body: bytes) -> Response:
     return Response(status.value, status.phrase, Headers(headers | _COMMON | {"Content-Security-Policy": POLICY}), body)
 
 
-#: Why a camera's pictures have ended, for the log.
-_CAMERA_ENDS = {
-    "right": "the broker has not lately sent its topic to this account",
-    "browser": "the browser has left",
-    "stall": "the browser took nothing",
-}
 _LASTING = "max-age=31536000, immutable"
 _COMMON = {
     "X-Content-Type-Options": "nosniff",
@@ -436,9 +353,9 @@ _COMMON = {
 }
 
 
-def _file_answer(file: StaticFile, request: Request, policy: str, private: bool = False) -> Response:
+def _file_answer(file: StaticFile, request: Request, private: bool = False) -> Response:
     headers = _COMMON | {
-        "Content-Security-Policy": policy,
+        "Content-Security-Policy": POLICY,
         "Content-Type": file.kind,
         "ETag": file.tag,
         "Vary": "Accept-Encoding",

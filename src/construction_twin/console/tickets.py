@@ -55,11 +55,6 @@ class Tickets:
         """Return whether a request with this `Cookie` header comes from somebody who is logged in."""
         return bool(self._shown(header))
 
-    def accounts(self, header: str | None) -> tuple[str, ...]:
-        """Return the accounts to which the browser of a request with this `Cookie` header is logged in."""
-        ticket = self._shown(header)
-        return tuple(account for account, tickets in self._logins.items() if ticket and ticket in tickets)
-
     def _shown(self, header: str | None) -> str:
         # by hand: the library's parser drops all cookies of a host where another program's is no proper one
         for part in (header or "").split(";"):

@@ -6,7 +6,6 @@ import importlib.machinery
 import importlib.util
 import json
 import re
-import shutil
 import ssl
 import stat
 import subprocess
@@ -24,7 +23,6 @@ from construction_twin.broker import certificates
 from construction_twin.broker.access import RIGHTS, Person, Site
 from construction_twin.broker.certificates import Authority, expiry
 from construction_twin.broker.make_site import main
-from construction_twin.core.camera_address import cameras_of
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.mqtt.account import load_account
 
@@ -729,89 +727,3 @@ def test_a_key_of_somebody_else_does_not_fit_the_certificate(folder):
 def test_old_tls_is_not_spoken(folder):
     context = load_account(folder / "accounts/kr120-bridge/account.json").context()
     assert context.minimum_version >= ssl.TLSVersion.TLSv1_2 and context.verify_mode is ssl.CERT_REQUIRED
-
-
-# -- cameras
-
-FRONT, SIDE = "front=http://10.0.0.7:8080/stream?n=1", "side=http://cam.cell/mjpg@kr121"
-
-
-def camera_rules(folder: Path) -> dict[str, set[str]]:
-    """Return which cameras' topics an account may read by name."""
-    found: dict[str, set[str]] = {}
-    for line in (folder / "broker/access.acl").read_text().splitlines():
-        if line.startswith("user "):
-            user = line.removeprefix("user ")
-        elif line.startswith("topic read ") and "/camera/" in line and not line.endswith("+"):
-            found.setdefault(user, set()).add(line.split()[-1])
-    return found
-
-
-def test_a_camera_has_its_address_for_the_console_and_its_access_rule_in_one_step(folder, capsys):
-    make(folder, "--person", "vic:view", "--camera", FRONT)
-    assert (folder / "console/cameras.txt").read_text() == f"{FRONT}@kr120\n"
-    front, side = "twin/kr120/camera/front", "twin/kr121/camera/side"
-    seen = camera_rules(folder)
-    assert seen["vic"] == seen["vic-device"] == seen["kr120-viewer"] == {front}
-    # another robot, another camera; the former stays
-    make(folder, "--robot", "kr121", "--camera", SIDE)
-    seen = camera_rules(folder)
-    assert seen["kr121-viewer"] == {side} and seen["kr120-viewer"] == {front} and seen["vic"] == {front, side}
-    words = (folder / "console/cameras.txt").read_text()
-    assert (
-        [str(camera) for camera in cameras_of([words])]
-        == words.split()
-        == [f"{FRONT}@kr120", SIDE.replace("/mjpg", ":80/mjpg")]
-    )
-    # another address under the same name
-    make(folder, "--camera", "front=http://10.0.0.9/new@kr120")
-    assert (folder / "console/cameras.txt").read_text().split()[0] == "front=http://10.0.0.9:80/new@kr120"
-    assert f"what stands in {folder / 'console/cameras.txt'}" in capsys.readouterr().out
-    # taken out of site.json
-    document = json.loads((folder / "site.json").read_text())
-    (folder / "site.json").write_text(json.dumps(document | {"cameras": []}))
-    make(folder)
-    assert camera_rules(folder) == {} and not (folder / "console/cameras.txt").exists()
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    (
-        ("front", "NAME=http://address:port/path@ROBOT"),
-        ("=http://10.0.0.7/", "NAME=http://address:port/path@ROBOT"),
-        ("fr ont=http://10.0.0.7/", "NAME=http://address:port/path@ROBOT"),
-        ("fr/ont=http://10.0.0.7/", "NAME=http://address:port/path@ROBOT"),
-        ("front=rtsp://10.0.0.7/", "NAME=http://address:port/path@ROBOT"),
-        ("front=http://ada:secret@10.0.0.7/", "no user name in the address"),
-        ("front=http://10.0.0.7:99999/", "NAME=http://address:port/path@ROBOT"),
-        ("front=http://10.0.0.7:0/", "NAME=http://address:port/path@ROBOT"),
-        ("front=http://10.0.0.7/@kr999", "expected one of kr120"),
-        ("", "NAME=http://address:port/path@ROBOT"),
-    ),
-)
-def test_a_camera_that_cannot_be_is_refused_and_nothing_is_written(folder, capsys, words, sentence):
-    before = contents(folder)
-    assert main([str(folder), "--camera", words]) == 1
-    said = capsys.readouterr().out
-    assert said.startswith("make_site: --camera") and sentence in said
-    assert contents(folder) == before
-
-
-def test_a_camera_of_several_robots_names_its_own_and_no_two_have_one_name(folder, capsys):
-    for arguments in (["--robot", "kr121", "--camera", FRONT], ["--camera", FRONT, "--camera", FRONT]):
-        assert main([str(folder), *arguments]) == 1
-        assert "make_site: --camera: found" in capsys.readouterr().out
-    assert main([str(folder), *(word for k in range(17) for word in ("--camera", f"c{k}=http://10.0.0.7/"))]) == 1
-    assert "at most 16 cameras" in capsys.readouterr().out
-
-
-def test_a_right_of_a_site_s_own_templates_sees_the_cameras_where_they_name_them(tmp_path):
-    templates = tmp_path / "templates"
-    shutil.copytree(ROOT / "config/mosquitto", templates)
-    (templates / "right_view.acl").write_text("topic read $topics/view\n")
-    with open(templates / "right_acknowledge.acl", "a") as file:
-        file.write("$cameras\n")
-    folder = tmp_path / "site"
-    people = ("--person", "vic:view", "--person", "pat:acknowledge")
-    make(folder, *HOST, *ROBOT, *people, "--camera", FRONT, "--templates", str(templates))
-    assert camera_rules(folder) == {"pat": {"twin/kr120/camera/front"}}

@@ -186,8 +186,7 @@ def test_requests_without_tls_have_no_more_places_than_handshakes_and_keep_nobod
 
 def arguments(site: Path, **more) -> Namespace:
     values = {"certificate": site / "broker/server.crt", "key": site / "broker/server.key", "listen": "0.0.0.0"} | {
-        "page": None, "private": None, "results": None, "rights": None, "origin": [], "camera": [],
-        "camera_robot": "", "prefix": "twin", "hsts": 60,
+        "page": None, "private": None, "rights": None, "origin": [], "hsts": 60,
         "pairings": None,
         "broker_host": "127.0.0.1", "broker_port": 1, "broker_ca": None,
     }  # fmt: skip

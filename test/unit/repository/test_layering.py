@@ -87,7 +87,6 @@ DEPLOYMENT = {
         "realtime_priority",
         "trajectories",
         "self_collision",
-        "cameras",
         "private",
         "servo_model",
     },
@@ -392,7 +391,7 @@ CLOCKS = {
 }
 #: Modules of the library that talk to a network, or name its addresses and errors.
 SOCKETS = (
-    "broker/start.py console/addresses.py console/camera.py console/camera_delivery.py "
+    "broker/start.py console/addresses.py "
     "console/delivery.py console/listener.py console/pipe.py console/program.py "
     "console/server.py console/http_connection.py core/network.py gateway/service.py mock/network.py mqtt/client.py "
     "mqtt/failures.py mqtt/fast_client.py mqtt/polled_client.py core/udp.py views/display.py console/logins.py "

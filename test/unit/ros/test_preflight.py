@@ -439,13 +439,6 @@ def test_a_folder_of_paired_devices_that_the_console_could_not_use_is_refused(mo
     assert "cryptography: found 'missing'" in said(folder)
 
 
-def test_cameras_of_several_robots_name_their_robot():
-    camera = "front=http://10.0.0.7/stream"
-    for words, several, refused in ((camera, False, False), (camera, True, True), (f"{camera}@kr120", True, False)):
-        given = KR120 | {"console": "false", "console_cameras": words, "cameras_name_robots": str(several).lower()}
-        assert bool(preflight.contents_problem(given)) == refused
-
-
 def test_a_taken_port_of_the_console_is_refused():
     with socket.socket() as tcp:
         tcp.bind(("127.0.0.1", 0))

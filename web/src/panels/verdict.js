@@ -336,7 +336,6 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
       if (robot === store.selected) show();
     });
   }
-  store.on("replay", (robot, replay) => take(robot, {type: "replay", on: replay !== null}));
   store.on("looked", (robot, {what, hash}) => take(robot, {type: "looked", what, hash}));
   store.on("failed", (_, {part}) => {
     // the area takes no presses any more, and so sees no release either

@@ -212,7 +212,7 @@ export function isEngaged(segments, k) {
 }
 
 /** Return a line between two points with a dot at each end, seen through everything; `show(points)` sets them, [] hides it. */
-export function span(colour, width) {
+function span(colour, width) {
   const group = new Group();
   const geometry = new LineGeometry();
   geometry.setPositions([0, 0, 0, 0, 0, 0]);

@@ -25,7 +25,6 @@ from construction_twin.console.given_files import broker_tls, check_rights, own_
 from construction_twin.console.pairings_folder import check_pairings_folder
 from construction_twin.controller.makes import DEFAULT, MODULES, make_of
 from construction_twin.controller.port import Make
-from construction_twin.core.camera_address import cameras_of
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.extras import check_extras
 from construction_twin.core.files import check_writable
@@ -258,12 +257,8 @@ def _check_trace(given: Given, robot: RobotModel) -> None:
         raise ConfigurationError(str(path.parent), found, expected)
 
 
-def _check_console(given: Given, robot: RobotModel) -> None:
+def _check_console(given: Given, _robot: RobotModel) -> None:
     """Find what the console needs before it is started again and again without it."""
-    # mqtt_planner announces them, where the console itself is another launch's, too
-    # several robots have one list of them, and each must know its own
-    nameless = "" if is_true(given, "cameras_name_robots") else robot.name
-    cameras_of([given.get("console_cameras", "")], nameless)
     if not is_true(given, "console"):
         return
     if importlib.util.find_spec("websockets") is None:
