@@ -6,7 +6,6 @@ import hashlib
 import shutil
 import subprocess
 import sys
-import time
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -15,14 +14,13 @@ from scripted_robot import VIEW, XACRO, ScriptedRobot
 from site_broker import ROBOTS, SiteBroker, free_ports
 
 from construction_twin.broker.access import RIGHTS, Grant, Person
-from construction_twin.console import pairings
 from construction_twin.mqtt.client import Broker
 from construction_twin.robot.urdf import expand_xacro
 
 #: The page as `setup/setup.sh console` builds it.
 PAGE = ROOT / ".ws/console/page"
 _PACKAGE = "package://construction_twin/"
-#: Person with whose account devices are paired.
+#: Person with one account for every robot.
 PERSON = "pat"
 #: Who may do what in the tests: role and names.
 PEOPLE = {
@@ -139,7 +137,6 @@ class ConsoleSite:
         files = self.site.folder / "console"
         self._process = run_console(
             self.log, self._page, self._listen, self.port, "--private", self.private,
-            "--pairings", self.folder / "pairings",
             "--rights", files / "rights.json", "--certificate", files / "console.crt", "--key", files / "console.key",
             "--broker-host", "localhost", "--broker-port", str(self.site.site.port), "--broker-ca", self.site.folder / "ca/ca.crt",
         )  # fmt: skip
@@ -156,16 +153,6 @@ class ConsoleSite:
             self._process.kill()
             self._process.wait(5.0)
             self._process = None
-
-    @property
-    def pairings(self) -> pairings.Pairings:
-        """The console's paired devices."""
-        return pairings.Pairings(self.folder / "pairings", time.time)
-
-    def invite(self) -> str:
-        """Return what stands behind the page's address when `PERSON` scans a code of `twin pair`."""
-        person = pairings.Person(PERSON, f"{PERSON}-device")
-        return f"#pair={self.pairings.invite(person, self.password(PERSON), self.password(f'{PERSON}-device'))}"
 
     def stop(self) -> None:
         self.stop_console()

@@ -16,7 +16,6 @@ from datetime import UTC
 from pathlib import Path
 
 from construction_twin.broker.access import (
-    DEVICE,
     RIGHTS,
     ROLES,
     Grant,
@@ -69,32 +68,6 @@ class SiteFolder:
         except (OSError, ValueError, AttributeError) as error:
             raise ConstructionTwinError(
                 Sentence("view.site.unreadable", file=str(self._settings), problem=str(error))
-            ) from error
-
-    def site(self) -> Site:
-        """Return the site of the last run.
-
-        Raises:
-            ConstructionTwinError: When there was none.
-        """
-        before = self.load()
-        if not before:
-            raise ConstructionTwinError(Sentence("view.site.none", file=str(self._settings)))
-        return _site(_arguments([str(self._folder)]), before)
-
-    def password(self, account: str) -> str:
-        """Return the password of an account.
-
-        Raises:
-            ConstructionTwinError: When its folder is not here.
-        """
-        path = self._folder / "accounts" / account / "password"
-        try:
-            return path.read_text(encoding="utf-8").strip()
-        except OSError as error:
-            problem = str(error.strerror)
-            raise ConstructionTwinError(
-                Sentence("view.site.no_password", account=account, file=str(path), problem=problem)
             ) from error
 
     def make(
@@ -218,9 +191,6 @@ class SiteFolder:
     ) -> list[str]:
         lines = []
         for account in site.accounts():
-            # a console logs in to it with the password; a certificate could not be taken back
-            if account.role == DEVICE:
-                continue
             folder = self._account_folder(account)
             certificate, key = folder / "client.crt", folder / "client.key"
             if account.name in replace and certificate.exists():
@@ -290,14 +260,14 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
         metavar="NAME:RIGHTS[@ROBOTS]",
         help="one account for a person at several robots, e.g. ada:plan_request,review@kr120_1,kr120_2; without @ at all of "
         f"them; rights: {', '.join(RIGHTS)}; whoever may set an arm in motion may stop it; may be repeated, also for one name; "
-        "a name that there is gets these rights in place of those before. NAME-device is made beside it, for paired tablets",
+        "a name that there is gets these rights in place of those before",
     )
     add(
         "--console",
         action="append",
         default=[],
         metavar="HOST",
-        help="name or address of the console, as tablets write it: makes its certificate, links and QR codes; may be repeated",
+        help="name or address of the console, as tablets write it: makes its certificate and links; may be repeated",
     )
     add("--console-port", type=int, help="TCP port of the console [8480]")
     add("--plc", action="store_true", help="also an account for a PLC that commands in place of the bridge")

@@ -1,4 +1,4 @@
-"""Who has logged in at the broker through this server: only they get what is not for everybody, such as the reports of runs.
+"""Who has logged in at the broker through this server: only they get what is not for everybody, such as the robot's model.
 
 No second rights system: a browser gets a ticket with its WebSocket. It counts from the moment when the broker accepts a login on
 it, and until the last connection of that account has ended, in whichever tab or browser: two tabs that connect at once get a ticket

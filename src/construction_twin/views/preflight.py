@@ -45,7 +45,6 @@ NUMBERS = {
     "realtime": (0, 80),
     "frame_rate": (1, 250),
     "console_port": (1, 65535),
-    "console_hsts": (0, 365 * 24 * 3600),
 }
 #: What stands for no file: roslaunch drops an empty value.
 NONE = "none"

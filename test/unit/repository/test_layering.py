@@ -51,14 +51,12 @@ THIRD_PARTY = {
 #: The only folder or file that may need a package that is not everywhere: `setup/setup.sh work` and `console` install it, or ROS
 #: has something of its own in its place (rosbags). Everything else must run without.
 OPTIONAL = {
-    "segno": "broker/console_files.py",
     "ifcopenshell": "work/ifc",
     "isodate": "work/ifc",
     "coacd": "work",
     "shapely": "work",
     "mujoco": "physics",
     "websockets": "console",
-    "cryptography": "console/sealing.py",
     "rosbags": "evaluation/pure_bag.py",
 }
 GENERATED = {"msg", "srv", "action"}
@@ -394,8 +392,7 @@ SOCKETS = (
     "broker/start.py console/addresses.py "
     "console/delivery.py console/listener.py console/pipe.py console/program.py "
     "console/server.py console/http_connection.py core/network.py gateway/service.py mock/network.py mqtt/client.py "
-    "mqtt/failures.py mqtt/fast_client.py mqtt/polled_client.py core/udp.py views/display.py console/logins.py "
-    "console/pair_socket.py"
+    "mqtt/failures.py mqtt/fast_client.py mqtt/polled_client.py core/udp.py views/display.py"
 ).split()
 
 

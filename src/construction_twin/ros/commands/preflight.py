@@ -22,7 +22,6 @@ import rospkg
 
 from construction_twin.broker.start import DEFAULT_PORT, listener_ports, trial
 from construction_twin.console.given_files import broker_tls, check_rights, own_tls
-from construction_twin.console.pairings_folder import check_pairings_folder
 from construction_twin.controller.makes import DEFAULT, MODULES, make_of
 from construction_twin.controller.port import Make
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
@@ -280,22 +279,6 @@ def _check_console(given: Given, _robot: RobotModel) -> None:
         check_writable(ros_home() / "construction_twin" / "console")
 
 
-def _check_pairings(given: Given, _robot: RobotModel) -> None:
-    """Check the folder of paired devices as the console does: as the same user, and making nothing."""
-    folder = given["console_pairings"]
-    if not folder or not is_true(given, "console"):
-        return
-    if not folder.startswith("/"):
-        raise ConfigurationError("--pairings", folder, Sentence("expected.pairings.path"))
-    if importlib.util.find_spec("cryptography") is None:
-        raise ConfigurationError(
-            "the Python package cryptography",
-            "missing",
-            Sentence("expected.installed", command="setup/setup.sh console"),
-        )
-    check_pairings_folder(Path(folder))
-
-
 def _check_action(given: Given, _robot: RobotModel) -> None:
     """Find the messages of the action before a node is started again and again without them."""
     if is_true(given, "follow_joint_trajectory"):
@@ -329,7 +312,6 @@ CONTENTS: tuple[tuple[str, Callable[[Given, RobotModel], None]], ...] = (
     ("gateway_trace", _check_trace),
     ("follow_joint_trajectory", _check_action),
     ("console", _check_console),
-    ("console_pairings", _check_pairings),
 )
 
 
