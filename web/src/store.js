@@ -38,7 +38,7 @@ import {checkPlan} from "./plan_hash.js";
 import {ACKNOWLEDGE_ACK, ANSWER_ACK, IK_ACK, MESSAGES, PATH, PLAN, PLAN_REQUEST_ACK, REHEARSAL, REVIEW_ACK, SCENE, SCREEN, SPEED_ACK, STOP_ACK, VIEW, WORK} from "./schemas.js";
 
 /** A view is old after so long [ms]. */
-export const OLD_AFTER = 1000;
+const OLD_AFTER = 1000;
 /** Most transitions that are kept per robot, and for how long [ms]. */
 const MOST_TRANSITIONS = 1000;
 const TRANSITIONS_FOR = 600000;

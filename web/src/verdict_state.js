@@ -52,11 +52,6 @@ export function begin() {
   };
 }
 
-/** Return whether the plan was looked at: shown long enough, and played to its end or its checks opened. */
-export function lookedAt({shownFor, played, checks}) {
-  return shownFor >= SHOWN_FOR && (played || checks);
-}
-
 /**
  * Return why approving is not possible now, as a short word; "" when it is. `override`: approving in spite of the rehearsal.
  *
