@@ -70,10 +70,6 @@ function setUp() {
   return {clients, sockets, store, connection, states};
 }
 
-const clock = {now: 0};
-const steady = performance.now.bind(performance);
-mock.method(performance, "now", () => steady() + clock.now);
-
 beforeEach(() => {
   mock.timers.reset();
   mock.timers.enable({apis: ["setTimeout", "setInterval"]});

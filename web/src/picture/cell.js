@@ -655,7 +655,7 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
   refit();
 
   return {
-    name, scene, camera, state, look, labels, advance, tap,
+    name, scene, camera, state, look, labels, advance,
     /** Whether the handle moves the tool or turns it. */
     get turns() {
       return gizmo.mode === "rotate";
