@@ -185,7 +185,6 @@ STATES = (
     State("asks", _asks),
     State("motion", lambda robot, page: page.tab("motion")),
     State("messages", lambda robot, page: page.tab("messages")),
-    State("runs", lambda robot, page: page.tab("runs")),
     State("old", _old),
     State("viewer", _review, account="one-viewer-vic"),
 )

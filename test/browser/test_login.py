@@ -39,21 +39,10 @@ def test_a_wrong_password_is_told_and_opens_nothing(page_of, site, robot):
     assert page.page.evaluate("async () => (await fetch('/private/one/robot.urdf')).status") == 403
     # and the password is not kept in the field
     expect(page.page.locator(".login input[name=password]")).to_have_value("")
-    # who has mistyped waits a moment, and gets in
+    # who has mistyped gets in
     page.login("one-reviewer-ada", site.password("one-reviewer-ada"))
     said = site.log.read_text()
-    assert "wrong password for 'one-reviewer-ada'" in said
-    assert "logged in as 'one-reviewer-ada'; wrong passwords from there before: 1" in said
-
-
-def test_who_types_http_gets_the_page_by_https(browser, site):
-    page = ConsolePage(browser, site.url.replace("https:", "http:"))
-    try:
-        page.open("?language=en")
-        expect(page.page.locator(".login")).to_be_visible()
-        assert page.page.url == f"{site.url}?language=en"
-    finally:
-        page.close()
+    assert "wrong password for 'one-reviewer-ada'" in said and "logged in as 'one-reviewer-ada'" in said
 
 
 def test_an_account_sees_its_own_robot_only(page_of, site, robot):

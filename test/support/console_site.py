@@ -6,7 +6,6 @@ import hashlib
 import shutil
 import subprocess
 import sys
-import time
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -15,14 +14,13 @@ from scripted_robot import VIEW, XACRO, ScriptedRobot
 from site_broker import ROBOTS, SiteBroker, free_ports
 
 from construction_twin.broker.access import RIGHTS, Grant, Person
-from construction_twin.console import pairings
 from construction_twin.mqtt.client import Broker
 from construction_twin.robot.urdf import expand_xacro
 
 #: The page as `setup/setup.sh console` builds it.
 PAGE = ROOT / ".ws/console/page"
 _PACKAGE = "package://construction_twin/"
-#: Person with whose account devices are paired.
+#: Person with one account for every robot.
 PERSON = "pat"
 #: Who may do what in the tests: role and names.
 PEOPLE = {
@@ -97,7 +95,6 @@ class ConsoleSite:
     Args:
         listen, host: Address on which the console listens, and the name by which a browser reaches it.
         hosts: Further names in the certificates.
-        cameras: As the console's option `--camera` has them.
 
     Attributes:
         url: Of the page.
@@ -111,14 +108,11 @@ class ConsoleSite:
         listen: str = "127.0.0.1",
         host: str = "localhost",
         hosts: tuple[str, ...] = (),
-        cameras: tuple[str, ...] = (),
     ):
         self.folder = folder
         self.port = free_ports()
-        self.private, self.results = folder / "private", folder / "results"
+        self.private = folder / "private"
         write_robot_files(self.private)
-        (self.results / "run1").mkdir(parents=True)
-        (self.results / "run1/report.html").write_text("<!doctype html><title>run 1</title><h1>Report of run 1</h1>")
         names = ("localhost", "127.0.0.1", *hosts)
         self.site = SiteBroker(
             folder / "site",
@@ -131,7 +125,7 @@ class ConsoleSite:
         )
         self.url = f"https://{host}:{self.port}/"
         self.log = folder / "console.log"
-        self._page, self._listen, self._cameras = page, listen, cameras
+        self._page, self._listen = page, listen
         self._process: subprocess.Popen | None = None
 
     def start(self) -> ConsoleSite:
@@ -142,11 +136,9 @@ class ConsoleSite:
     def start_console(self) -> None:
         files = self.site.folder / "console"
         self._process = run_console(
-            self.log, self._page, self._listen, self.port, "--private", self.private, "--results", self.results,
-            "--pairings", self.folder / "pairings",
+            self.log, self._page, self._listen, self.port, "--private", self.private,
             "--rights", files / "rights.json", "--certificate", files / "console.crt", "--key", files / "console.key",
             "--broker-host", "localhost", "--broker-port", str(self.site.site.port), "--broker-ca", self.site.folder / "ca/ca.crt",
-            *(word for camera in self._cameras for word in ("--camera", camera)),
         )  # fmt: skip
 
     @property
@@ -161,16 +153,6 @@ class ConsoleSite:
             self._process.kill()
             self._process.wait(5.0)
             self._process = None
-
-    @property
-    def pairings(self) -> pairings.Pairings:
-        """The console's paired devices."""
-        return pairings.Pairings(self.folder / "pairings", time.time)
-
-    def invite(self) -> str:
-        """Return what stands behind the page's address when `PERSON` scans a code of `twin pair`."""
-        person = pairings.Person(PERSON, f"{PERSON}-device")
-        return f"#pair={self.pairings.invite(person, self.password(PERSON), self.password(f'{PERSON}-device'))}"
 
     def stop(self) -> None:
         self.stop_console()

@@ -16,14 +16,7 @@ const SILENCE = 3000;
 /** Longest wait for the broker's answer to a message [ms]. */
 const ANSWER_WITHIN = 5000;
 /** Close codes of the pipe (console/pipe.py) and the reasons that the page tells. */
-const CLOSED = {
-  4001: "broker_away", 4002: "not_mqtt", 4003: "too_much", 4004: "too_slow", 4005: "wrong_pin", 4006: "pin_erased", 4007: "not_paired",
-};
-/** Ends that another attempt with the same account, password and PIN does not change. */
-const FINAL = ["refused", "login", "wrong_pin", "pin_erased", "not_paired"];
-/** What was sent is answered so soon that no other connection takes its place meanwhile [ms], and longest wait for that connection. */
-const QUIET = 1500;
-const REPLACED_WITHIN = 30000;
+const CLOSED = {4001: "broker_away", 4002: "not_mqtt", 4003: "too_much", 4004: "too_slow"};
 /** Reason codes of CONNACK that another attempt with the same account does not change. */
 const REFUSED = [4, 5, 134, 135, 138];
 const NOT_AUTHORIZED = 135;
@@ -41,11 +34,6 @@ export class NotPublished extends Error {
     this.reason = reason;
   }
 }
-
-/** The password in whose place the console puts the one that it keeps for this paired device (console/paired.py). */
-export const withPin = (pin) => `\0pin:${pin}`;
-/** The same for the account of devices on which no PIN was given. */
-export const WITHOUT_PIN = "\0device";
 
 /**
  * Make the connection; `login` opens it.
@@ -66,9 +54,6 @@ export function makeConnection(store, {url, prefix, connect = mqtt.connect, WebS
   let wait = FIRST_WAIT;
   let again = null;
   let watch = null;
-  // of another account, until it takes the client's place
-  let candidate = null;
-  let sent = -Infinity;
   const open = new Set();
 
   function change(newState, newReason = "") {
@@ -89,48 +74,14 @@ export function makeConnection(store, {url, prefix, connect = mqtt.connect, WebS
 
   function lose(why) {
     drop();
-    if (FINAL.includes(why)) {
+    // another attempt with the same account and password changes nothing
+    if (why === "refused" || why === "login") {
       change("refused", why);
       return;
     }
     change("lost", why);
     again = setTimeout(start, wait);
     wait = Math.min(LONGEST_WAIT, wait * 2);
-  }
-
-  /** Open a client; `taken(client)` once the broker has accepted it, `ended(client, why)` when it has ended, perhaps again and again. */
-  function dial(name, secret, taken, ended) {
-    let code = 0;
-    let failed = null;
-    const end = () => ended(mine, failed ?? CLOSED[code] ?? "closed");
-    const mine = connect(url, {
-      protocolVersion: 5, clean: true, reconnectPeriod: 0, connectTimeout: 10000, keepalive: 10, resubscribe: false,
-      queueQoSZero: false, clientId: `page-${crypto.randomUUID()}`,
-      // a timer in a worker of a blob: would need a weaker policy for scripts
-      timerVariant: "native",
-      ...(name === "" ? {} : {username: name, password: secret}),
-      createWebsocket: (address, protocols) => {
-        const socket = new WebSocket(address, protocols);
-        socket.addEventListener("close", (event) => {
-          code = event.code;
-          end();
-        });
-        return socket;
-      },
-    });
-    mine.on("connect", () => taken(mine));
-    mine.on("error", (error) => {
-      if (!REFUSED.includes(error.code)) return;
-      failed = name === "" ? "login" : "refused";
-      end();
-    });
-    mine.on("close", end);
-    mine.on("message", (topic, payload, packet) => {
-      if (client !== mine || !topic.startsWith(`${prefix}/`)) return;
-      const [robot, ...below] = topic.slice(prefix.length + 1).split("/");
-      store.take(robot, below.join("/"), payload.toString(), packet.retain);
-    });
-    return mine;
   }
 
   function subscribe(mine) {
@@ -167,49 +118,42 @@ export function makeConnection(store, {url, prefix, connect = mqtt.connect, WebS
   function start() {
     drop();
     if (state !== "lost") change("connecting", reason);
-    const mine = dial(account, password, () => {
-      if (client === mine) subscribe(mine);
-    }, (ended, why) => {
-      if (client === ended) lose(why);
+    let code = 0;
+    let failed = null;
+    const end = () => {
+      if (client === mine) lose(failed ?? CLOSED[code] ?? "closed");
+    };
+    const mine = connect(url, {
+      protocolVersion: 5, clean: true, reconnectPeriod: 0, connectTimeout: 10000, keepalive: 10, resubscribe: false,
+      queueQoSZero: false, clientId: `page-${crypto.randomUUID()}`,
+      // a timer in a worker of a blob: would need a weaker policy for scripts
+      timerVariant: "native",
+      ...(account === "" ? {} : {username: account, password}),
+      createWebsocket: (address, protocols) => {
+        const socket = new WebSocket(address, protocols);
+        socket.addEventListener("close", (event) => {
+          code = event.code;
+          end();
+        });
+        return socket;
+      },
     });
     client = mine;
+    mine.on("connect", () => {
+      if (client === mine) subscribe(mine);
+    });
+    mine.on("error", (error) => {
+      if (!REFUSED.includes(error.code)) return;
+      failed = account === "" ? "login" : "refused";
+      end();
+    });
+    mine.on("close", end);
+    mine.on("message", (topic, payload, packet) => {
+      if (client !== mine || !topic.startsWith(`${prefix}/`)) return;
+      const [robot, ...below] = topic.slice(prefix.length + 1).split("/");
+      store.take(robot, below.join("/"), payload.toString(), packet.retain);
+    });
     observe(mine);
-  }
-
-  /** End an attempt of another account, which has not taken the client's place. */
-  function abandon(why) {
-    if (candidate === null) return;
-    const {mine, timers, resolve} = candidate;
-    candidate = null;
-    for (const timer of timers) clearTimeout(timer);
-    mine.end(true);
-    resolve(why);
-  }
-
-  /** Put an accepted candidate in the client's place, once nothing that was sent is still to be answered: it may be a stop. */
-  function adopt(name, secret) {
-    if (candidate === null) return;
-    const rest = open.size > 0 ? QUIET / 10 : sent + QUIET - performance.now();
-    if (rest > 0) {
-      candidate.timers.push(setTimeout(() => adopt(name, secret), rest));
-      return;
-    }
-    const {mine, timers, resolve} = candidate;
-    candidate = null;
-    for (const timer of timers) clearTimeout(timer);
-    drop();
-    client = mine;
-    account = name;
-    password = secret;
-    if (state !== "connected") {
-      state = "connecting";
-      reason = "";
-    }
-    observe(mine);
-    subscribe(mine);
-    // the state may be the same, and the account is another
-    store.connection(state);
-    resolve("");
   }
 
   /** The topic on which this account writes. On a broker without accounts it is `console`; a verdict has no account there. */
@@ -238,7 +182,6 @@ export function makeConnection(store, {url, prefix, connect = mqtt.connect, WebS
 
     /** Connect with an account; without one as nobody, which only a broker without accounts takes. */
     login(name = "", secret = "") {
-      abandon("abandoned");
       account = name;
       password = secret;
       wait = FIRST_WAIT;
@@ -249,27 +192,8 @@ export function makeConnection(store, {url, prefix, connect = mqtt.connect, WebS
       start();
     },
 
-    /**
-     * Connect with another account, and keep this connection until the other one is accepted: a stop waits for no login.
-     *
-     * @returns {Promise<string>} "" once the other account has taken the place; else why not: a `reason`, or `abandoned`
-     */
-    replace(name, secret) {
-      abandon("abandoned");
-      return new Promise((resolve) => {
-        const mine = dial(name, secret, () => {
-          if (candidate?.mine === mine) adopt(name, secret);
-        }, (ended, why) => {
-          if (candidate?.mine === ended) abandon(why);
-          else if (client === ended) lose(why);
-        });
-        candidate = {mine, timers: [setTimeout(() => abandon("silent"), REPLACED_WITHIN)], resolve};
-      });
-    },
-
     /** End the connection and forget the password. */
     logout() {
-      abandon("abandoned");
       password = "";
       account = "";
       drop();
@@ -300,7 +224,6 @@ export function makeConnection(store, {url, prefix, connect = mqtt.connect, WebS
         const fail = (error) => finish(reject, error);
         const late = setTimeout(() => fail(new NotPublished("unanswered", "the broker did not answer")), ANSWER_WITHIN);
         open.add(fail);
-        sent = performance.now();
         client.publish(`${prefix}/${robot}/${topic}`, JSON.stringify(payload), {qos, retain: false}, (error, answer) => {
           if (!error) finish(resolve, answer?.reasonCode ?? 0);
           else if (error.code === NOT_AUTHORIZED) fail(new NotPublished("refused", error.message));

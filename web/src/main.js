@@ -3,14 +3,10 @@ import * as calls from "./calls/calls.js";
 import {makeConnection} from "./connection.js";
 import * as login from "./login.js";
 import {makePage} from "./page.js";
-import * as pairing from "./pairing.js";
 import {panels} from "./panels.js";
 import {makeRights} from "./rights.js";
 import {makeStore} from "./store.js";
 import {languageOf, makeTexts, withoutLanguage} from "./texts.js";
-
-// at once: the address is no place for it
-const token = pairing.browser.takeToken();
 
 const remembered = (key) => {
   try {
@@ -56,10 +52,10 @@ socket.search = "";
 socket.hash = "";
 const connection = makeConnection(store, {url: socket.href, prefix: asked.get("prefix") ?? "twin"});
 store.rightsOf = makeRights(store, connection);
-const areas = makePage(document.body, store, connection, texts, panels, {onTheme, onLanguage});
+makePage(document.body, store, connection, texts, panels, {onTheme, onLanguage});
 calls.make(document.querySelector(".header"), store.of("page"), connection, texts);
-const form = login.make(document.body, store, connection, texts);
+login.make(document.body, store, connection, texts);
 // it stood there for whom this script did not reach
 document.querySelector("#loading").remove();
 setInterval(store.tick, 200);
-await pairing.make(store, connection, texts, form, areas.verdict, {...pairing.browser, token});
+connection.login();

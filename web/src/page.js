@@ -11,8 +11,8 @@ import {makeTabs} from "./tabs.js";
 /** Areas that are always there, in the order in which a keyboard or a screen reader goes through them. */
 export const ALWAYS = ["status", "picture", "stop"];
 /** Areas that share one place beside the picture, a tab each; the first is open at first. */
-export const TABS = ["verdict", "motion", "plan", "tasks", "messages", "plots", "runs"];
-export const AREAS = [...ALWAYS, ...TABS];
+const TABS = ["verdict", "motion", "plan", "tasks", "messages", "plots"];
+const AREAS = [...ALWAYS, ...TABS];
 /** Areas whose panels are made and told before the others, whatever becomes of those. */
 const FIRST = ["stop", "status"];
 /** An area that takes no presses any more once it has failed: what it shows may be of another plan. */
@@ -27,7 +27,6 @@ const CLOSING = "verdict";
  * @param {Function} texts see texts.js
  * @param {object} panels by area: a module or a list of modules with `make`
  * @param {object} actions `onTheme()`, `onLanguage()`
- * @returns {Object<string, Element>} the areas
  */
 export function makePage(parent, store, connection, texts, panels, {onTheme, onLanguage} = {}) {
   const header = add(parent, "header", {className: "header"});
@@ -128,5 +127,4 @@ export function makePage(parent, store, connection, texts, panels, {onTheme, onL
   });
   showRobots();
   showConnection();
-  return areas;
 }

@@ -1,15 +1,12 @@
 /** Which panels stand in which area, in their order. */
 import * as actions from "./panels/actions.js";
 import * as messages from "./panels/messages.js";
-import * as camera from "./panels/camera.js";
 import * as picture from "./picture/picture.js";
 import * as motion from "./panels/motion.js";
 import * as plan from "./panels/plan.js";
 import * as playback from "./panels/playback.js";
 import * as plots from "./panels/plots.js";
-import * as replay from "./panels/replay.js";
 import * as progress from "./panels/progress.js";
-import * as runs from "./panels/runs.js";
 import * as speed from "./panels/speed.js";
 import * as status from "./panels/status.js";
 import * as stop from "./panels/stop.js";
@@ -19,7 +16,7 @@ import * as waypoints from "./panels/waypoints.js";
 
 /** By area of page.js: modules with `make(parent, store, connection, texts)`. */
 export const panels = {
-  picture: [picture, camera, replay],
+  picture: [picture],
   status: [status, actions],
   stop: [stop],
   verdict: [progress, playback, verdict, speed, waypoints],
@@ -28,5 +25,4 @@ export const panels = {
   tasks: [tasks],
   messages: [messages],
   plots: [plots],
-  runs: [runs],
 };

@@ -16,9 +16,9 @@
 
 /** Longest wait for an answer [ms]; a session is answered when it is armed or is not, which takes the bridge's `reset_timeout`. */
 export const ANSWER_WITHIN = 1000;
-export const SESSION_WITHIN = 15000;
+const SESSION_WITHIN = 15000;
 /** Who carries it out, by what was pressed. For a stop one of them is enough, and the gateway works without the robot's PC. */
-export const BY = {stop: ["gateway", "executor"], pause: ["executor"], resume: ["executor"], reset: ["bridge"], arm: ["bridge"]};
+const BY = {stop: ["gateway", "executor"], pause: ["executor"], resume: ["executor"], reset: ["bridge"], arm: ["bridge"]};
 
 /** Return the record before anything was pressed. */
 export function idle() {

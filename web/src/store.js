@@ -4,9 +4,9 @@
  * One store for all. Who wants to know registers with `on(kind, listener)`; a listener gets `(robot, value)`, robot "" where the
  * value is of no robot. An exception of one listener ends nothing but that call: the others are told, and it is `failed`.
  *
- * Kinds from the broker: view, screen, scene, plan, rehearsal, path, tasks, messages, cameras, and answers: review_ack, stop_ack, pause_ack, reset_ack,
- * arm_ack, speed_ack, answer_ack, acknowledge_ack, plan_request_ack, ik_ack. A value of null means: not known (any more). `cameras` is the list of
- * names that are announced on `camera/<name>`. `path` is where the tool goes by the plan that is played. `plan` is told once its hash was checked (plan_hash.js); a plan whose hash does not fit
+ * Kinds from the broker: view, screen, scene, plan, rehearsal, path, tasks, messages, and answers: review_ack, stop_ack, pause_ack, reset_ack,
+ * arm_ack, speed_ack, answer_ack, acknowledge_ack, plan_request_ack, ik_ack. A value of null means: not known (any more).
+ * `path` is where the tool goes by the plan that is played. `plan` is told once its hash was checked (plan_hash.js); a plan whose hash does not fit
  * has `refused`, a word of plan_hash.js, and nothing of it may be shown or approved.
  *
  * Kinds of the page itself:
@@ -20,10 +20,6 @@
  *   playback     {names, positions, time} or null: the pose of a plan at `time` [s] that the picture shows (playback panel)
  *   rights       the list of who may do what has come or gone (rights.js); ask `store.rightsOf`
  *   said         "whole" while a person can read the sentence that says what the arm does, "cut" where it does not fit (status panel)
- *   replay       {run, time, at, names, twin, arm, sync, present} or null: the picture shows a recorded run at `time` [s], `at` as a Date,
- *                and not the present; twin, arm: positions or null; `sync`: the gate's state then; `present`: see replay/present.js
- *                (replay panel)
- *   replay_run   {run, href, report}: the person wants to see the run of this name, from these files of the console (runs panel)
  *   drawn        "seen" while a person can see the robot in the picture, else why not: a word of picture/seen.js; null: there is no
  *                picture, nothing can be seen in it ever (picture)
  *   acted        {topic}: this page publishes on the topic: stop, pause, review, plan_request, ... (connection)
@@ -42,7 +38,7 @@ import {checkPlan} from "./plan_hash.js";
 import {ACKNOWLEDGE_ACK, ANSWER_ACK, IK_ACK, MESSAGES, PATH, PLAN, PLAN_REQUEST_ACK, REHEARSAL, REVIEW_ACK, SCENE, SCREEN, SPEED_ACK, STOP_ACK, VIEW, WORK} from "./schemas.js";
 
 /** A view is old after so long [ms]. */
-export const OLD_AFTER = 1000;
+const OLD_AFTER = 1000;
 /** Most transitions that are kept per robot, and for how long [ms]. */
 const MOST_TRANSITIONS = 1000;
 const TRANSITIONS_FOR = 600000;
@@ -55,17 +51,13 @@ const KINDS = {
   "stop/ack": "stop_ack", "pause/ack": "pause_ack", "plan_request/ack": "plan_request_ack", "messages": "messages",
   "reset/ack": "reset_ack", "arm/ack": "arm_ack", "answer/ack": "answer_ack", "acknowledge/ack": "acknowledge_ack", "speed/ack": "speed_ack",
 };
-/** Where a robot's cameras are announced, each by its name. */
-const CAMERA = "camera/";
-const CAMERA_NAME = /^[\w-]{1,32}$/;
-const MOST_CAMERAS = 16;
 /** Topics below `<prefix>/+/` that the page reads, with their quality of service. `ik/ack/<account>` comes on top. */
-export const TOPICS = [...Object.keys(KINDS).map((topic) => ({topic, qos: topic === "view" ? 0 : 1})), {topic: `${CAMERA}+`, qos: 0}];
+export const TOPICS = Object.keys(KINDS).map((topic) => ({topic, qos: topic === "view" ? 0 : 1}));
 /** Kinds whose newest value is kept. An answer is told once. */
-const FROM_BROKER = ["view", "screen", "scene", "plan", "rehearsal", "path", "tasks", "messages", "cameras"];
-const KEPT = [...FROM_BROKER, "playback", "goal", "handle", "picked", "drawn", "said", "replay"];
+const FROM_BROKER = ["view", "screen", "scene", "plan", "rehearsal", "path", "tasks", "messages"];
+const KEPT = [...FROM_BROKER, "playback", "goal", "handle", "picked", "drawn", "said"];
 /** What the broker stores; without a value: there is none any more. Of anything else that it has stored the age is not known. */
-const STORED = ["plan", "rehearsal", "path", "scene", "tasks", "messages", "cameras"];
+const STORED = ["plan", "rehearsal", "path", "scene", "tasks", "messages"];
 /** What a message must be, but a view: of that by its version. */
 const SCHEMAS = {
   screen: SCREEN, scene: SCENE, plan: PLAN, rehearsal: REHEARSAL, path: PATH, tasks: WORK,
@@ -170,13 +162,6 @@ export function makeStore({now = () => performance.now(), check: checkHash = che
     }
   }
 
-  function takeCamera(robot, name, there) {
-    const others = (robot.cameras ?? []).filter((each) => each !== name);
-    const cameras = (there ? [...others, name] : others).sort().slice(0, MOST_CAMERAS);
-    // each is announced again and again
-    if (JSON.stringify(cameras) !== JSON.stringify(robot.cameras ?? [])) put(robot, "cameras", cameras);
-  }
-
   function setOld(robot, old) {
     if (robot.old === old) return;
     robot.old = old;
@@ -225,7 +210,7 @@ export function makeStore({now = () => performance.now(), check: checkHash = che
     },
 
     /**
-     * What is known of a robot: view, screen, scene, plan, rehearsal, path, tasks, messages, cameras, playback, goal, handle, picked, drawn, said, replay
+     * What is known of a robot: view, screen, scene, plan, rehearsal, path, tasks, messages, playback, goal, handle, picked, drawn, said
      * (null: not known), transitions, `old`
      * (the view is not the present), `heard` [ms] per kind. Null for a robot that was never heard.
      */
@@ -272,7 +257,7 @@ export function makeStore({now = () => performance.now(), check: checkHash = che
       tell("selected", name, name);
     },
 
-    /** Set what a panel tells the others: playback, goal, handle, picked, drawn, replay (kept); drag, tap, replay_run (told once). */
+    /** Set what a panel tells the others: playback, goal, handle, picked, drawn (kept); drag, tap (told once). */
     set(kind, name, value) {
       const robot = robots.get(name);
       if (robot === undefined) return;
@@ -311,19 +296,13 @@ export function makeStore({now = () => performance.now(), check: checkHash = che
      * @returns {Promise<void>} resolved when it was taken or refused; a plan's hash takes a moment
      */
     async take(name, topic, text, retained = false) {
-      const kind = KINDS[topic] ?? (topic.startsWith("ik/ack/") ? "ik_ack" : topic.startsWith(CAMERA) ? "cameras" : undefined);
+      const kind = KINDS[topic] ?? (topic.startsWith("ik/ack/") ? "ik_ack" : undefined);
       if (kind === undefined || !robots.has(name) && robots.size >= MOST_ROBOTS) return;
       if (retained && !STORED.includes(kind)) return;
       const robot = record(name);
       try {
         const value = text === "" ? null : JSON.parse(text);
         expect(value !== null || STORED.includes(kind), `an empty ${kind}`);
-        if (kind === "cameras") {
-          const camera = topic.slice(CAMERA.length);
-          expect(CAMERA_NAME.test(camera), "a camera with another name");
-          takeCamera(robot, camera, value !== null);
-          return;
-        }
         if (kind !== "view" && value !== null) check(SCHEMAS[kind], value, kind);
         if (kind === "path" && value !== null) checkPath(value);
         if (kind === "view") takeView(robot, value);

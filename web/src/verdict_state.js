@@ -13,7 +13,6 @@
  *   old                                        no view for a second
  *   shows {what}                               "" while the person can see the picture and read the sentence; else why approving is
  *                                              blocked: "unseen" or "unread"
- *   replay {on}                                the picture shows a recording, or the present again
  *   looked {what, hash}                        the page showed the plan of this hash: "shown" (again and again), "played" (to its
  *                                              end), "checks" (its checks were opened)
  *   press {reviewer}, release                  of the approve button
@@ -47,28 +46,21 @@ const NOT_LOOKED = {shownFor: 0, shownAt: null, played: false, checks: false};
 /** Return the machine of a robot of which nothing is known. */
 export function begin() {
   return {
-    state: "offline", plan: null, gone: false, viewPlan: undefined, obstacle: "", overridable: false, hides: "", live: false, replay: false,
+    state: "offline", plan: null, gone: false, viewPlan: undefined, obstacle: "", overridable: false, hides: "", live: false,
     ...NOT_LOOKED, pressedAt: null, tickedAt: null, override: false, reason: "", rehearsal: "", sent: null,
     notice: null,
   };
 }
 
-/** Return whether the plan was looked at: shown long enough, and played to its end or its checks opened. */
-export function lookedAt({shownFor, played, checks}) {
-  return shownFor >= SHOWN_FOR && (played || checks);
-}
-
 /**
  * Return why approving is not possible now, as a short word; "" when it is. `override`: approving in spite of the rehearsal.
  *
- * Words: offline, none, unfit, decided, sending, replay (the picture shows a recording), old (no view of the arm), view (the view names
- * another plan, or none), obstacle (the executor would refuse it), unseen (the picture is not in view), unread (the sentence is cut off
+ * Words: offline, none, unfit, decided, sending, old (no view of the arm), view (the view names another plan, or none), obstacle (the executor would refuse it), unseen (the picture is not in view), unread (the sentence is cut off
  * or old), look, shown
  */
 export function blocked(machine, override = false) {
   if (["offline", "none", "unfit", "decided"].includes(machine.state)) return machine.state;
   if (machine.state === "sending" || machine.state === "waiting") return "sending";
-  if (machine.replay) return "replay";
   if (!machine.live) return "old";
   if (machine.viewPlan !== undefined && machine.viewPlan !== machine.plan.id) return "view";
   if (machine.obstacle !== "" && !(override && machine.overridable)) return "obstacle";
@@ -137,7 +129,6 @@ const grow = (machine, {at, what, hash}) => {
 };
 const blind = () => ({live: false});
 const hide = (machine, {what}) => ({hides: what});
-const setReplay = (machine, {on}) => ({replay: on});
 const press = (machine, {at, override = false, reason = "", rehearsal = ""}) => ({
   pressedAt: at, tickedAt: at, override, reason, rehearsal, notice: null,
 });
@@ -217,8 +208,6 @@ export const TABLE = [
   {states: OPEN, event: "old", action: blind},
   {states: ["pressing"], event: "shows", guard: (machine, {what}) => what !== "", action: cancelWith(hide, "hidden"), next: "open"},
   {states: ["offline", ...OPEN], event: "shows", action: hide},
-  {states: ["pressing"], event: "replay", guard: (machine, {on}) => on, action: cancelWith(setReplay, "replay"), next: "open"},
-  {states: ["offline", ...OPEN], event: "replay", action: setReplay},
   {states: ["open", "pressing"], event: "looked", action: grow},
 
   {states: ["open"], event: "press", guard: mayPress, action: press, next: "pressing"},

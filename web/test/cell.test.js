@@ -287,10 +287,6 @@ test("while a plan is played its path is there, travelled apart from ahead, with
   assert.deepEqual([it.made.drawn().ahead, it.made.drawn().travelled, left()], [AHEAD, TRAVELLED, ["0:01"]]);
   await says("PAUSED", 0.75);
   assert.deepEqual([it.made.drawn().travelled, left()], [TRAVELLED, []], "who stands still has no time left that could be told");
-  it.store.set("replay", "kr120", {run: "r", time: 0, names: NAMES, twin: [0, 0], arm: null, sync: ""});
-  assert.equal(it.made.inspect().played, null, "the present's path in a recording");
-  it.store.set("replay", "kr120", null);
-  assert.notEqual(it.made.inspect().played, null);
   await says("IDLE", 1);
   assert.deepEqual([it.made.inspect().played, it.made.drawn().ahead, it.made.drawn().travelled], [null, null, null]);
 });

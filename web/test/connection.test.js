@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import {EventEmitter} from "node:events";
 import {beforeEach, mock, test} from "node:test";
-import {WITHOUT_PIN, makeConnection, withPin} from "../src/connection.js";
+import {makeConnection} from "../src/connection.js";
 import {makeStore} from "../src/store.js";
 import {view} from "./support/fake.js";
 
@@ -69,10 +69,6 @@ function setUp() {
   store.on("connection", () => states.push([connection.state, connection.reason]));
   return {clients, sockets, store, connection, states};
 }
-
-const clock = {now: 0};
-const steady = performance.now.bind(performance);
-mock.method(performance, "now", () => steady() + clock.now);
 
 beforeEach(() => {
   mock.timers.reset();
@@ -235,82 +231,4 @@ test("a broker that refuses a part of the subscription leaves the rest; one that
   clients[1].emit("connect");
   clients[1].answerSubscribe(new Error("closed"));
   assert.deepEqual([connection.state, connection.reason], ["lost", "subscribe"]);
-});
-
-test("another account takes the place of the first one, which stays until then", async () => {
-  const {clients, sockets, connection, states} = setUp();
-  connection.login("ada-device", WITHOUT_PIN);
-  clients[0].accept();
-  assert.equal(clients[0].options.password, "\0device");
-  const replaced = connection.replace("ada", withPin("482139"));
-  assert.deepEqual([clients[1].options.username, clients[1].options.password], ["ada", "\0pin:482139"]);
-  // a stop goes out meanwhile, in the name of who is connected
-  assert.deepEqual([connection.state, connection.account, clients[0].ended], ["connected", "ada-device", false]);
-  connection.publish("stop/ada-device", "kr120", {id: "1"}).catch(() => {});
-  assert.equal(clients[0].published.length, 1);
-  clients[1].connected = true;
-  clients[1].emit("connect");
-  // and its answer is waited for
-  mock.timers.tick(200);
-  assert.equal(connection.account, "ada-device");
-  clients[0].published[0].done(null, {reasonCode: 0});
-  await new Promise((resolve) => setImmediate(resolve));
-  for (let waited = 0; waited < 3000 && connection.account !== "ada"; waited += 150) {
-    clock.now += 150;
-    mock.timers.tick(150);
-  }
-  assert.equal(await replaced, "");
-  assert.deepEqual([connection.state, connection.account, clients[0].ended], ["connected", "ada", true]);
-  assert.ok("twin/+/ik/ack/ada" in clients[1].subscribed);
-  clients[1].answerSubscribe(null);
-  // what the former one still says is nothing
-  sockets[0].close(1006);
-  assert.deepEqual(states.at(-1), ["connected", ""]);
-});
-
-test("another account that is refused changes nothing, and says why", async () => {
-  for (const [code, why] of [[4005, "wrong_pin"], [4006, "pin_erased"], [4007, "not_paired"], [1006, "closed"]]) {
-    const {clients, sockets, connection} = setUp();
-    connection.login("ada-device", WITHOUT_PIN);
-    clients[0].accept();
-    const replaced = connection.replace("ada", withPin("482138"));
-    sockets[1].close(code);
-    assert.equal(await replaced, why);
-    assert.deepEqual([connection.state, connection.account, clients[0].ended, clients[1].ended], ["connected", "ada-device", false, true]);
-  }
-  const {clients, connection} = setUp();
-  connection.login("ada-device", WITHOUT_PIN);
-  clients[0].accept();
-  const replaced = connection.replace("ada", "guess");
-  clients[1].refuse(134);
-  assert.equal(await replaced, "refused");
-  mock.timers.tick(60000);
-  assert.equal(clients.length, 2);
-});
-
-test("what comes between ends the attempt: another one, a login, a logout, or no answer", async () => {
-  for (const [act, why] of [["replace", "abandoned"], ["login", "abandoned"], ["logout", "abandoned"], ["wait", "silent"]]) {
-    const {clients, connection} = setUp();
-    connection.login("ada-device", WITHOUT_PIN);
-    clients[0].accept();
-    const replaced = connection.replace("ada", withPin("482139"));
-    if (act === "wait") mock.timers.tick(30001);
-    else connection[act]("bob", "secret");
-    assert.equal(await replaced, why);
-    assert.equal(clients[1].ended, true);
-    clients[1].connected = true;
-    clients[1].emit("connect");
-    mock.timers.tick(5000);
-    assert.notEqual(connection.account, "ada");
-  }
-});
-
-test("a PIN that the console does not take any more is not tried again", () => {
-  const {clients, sockets, connection, states} = setUp();
-  connection.login("ada", withPin("482139"));
-  clients[0].accept();
-  sockets[0].close(4007);
-  assert.deepEqual(states.at(-1), ["refused", "not_paired"]);
-  mock.timers.tick(60000);
-  assert.equal(clients.length, 1);
 });

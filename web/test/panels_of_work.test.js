@@ -1,13 +1,11 @@
-/** The panels plan, tasks, plots and runs, in a document without a browser. */
+/** The panels plan, tasks and plots, in a document without a browser. */
 import assert from "node:assert/strict";
 import {readFileSync} from "node:fs";
 import {test} from "node:test";
 import {DOMParser} from "linkedom";
 import * as plan from "../src/panels/plan.js";
 import * as plots from "../src/panels/plots.js";
-import * as runs from "../src/panels/runs.js";
 import * as tasks from "../src/panels/tasks.js";
-import {readListing} from "../src/runs/listing.js";
 import {counts, group, isAskable, nextTask, stateOfElement, taskOfElement, waitsFor} from "../src/work/task_list.js";
 import {fakePage, view} from "./support/fake.js";
 import {robotSays, textsIn} from "./support/sentences.js";
@@ -515,65 +513,4 @@ test("plots keep samples while they are folded, and export them", async () => {
   assert.equal(rows.length, 31);
   assert.match(rows[0], /^seconds,stamp_s,error_joint_a1_deg,error_joint_a2_deg,round_trip_ms,late_replies/);
   assert.ok(Math.abs(Number(rows[30].split(",")[2]) - 0.29 * (180 / Math.PI)) < 1e-4);
-});
-
-// -- runs
-
-const listing = {runs: [
-  {name: "one", stamp: 1000, report: "one/report.html"},
-  {name: "a <b> ?", stamp: 3000, report: "a <b> ?/report.html"},
-]};
-const answer = (status, body) => ({ok: status === 200, status, json: async () => body});
-
-test("a listing is read newest first, and no address leads elsewhere", () => {
-  const found = readListing({
-    runs: [...listing.runs, {name: "x", stamp: 1, report: "../../etc/passwd"}, {name: "x", stamp: 1, report: "//evil.example/x"},
-      {name: "x", stamp: 1, report: "a//b"}, {name: "x", stamp: "1", report: "x/report.html"},
-      {name: 1, stamp: 1, report: "x/y"}, null,
-      {name: "x", stamp: 1e300, report: "x/report.html"}],
-  });
-  assert.deepEqual(found.map((run) => run.name), ["a <b> ?", "one"]);
-  assert.equal(found[0].href, "private/runs/a%20%3Cb%3E%20%3F/report.html");
-  const script = {name: "j", stamp: 1, report: "javascript:alert(1)"};
-  assert.equal(readListing({runs: [script]})[0].href, "private/runs/javascript%3Aalert(1)");
-  for (const wrong of [null, 3, [], {}, {runs: {}}]) assert.throws(() => readListing(wrong), /no list of runs/);
-});
-
-test("the runs are listed with links to new tabs", async () => {
-  const page = fakePage();
-  runs.make(page.parent, page.store, page.connection, page.texts, {fetch: async () => answer(200, listing)});
-  await settle();
-  const links = [...page.parent.querySelectorAll("a")];
-  assert.deepEqual(links.map((link) => link.textContent), ["a <b> ?", "one"]);
-  assert.deepEqual([links[1].getAttribute("target"), links[1].getAttribute("rel")], ["_blank", "noopener"]);
-  page.connection.change("lost");
-  assert.equal(page.parent.querySelectorAll("a").length, 0);
-});
-
-test("why no run is listed is told: not logged in, none served, none yet, no list", async () => {
-  const told = async (result) => {
-    const page = fakePage();
-    runs.make(page.parent, page.store, page.connection, page.texts, {fetch: result});
-    await settle();
-    return page.parent.querySelector(".runs-told").textContent;
-  };
-  assert.match(await told(async () => answer(403)), /Log in again/);
-  assert.match(await told(async () => answer(404)), /without a folder/);
-  assert.match(await told(async () => answer(500)), /500/);
-  assert.match(await told(async () => answer(200, {runs: []})), /No run with a report/);
-  assert.match(await told(async () => answer(200, "x")), /no list of runs/);
-  assert.match(await told(async () => Promise.reject(new TypeError("no network"))), /no network/);
-});
-
-test("an answer that was overtaken by another question is not shown", async () => {
-  const page = fakePage();
-  const waiting = [];
-  runs.make(page.parent, page.store, page.connection, page.texts, {fetch: () => new Promise((resolve) => waiting.push(resolve))});
-  page.connection.change("lost");
-  page.connection.change("connected");
-  waiting[1](answer(200, {runs: []}));
-  await settle();
-  waiting[0](answer(200, listing));
-  await settle();
-  assert.equal(page.parent.querySelectorAll("a").length, 0);
 });

@@ -7,7 +7,6 @@ import {around, clipped, corners, fit} from "../src/picture/fit.js";
 import {extentOf, floorOf, gridOf, numbersOf} from "../src/picture/grid.js";
 import {placed, sizeOf} from "../src/picture/labels.js";
 import {elementKey, entriesOf, goalKey} from "../src/picture/legend.js";
-import {measured, moved, NOTHING, onFloor, tapped} from "../src/picture/measuring.js";
 import {makePace} from "../src/picture/pace.js";
 import {textsIn} from "./support/sentences.js";
 
@@ -107,7 +106,7 @@ test("the floor is the scene's: a flat, wide box below the base", () => {
 
 const NOTHING_DRAWN = {
   both: null, twin: null, arm: null, plan: null, goal: null, path: null, engaged: null, ahead: null, travelled: null, closest: null, tool: null, carried: null, standing: null,
-  elements: [], measure: null,
+  elements: [],
 };
 
 test("the legend has what is drawn, in the colours that it is drawn in, and nothing else", () => {
@@ -160,30 +159,6 @@ test("the other body's nearest place is computed from its shape, and is shown on
   assert.equal(found("mesh", [1, 1, 1], [1.2, 0, 0.7], 0.2), null);
   assert.equal(found("box", [1, 1, 1], [1.2, 0, 0.7], 0.2, {link: "tool0"}), null, "what is carried moves");
   assert.equal(otherPoint({...clearance, between: ["link_2", "link_4"]}, []), null);
-});
-
-// -- measuring
-
-test("two taps measure, a third begins again, and another robot's part begins anew", () => {
-  const first = tapped(NOTHING, "one", [0, 0, 0]);
-  assert.equal(measured(first), null);
-  const both = tapped(first, "one", [3, 0, 4]);
-  assert.deepEqual(measured(both), {distance: 5, along: [3, 0, 4]});
-  assert.deepEqual(tapped(both, "one", [1, 1, 1]), {robot: "one", points: [[1, 1, 1]]});
-  assert.deepEqual(tapped(first, "two", [1, 1, 1]), {robot: "two", points: [[1, 1, 1]]});
-});
-
-test("a ray meets the floor in front of it, and only up to what hides it", () => {
-  assert.deepEqual(onFloor([0, 0, 2], [0.6, 0, -0.8], 0, 10), [1.5, 0, 0]);
-  assert.equal(onFloor([0, 0, 2], [0.6, 0, -0.8], 0, 2), null);
-  for (const upwards of [[0, 0, 1], [1, 0, 0]]) assert.equal(onFloor([0, 0, 2], upwards, 0, 10), null);
-});
-
-test("arrows move the cross within the picture, with Shift by a pixel", () => {
-  assert.deepEqual(moved([100, 100], "ArrowLeft", false, 300, 180), [88, 100]);
-  assert.deepEqual(moved([100, 100], "ArrowDown", true, 300, 180), [100, 101]);
-  assert.deepEqual(moved([295, 100], "ArrowRight", false, 300, 180), [300, 100]);
-  for (const key of ["a", "Tab", "constructor"]) assert.equal(moved([1, 1], key, false, 300, 180), null);
 });
 
 // -- words

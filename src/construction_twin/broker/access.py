@@ -5,16 +5,14 @@ config/mosquitto/.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from string import Template
 
-from construction_twin.core.camera_address import MOST as MOST_CAMERAS
-from construction_twin.core.camera_address import CameraAddress
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.sentences import Sentence
 from construction_twin.mqtt.messages import Topics
-from construction_twin.mqtt.requests import PAUSE, REQUESTS, STOP, RequestKind
+from construction_twin.mqtt.requests import REQUESTS
 
 _OF_ACCOUNTS = [kind for kind in REQUESTS if kind.right]
 #: What a right lets an account do is its template, ``right_<right>.acl``, with the topics of its requests in it. Each right has
@@ -39,11 +37,6 @@ ROLES = {
 }
 #: Programs of the link, each with rules of its own (``bridge.acl``); `plc` is made on request.
 PROGRAMS, PLC = ("bridge", "gateway"), "plc"
-#: The second account of a `Person`, for paired devices on which no PIN was given: its person's name comes first.
-DEVICE = "device"
-#: All that it may ask for, and only where its person may: what starts motion, such as a resume, is not among it.
-_DEVICE_ASKS = (STOP, PAUSE)
-_DEVICE_RIGHTS = ("view", *(kind.right for kind in _DEVICE_ASKS))
 #: What a person cannot be called: programs, and what stands for an account where a broker knows none.
 _RESERVED = (*PROGRAMS, PLC, "console")
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")
@@ -99,11 +92,6 @@ class Person:
         seeing = _seeing(*given - {"view", "stop"}, *given & {"stop"}) if given else ()
         return tuple(right for right in RIGHTS if right in seeing)
 
-    @property
-    def device_account(self) -> str:
-        """Name of the account for this person's paired devices while no PIN was given."""
-        return SiteAccount("", DEVICE, self.name).name
-
 
 def migrated(named: Mapping[str, Iterable[str]], known: Collection[str] = ()) -> tuple[Person, ...]:
     """Return the people of the roles as people with one account each, with the same rights at every robot.
@@ -122,10 +110,7 @@ def migrated(named: Mapping[str, Iterable[str]], known: Collection[str] = ()) ->
 
 @dataclass(frozen=True)
 class SiteAccount:
-    """One account: a role at one robot, whose owner `person` names, if it has one; without a robot all robots of a `Person`.
-
-    Without a robot the role is `DEVICE` or empty.
-    """
+    """One account: a role at one robot, whose owner `person` names, if it has one; without both all robots of a `Person`."""
 
     robot: str
     role: str
@@ -134,8 +119,6 @@ class SiteAccount:
     @property
     def name(self) -> str:
         """MQTT user name, and common name of the certificate."""
-        if self.role == DEVICE:
-            return f"{self.person}-{DEVICE}"
         return "-".join(filter(None, (self.robot, self.role, self.person)))
 
 
@@ -155,7 +138,6 @@ class Site:
         prefix: First level of the MQTT topics.
         consoles: Names and addresses under which browsers reach the console; empty: no files for one.
         console_port: Its TCP port.
-        cameras: What the console shows beside a robot's picture, to who may `view` that robot.
         folder: Where the broker finds its files.
         listen: The broker's own address on which it listens; empty: all of them.
 
@@ -179,7 +161,6 @@ class Site:
     persons: tuple[Person, ...] = field(default=())
     consoles: tuple[str, ...] = field(default=())
     console_port: int = 8480
-    cameras: tuple[CameraAddress, ...] = field(default=())
 
     def __post_init__(self):
         for option, names, pattern in (
@@ -205,21 +186,13 @@ class Site:
             )
         if not self.folder or re.search(r"\s", self.folder):
             raise ConfigurationError("--broker-folder", self.folder, Sentence("expected.site.folder"))
-        for camera in self.cameras:
-            if camera.robot not in self.robots:
-                known = Sentence("expected.one_of", known=", ".join(self.robots))
-                raise ConfigurationError(f"--camera {camera.name}", camera.robot, known)
-        if len(self.cameras) > MOST_CAMERAS:
-            expected = Sentence("expected.cameras", most=MOST_CAMERAS)
-            raise ConfigurationError("--camera", len(self.cameras), expected)
         for person in self.persons:
             if unknown := {robot for grant in person.grants for robot in grant.robots} - set(self.robots):
                 known = Sentence("expected.one_of", known=", ".join(self.robots))
                 raise ConfigurationError(f"--person {person.name}", sorted(unknown)[0], known)
             # what a program, or an account of a role, is called or may be called
             taken = person.name in _RESERVED or person.name.startswith(tuple(f"{robot}-" for robot in self.robots))
-            # or what would say that it is somebody's device
-            if taken or person.name.endswith(f"-{DEVICE}"):
+            if taken:
                 raise ConfigurationError("--person", person.name, Sentence("expected.site.person_name"))
         accounts = [account.name for account in self.accounts()]
         if len(set(accounts)) != len(accounts):
@@ -247,7 +220,7 @@ class Site:
             accounts.append(SiteAccount(robot, "viewer"))
             accounts += [SiteAccount(robot, role, person) for role in ROLES for person in self.named(role)]
         for person in self.persons:
-            accounts += [SiteAccount("", "", person.name), SiteAccount("", DEVICE, person.name)]
+            accounts.append(SiteAccount("", "", person.name))
         return accounts
 
     def console_addresses(self) -> list[str]:
@@ -271,8 +244,6 @@ def people_of(site: Site) -> dict[str, dict[str, dict[str, str]]]:
         for robot in site.robots:
             for right in person.rights(robot):
                 found[robot][right][person.name] = person.name
-                if right in _DEVICE_RIGHTS:
-                    found[robot][right][person.device_account] = person.name
     return found
 
 
@@ -299,39 +270,21 @@ def access_rules(site: Site, template: Callable[[str], str]) -> str:
             if rights := person.rights(robot):
                 head += f"# {robot}: {', '.join(rights)}\n" + _rules(site, robot, person.name, rights, template)
         parts.append(head)
-        head = f"# devices of {person.name} that are paired, while no PIN was given\nuser {person.device_account}\n"
-        for robot in site.robots:
-            if seen := tuple(right for right in person.rights(robot) if right in _DEVICE_RIGHTS):
-                asked = _rules(site, robot, person.device_account, seen, template, _DEVICE_ASKS)
-                head += f"# {robot}: {', '.join(seen)}\n{asked}"
-        parts.append(head)
     return "\n".join(parts)
 
 
-def _rules(
-    site: Site,
-    robot: str,
-    account: str,
-    rights: Iterable[str],
-    template: Callable[[str], str],
-    asks: Sequence[RequestKind] = tuple(_OF_ACCOUNTS),
-) -> str:
-    """Return what rights let an account do at a robot, of what it may ask for at all."""
+def _rules(site: Site, robot: str, account: str, rights: Iterable[str], template: Callable[[str], str]) -> str:
+    """Return what rights let an account do at a robot."""
     topics, rules = Topics(site.prefix, robot), ""
     for right in rights:
         name, values = f"right_{right}.acl", {"account": account, "topics": f"{site.prefix}/{robot}"}
-        values["cameras"] = "\n".join(
-            f"topic read {each.topic(site.prefix)}" for each in site.cameras if each.robot == robot
-        )
-        text = _filled(name, template(name), **values, writes=_asking(topics, right, account, asks))
-        # a robot without cameras leaves no empty line
-        rules += "".join(line for line in text.splitlines(keepends=True) if line.strip())
+        rules += _filled(name, template(name), **values, writes=_asking(topics, right, account))
     return rules
 
 
-def _asking(topics: Topics, right: str, account: str, asks: Iterable[RequestKind]) -> str:
+def _asking(topics: Topics, right: str, account: str) -> str:
     """Return the rules of who may ask for what a right is about."""
-    return "\n".join(f"topic write {topics.of(kind, account)}" for kind in asks if kind.right == right)
+    return "\n".join(f"topic write {topics.of(kind, account)}" for kind in _OF_ACCOUNTS if kind.right == right)
 
 
 def _answering(topics: Topics) -> str:

@@ -1,14 +1,7 @@
-"""What a site's console needs: its certificate, and its addresses as links and QR codes.
-
-No password stands in any of them: who scans a code still logs in.
-
-QR codes need the Python package `segno`; without it the addresses are written all the same, and what is missing is said.
-"""
+"""What a site's console needs: its certificate, its addresses, and who has which right. No password stands in any of them."""
 
 from __future__ import annotations
 
-import importlib.util
-import io
 import json
 from collections.abc import Iterable
 from pathlib import Path
@@ -17,14 +10,10 @@ from construction_twin.broker.access import Site, people_of
 from construction_twin.broker.certificates import Authority, make_folder, write_private
 
 _NAME = "construction_twin console"
-#: Size of a module of a QR code in SVG units, or pixels.
-_SCALE = 8
 
 
 class ConsoleFiles:
-    """The folder `console/` of a site: `console.crt`, `console.key`, `ca.crt`, `rights.json`, `addresses.txt`, their QR codes,
-    `cameras.txt`.
-    """
+    """The folder `console/` of a site: `console.crt`, `console.key`, `ca.crt`, `rights.json`, `addresses.txt`."""
 
     def __init__(self, folder: Path):
         self._folder = folder
@@ -41,17 +30,9 @@ class ConsoleFiles:
         Raises:
             ConstructionTwinError: When openssl is missing or a name does not fit.
         """
-        lines, path = [], self._folder / "cameras.txt"
-        if not site.cameras:
-            path.unlink(missing_ok=True)
-        else:
-            make_folder(self._folder)
-            write_private(path, " ".join(map(str, site.cameras)) + "\n")
-            lines.append(
-                f"cameras: give console_cameras of bringup.launch, or --camera of the console, what stands in {path}"
-            )
         if not site.consoles:
-            return lines
+            return []
+        lines = []
         make_folder(self._folder)
         if renew or tuple(before) != site.consoles or not self.certificate.exists():
             authority.issue(_NAME, self._folder / "console.key", self.certificate, days, site.consoles)
@@ -60,43 +41,4 @@ class ConsoleFiles:
         write_private(self._folder / "rights.json", json.dumps({"robots": people_of(site)}, indent=1) + "\n")
         addresses = site.console_addresses()
         write_private(self._folder / "addresses.txt", "".join(f"{address}\n" for address in addresses))
-        return lines + self._make_codes(site.consoles, addresses)
-
-    def _make_codes(self, hosts: Iterable[str], addresses: Iterable[str]) -> list[str]:
-        if importlib.util.find_spec("segno") is None:
-            return [
-                "no QR codes of the console's addresses: the Python package segno is not installed; run setup/setup.sh console, "
-                f"then this again; the addresses are in {self._folder / 'addresses.txt'}"
-            ]
-        lines = []
-        for host, address in zip(hosts, addresses):
-            paths = [self._folder / f"{host.replace(':', '_')}.{kind}" for kind in ("svg", "png")]
-            codes = [picture(address, path.suffix[1:]) for path in paths]
-            if all(path.exists() and path.read_bytes() == code for path, code in zip(paths, codes)):
-                continue
-            for path, code in zip(paths, codes):
-                write_private(path, code)
-            lines.append(f"made a QR code of {address}: {paths[0]}, {paths[1].name}; it holds the address, no password")
         return lines
-
-
-def picture(address: str, kind: str) -> bytes:
-    """Return a QR code as a picture; `segno` must be there.
-
-    Args:
-        kind: ``svg`` or ``png``.
-    """
-    import segno
-
-    buffer = io.BytesIO()
-    segno.make(address, micro=False).save(buffer, kind=kind, scale=_SCALE, light="white")
-    return buffer.getvalue()
-
-
-def in_characters(address: str) -> str:
-    """Return a QR code for a terminal; `segno` must be there."""
-    import segno
-
-    text = io.StringIO()
-    segno.make(address, micro=False).terminal(text, compact=True)
-    return text.getvalue()

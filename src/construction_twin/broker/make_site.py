@@ -11,12 +11,11 @@ import json
 import re
 import secrets
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from datetime import UTC
 from pathlib import Path
 
 from construction_twin.broker.access import (
-    DEVICE,
     RIGHTS,
     ROLES,
     Grant,
@@ -30,7 +29,6 @@ from construction_twin.broker.access import (
 )
 from construction_twin.broker.certificates import Authority, expiry, make_folder, run_tool, write_private
 from construction_twin.broker.console_files import ConsoleFiles
-from construction_twin.core.camera_address import CameraAddress, camera_of, cameras_of
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, spoken
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import share_file
@@ -70,32 +68,6 @@ class SiteFolder:
         except (OSError, ValueError, AttributeError) as error:
             raise ConstructionTwinError(
                 Sentence("view.site.unreadable", file=str(self._settings), problem=str(error))
-            ) from error
-
-    def site(self) -> Site:
-        """Return the site of the last run.
-
-        Raises:
-            ConstructionTwinError: When there was none.
-        """
-        before = self.load()
-        if not before:
-            raise ConstructionTwinError(Sentence("view.site.none", file=str(self._settings)))
-        return _site(_arguments([str(self._folder)]), before)
-
-    def password(self, account: str) -> str:
-        """Return the password of an account.
-
-        Raises:
-            ConstructionTwinError: When its folder is not here.
-        """
-        path = self._folder / "accounts" / account / "password"
-        try:
-            return path.read_text(encoding="utf-8").strip()
-        except OSError as error:
-            problem = str(error.strerror)
-            raise ConstructionTwinError(
-                Sentence("view.site.no_password", account=account, file=str(path), problem=problem)
             ) from error
 
     def make(
@@ -219,9 +191,6 @@ class SiteFolder:
     ) -> list[str]:
         lines = []
         for account in site.accounts():
-            # a console logs in to it with the password; a certificate could not be taken back
-            if account.role == DEVICE:
-                continue
             folder = self._account_folder(account)
             certificate, key = folder / "client.crt", folder / "client.key"
             if account.name in replace and certificate.exists():
@@ -291,23 +260,14 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
         metavar="NAME:RIGHTS[@ROBOTS]",
         help="one account for a person at several robots, e.g. ada:plan_request,review@kr120_1,kr120_2; without @ at all of "
         f"them; rights: {', '.join(RIGHTS)}; whoever may set an arm in motion may stop it; may be repeated, also for one name; "
-        "a name that there is gets these rights in place of those before. NAME-device is made beside it, for paired tablets",
+        "a name that there is gets these rights in place of those before",
     )
     add(
         "--console",
         action="append",
         default=[],
         metavar="HOST",
-        help="name or address of the console, as tablets write it: makes its certificate, links and QR codes; may be repeated",
-    )
-    add(
-        "--camera",
-        action="append",
-        default=[],
-        metavar="NAME=http://ADDRESS[:PORT]/PATH[@ROBOT]",
-        help="a camera whose MJPEG the console shows beside a robot's picture, to who may view that robot: writes the access rule "
-        "of its topic and, for the console, console/cameras.txt; without @ of the site's one robot; may be repeated; a name that "
-        "there is at a robot gets this address",
+        help="name or address of the console, as tablets write it: makes its certificate and links; may be repeated",
     )
     add("--console-port", type=int, help="TCP port of the console [8480]")
     add("--plc", action="store_true", help="also an account for a PLC that commands in place of the bridge")
@@ -356,17 +316,15 @@ def _site(arguments: argparse.Namespace, before: dict) -> Site:
     # without reviewers by name every robot has an account that they share, which may be in use
     shared = before.get("shared", ()) if _names_reviewers(before) else before.get("robots", ())
     reviewed = named["reviewer"] or any("review" in grant.rights for person in persons for grant in person.grants)
-    robots = merged(before.get("robots", ()), arguments.robot)
     given = {
         "hosts": merged(before.get("hosts", ()), arguments.host),
-        "robots": robots,
+        "robots": merged(before.get("robots", ()), arguments.robot),
         **{field: named[role] for role, field in _FIELDS.items()},
         "persons": persons,
         "shared": shared if reviewed else (),
         "plc": arguments.plc or before.get("plc", False),
         "certificates": arguments.certificates or before.get("certificates", False),
         "consoles": merged(before.get("consoles", ()), arguments.console),
-        "cameras": _cameras(arguments.camera, before.get("cameras", ()), robots[0] if len(robots) == 1 else ""),
         "console_port": arguments.console_port or before.get("console_port", 8480),
         "port": arguments.port or before.get("port", 8883),
         "listen": arguments.listen or before.get("listen", ""),
@@ -394,15 +352,6 @@ def _persons(given: Iterable[str], before: Iterable[Mapping]) -> tuple[Person, .
         grants = now[person.name].grants if person.name in now else ()
         now[person.name] = Person(person.name, (*grants, *person.grants))
     return tuple((persons | now).values())
-
-
-def _cameras(given: Sequence[str], before: Iterable[Mapping], robot: str) -> tuple[CameraAddress, ...]:
-    """Return the cameras of before and those given now, which take the place of one of the same name; without ``@`` of `robot`."""
-    for words in given:
-        # one each: what is empty, or several in one, is a slip
-        camera_of(words, robot)
-    found = [CameraAddress(**one) for one in before]
-    return tuple({(one.robot, one.name): one for one in (*found, *cameras_of(given, robot))}.values())
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -10,9 +10,6 @@ import importlib.util
 import sys
 from pathlib import Path
 
-from construction_twin.console.plain_http import HSTS_S
-from construction_twin.core.sentences import Sentence
-
 #: Not 8080: half of all programs with a page listen there.
 DEFAULT_PORT = 8480
 
@@ -22,9 +19,6 @@ def main(argv: list[str] | None = None) -> int:
     arguments = _arguments(argv)
     if importlib.util.find_spec("websockets") is None:
         print("console: the Python package websockets is not installed; run setup/setup.sh console")
-        return 1
-    if arguments.pairings and importlib.util.find_spec("cryptography") is None:
-        print(f"console: --pairings: {Sentence('view.pair.no_package', package='cryptography')}")
         return 1
     # websockets is needed from here on only
     from construction_twin.console.program import run
@@ -40,38 +34,14 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     add = parser.add_argument
     add("--page", type=Path, help="folder of the page; without it there is none, only the pipe")
     add("--private", type=Path, help="folder of files for who is logged in: robot, scene, building model")
-    add("--results", type=Path, help="folder of recorded runs, whose reports are listed")
-    add(
-        "--pairings",
-        type=Path,
-        metavar="DIR",
-        help="folder of paired devices, which log in with a PIN; `twin pair` invites them; made if it is not there",
-    )
     add("--rights", type=Path, help="who has which right, for who is logged in: rights.json, which make_site writes")
     add("--listen", default="127.0.0.1", metavar="ADDRESS", help="address on which it listens [%(default)s]")
     add("--port", type=int, default=DEFAULT_PORT, help="TCP port [%(default)s]")
     add("--certificate", type=Path, help="certificate (PEM); needs --key")
     add("--key", type=Path, help="its key (PEM)")
-    add(
-        "--hsts",
-        type=int,
-        default=HSTS_S,
-        metavar="SECONDS",
-        help="with TLS, for so long browsers ask this host for anything by https alone, on every port [%(default)s]; 0: no longer",
-    )
     add("--origin", action="append", default=[], help="a further origin whose pages may connect; may be repeated")
     add("--broker-host", default="127.0.0.1", help="the broker's address [%(default)s]")
     add("--broker-port", type=int, default=18830, help="the broker's TCP port [%(default)s]")
     add("--broker-ca", type=Path, help="certificate of who signed the broker's; with it the broker's connection is TLS")
-    add(
-        "--camera",
-        action="append",
-        default=[],
-        metavar="NAME=http://ADDRESS[:PORT]/PATH[@ROBOT]",
-        help="a camera whose MJPEG is shown beside a robot's picture, to whom the broker lets read "
-        "<prefix>/ROBOT/camera/NAME; several separated by blanks; may be repeated",
-    )
-    add("--camera-robot", default="", metavar="ROBOT", help="the robot of cameras that name none")
-    add("--prefix", default="twin", help="first level of the MQTT topics [%(default)s]")
     # roslaunch adds __name:= and __log:= for nodes that speak ROS
     return parser.parse_args([word for word in (sys.argv[1:] if argv is None else argv) if ":=" not in word])

@@ -17,8 +17,6 @@ class ConnectionLimits:
     Attributes:
         anonymous, anonymous_per_address: Of those that have not logged in: they begin TLS, ask for something, get a file, or are
             about to log in.
-        waiting, waiting_per_address, waiting_per_account: Of those of them whose login waits for its pace, so many are not closed
-            for others: in all, of an address, and of an account at an address. One that waits beyond them is like any other.
         logins, logins_per_address, logins_per_account: Of WebSockets on which the broker has accepted a login. A broker without
             accounts has no limit per account.
         logins_per_account_and_address: Of one account at one address: half of the address's.
@@ -27,9 +25,6 @@ class ConnectionLimits:
 
     anonymous: int = 256
     anonymous_per_address: int = 64
-    waiting: int = 64
-    waiting_per_address: int = 16
-    waiting_per_account: int = 8
     logins: int = 64
     logins_per_address: int = 16
     logins_per_account: int = 16
@@ -51,14 +46,12 @@ class OpenConnections:
     """The open connections of a server.
 
     A new one is always accepted: above a limit the oldest unauthenticated connection of the address with the most of them is
-    closed. So one address, however many connections it makes, takes nothing from another one with fewer. One whose login waits for
-    its pace is passed over while there is room: it stays longer than others, through no fault of its own.
+    closed. So one address, however many connections it makes, takes nothing from another one with fewer.
     """
 
     def __init__(self, limits: ConnectionLimits):
         self._limits = limits
         self._anonymous: dict[int, str] = {}
-        self._waiting: dict[int, _Login] = {}
         self._logins: dict[int, _Login] = {}
 
     def enter(self, connection: int, address: str) -> int | None:
@@ -74,29 +67,9 @@ class OpenConnections:
 
     def _take_oldest(self, addresses: Iterable[str]) -> int:
         # a dict keeps the order in which they came
-        candidates = [each for each, address in self._anonymous.items() if address in addresses]
-        oldest = next((each for each in candidates if each not in self._waiting), candidates[0])
+        oldest = next(each for each, address in self._anonymous.items() if address in addresses)
         self.leave(oldest)
         return oldest
-
-    def wait(self, connection: int, account: str) -> None:
-        """Note that a connection's login waits for its pace: while there is room it is not closed for another one."""
-        address, limits, waiting = self._anonymous.get(connection), self._limits, self._waiting.values()
-        if address is None:
-            return
-        if sum(each.address == address for each in waiting) >= limits.waiting_per_address:
-            return
-        if _of(waiting, address, account) >= limits.waiting_per_account:
-            return
-        self._waiting[connection] = _Login(address, account)
-        if len(self._waiting) > limits.waiting:
-            counts = Counter(each.address for each in waiting)
-            most = max(counts.values())
-            del self._waiting[next(each for each, login in self._waiting.items() if counts[login.address] == most)]
-
-    def waited(self, connection: int) -> None:
-        """Note that it waits no more."""
-        self._waiting.pop(connection, None)
 
     def login(self, connection: int, account: str) -> str:
         """Count a connection as authenticated; return the limit that forbids it, or an empty text."""
@@ -123,5 +96,4 @@ class OpenConnections:
     def leave(self, connection: int) -> None:
         """Note that a connection has ended; one that had to go has been forgotten before."""
         self._anonymous.pop(connection, None)
-        self._waiting.pop(connection, None)
         self._logins.pop(connection, None)

@@ -7,8 +7,6 @@ import asyncio
 from websockets.asyncio.server import ServerConnection
 from websockets.protocol import State
 
-from construction_twin.console.paired import DeviceCookie
-
 _END_OF_REQUEST = b"\r\n\r\n"
 
 
@@ -25,8 +23,6 @@ class HttpConnection(ServerConnection):
     written = False
     #: Of the browser, once its request for a WebSocket is answered.
     ticket = ""
-    #: As which device it may be paired, once its request for that is answered.
-    invited: DeviceCookie | None = None
 
     @property
     def is_asking(self) -> bool:

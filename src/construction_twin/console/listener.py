@@ -1,7 +1,4 @@
-"""Listening sockets that count what they accept: a connection that never ends its TLS handshake is known to nobody else.
-
-Nor is one that speaks no TLS where it should: it is answered here, before TLS sees a byte of it.
-"""
+"""Listening sockets that count what they accept: a connection that never ends its TLS handshake is known to nobody else."""
 
 from __future__ import annotations
 
@@ -12,7 +9,6 @@ import socket
 from collections.abc import Callable
 from typing import Any
 
-from construction_twin.console import plain_http
 from construction_twin.console.connection_limits import OpenConnections
 
 #: Connections that the kernel keeps until they are accepted.
@@ -32,46 +28,12 @@ class _Counted(socket.socket):
         super().close()
 
 
-#: Returns what a client gets for a request that came without TLS: its address, and the request.
-PlainAnswer = Callable[[str, bytes], bytes]
-
-
-class _MaybePlain(_Counted):
-    """A connection that should begin with TLS, and gets an answer and its end where it begins with a request of HTTP.
-
-    It has no more time than the handshake of TLS, which waits meanwhile.
-    """
-
-    answer: PlainAnswer | None = None
-    _head = b""
-
-    def recv_into(self, buffer: Any, nbytes: int = 0, flags: int = 0) -> int:
-        """Take what has come (called by asyncio, whose TLS has a buffer of its own)."""
-        count = super().recv_into(buffer, nbytes, flags)
-        if self.answer is None or not count:
-            return count
-        came = bytes(memoryview(buffer)[: min(count, plain_http.LONGEST)])
-        if not self._head and not plain_http.is_plain(came[0]):
-            self.answer = None
-            return count
-        self._head = (self._head + came)[: plain_http.LONGEST]
-        if not plain_http.is_whole(self._head):
-            # as if nothing had come yet
-            raise BlockingIOError
-        with contextlib.suppress(OSError):
-            # the first bytes on this connection: the kernel has room for them
-            self.send(self.answer(self.getpeername()[0], self._head))
-        # asyncio closes a connection that breaks, and says nothing about it
-        raise ConnectionAbortedError
-
-
 class Listener(socket.socket):
     """A TCP socket that gives what it accepts a place, by its file descriptor.
 
     Args:
         family: Of its address.
         on_full: Called with the address of a connection whose place another one gets.
-        plain: Where TLS is spoken: answers who speaks HTTP without.
     """
 
     def __init__(
@@ -79,19 +41,16 @@ class Listener(socket.socket):
         family: int,
         connections: OpenConnections,
         on_full: Callable[[str], None],
-        plain: PlainAnswer | None = None,
     ):
         super().__init__(family, socket.SOCK_STREAM)
         self._limits = connections
         self._on_full = on_full
-        self._plain = plain
         self._open: dict[int, _Counted] = {}
 
     def accept(self) -> tuple[socket.socket, Any]:
         """Return the next connection and its address (called by asyncio); the oldest client may have to end for it."""
-        plain, address = super().accept()
-        connection = _MaybePlain(fileno=plain.detach())
-        connection.answer = self._plain
+        accepted, address = super().accept()
+        connection = _Counted(fileno=accepted.detach())
         number = connection.fileno()
         connection.on_close = self._leave
         self._open[number] = connection
@@ -117,12 +76,11 @@ async def listeners(
     port: int,
     connections: OpenConnections,
     on_full: Callable[[str], None],
-    plain: PlainAnswer | None = None,
 ) -> list[Listener]:
     """Return a listening socket for each address of a host.
 
     Args:
-        on_full, plain: As of `Listener`.
+        on_full: As of `Listener`.
 
     Raises:
         OSError: When there is no such address, or somebody else holds the port.
@@ -132,7 +90,7 @@ async def listeners(
     with contextlib.ExitStack() as undo:
         for family, address in dict.fromkeys((each[0], each[4]) for each in found):
             try:
-                made.append(undo.enter_context(Listener(family, connections, on_full, plain)))
+                made.append(undo.enter_context(Listener(family, connections, on_full)))
             except OSError as error:
                 # localhost has an address of IPv6 where the kernel has none
                 if error.errno != errno.EAFNOSUPPORT or family != socket.AF_INET6:

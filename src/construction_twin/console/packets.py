@@ -1,8 +1,7 @@
 """MQTT packets as far as the pipe has to know them: where each ends, of which kind it is, and who logs in.
 
 Only the fixed header is read, and of CONNECT and CONNACK the few fields that are logged or decide whether somebody is logged in.
-All else passes unchanged, but the password of a paired device (`paired.py`). MQTT 5.0, sections 2.1, 3.1 and 3.2; MQTT 3.1.1 has
-the same. Pure.
+MQTT 5.0, sections 2.1, 3.1 and 3.2; MQTT 3.1.1 has the same. Pure.
 """
 
 from __future__ import annotations
@@ -153,11 +152,6 @@ def user_name(connect: Packet) -> str:
     Raises:
         PayloadError: ``mqtt`` when it is not a CONNECT of MQTT 3.1.1 or 5.
     """
-    return _to_password(connect)[1]
-
-
-def _to_password(connect: Packet) -> tuple[_Fields, str]:
-    """Read a CONNECT packet up to where a password begins, if it has one; return what reads on, and the user name."""
     fields = _Fields(connect.data, connect.body)
     if fields.text() != "MQTT" or (version := fields.byte()) not in (4, 5):
         raise PayloadError("mqtt", Sentence("view.packet.protocol"))
@@ -171,34 +165,7 @@ def _to_password(connect: Packet) -> tuple[_Fields, str]:
             fields.skip(fields.number())
         fields.text()
         fields.skip(fields.short())
-    return fields, fields.text() if flags & 0x80 else ""
-
-
-def password(connect: Packet) -> bytes | None:
-    """Return the password of a CONNECT that `user_name` can read; None when it has none, or ends within it."""
-    fields, _ = _to_password(connect)
-    if not connect.data[connect.body + 7] & 0x40:
-        return None
-    try:
-        return fields.data()
-    except PayloadError:
-        # the broker's to refuse
-        return None
-
-
-def with_password(connect: Packet, new: bytes) -> Packet:
-    """Return a CONNECT whose `password` can be read, with another one in its place. Nothing else changes, but the lengths."""
-    fields, _ = _to_password(connect)
-    begin = fields.at
-    fields.data()
-    body = connect.data[connect.body : begin] + len(new).to_bytes(2, "big") + new + connect.data[fields.at :]
-    length, left = bytearray(), len(body)
-    while True:
-        left, digit = left >> 7, left & 0x7F
-        length.append(digit | (0x80 if left else 0))
-        if not left:
-            break
-    return Packet(connect.kind, connect.data[:1] + bytes(length) + body, 1 + len(length))
+    return fields.text() if flags & 0x80 else ""
 
 
 def has_credentials(connect: Packet) -> bool:

@@ -1,8 +1,7 @@
 """One browser's connection: bytes between its WebSocket and the broker's TCP port, cut off where they are no MQTT or too many.
 
 The broker decides who may do what; the pipe keeps what is not MQTT, too long, too fast or from another site's page away from it. It
-changes nothing but the password of a paired device, which the login puts in. It never keeps a packet: a browser that is not
-connected cannot have one sent later.
+changes nothing, and never keeps a packet: a browser that is not connected cannot have one sent later.
 """
 
 from __future__ import annotations
@@ -20,8 +19,7 @@ from typing import Protocol
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
-from construction_twin.console.packets import WRONG_PASSWORD, ClientStream, Packet, PacketReader, reason_code
-from construction_twin.console.paired import PairingError
+from construction_twin.console.packets import WRONG_PASSWORD, ClientStream, PacketReader, reason_code
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.rate_limit import TokenBucket
 from construction_twin.core.sentences import Sentence
@@ -29,9 +27,6 @@ from construction_twin.core.sentences import Sentence
 log = logging.getLogger("console")
 #: Close codes that the page knows (RFC 6455 leaves 4000 to 4999 to applications).
 BROKER_AWAY, NOT_MQTT, TOO_MUCH, TOO_SLOW = 4001, 4002, 4003, 4004
-#: And of a paired device: a wrong PIN; no PIN may be tried any more; not paired, or not any more.
-WRONG_PIN, PIN_ERASED, NOT_PAIRED = 4005, 4006, 4007
-_OF_DEVICES = {"wrong": WRONG_PIN, "erased": PIN_ERASED}
 #: Longest wait for a browser to take the end of its WebSocket, and to answer it [s].
 CLOSE_S = 1.0
 #: Bytes that are read from the broker at once.
@@ -50,6 +45,7 @@ class PipeLimits:
         packets_per_s, bytes_per_s: What a browser may send in the long run.
         burst_packets, burst_bytes: And at once.
         login_s: Longest wait for the broker, and from then on for the whole CONNECT [s].
+        wrong_s: Delay of the broker's answer to a wrong password [s].
         stall_s: A browser that takes nothing for so long is cut off [s]: what is shown there is old.
         ping_s: Time between pings, and longest wait for an answer, whatever else comes [s]. A browser that does not answer is gone:
             what it had sent before, and comes later, is not passed on.
@@ -61,6 +57,7 @@ class PipeLimits:
     burst_packets: float = 200.0
     burst_bytes: float = 262144.0
     login_s: float = 5.0
+    wrong_s: float = 1.0
     stall_s: float = 5.0
     ping_s: float = 3.0
 
@@ -83,38 +80,13 @@ class Cut(Exception):
 
 
 class Login(Protocol):
-    """What is asked and told about the login of one connection."""
-
-    def wait_s(self, connect: Packet) -> float:
-        """Return how long a CONNECT with user name or password waits before it is passed on [s]."""
-
-    async def filled(self, connect: Packet) -> Packet:
-        """Return a CONNECT as it is passed on: that of a paired device with its password, any other unchanged.
-
-        Raises:
-            PairingError: When it is not passed on.
-        """
-
-    async def revoked(self) -> None:
-        """Return when the device whose password was put in is not paired any more."""
-
-    def waited(self) -> None:
-        """Note that it is passed on now, or that its browser has gone."""
+    """What is told about the login of one connection."""
 
     def accepted(self, account: str) -> str:
         """Note that the broker has accepted it; return why it may not stay all the same, or an empty text."""
 
     def wrong(self, account: str) -> None:
         """Note that the broker says that user name or password is wrong."""
-
-    def left(self, account: str) -> None:
-        """Note that a browser has left after its login was passed on, and before the broker's answer."""
-
-
-class _Attempt:
-    """Whether a login with user name or password is with the broker, which has not answered it yet."""
-
-    is_open = False
 
 
 async def pipe(
@@ -123,14 +95,12 @@ async def pipe(
     limits: PipeLimits,
     login: Login,
     clock: Callable[[], int] = time.monotonic_ns,
-    on_data: Callable[[bytes], None] | None = None,
 ) -> str:
     """Carry bytes until one side ends; return in one sentence how it ended.
 
     Args:
-        login: Says how long a login waits, and gets to know what became of it.
+        login: Gets to know what became of it.
         clock: Returns a time from any origin [ns].
-        on_data: Called with what the broker sends to a browser that is logged in, and with its CONNACK.
     """
     try:
         connecting = asyncio.open_connection(broker.host, broker.port, ssl=broker.tls)
@@ -145,16 +115,11 @@ async def pipe(
         )
     _notice_silence(writer.get_extra_info("socket"))
     stream = ClientStream(limits.largest)
-    attempt = _Attempt()
-    up = asyncio.create_task(_from_browser(browser, writer, stream, limits, login, attempt, clock))
-    down = asyncio.create_task(_from_broker(browser, reader, stream, limits, login, attempt, on_data))
-    gone = asyncio.create_task(_revoked(login))
+    up = asyncio.create_task(_from_browser(browser, writer, stream, limits, clock))
+    down = asyncio.create_task(_from_broker(browser, reader, stream, limits, login))
     try:
-        done, _ = await asyncio.wait((up, down, gone), return_when=asyncio.FIRST_COMPLETED)
+        done, _ = await asyncio.wait((up, down), return_when=asyncio.FIRST_COMPLETED)
         cut = next((task.exception() for task in done if task.exception() is not None), None)
-        # what came with the login is carried out if the password is right, so that nobody need wait for the answer to see it
-        if attempt.is_open and not (isinstance(cut, Cut) and cut.code == BROKER_AWAY):
-            login.left(stream.account)
         if cut is None:
             # its DISCONNECT, so that the broker publishes no last will, and what came before it
             await _finish(writer)
@@ -166,9 +131,9 @@ async def pipe(
         await _close(browser, cut.code, cut.sentence)
         return cut.sentence
     finally:
-        for task in (up, down, gone):
+        for task in (up, down):
             task.cancel()
-        await asyncio.gather(up, down, gone, return_exceptions=True)
+        await asyncio.gather(up, down, return_exceptions=True)
         writer.transport.abort()
 
 
@@ -200,8 +165,6 @@ async def _from_browser(
     writer: asyncio.StreamWriter,
     stream: ClientStream,
     limits: PipeLimits,
-    login: Login,
-    attempt: _Attempt,
     clock: Callable[[], int],
 ) -> None:
     packets = TokenBucket(limits.packets_per_s, limits.burst_packets)
@@ -219,7 +182,7 @@ async def _from_browser(
             return
         if isinstance(message, str):
             raise Cut(NOT_MQTT, Sentence("view.pipe.text_frame"))
-        now, is_login = clock(), not stream.connected
+        now = clock()
         if not volume.take(now, len(message)):
             raise Cut(TOO_MUCH, too_much)
         try:
@@ -229,15 +192,6 @@ async def _from_browser(
         # an empty frame costs time too
         if not packets.take(now, max(1, len(passed))):
             raise Cut(TOO_MUCH, too_much)
-        if is_login and not stream.anonymous:
-            # the first of them is CONNECT: the stream takes nothing before it
-            if not await _waited(browser, login, passed[0]):
-                return
-            try:
-                passed[0] = await login.filled(passed[0])
-            except PairingError as error:
-                raise Cut(_OF_DEVICES.get(error.why, NOT_PAIRED), str(error)) from error
-            attempt.is_open = True
         for packet in passed:
             writer.write(packet.data)
         try:
@@ -248,35 +202,12 @@ async def _from_browser(
             raise Cut(BROKER_AWAY, Sentence("view.pipe.broken", problem=str(error))) from error
 
 
-async def _revoked(login: Login) -> None:
-    """Wait until the connection's device is not paired any more."""
-    await login.revoked()
-    raise Cut(NOT_PAIRED, Sentence("view.pair.device"))
-
-
-async def _waited(browser: ServerConnection, login: Login, connect: Packet) -> bool:
-    """Let a CONNECT wait for its pace; return whether its browser is still there."""
-    wait_s = login.wait_s(connect)
-    if not wait_s:
-        return True
-    try:
-        async with asyncio.timeout(wait_s):
-            await browser.wait_closed()
-    except TimeoutError:
-        return True
-    finally:
-        login.waited()
-    return False
-
-
 async def _from_broker(
     browser: ServerConnection,
     reader: asyncio.StreamReader,
     stream: ClientStream,
     limits: PipeLimits,
     login: Login,
-    attempt: _Attempt,
-    on_data: Callable[[bytes], None] | None,
 ) -> None:
     answer: PacketReader | None = PacketReader(limits.largest)
     refused = False
@@ -297,16 +228,15 @@ async def _from_broker(
             except PayloadError as error:
                 raise Cut(BROKER_AWAY, Sentence("view.pipe.no_broker", problem=str(error))) from error
             if first is not None:
-                answer, attempt.is_open = None, False
+                answer = None
                 code = reason_code(first)
                 refused = code != 0
                 # an attempt without any, as the page's first one, is no guess
                 if code in WRONG_PASSWORD and not stream.anonymous:
                     login.wrong(stream.account)
+                    await asyncio.sleep(limits.wrong_s)
                 if not refused and (why := login.accepted(stream.account)):
                     raise Cut(TOO_MUCH, why)
-        if on_data is not None:
-            on_data(data)
         try:
             await asyncio.wait_for(browser.send(data), limits.stall_s)
         except TimeoutError as error:

@@ -6,24 +6,16 @@ import argparse
 import asyncio
 import logging
 import signal
-import time
 from collections.abc import Iterable
-from pathlib import Path
-from typing import TYPE_CHECKING
 
-from construction_twin.console.addresses import addresses, certificate_names, is_everywhere
+from construction_twin.console.addresses import addresses
 from construction_twin.console.given_files import broker_tls, check_rights, own_tls
 from construction_twin.console.pipe import BrokerAddress
-from construction_twin.console.plain_http import LONGEST_HSTS_S
 from construction_twin.console.server import SOCKET, ConsoleServer, ServerSettings
 from construction_twin.console.static_files import read_folder
-from construction_twin.core.camera_address import cameras_of
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.network import is_loopback
 from construction_twin.core.sentences import Sentence
-
-if TYPE_CHECKING:
-    from construction_twin.console.pairings import Pairings
 
 
 def settings_of(arguments: argparse.Namespace) -> ServerSettings:
@@ -40,41 +32,16 @@ def settings_of(arguments: argparse.Namespace) -> ServerSettings:
     to_broker = broker_tls(arguments.broker_ca) if arguments.broker_ca else None
     if arguments.rights:
         check_rights(arguments.rights)
-    if not 0 <= arguments.hsts <= LONGEST_HSTS_S:
-        raise ConfigurationError("--hsts", arguments.hsts, Sentence("expected.range", lowest=0, largest=LONGEST_HSTS_S))
     if to_broker is None and not is_loopback(arguments.broker_host):
         raise ConfigurationError("--broker-host", arguments.broker_host, Sentence("expected.loopback_ca"))
     return ServerSettings(
         read_folder(arguments.page) if arguments.page else {},
         arguments.private,
-        arguments.results,
         BrokerAddress(arguments.broker_host, arguments.broker_port, to_broker),
         frozenset(arguments.origin),
         own,
-        _names(arguments),
-        arguments.hsts,
-        pairings=_pairings(arguments.pairings),
         rights=arguments.rights,
-        cameras=cameras_of(arguments.camera, arguments.camera_robot),
-        prefix=arguments.prefix,
     )
-
-
-def _pairings(folder: Path | None) -> Pairings | None:
-    if folder is None:
-        return None
-    # it needs one more package
-    from construction_twin.console.pairings import Pairings
-
-    return Pairings(folder, time.time)
-
-
-def _names(arguments: argparse.Namespace) -> list[str]:
-    """Return the names of this server, by which it is asked for with TLS."""
-    if not arguments.certificate:
-        return []
-    named = certificate_names(arguments.certificate, arguments.key)
-    return [*named, *(() if is_everywhere(arguments.listen) else (arguments.listen,))]
 
 
 async def _serve(server: ConsoleServer, host: str, port: int, opened_at: Iterable[str]) -> None:

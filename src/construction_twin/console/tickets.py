@@ -1,4 +1,4 @@
-"""Who has logged in at the broker through this server: only they get what is not for everybody, such as the reports of runs.
+"""Who has logged in at the broker through this server: only they get what is not for everybody, such as the robot's model.
 
 No second rights system: a browser gets a ticket with its WebSocket. It counts from the moment when the broker accepts a login on
 it, and until the last connection of that account has ended, in whichever tab or browser: two tabs that connect at once get a ticket
@@ -54,11 +54,6 @@ class Tickets:
     def is_known(self, header: str | None) -> bool:
         """Return whether a request with this `Cookie` header comes from somebody who is logged in."""
         return bool(self._shown(header))
-
-    def accounts(self, header: str | None) -> tuple[str, ...]:
-        """Return the accounts to which the browser of a request with this `Cookie` header is logged in."""
-        ticket = self._shown(header)
-        return tuple(account for account, tickets in self._logins.items() if ticket and ticket in tickets)
 
     def _shown(self, header: str | None) -> str:
         # by hand: the library's parser drops all cookies of a host where another program's is no proper one

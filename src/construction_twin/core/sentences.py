@@ -122,12 +122,6 @@ def has(key: str) -> bool:
     return key in _ENGLISH
 
 
-def in_every_language(key: str) -> dict[str, str]:
-    """Return the template of a key by language, English first, for whom no page says its own; reads the file."""
-    words: dict[str, dict[str, str]] = json.loads(_FILE.read_bytes())
-    return words[key]
-
-
 def fill(template: str, values: Mapping[str, Value]) -> str:
     """Return a template with its places filled in, by the rules above."""
     return _PLACE.sub(lambda place: _written(place, values), template)

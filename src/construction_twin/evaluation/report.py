@@ -1,4 +1,4 @@
-"""Writes a recording's report: `report.html`, `summary.json`, `table1.csv`, `replay.json` and the figures.
+"""Writes a recording's report: `report.html`, `summary.json`, `table1.csv` and the figures.
 
 Importing matplotlib takes a second.
 """
@@ -16,7 +16,6 @@ from pathlib import Path
 from construction_twin.evaluation import figures
 from construction_twin.evaluation.page import page
 from construction_twin.evaluation.recording import Recording
-from construction_twin.evaluation.replay import FILE, replay_of
 from construction_twin.evaluation.summary import evaluate, summarise
 from construction_twin.evaluation.tables import table_csv
 from construction_twin.robot.description import RobotModel
@@ -68,9 +67,7 @@ def write_report(recording: Recording, robot: RobotModel | None, directory: str 
     (directory / "table1.csv").write_text(table_csv(summary["tables"]), encoding="ascii")
     text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
     (directory / "summary.json").write_text(text, encoding="utf-8")
-    played = json.dumps(replay_of(evaluation, summary), separators=(",", ":"), allow_nan=False) + "\n"
-    (directory / FILE).write_text(played, encoding="ascii")
-    names = sorted([*drawings, PAGE, FILE, "summary.json", "table1.csv"])
+    names = sorted([*drawings, PAGE, "summary.json", "table1.csv"])
     return Report(summary, tuple(directory / name for name in names))
 
 

@@ -75,10 +75,6 @@ class Topics:
         """Where requests of a kind come in from one account; ``+`` for any."""
         return self._topic(kind.topic.format(account))
 
-    def camera(self, name: str) -> str:
-        """Where a camera is announced, retained and again and again: whoever may read it may see the camera's pictures."""
-        return self._topic(f"camera/{name}")
-
     def ack_of(self, kind: RequestKind, account: str = "+") -> str:
         """Where they are answered."""
         return self._topic(kind.ack.format(account))

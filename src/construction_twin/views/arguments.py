@@ -93,12 +93,6 @@ def parser(robot: str) -> argparse.ArgumentParser:
     )
     _add_scene(command("scene", "list what the arm must not touch, or write it for another planner"))
     _add_work(command("work", "work from a building model: its tasks, what comes next, what people say"), common)
-    _add_pair(
-        command(
-            "pair",
-            "pair a tablet with a person's account, by a QR code for one use in five minutes; needs no ROS master",
-        )
-    )
     _add_watch(command("watch", "show joint errors, rates, latency, counters and states until Ctrl-C"))
     return root
 
@@ -276,40 +270,13 @@ def _add_person(step: argparse.ArgumentParser) -> None:
     step.add_argument("--reason", default="", metavar="TEXT", help="kept with the record")
 
 
-def _add_pair(pair: argparse.ArgumentParser) -> None:
-    pair.add_argument(
-        "person", nargs="?", default="", metavar="NAME", help="whose tablet it becomes: a person of make_site"
-    )
-    pair.add_argument("--list", action="store_true", help="list the paired devices, of NAME or of all")
-    pair.add_argument(
-        "--revoke", default="", metavar="NAME", help="take the devices of a person away, and end their open sessions"
-    )
-    pair.add_argument("--device", type=int, metavar="NUMBER", help="with --revoke: this one only")
-    pair.add_argument("--site", default="", metavar="DIR", help="the site's folder, as make_site made it")
-    pair.add_argument(
-        "--pairings",
-        default="",
-        metavar="DIR",
-        help="the console's folder of pairings [DIR/console/pairings of the site]",
-    )
-    pair.add_argument(
-        "--console", default="", metavar="HOST", help="name of the console in the code [the first one of the site]"
-    )
-    pair.add_argument("--picture", metavar="FILE", help="also write the code as SVG or PNG, by its suffix")
-    pair.add_argument(
-        "--no-wait", action="store_true", help="do not wait until the code is used, and do not say by whom"
-    )
-
-
 def _add_watch(watch: argparse.ArgumentParser) -> None:
     watch.add_argument("--once", action="store_true", help="print one picture and end")
     watch.add_argument("--rate", type=_rate, default=4.0, metavar="HZ", help="pictures per second, at most 10 [4]")
 
 
 def check(options: argparse.Namespace) -> str:
-    """Return what does not fit together in a parsed `plan`, `arm` or `pair`, as a sentence; empty when it fits."""
-    if options.command == "pair":
-        return _check_pair(options)
+    """Return what does not fit together in a parsed `plan` or `arm`, as a sentence; empty when it fits."""
     if options.command == "arm" and not options.responsible.strip():
         return "arm needs --responsible NAME: a person takes the responsibility for what is not checked with a bare PLC"
     if options.command != "plan":
@@ -326,20 +293,6 @@ def check(options: argparse.Namespace) -> str:
     if options.duration and (options.line or options.csv):
         return f"--duration does not go with {'--line' if options.line else '--csv'}"
     return ""
-
-
-def _check_pair(options: argparse.Namespace) -> str:
-    if options.revoke and (options.person or options.list):
-        return "--revoke NAME stands alone: it makes no code, and lists nothing"
-    if options.device is not None and not options.revoke:
-        return "--device belongs to --revoke"
-    if not (options.site or options.pairings):
-        return "pair needs --site DIR, or for --list and --revoke --pairings DIR"
-    if options.list or options.revoke:
-        return ""
-    if not options.person:
-        return "pair needs the NAME of a person, --list or --revoke NAME"
-    return "" if options.site else "pair NAME needs --site DIR: the passwords of the accounts are there"
 
 
 def _finite(text: str) -> float:

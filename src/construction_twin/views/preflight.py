@@ -42,7 +42,6 @@ NUMBERS = {
     "rsi_port": (0, 65535),
     "realtime": (0, 80),
     "console_port": (1, 65535),
-    "console_hsts": (0, 365 * 24 * 3600),
 }
 #: What stands for no file: roslaunch drops an empty value.
 NONE = "none"

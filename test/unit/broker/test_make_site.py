@@ -2,29 +2,21 @@
 
 from __future__ import annotations
 
-import importlib.machinery
-import importlib.util
 import json
 import re
-import shutil
 import ssl
 import stat
 import subprocess
-import sys
-import types
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from xml.etree import ElementTree
 
 import pytest
-from PIL import Image
 from sentence_checks import expects, says
 
 from construction_twin.broker import certificates
 from construction_twin.broker.access import RIGHTS, Person, Site
 from construction_twin.broker.certificates import Authority, expiry
 from construction_twin.broker.make_site import main
-from construction_twin.core.camera_address import cameras_of
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.mqtt.account import load_account
 
@@ -230,37 +222,12 @@ def test_a_person_has_one_account_with_rights_of_its_own_at_each_robot(folder):
         ("bridge:review", "expected.site.person_name", "bridge"),
         ("console:view", "expected.site.person_name", "console"),
         ("kr120-viewer:view", "expected.site.person_name", "kr120-viewer"),
-        ("ada-device:view", "expected.site.person_name", "ada-device"),
     ],
 )
 def test_a_person_who_cannot_be_is_refused(words, key, found):
     with pytest.raises(ConfigurationError, check=expects(key, "--person")) as caught:
         Site(("broker.example",), ("kr120",), folder="/site", persons=(Person.parse(words),))
     assert found in str(caught.value)
-
-
-def test_a_person_s_devices_have_an_account_that_sees_stops_and_pauses_where_the_person_does_and_starts_nothing(folder):
-    robots = ("--robot", "kr121", "--robot", "kr122")
-    make(folder, *robots, "--person", "ada:review,reset,trajectory@kr120", "--person", "ada:plan_request@kr121")
-    make(folder, "--person", "vic:view", "--certificates")
-    assert load_account(folder / "accounts/ada-device/account.json").user == "ada-device"
-    rules = (folder / "broker/access.acl").read_text()
-    of_device = rules.split("user ada-device\n")[1].split("user ")[0]
-    assert [line for line in of_device.splitlines() if line.startswith("topic")] == [
-        "topic read twin/kr120/#",
-        "topic write twin/kr120/stop/ada-device",
-        "topic read twin/kr121/#",
-        "topic write twin/kr121/stop/ada-device",
-    ]
-    # nobody's device may do what the person may not
-    of_device = rules.split("user vic-device\n")[1].split("user ")[0]
-    assert "topic read twin/kr120/#" in of_device and "topic write" not in of_device
-    # its password is the console's business; a certificate could not be taken back
-    assert (folder / "accounts/ada/client.crt").exists() and not (folder / "accounts/ada-device/client.crt").exists()
-    assert "# kr120: view, stop\n" in rules.split("user ada-device\n")[1].split("user ")[0]
-    make(folder, "--person", "ada:pause")
-    of_device = (folder / "broker/access.acl").read_text().split("user ada-device\n")[1].split("user ")[0]
-    assert "twin/kr122/pause/ada-device" in of_device and "/resume/" not in of_device
 
 
 def test_people_of_roles_become_people_with_one_account_and_the_old_ones_stay_until_they_are_dropped(folder, capsys):
@@ -314,13 +281,11 @@ def test_the_page_gets_who_has_which_right_and_no_program(tmp_path):
     assert robots["kr120"]["reset"] == {"ada": "ada"} and robots["kr120"]["stop"] == {
         "kr120-stopper-bob": "bob",
         "ada": "ada",
-        "ada-device": "ada",
     }
     assert robots["kr120"]["view"] == {
         "kr120-viewer": "viewer",
         "kr120-stopper-bob": "bob",
         "ada": "ada",
-        "ada-device": "ada",
     }
     assert robots["kr120"]["review"] == {"ada": "ada"}
     assert set(robots["kr120"]) == set(RIGHTS) and "bridge" not in json.dumps(robots)
@@ -425,51 +390,6 @@ def test_a_second_run_leaves_the_console_alone_and_a_new_name_signs_it_anew(fold
     make(folder, "--renew")
     assert contents(folder)["console/console.crt"] != after["console/console.crt"]
     assert contents(folder)["console/console.key"] == before["console/console.key"]
-
-
-def test_codes_hold_the_address_and_no_password(folder, monkeypatch):
-    asked = []
-
-    class Code:
-        def save(self, out, **options):
-            out.write(f"{options['kind']} of {asked[-1]}".encode())
-
-    monkeypatch.setitem(sys.modules, "segno", fake := types.ModuleType("segno"))
-    fake.__spec__ = importlib.machinery.ModuleSpec("segno", None)
-    fake.make = lambda text, **options: (asked.append(text), Code())[1]
-    make(folder, *CONSOLE)
-    assert set(asked) == set(ADDRESSES)
-    assert (folder / "console/fd00__7.svg").read_bytes() == b"svg of https://[fd00::7]:8480/"
-    assert (folder / "console/twin.example.png").read_bytes() == b"png of https://twin.example:8480/"
-    passwords = [path.read_text().strip() for path in (folder / "accounts").glob("*/password")]
-    shown = b"".join(path.read_bytes() for path in (folder / "console").iterdir() if path.suffix != ".key").decode()
-    assert passwords and not any(password in shown for password in passwords)
-
-
-def test_real_codes_hold_the_address_and_nothing_else(folder, capsys):
-    pytest.importorskip("segno")
-    import zxingcpp
-
-    make(folder, *CONSOLE)
-    assert capsys.readouterr().out.count("it holds the address, no password") == 3
-    for name, address in zip(("twin.example", "192.168.7.20", "fd00__7"), ADDRESSES):
-        with Image.open(folder / f"console/{name}.png") as picture:
-            (code,) = zxingcpp.read_barcodes(picture.convert("L"))
-        assert (code.format, code.text) == (zxingcpp.BarcodeFormat.QRCode, address)
-    assert ElementTree.fromstring((folder / "console/twin.example.svg").read_bytes()).tag.endswith("svg")
-    make(folder)
-    assert "QR code" not in capsys.readouterr().out
-
-
-def test_without_the_package_for_codes_the_rest_is_made_and_what_is_missing_is_said(folder, monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "segno", None)
-    find = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "segno" else find(name))
-    make(folder, *CONSOLE)
-    said = capsys.readouterr().out
-    assert "segno is not installed; run setup/setup.sh console" in said
-    assert (folder / "console/addresses.txt").read_text().split() == ADDRESSES
-    assert not list((folder / "console").glob("*.svg")) and (folder / "console/console.crt").exists()
 
 
 def test_a_site_without_a_console_has_no_files_for_one(folder):
@@ -729,89 +649,3 @@ def test_a_key_of_somebody_else_does_not_fit_the_certificate(folder):
 def test_old_tls_is_not_spoken(folder):
     context = load_account(folder / "accounts/kr120-bridge/account.json").context()
     assert context.minimum_version >= ssl.TLSVersion.TLSv1_2 and context.verify_mode is ssl.CERT_REQUIRED
-
-
-# -- cameras
-
-FRONT, SIDE = "front=http://10.0.0.7:8080/stream?n=1", "side=http://cam.cell/mjpg@kr121"
-
-
-def camera_rules(folder: Path) -> dict[str, set[str]]:
-    """Return which cameras' topics an account may read by name."""
-    found: dict[str, set[str]] = {}
-    for line in (folder / "broker/access.acl").read_text().splitlines():
-        if line.startswith("user "):
-            user = line.removeprefix("user ")
-        elif line.startswith("topic read ") and "/camera/" in line and not line.endswith("+"):
-            found.setdefault(user, set()).add(line.split()[-1])
-    return found
-
-
-def test_a_camera_has_its_address_for_the_console_and_its_access_rule_in_one_step(folder, capsys):
-    make(folder, "--person", "vic:view", "--camera", FRONT)
-    assert (folder / "console/cameras.txt").read_text() == f"{FRONT}@kr120\n"
-    front, side = "twin/kr120/camera/front", "twin/kr121/camera/side"
-    seen = camera_rules(folder)
-    assert seen["vic"] == seen["vic-device"] == seen["kr120-viewer"] == {front}
-    # another robot, another camera; the former stays
-    make(folder, "--robot", "kr121", "--camera", SIDE)
-    seen = camera_rules(folder)
-    assert seen["kr121-viewer"] == {side} and seen["kr120-viewer"] == {front} and seen["vic"] == {front, side}
-    words = (folder / "console/cameras.txt").read_text()
-    assert (
-        [str(camera) for camera in cameras_of([words])]
-        == words.split()
-        == [f"{FRONT}@kr120", SIDE.replace("/mjpg", ":80/mjpg")]
-    )
-    # another address under the same name
-    make(folder, "--camera", "front=http://10.0.0.9/new@kr120")
-    assert (folder / "console/cameras.txt").read_text().split()[0] == "front=http://10.0.0.9:80/new@kr120"
-    assert f"what stands in {folder / 'console/cameras.txt'}" in capsys.readouterr().out
-    # taken out of site.json
-    document = json.loads((folder / "site.json").read_text())
-    (folder / "site.json").write_text(json.dumps(document | {"cameras": []}))
-    make(folder)
-    assert camera_rules(folder) == {} and not (folder / "console/cameras.txt").exists()
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    (
-        ("front", "NAME=http://address:port/path@ROBOT"),
-        ("=http://10.0.0.7/", "NAME=http://address:port/path@ROBOT"),
-        ("fr ont=http://10.0.0.7/", "NAME=http://address:port/path@ROBOT"),
-        ("fr/ont=http://10.0.0.7/", "NAME=http://address:port/path@ROBOT"),
-        ("front=rtsp://10.0.0.7/", "NAME=http://address:port/path@ROBOT"),
-        ("front=http://ada:secret@10.0.0.7/", "no user name in the address"),
-        ("front=http://10.0.0.7:99999/", "NAME=http://address:port/path@ROBOT"),
-        ("front=http://10.0.0.7:0/", "NAME=http://address:port/path@ROBOT"),
-        ("front=http://10.0.0.7/@kr999", "expected one of kr120"),
-        ("", "NAME=http://address:port/path@ROBOT"),
-    ),
-)
-def test_a_camera_that_cannot_be_is_refused_and_nothing_is_written(folder, capsys, words, sentence):
-    before = contents(folder)
-    assert main([str(folder), "--camera", words]) == 1
-    said = capsys.readouterr().out
-    assert said.startswith("make_site: --camera") and sentence in said
-    assert contents(folder) == before
-
-
-def test_a_camera_of_several_robots_names_its_own_and_no_two_have_one_name(folder, capsys):
-    for arguments in (["--robot", "kr121", "--camera", FRONT], ["--camera", FRONT, "--camera", FRONT]):
-        assert main([str(folder), *arguments]) == 1
-        assert "make_site: --camera: found" in capsys.readouterr().out
-    assert main([str(folder), *(word for k in range(17) for word in ("--camera", f"c{k}=http://10.0.0.7/"))]) == 1
-    assert "at most 16 cameras" in capsys.readouterr().out
-
-
-def test_a_right_of_a_site_s_own_templates_sees_the_cameras_where_they_name_them(tmp_path):
-    templates = tmp_path / "templates"
-    shutil.copytree(ROOT / "config/mosquitto", templates)
-    (templates / "right_view.acl").write_text("topic read $topics/view\n")
-    with open(templates / "right_acknowledge.acl", "a") as file:
-        file.write("$cameras\n")
-    folder = tmp_path / "site"
-    people = ("--person", "vic:view", "--person", "pat:acknowledge")
-    make(folder, *HOST, *ROBOT, *people, "--camera", FRONT, "--templates", str(templates))
-    assert camera_rules(folder) == {"pat": {"twin/kr120/camera/front"}}

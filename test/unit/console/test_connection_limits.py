@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
-
 from construction_twin.console.connection_limits import ConnectionLimits, OpenConnections
 
 
@@ -46,55 +44,6 @@ def test_a_broker_without_accounts_has_no_limit_per_account():
     for number in (1, 2):
         connections.enter(number, "a")
         assert connections.login(number, "") == ""
-
-
-def test_a_login_that_waits_is_passed_over_by_a_flood_from_its_own_address():
-    connections = OpenConnections(ConnectionLimits(anonymous_per_address=2))
-    assert [connections.enter(number, "a") for number in (1, 2)] == [None, None]
-    connections.wait(1, "ada")
-    assert [connections.enter(number, "a") for number in (3, 4, 5)] == [2, 3, 4]
-    connections.waited(1)
-    assert connections.enter(6, "a") == 1
-
-
-def test_one_that_had_to_go_waits_no_more_and_its_number_is_free():
-    connections = OpenConnections(ConnectionLimits(anonymous_per_address=1, waiting_per_account=1))
-    connections.enter(1, "a")
-    connections.wait(1, "ada")
-    connections.leave(1)
-    # no such connection
-    connections.wait(1, "ada")
-    for number in (1, 2):
-        connections.enter(number, "b" if number == 1 else "a")
-    connections.wait(2, "ada")
-    assert connections.enter(3, "a") == 3
-
-
-@pytest.mark.parametrize(
-    ("limits", "accounts", "ended"),
-    (
-        # the third waits as well, and goes first
-        (ConnectionLimits(anonymous_per_address=3, waiting_per_address=2), ("ada", "bob", "eve"), 3),
-        (ConnectionLimits(anonymous_per_address=3, waiting_per_account=2), ("ada", "ada", "ada"), 3),
-        (ConnectionLimits(anonymous_per_address=3, waiting_per_account=2), ("ada", "ada", "bob"), 4),
-        # of one address with the most of them the oldest loses its protection
-        (ConnectionLimits(anonymous_per_address=3, waiting=2), ("ada", "bob", "eve"), 1),
-    ),
-)
-def test_so_many_that_wait_are_passed_over_and_those_beyond_are_like_others(limits, accounts, ended):
-    connections = OpenConnections(limits)
-    for number, account in enumerate(accounts, 1):
-        assert connections.enter(number, "a") is None
-        connections.wait(number, account)
-    assert connections.enter(4, "a") == ended
-
-
-def test_the_waiting_of_one_address_takes_no_protection_from_another():
-    connections = OpenConnections(ConnectionLimits(anonymous=4, waiting=3))
-    for number, address in enumerate("baaa", 1):
-        assert connections.enter(number, address) is None
-        connections.wait(number, "ada")
-    assert connections.enter(5, "a") == 2
 
 
 def test_one_account_fills_no_address_and_the_last_places_are_for_others():

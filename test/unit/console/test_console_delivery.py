@@ -37,7 +37,7 @@ def site(tmp_path_factory) -> Path:
 @contextlib.asynccontextmanager
 async def running(tls: ssl.SSLContext | None = None, **more) -> AsyncIterator[None]:
     files = {"/building.glb": FILE, "/index.html": SMALL}
-    served = ServerSettings(files, None, None, BrokerAddress("127.0.0.1", 1), tls=tls, **more)
+    served = ServerSettings(files, None, BrokerAddress("127.0.0.1", 1), tls=tls, **more)
     ready = asyncio.Event()
     task = asyncio.create_task(ConsoleServer(served).run("127.0.0.1", PORT, ready))
     await asyncio.wait_for(ready.wait(), 10)

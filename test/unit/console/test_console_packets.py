@@ -12,10 +12,7 @@ from construction_twin.console.packets import (
     WRONG_PASSWORD,
     ClientStream,
     PacketReader,
-    password,
     reason_code,
-    user_name,
-    with_password,
 )
 from construction_twin.console.static_files import StaticFile
 from construction_twin.console.tickets import Tickets
@@ -28,43 +25,6 @@ def test_the_account_of_a_login_is_read(version, will):
     stream = ClientStream(1000)
     stream.feed(connect("kr120-reviewer-ada", version, will))
     assert stream.account == "kr120-reviewer-ada"
-
-
-#: CONNECT as a client may make it: version, name, will, user, password, and bytes that belong to nothing.
-LOGINS = st.tuples(
-    st.sampled_from((4, 5)),
-    st.booleans(),
-    st.sampled_from(("", "ada", "ä" * 40)),
-    st.binary(max_size=200),
-    st.binary(max_size=20),
-)
-
-
-def login(version: int, will: bool, user: str, secret: bytes, behind: bytes = b"") -> bytes:
-    flags = 0x40 | (0x80 if user else 0) | (0x06 if will else 0)
-    properties = b"\x05\x11\0\0\0\x0a" if version == 5 else b""
-    body = text("MQTT") + bytes([version, flags]) + b"\0\x0a" + properties + text("client")
-    if will:
-        body += (b"\0" if version == 5 else b"") + text("a/topic") + text("gone")
-    body += text(user) if user else b""
-    return packet(1, body + len(secret).to_bytes(2, "big") + secret + behind)
-
-
-@given(LOGINS, st.binary(max_size=400))
-def test_another_password_takes_the_place_of_one_and_nothing_else_changes(made, new):
-    version, will, user, secret, behind = made
-    found = PacketReader(2000).feed(login(version, will, user, secret, behind))[0]
-    assert (password(found), user_name(found)) == (secret, user)
-    assert with_password(found, secret).data == found.data
-    changed = with_password(found, new)
-    assert changed.data == login(version, will, user, new, behind)
-    assert changed == PacketReader(2000).feed(changed.data)[0]
-
-
-def test_a_login_without_a_password_or_with_half_of_one_has_none():
-    assert password(PacketReader(1000).feed(connect("ada"))[0]) is None
-    half = packet(1, text("MQTT") + b"\x04\xc2\0\x0a" + text("c") + text("ada") + b"\0\x09half")
-    assert password(PacketReader(1000).feed(half)[0]) is None
 
 
 @given(st.lists(st.binary(max_size=300), max_size=5), st.integers(1, 40))

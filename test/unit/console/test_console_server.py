@@ -7,7 +7,6 @@ import contextlib
 import functools
 import http.client
 import importlib.util
-import json
 import logging
 import re
 import signal
@@ -16,13 +15,10 @@ import ssl
 import sys
 import time
 from collections.abc import AsyncIterator, Iterator
-from html.parser import HTMLParser
 from http.cookies import SimpleCookie
 from pathlib import Path
-from typing import ClassVar
 
 import pytest
-from evaluation_samples import run
 from mqtt_packets import connect, packet, text
 from piped_console import CONNACK_OK, MOSQUITTO, PING, PONG, broker_with, browser_at, closed, login, serving, started
 from sentence_checks import expects
@@ -38,7 +34,6 @@ from construction_twin.console.pipe import BROKER_AWAY, NOT_MQTT, TOO_MUCH, Brok
 from construction_twin.console.server import ServerSettings
 from construction_twin.console.static_files import read_folder
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.evaluation.report import write_report
 
 PORT, BROKER_PORT = 28480, 28481
 ORIGIN = f"http://127.0.0.1:{PORT}"
@@ -65,7 +60,7 @@ def page(folder: Path) -> Path:
 
 
 def settings(folder: Path, **more) -> ServerSettings:
-    values = {"private": None, "results": None, "broker": BrokerAddress("127.0.0.1", BROKER_PORT)} | more
+    values = {"private": None, "broker": BrokerAddress("127.0.0.1", BROKER_PORT)} | more
     return ServerSettings(read_folder(page(folder)), **values)
 
 
@@ -461,34 +456,9 @@ def test_the_page_comes_with_a_strict_policy_and_is_asked_for_again_only_when_it
             answer, _ = await asyncio.to_thread(get, "/app-0123456789ab.js")
             assert "immutable" in answer.headers["Cache-Control"]
             assert answer.headers["Content-Type"] == "text/javascript; charset=utf-8"
-            for path in ("/nothing", "/../pyproject.toml", "//etc/passwd", "/private/runs.json"):
+            for path in ("/nothing", "/../pyproject.toml", "//etc/passwd", "/private/robot.json"):
                 answer, _ = await asyncio.to_thread(get, path)
                 assert answer.status in (403, 404), path
-
-    asyncio.run(scene())
-
-
-def test_the_runs_are_listed_for_who_is_logged_in(broker, tmp_path):
-    results = tmp_path / "results"
-    (results / "run1").mkdir(parents=True)
-    (results / "run1/report.html").write_text("<h1>run 1</h1>")
-    (results / "run1/secret.key").write_text("no")
-    (results / "run1/outside.png").symlink_to("/etc/hostname")
-
-    async def scene() -> None:
-        async with running(settings(tmp_path, results=results)), browser() as client:
-            ticket = client.response.headers["Set-Cookie"].partition(";")[0]
-            await client.send(login())
-            assert await client.recv() == CONNACK_OK
-            answer, body = await asyncio.to_thread(get, "/private/runs.json", Cookie=ticket)
-            (run,) = json.loads(body)["runs"]
-            assert (answer.status, run["name"], run["report"]) == (200, "run1", "run1/report.html")
-            answer, body = await asyncio.to_thread(get, "/private/runs/run1/report.html", Cookie=ticket)
-            assert body == b"<h1>run 1</h1>"
-            assert "sandbox" in answer.headers["Content-Security-Policy"]
-            for name in ("run1/secret.key", "run1/outside.png", "../page/index.html", "run2/report.html"):
-                answer, _ = await asyncio.to_thread(get, f"/private/runs/{name}", Cookie=ticket)
-                assert answer.status == 404, name
 
     asyncio.run(scene())
 
@@ -509,62 +479,6 @@ def test_who_is_logged_in_learns_who_has_which_right_as_it_is_now(broker, tmp_pa
                 assert (answer.status, body.decode()) == (200, text)
             rights.unlink()
             assert (await asyncio.to_thread(get, "/private/rights.json", Cookie=ticket))[0].status == 404
-
-    asyncio.run(scene())
-
-
-class Sources(HTMLParser):
-    """What a page gets or runs, each with the directive of the policy that decides about it."""
-
-    KINDS: ClassVar = {
-        "img": "img-src",
-        "script": "script-src",
-        "iframe": "frame-src",
-        "link": "style-src",
-        "form": "form-action",
-    }
-
-    def __init__(self, text: str):
-        super().__init__()
-        self.found: list[tuple[str, str]] = []
-        self.feed(text)
-
-    def handle_starttag(self, tag, attributes):
-        given = dict(attributes)
-        if tag in self.KINDS:
-            self.found.append((self.KINDS[tag], given.get("src") or given.get("href") or "inline"))
-        if tag == "style" or "style" in given:
-            self.found.append(("style-src", "inline"))
-        assert not [name for name in given if name.startswith("on")]
-
-    def handle_data(self, data):
-        if "url(" in data:
-            self.found.append(("img-src", data[data.index("url(") + 4 :]))
-
-
-def test_all_that_a_report_holds_is_shown_and_its_policy_allows_no_more(broker, tmp_path):
-    """A page in a sandbox has no origin: a picture of this server would be asked for without the cookie, and refused."""
-    results = tmp_path / "results"
-    write_report(run(), None, results / "run1")
-
-    async def scene() -> None:
-        async with running(settings(tmp_path, results=results)), browser() as client:
-            ticket = client.response.headers["Set-Cookie"].partition(";")[0]
-            await client.send(login())
-            assert await client.recv() == CONNACK_OK
-            answer, body = await asyncio.to_thread(get, "/private/runs/run1/report.html", Cookie=ticket)
-            parts = [each.split() for each in answer.headers["Content-Security-Policy"].split(";")]
-            policy = {name: set(values) for name, *values in parts}
-            assert policy["default-src"] == {"'none'"} and policy["sandbox"] == set()
-            needed: dict[str, set[str]] = {}
-            for directive, source in Sources(body.decode()).found:
-                word = "'unsafe-inline'" if source == "inline" else "data:" if source.startswith("data:") else source
-                needed.setdefault(directive, set()).add(word)
-            assert needed["img-src"] and needed["style-src"]
-            assert needed == {name: policy[name] for name in policy if policy[name] - {"'none'"}}
-            assert answer.headers["Cache-Control"] == "private, no-cache"
-            answer, _ = await asyncio.to_thread(get, "/private/runs.json", Cookie=ticket)
-            assert answer.headers["Cache-Control"] == "private, no-cache"
 
     asyncio.run(scene())
 
@@ -617,7 +531,7 @@ def test_without_the_package_one_sentence_says_what_to_do(monkeypatch, capsys):
 
 def test_without_a_page_it_only_pipes(broker, tmp_path):
     async def scene() -> None:
-        served = ServerSettings({}, None, None, BrokerAddress("127.0.0.1", BROKER_PORT))
+        served = ServerSettings({}, None, BrokerAddress("127.0.0.1", BROKER_PORT))
         async with running(served), browser() as client:
             await client.send(login())
             assert await client.recv() == CONNACK_OK
@@ -788,7 +702,7 @@ def test_a_site_s_accounts_come_through_with_tls_on_both_sides(tmp_path):
         assert asyncio.run(answers("kr120-viewer", passwords["reviewer"], review)) == (refused, 255)
         with socket.create_connection(("127.0.0.1", port), 5) as plain:
             plain.sendall(f"GET / HTTP/1.1\r\nHost: localhost:{port}\r\n\r\n".encode())
-            assert f"307 Temporary Redirect\r\nLocation: https://localhost:{port}/\r\n" in plain.recv(1000).decode()
+            assert plain.recv(1000) == b"", "no page without TLS"
         console.send_signal(signal.SIGINT)
         said, _ = console.communicate(timeout=10)
     assert console.returncode == 0

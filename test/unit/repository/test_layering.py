@@ -49,14 +49,12 @@ THIRD_PARTY = {
 #: The only folder or file that may need a package that is not everywhere: `setup/setup.sh work` and `console` install it.
 #: Everything else must run without.
 OPTIONAL = {
-    "segno": "broker/console_files.py",
     "ifcopenshell": "work/ifc",
     "isodate": "work/ifc",
     "coacd": "work",
     "shapely": "work",
     "mujoco": "physics",
     "websockets": "console",
-    "cryptography": "console/sealing.py",
 }
 GENERATED = {"msg", "srv", "action"}
 #: Given in the launch files: deployment, not behaviour.
@@ -81,7 +79,6 @@ DEPLOYMENT = {
         "account",
         "realtime_priority",
         "self_collision",
-        "cameras",
         "private",
         "servo_model",
     },
@@ -375,11 +372,10 @@ CLOCKS = {
 }
 #: Modules of the library that talk to a network, or name its addresses and errors.
 SOCKETS = (
-    "broker/start.py console/addresses.py console/camera.py console/camera_delivery.py "
+    "broker/start.py console/addresses.py "
     "console/delivery.py console/listener.py console/pipe.py console/program.py "
     "console/server.py console/http_connection.py core/network.py gateway/service.py mock/network.py mqtt/client.py "
-    "mqtt/failures.py mqtt/fast_client.py mqtt/polled_client.py core/udp.py views/display.py console/logins.py "
-    "console/pair_socket.py"
+    "mqtt/failures.py mqtt/fast_client.py mqtt/polled_client.py core/udp.py views/display.py"
 ).split()
 
 

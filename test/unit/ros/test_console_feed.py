@@ -365,19 +365,6 @@ def test_a_pose_judge_that_knows_too_little_says_so():
     assert blind.closest(kr120.home) is None
 
 
-def test_cameras_are_announced_retained_and_again_and_again_and_taken_away(broker):
-    made = ConsoleFeed(TOPICS, "base_link", broker.publish, broker.refuse, cameras=("front", "side"))
-    made.publish_retained()
-    front = "twin/kr120/camera/front"
-    assert (front, {"name": "front"}, 1, True) in broker.published
-    broker.published.clear()
-    for now in (100.0, 105.0, 109.9, 110.0):
-        made.publish_cameras(now)
-    assert [topic for topic, *_ in broker.published] == [front, "twin/kr120/camera/side"] * 2
-    made.publish_offline()
-    assert broker.newest(front) is None and broker.published[-1][3]
-
-
 def test_who_has_set_the_speed_limit_is_among_the_messages(broker):
     made = feed(broker)
     made.on_speed_change(SpeedChange(stamp=genpy.Time(7), person="dora", limit=0.6, before=0.3, whose="bob"))

@@ -385,9 +385,6 @@ class Feed:
     def publish_status_line(self, link, sync, execution, now):
         self.heard.append(("tell", *(report and report.text for report in (link, sync, execution))))
 
-    def publish_cameras(self, now):
-        self.heard.append("publish_cameras")
-
 
 class Desk:
     """In place of a ConsoleRequests."""
@@ -503,7 +500,6 @@ def test_the_view_has_what_feed_and_desk_know(bench, consoles):
     made.node.publish_status_line()
     assert ("link", "ARMED") in feed.heard and ("execution", "AT_BOUNDARY") in feed.heard
     assert feed.heard[-1] == ("tell", "GATEWAY_OFFLINE", "IN_SYNC", "IDLE")
-    assert "publish_cameras" in feed.heard
     bench.steady += 10.0
     made.node.publish_status_line()
     assert feed.heard[-1] == ("tell", None, None, "IDLE"), "what is silent is not the present"

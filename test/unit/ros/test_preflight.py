@@ -421,39 +421,6 @@ def test_a_list_of_rights_is_what_make_site_writes(tmp_path, text, is_one):
     assert (said == "") == is_one and (is_one or "as make_site writes it" in said)
 
 
-def test_a_folder_of_paired_devices_that_the_console_could_not_use_is_refused(monkeypatch, tmp_path):
-    given = KR120 | {"console": "true", "console_page": "none", "console_files": "false"}
-
-    def said(folder, **more):
-        return preflight.contents_problem(given | {"console_pairings": str(folder)} | more)
-
-    folder = tmp_path / "site/pairings"
-    assert said("") == "" and said(folder) == "" and not folder.parent.exists(), "nothing is made"
-    folder.mkdir(mode=0o750, parents=True)
-    expected = "expected a folder that its owner alone may read: chmod 700"
-    assert said(folder) == f"console_pairings:={folder}: --pairings: found '{folder}, mode 750', {expected}"
-    assert said(folder, console="false") == "", "another launch's console has it"
-    folder.chmod(0o700)
-    assert said(folder) == ""
-    (tmp_path / "file").write_text("")
-    for wrong, expected in (
-        (tmp_path / "file", "expected a folder, or a place for one"),
-        (tmp_path / "file/pairings", "expected a folder, or a place for one"),
-        ("pairings", "expected the absolute path of a folder"),
-        ("~/pairings", "expected the absolute path of a folder"),
-    ):
-        assert expected in said(wrong)
-    monkeypatch.setattr(preflight.importlib.util, "find_spec", lambda name: None if name == "cryptography" else name)
-    assert "cryptography: found 'missing'" in said(folder)
-
-
-def test_cameras_of_several_robots_name_their_robot():
-    camera = "front=http://10.0.0.7/stream"
-    for words, several, refused in ((camera, False, False), (camera, True, True), (f"{camera}@kr120", True, False)):
-        given = KR120 | {"console": "false", "console_cameras": words, "cameras_name_robots": str(several).lower()}
-        assert bool(preflight.contents_problem(given)) == refused
-
-
 def test_a_taken_port_of_the_console_is_refused():
     with socket.socket() as tcp:
         tcp.bind(("127.0.0.1", 0))

@@ -13,7 +13,7 @@ export const KINDS = ["hold", "question", "plan", "message"];
 /** When a call that nobody has seen rings, after its begin [ms]: seven times in eight minutes, ever more rarely. */
 export const RINGS = [0, 15000, 40000, 80000, 150000, 270000, 480000];
 /** What a person does on this page, and what is no call for so long afterwards [ms]: its consequence. */
-export const OWN_FOR = 10000;
+const OWN_FOR = 10000;
 const CONSEQUENCES = {
   stop: ["hold", "message"], pause: ["hold", "message"], resume: ["message"], review: ["message"], plan_request: ["plan"],
   reset: ["message"], arm: ["message"], answer: ["message"], acknowledge: [],
@@ -33,7 +33,7 @@ export function begin() {
 }
 
 /** Return what a robot's record (store.js) calls for, as {key, kind}; null: nothing is known of the present. */
-export function wantedOf(robot, now) {
+function wantedOf(robot, now) {
   if (robot.old) return null;
   const wanted = [];
   if (robot.plan) wanted.push({kind: "plan", key: `plan ${robot.plan.id} ${robot.plan.hash}`});

@@ -33,7 +33,7 @@ export function rehearsalOf(plan, rehearsal) {
 }
 
 /** Return the one line: how it ended, and the axis that uses the largest fraction of its torque. */
-export function headline(rehearsal, texts) {
+function headline(rehearsal, texts) {
   const known = rehearsal.axes.filter(({limit}) => limit > 0);
   if (rehearsal.state !== "passed") return texts(rehearsal.state === "failed" ? "verdict.rehearsal.line.failed" : "verdict.rehearsal.line.broken");
   if (known.length === 0) return texts("verdict.rehearsal.line.passed");
@@ -42,7 +42,7 @@ export function headline(rehearsal, texts) {
 }
 
 /** Return what else was found, one sentence each. */
-export function findings({payload, braking, grip, contacts, objects, remarks, axes, energy, engine}, texts) {
+function findings({payload, braking, grip, contacts, objects, remarks, axes, energy, engine}, texts) {
   const found = [];
   if (axes.length > 0) {
     const mass = `${payload.mass.toFixed(1)}${payload.estimated ? "~" : ""}`;

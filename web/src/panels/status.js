@@ -21,7 +21,7 @@ export function addressOf(page) {
 }
 
 /** Return the page's own line, if it has one: it comes before all others. Words of `texts`, and values. */
-export function ownLine({connected, robot, now}) {
+function ownLine({connected, robot, now}) {
   if (!connected) return {key: "status.not_connected", level: 2};
   if (robot === null) return {key: "status.nothing", level: 1};
   if (robot.view === null) return {key: "status.no_view", level: 1};

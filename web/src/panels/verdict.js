@@ -23,7 +23,7 @@ const GOOD = ["accepted"];
 const NOBODY = 16;
 
 /** Return what there is to know of a plan before it is approved: rows of key and text. */
-export function checksOf(plan, texts) {
+function checksOf(plan, texts) {
   const rows = [
     ["duration", texts("verdict.seconds", {seconds: plan.duration.toFixed(1)})],
     ["planner", plan.planner],
@@ -53,7 +53,7 @@ export function checksOf(plan, texts) {
 }
 
 /** Return the sentences about a work plan's segments. */
-export function segmentSentences(plan, texts) {
+function segmentSentences(plan, texts) {
   const signals = (given) => (Array.isArray(given) ? given.map(({name, value}) => [name, value]) : Object.entries(given ?? {}))
     .map(([name, value]) => texts(value ? "playback.on" : "playback.off", {output: name})).join(", ");
   const parts = plan.covered?.segments ?? plan.segments ?? [];
@@ -336,7 +336,6 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
       if (robot === store.selected) show();
     });
   }
-  store.on("replay", (robot, replay) => take(robot, {type: "replay", on: replay !== null}));
   store.on("looked", (robot, {what, hash}) => take(robot, {type: "looked", what, hash}));
   store.on("failed", (_, {part}) => {
     // the area takes no presses any more, and so sees no release either

@@ -13,11 +13,10 @@ import * as colours from "./colours.js";
 import {around, clipped, corners, fit} from "./fit.js";
 import {makeFloor} from "./floor.js";
 import {floorOf} from "./grid.js";
-import {measured, onFloor} from "./measuring.js";
 import {playedOf} from "./played.js";
 import {ghostOf, loadRobot, mainColour, ModelError, reachOf, setJoints, toolOf} from "./robot_model.js";
 import {
-  axes, closestMarker, colourBuilding, dispose, ghostMaterial, isEngaged, loadBuilding, pathLine, playedPath, reachMarker, sceneBody, span,
+  axes, closestMarker, colourBuilding, dispose, ghostMaterial, isEngaged, loadBuilding, pathLine, playedPath, reachMarker, sceneBody,
 } from "./shapes.js";
 
 /** Directions from which the cell is looked at: towards the camera. */
@@ -56,10 +55,9 @@ const rounded = (key, value) => (typeof value === "number" ? Math.round(1e5 * va
  * @param {Element} overlay transparent, above its part of the picture: takes the gestures
  * @param {object} store
  * @param {() => void} redraw
- * @param {object} [options] `glides`: the camera takes a moment to get somewhere; `ratio`: pixels of the screen by pixel of the page;
- *   `onTap(point)`: takes taps in place of the others while it returns true, with where a surface was tapped, null for none
+ * @param {object} [options] `glides`: the camera takes a moment to get somewhere; `ratio`: pixels of the screen by pixel of the page
  */
-export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 1, onTap = () => false} = {}) {
+export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 1} = {}) {
   const scene = new Scene();
   const camera = new PerspectiveCamera(FOV, 1, 0.05, 120);
   camera.up.set(0, 0, 1);
@@ -120,12 +118,10 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
   const objects = [];
   const closest = closestMarker();
   const reach = reachMarker();
-  const rule = span(colours.MEASURE, 3);
   const playedLine = playedPath();
-  scene.add(closest, reach, rule, playedLine);
+  scene.add(closest, reach, playedLine);
   let played = null;
   let playedId = "";
-  let measuring = [];
   let ended = false;
 
   // -- the handle by which the goal is dragged
@@ -150,7 +146,7 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
   }
 
   function showHandle(value) {
-    const there = value !== null && replayed() === null;
+    const there = value !== null;
     if (there && !gizmo.dragging) {
       handle.position.fromArray(value.position);
       handle.quaternion.fromArray(value.quaternion);
@@ -245,9 +241,6 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
 
   const robot = () => store.robot(name);
 
-  /** What is shown of a recording in place of the present. */
-  const replayed = () => robot()?.replay ?? null;
-
   function pose(body, names, positions) {
     if (bodies === null) return;
     state.missing = setJoints(bodies[body], names, positions);
@@ -255,7 +248,6 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
   }
 
   function showView(view) {
-    if (replayed() !== null) return;
     if (view !== null) {
       load();
       const {names} = view.joints;
@@ -298,7 +290,7 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
   /** Show where the tool goes by the plan that is played. */
   function showPlayed() {
     const before = played;
-    played = replayed() === null ? playedOf(robot()) : null;
+    played = playedOf(robot());
     if (played === null && before === null) return;
     playedLine.show(played);
     const id = played === null ? "" : robot().path.plan_id;
@@ -313,7 +305,7 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
     if (path !== null) dispose(path);
     path = null;
     // nothing is shown of a plan that is not what its hash says
-    if (plan !== null && plan.refused === "" && replayed() === null) {
+    if (plan !== null && plan.refused === "") {
       path = pathLine(plan.tool_path, plan.segments ?? [], ratio);
       scene.add(path);
     }
@@ -325,7 +317,7 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
   function showGoal() {
     const {goal, plan} = robot() ?? {goal: null, plan: null};
     const planned = plan !== null && plan.refused === "";
-    const shown = replayed() !== null ? null : goal ?? (planned ? {names: plan.joints, positions: plan.goal} : null);
+    const shown = goal ?? (planned ? {names: plan.joints, positions: plan.goal} : null);
     if (bodies !== null) {
       bodies.goal.visible = shown !== null;
       ghosts.goal.color.set(colours.goalColour(goal?.reach));
@@ -346,7 +338,7 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
   }
 
   function showPlayback() {
-    const playback = replayed() === null ? robot()?.playback ?? null : null;
+    const playback = robot()?.playback ?? null;
     if (bodies !== null) {
       bodies.plan.visible = playback !== null;
       if (playback !== null) pose("plan", playback.names, playback.positions);
@@ -405,29 +397,6 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
     redraw();
   }
 
-  let replaying = false;
-  /** Show a recording's poses, and nothing of the present's plan and goal; or the present again. */
-  function showReplay(replay) {
-    if (replaying !== (replay !== null)) {
-      replaying = replay !== null;
-      drawnView = "";
-      showAll();
-    }
-    if (replay === null) return;
-    load();
-    closest.show(null);
-    nearKey = "";
-    if (bodies === null) return;
-    covered = false;
-    for (const body of ["twin", "arm"]) {
-      if (replay[body] !== null) pose(body, replay.names, replay[body]);
-      bodies[body].visible = replay[body] !== null;
-    }
-    there.arm = replay.arm !== null;
-    colourArm(replay.sync);
-    redraw();
-  }
-
   function colourArm(sync) {
     const [colour, opacity] = colours.BY_SYNC[sync] ?? colours.UNKNOWN_SYNC;
     ghosts.arm.color.set(colour);
@@ -439,7 +408,6 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
   }
 
   function showAll() {
-    if (replayed() !== null) showReplay(replayed());
     showView(robot()?.view ?? null);
     showPlayed();
     showPlan();
@@ -455,7 +423,7 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
   const ends = [
     store.on("view", mine(showView)), store.on("plan", mine(showPlan)), store.on("path", mine(showPlayed)), store.on("goal", mine(showGoal)),
     store.on("playback", mine(showPlayback)), store.on("scene", mine(showScene)), store.on("tasks", mine(showTasks)),
-    store.on("picked", mine(showPicked)), store.on("handle", mine(showHandle)), store.on("replay", mine(showReplay)),
+    store.on("picked", mine(showPicked)), store.on("handle", mine(showHandle)),
   ];
 
   // -- taps
@@ -477,7 +445,6 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
     const ray = new Raycaster();
     ray.setFromCamera(new Vector2(x / width * 2 - 1, 1 - y / tall * 2), camera);
     const targets = [...objects, ...building === null ? [] : [building.group]];
-    if (onTap(() => surfaceAt(ray, targets))) return;
     const hit = ray.intersectObjects(targets, true).find(({object}) => object.isMesh);
     tapped = null;
     redraw();
@@ -488,16 +455,6 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
     tapping = true;
     store.set("tap", name, {element: tapped.element, object});
     tapping = false;
-  }
-
-  /** Return the nearest point of a surface that is drawn, on a ray; null: none. */
-  function surfaceAt(ray, targets) {
-    const solid = [...targets.filter(({visible}) => visible)];
-    if (bodies !== null) solid.push(...[bodies.twin, bodies.plan].filter(({visible}) => visible));
-    const hit = ray.intersectObjects(solid, true).find(({object}) => object.isMesh && object.name !== "axes");
-    const {origin, direction} = ray.ray;
-    const floor = onFloor(origin.toArray(), direction.toArray(), ground.position.z, hit?.distance ?? camera.far);
-    return floor ?? hit?.point.toArray() ?? null;
   }
 
   // -- cameras
@@ -631,8 +588,6 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
       if (projected.z < -1 || projected.z > 1) return;
       found.push({text, kind, rank, x: (projected.x + 1) / 2 * width, y: (1 - projected.y) / 2 * tall});
     };
-    const sum = measured({points: measuring});
-    if (sum !== null) at(new Vector3(...measuring[0]).add(new Vector3(...measuring[1])).divideScalar(2), `${millimetres(sum.distance)} mm`, "measure", 100);
     if (near !== null) {
       const point = new Vector3(...near.point);
       at(other === null ? point : point.add(new Vector3(...other)).divideScalar(2), `${millimetres(near.distance)} mm`, "closest", 90);
@@ -700,7 +655,7 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
   refit();
 
   return {
-    name, scene, camera, state, look, labels, advance, tap,
+    name, scene, camera, state, look, labels, advance,
     /** Whether the handle moves the tool or turns it. */
     get turns() {
       return gizmo.mode === "rotate";
@@ -735,12 +690,6 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
       ground.shadows(on);
       redraw();
     },
-    /** Show what is measured: no points, one or two. */
-    measure(points) {
-      measuring = points;
-      rule.show(points);
-      redraw();
-    },
     /** What is drawn now, in which colours, for the legend. */
     drawn() {
       const is = (body) => bodies !== null && bodies[body].visible;
@@ -764,7 +713,6 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
         carried: some(true) ? colours.CARRIED : null,
         standing: some(false) ? colours.STANDING : null,
         elements: building === null ? [] : [...building.elements.values()].map(({material}) => material.color.getHex()),
-        measure: rule.visible ? colours.MEASURE : null,
       };
     },
     /** What is drawn now, for tests: joint values and positions of the tool by body, and the path's points. */
@@ -787,11 +735,9 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
       result.handle = gizmo.object === undefined ? null
         : {position: handle.position.toArray(), screen: onScreen(handle.position), axis: screenAxis(), mode: gizmo.mode};
       result.camera = {position: camera.position.toArray(), target: controls.target.toArray(), chosen};
-      result.replay = replayed()?.time ?? null;
       result.closest = closest.visible ? near : null;
       result.floor = ground.userData;
       result.frame = toolFrame();
-      result.measured = measuring;
       result.shadows = sun.castShadow;
       result.reach = reach.visible ? reach.material.color.getHex() : null;
       result.reachAt = reach.position.toArray();

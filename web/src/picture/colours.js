@@ -45,6 +45,5 @@ export const CLOSEST = 0xd946ef;
 export const STANDING = 0xaab2be;
 export const EDGE = 0x2b3440;
 export const CARRIED = 0xc9a227;
-export const MEASURE = 0xeab308;
 /** Of a frame: x, y, z. */
 export const AXES = [0xe5383b, 0x2fa84f, 0x3b82f6];

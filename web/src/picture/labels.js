@@ -53,7 +53,7 @@ export function makeLabels(overlay) {
   const elements = [];
   return (labels, width, height, taken) => {
     const shown = placed(labels.map((label) => (
-      {...label, ...sizeOf(label.text, label.kind === "waypoint"), beside: label.kind === "closest" || label.kind === "measure"})), width, height, taken);
+      {...label, ...sizeOf(label.text, label.kind === "waypoint"), beside: label.kind === "closest"})), width, height, taken);
     while (elements.length < shown.length) elements.push(add(layer, "span"));
     elements.forEach((element, k) => {
       element.hidden = k >= shown.length;

@@ -46,6 +46,5 @@ export function entriesOf(drawn) {
   const known = new Map(drawn.elements.map((colour) => [colour, elementKey(colour)]));
   const order = [colours.PICKED[0], ...ELEMENTS.map(([colour]) => colour)];
   for (const colour of order) if (known.get(colour)) add(`element-${colour.toString(16)}`, colour, "body", known.get(colour));
-  add("measure", drawn.measure, "line");
   return entries;
 }

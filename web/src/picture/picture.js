@@ -9,12 +9,10 @@
 import {PCFShadowMap, WebGLRenderer} from "three";
 import {add, button, clear, setText} from "../dom.js";
 import {makeCell} from "./cell.js";
-import {makeReplayNotice} from "./replay_notice.js";
 import {millimetres} from "./closest.js";
 import {drawIcon} from "./icons.js";
 import {makeLabels} from "./labels.js";
 import {entriesOf} from "./legend.js";
-import {measured, moved, NOTHING, tapped} from "./measuring.js";
 import {makePace} from "./pace.js";
 import {IN_VIEW, seenWord} from "./seen.js";
 
@@ -85,10 +83,6 @@ export function make(parent, store, connection, texts) {
   let inView = 0;
   let observer = null;
   let covered = "";
-  let measuring = false;
-  let taken = NOTHING;
-  // where the cross is by which a keyboard measures [px]; null: none is shown
-  let cross = null;
   let folded = null;
   let listed = "";
   let covers = null;
@@ -119,12 +113,6 @@ export function make(parent, store, connection, texts) {
       for (const {cell} of shown()) if (shown().length === 1 || cell.name === store.selected) cell.look(view);
     });
   }
-  const ruler = tool("measure", texts("picture.measure"), (event) => {
-    measure(!measuring);
-    // from the keyboard: a cross is moved in place of a finger
-    if (measuring && event.detail === 0) cells.get(store.selected)?.overlay.focus();
-  });
-  ruler.setAttribute("aria-pressed", "false");
   const turn = tool("turn", texts("picture.turn"), () => {
     const cell = cells.get(store.selected)?.cell;
     if (cell) cell.turns = !cell.turns;
@@ -139,56 +127,6 @@ export function make(parent, store, connection, texts) {
     // a person has folded or opened it: it stays
     if (legend.open !== folded) folded = undefined;
     arrange();
-  });
-
-  // -- measuring
-
-  function measure(on) {
-    measuring = on;
-    ruler.setAttribute("aria-pressed", String(on));
-    stage.classList.toggle("is-measuring", on);
-    for (const {overlay} of cells.values()) {
-      if (on) overlay.setAttribute("tabindex", "0");
-      else overlay.removeAttribute("tabindex");
-    }
-    setCross(null);
-    take(NOTHING);
-  }
-
-  function take(now) {
-    taken = now;
-    for (const {cell} of cells.values()) cell.measure(cell.name === taken.robot ? taken.points : []);
-    redraw();
-  }
-
-  function setCross(at, each = null) {
-    cross = at;
-    for (const one of cells.values()) one.cross.hidden = at === null || one !== each;
-    each?.cross.style.setProperty("transform", at === null ? "none" : `translate(${at[0]}px, ${at[1]}px)`);
-  }
-
-  function onKey(event, each) {
-    if (!measuring) return;
-    const {width: wide, height: tall} = each.overlay.getBoundingClientRect();
-    const at = cross ?? [wide / 2, tall / 2];
-    if (event.key === "Enter" || event.key === " ") {
-      setCross(at, each);
-      each.cell.tap(...at, wide, tall);
-    } else {
-      const next = moved(at, event.key, event.shiftKey, wide, tall);
-      if (next === null) return;
-      setCross(next, each);
-    }
-    event.preventDefault();
-  }
-
-  stage.addEventListener("keydown", (event) => {
-    if (event.key !== "Escape" || !measuring) return;
-    measure(false);
-    ruler.focus();
-  });
-  document.addEventListener("keydown", (event) => {
-    if (event.key === "Escape" && measuring) measure(false);
   });
 
   function shown() {
@@ -262,7 +200,7 @@ export function make(parent, store, connection, texts) {
     for (const [name, each] of cells) {
       const word = seenWord({
         lost, ready: each.cell.ready, shown: visible.includes(each), inView, visible: document.visibilityState === "visible",
-        replay: store.robot(name).replay !== null, size: {width: width / Math.max(1, visible.length), height},
+        size: {width: width / Math.max(1, visible.length), height},
       });
       const before = store.robot(name).drawn;
       if (word === before) continue;
@@ -290,20 +228,11 @@ export function make(parent, store, connection, texts) {
       if (cells.has(name) || cells.size >= MOST) continue;
       const overlay = add(stage, "div", {className: "overlay", role: "group", "aria-label": texts("picture.part", {robot: name})});
       add(overlay, "span", {className: "overlay-name", text: name});
-      makeReplayNotice(overlay, name, store, texts);
-      const mark = add(overlay, "span", {className: "cross", "aria-hidden": "true", hidden: true});
       const cell = makeCell(name, overlay, store, redraw, {
         glides: !software && !still.matches, ratio: renderer.getPixelRatio(),
-        onTap: (surface) => {
-          if (!measuring) return false;
-          const point = surface();
-          if (point !== null) take(tapped(taken, name, point));
-          return true;
-        },
       });
       cell.shadows(shadows);
-      const each = {overlay, cell, cross: mark, show: makeLabels(overlay), words: []};
-      overlay.addEventListener("keydown", (event) => onKey(event, each));
+      const each = {overlay, cell, show: makeLabels(overlay), words: []};
       stage.append(above);
       cells.set(name, each);
     }
@@ -319,7 +248,6 @@ export function make(parent, store, connection, texts) {
     else if (state?.progress) text = texts("picture.loading", state.progress);
     else if (state?.failed) text = texts("picture.no_model", {why: state.failed});
     else if (state?.missing.length) text = texts("picture.no_model", {why: state.missing.join(", ")});
-    else if (measuring) text = measureText();
     else if (robot?.playback) text = texts("picture.playback", {time: robot.playback.time.toFixed(1)});
     else if (state?.stale) text = texts("picture.stale");
     else if (state?.lacks) text = texts("picture.lacks", {why: state.lacks});
@@ -327,13 +255,6 @@ export function make(parent, store, connection, texts) {
     note.hidden = text === "";
     setText(note, text);
     covers = null;
-  }
-
-  function measureText() {
-    const found = measured(taken);
-    if (found === null) return texts(taken.points.length ? "picture.measure.second" : "picture.measure.first");
-    const [x, y, z] = found.along.map(millimetres);
-    return texts("picture.measure.found", {distance: millimetres(found.distance), x, y, z});
   }
 
   /** Show an entry for each kind of thing that is drawn of the selected robot, in its colour. */
@@ -416,10 +337,6 @@ export function make(parent, store, connection, texts) {
   });
   store.on("handle", showBar);
   for (const kind of ["playback", "goal", "plan", "connection"]) store.on(kind, redraw);
-  store.on("replay", () => {
-    tellSeen();
-    redraw();
-  });
   canvas.addEventListener("webglcontextlost", () => {
     lost = true;
     tellSeen();

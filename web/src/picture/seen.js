@@ -1,7 +1,7 @@
 /**
  * Whether a person can see what the picture draws of a robot. A plan counts as played only where its motion could be seen. Pure.
  *
- * Words: `seen`; why not: `model` (the robot's model is not there), `replay` (it shows a recording), `lost` (the browser has taken the
+ * Words: `seen`; why not: `model` (the robot's model is not there), `lost` (the browser has taken the
  * graphics away), `small` (the picture is smaller than `LEAST`), `away` (less than half of the picture is in view, the page is in the
  * background, or other robots are shown).
  */
@@ -13,10 +13,9 @@ export const IN_VIEW = 0.5;
 export const LEAST = {width: 300, height: 180};
 
 /** Return the word for one robot; `size` of its part of the picture [px]. */
-export function seenWord({lost, ready, shown, inView, visible, replay = false, size = LEAST}) {
+export function seenWord({lost, ready, shown, inView, visible, size = LEAST}) {
   if (lost) return "lost";
   if (!ready) return "model";
-  if (replay) return "replay";
   if (shown && (size.width < LEAST.width || size.height < LEAST.height)) return "small";
   return shown && visible && inView >= IN_VIEW ? "seen" : "away";
 }

@@ -211,8 +211,8 @@ export function isEngaged(segments, k) {
   return Boolean(segments.find((each) => k <= each.tool_path_end)?.engaged);
 }
 
-/** Return a line between two points with a dot at each end, seen through everything; `show(points)` sets them, [] hides it. */
-export function span(colour, width) {
+/** Return a line between two points with a dot at each end, seen through everything; `show(points)` sets one or both. */
+function span(colour, width) {
   const group = new Group();
   const geometry = new LineGeometry();
   geometry.setPositions([0, 0, 0, 0, 0, 0]);
@@ -226,9 +226,7 @@ export function span(colour, width) {
   };
   const ends = [ball(), ball()];
   group.add(line, ...ends);
-  group.visible = false;
   group.show = (points) => {
-    group.visible = points.length > 0;
     line.visible = points.length > 1;
     ends.forEach((end, k) => {
       end.visible = k < points.length;

@@ -22,10 +22,8 @@ import rospkg
 
 from construction_twin.broker.start import DEFAULT_PORT, listener_ports, trial
 from construction_twin.console.given_files import broker_tls, check_rights, own_tls
-from construction_twin.console.pairings_folder import check_pairings_folder
 from construction_twin.controller.makes import DEFAULT, MODULES, make_of
 from construction_twin.controller.port import Make
-from construction_twin.core.camera_address import cameras_of
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.extras import check_extras
 from construction_twin.core.files import check_writable
@@ -246,12 +244,8 @@ def _check_trace(given: Given, robot: RobotModel) -> None:
         raise ConfigurationError(str(path.parent), found, expected)
 
 
-def _check_console(given: Given, robot: RobotModel) -> None:
+def _check_console(given: Given, _robot: RobotModel) -> None:
     """Find what the console needs before it is started again and again without it."""
-    # mqtt_planner announces them, where the console itself is another launch's, too
-    # several robots have one list of them, and each must know its own
-    nameless = "" if is_true(given, "cameras_name_robots") else robot.name
-    cameras_of([given.get("console_cameras", "")], nameless)
     if not is_true(given, "console"):
         return
     if importlib.util.find_spec("websockets") is None:
@@ -271,22 +265,6 @@ def _check_console(given: Given, robot: RobotModel) -> None:
         check_rights(Path(rights))
     if is_true(given, "console_files"):
         check_writable(ros_home() / "construction_twin" / "console")
-
-
-def _check_pairings(given: Given, _robot: RobotModel) -> None:
-    """Check the folder of paired devices as the console does: as the same user, and making nothing."""
-    folder = given["console_pairings"]
-    if not folder or not is_true(given, "console"):
-        return
-    if not folder.startswith("/"):
-        raise ConfigurationError("--pairings", folder, Sentence("expected.pairings.path"))
-    if importlib.util.find_spec("cryptography") is None:
-        raise ConfigurationError(
-            "the Python package cryptography",
-            "missing",
-            Sentence("expected.installed", command="setup/setup.sh console"),
-        )
-    check_pairings_folder(Path(folder))
 
 
 def _check_action(given: Given, _robot: RobotModel) -> None:
@@ -318,7 +296,6 @@ CONTENTS: tuple[tuple[str, Callable[[Given, RobotModel], None]], ...] = (
     ("gateway_trace", _check_trace),
     ("follow_joint_trajectory", _check_action),
     ("console", _check_console),
-    ("console_pairings", _check_pairings),
 )
 
 

@@ -290,10 +290,6 @@ def connect(options: argparse.Namespace) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do what a command line says; return an exit code of `views.arguments.Exit`."""
     try:
-        if options.command == "pair":
-            from construction_twin.ros.commands.twin_pair import PairCommand
-
-            return PairCommand(options).run()
         connect(options)
         return Command(options).run()
     except SilenceError as error:

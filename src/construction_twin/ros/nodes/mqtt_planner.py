@@ -21,7 +21,6 @@ import rospy
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from construction_twin.core.camera_address import cameras_of
 from construction_twin.core.errors import PayloadError, PoseUnknownError
 from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SpeedReport, SyncReport
 from construction_twin.core.units import NANOSECONDS
@@ -96,14 +95,12 @@ class Settings(MqttSettings):
         trajectories: Whether motions, and requests for plans, are taken by MQTT.
         self_collision: YAML of the link pairs that are not checked; empty: no joint values are found for poses that are dragged.
         messages: Folder of the messages that outlast this node, relative to ROS_HOME; empty: they do not.
-        cameras: As the console has them (``front=http://10.0.0.7/stream``, separated by blanks); of this robot. Announced by name.
         servo_model: As the gate has it; empty: it does not expect the arm where its servos should have it.
         private: Folder of what a console serves to whom is logged in, relative to ROS_HOME; empty: no console was started.
     """
 
     trajectories: bool = True
     self_collision: str = ""
-    cameras: str = ""
     private: str = ""
     messages: str = ""
     servo_model: str = ""
@@ -397,7 +394,6 @@ class MqttPlanner:
             return
         link, sync, execution = self._reports()
         now = time.monotonic()
-        self._feed.publish_cameras(now)
         self._feed.publish_status_line(
             link[0] if link is not None else None,
             sync[0] if sync is not None else None,
@@ -492,8 +488,7 @@ def _consoles(node: MqttPlanner, settings: Settings, robot: RobotModel, poses: P
             files.drop_building()
     deployment = deployment_of(ports.parameters["startup"], rospy.get_namespace().rstrip("/"))
     messages = MessageFile(ros_home() / settings.messages / f"{robot.name}.json") if settings.messages else None
-    cameras = [each.name for each in cameras_of([settings.cameras], robot.name) if each.robot == robot.name]
-    feed = ConsoleFeed(topics, robot.base_link, node.publish_now, node.refuse, deployment, files, cameras, messages)
+    feed = ConsoleFeed(topics, robot.base_link, node.publish_now, node.refuse, deployment, files, messages)
     services = {kind: rospy.ServiceProxy(service.name, service.kind) for kind, service in PLAN_SERVICES.items()}
     around = RobotContext(
         twin=lambda: _positions(poses.twin, MAX_POSE_AGE),

@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 import time
 from bisect import bisect_left
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from std_msgs.msg import String
@@ -42,8 +42,6 @@ from construction_twin.views.status_line import Line, ReportsNow, status_lines
 
 #: The status line is looked at so often, and sent again without a change after so long [s].
 LOOK, REPEAT = 0.2, 1.0
-#: A camera is announced so often [s]: the console takes each message that the broker passes on for the broker's word, for 30 s.
-ANNOUNCE = 10.0
 #: A tool's path is thinned to so many points, beside the ends of its segments; of so many plans it is kept until one is played.
 PATH_POINTS, PATHS = 200, 8
 _UNDER_WAY = frozenset(state.name for state in ACTIVE)
@@ -58,7 +56,6 @@ class ConsoleFeed:
         refuse: Counts a refused input; takes reason and sentence.
         deployment: What was started; None: what the start waits for is not told.
         files: Where the scene's meshes go; None: no console was started with this robot.
-        cameras: Names of the robot's cameras, which a console has under the same names.
         messages: Where the messages are kept; None: only in memory.
         clock: Returns the time of day [s since 1970].
     """
@@ -71,7 +68,6 @@ class ConsoleFeed:
         refuse: Callable[[str, str], None],
         deployment: Deployment | None = None,
         files: PrivateFiles | None = None,
-        cameras: Iterable[str] = (),
         messages: MessageFile | None = None,
         clock: Callable[[], float] = time.time,
     ):
@@ -87,9 +83,7 @@ class ConsoleFeed:
         self._playing = ""
         self._telling = threading.Lock()
         self._session = ""
-        self._cameras = {topics.camera(name): dumped({"name": name}) for name in cameras}
-        self._announced = float("-inf")
-        self._retained: dict[str, bytes] = {**self._cameras}
+        self._retained: dict[str, bytes] = {}
         self._scene: Scene | None = None
         self._work: WorkReport | None = None
         self._hold, self._obstacle = HoldReport(), ""
@@ -257,18 +251,6 @@ class ConsoleFeed:
             return
         self._told, self._told_at = payload, now
         self._publish(self._topics.screen, payload, 1, False)
-
-    def publish_cameras(self, now: float) -> None:
-        """Announce the cameras where that is due.
-
-        Args:
-            now: Monotonic [s].
-        """
-        if now - self._announced < ANNOUNCE:
-            return
-        self._announced = now
-        for topic, payload in self._cameras.items():
-            self._publish(topic, payload, 0, True)
 
     def _lines(self, link: LinkReport | None, sync: SyncReport | None, execution: ExecutionReport | None) -> list[Line]:
         words = _word(link), _word(sync), _word(execution)
