@@ -21,20 +21,12 @@ from pathlib import Path
 
 import numpy as np
 import PyKDL
+from ik_figures import Figures, Problem, brute_force, measure, problems, share_of_nearest
 from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from construction_twin.kinematics.chain import Chain
-from construction_twin.kinematics.figures import (
-    Figures,
-    Problem,
-    brute_force,
-    deep_search,
-    measure,
-    problems,
-    share_of_nearest,
-)
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.kinematics.solution import InverseKinematics
 from construction_twin.robot.description import RobotModel, read_robot_files
@@ -53,10 +45,9 @@ ROBOTS = {
 LIMIT_S, BUDGET_S = 0.05, 0.04
 #: TRAC-IK's error bound per component of the twist, and its time [s].
 TRACIK_EPSILON, TRACIK_TIMEOUT = 1e-6, 0.05
-#: Starting points of the brute force for each pose; and its time for each pose of a redundant arm [s], for this fraction of poses.
-#: An arm on a linear axis is searched densely instead, which finds more in less time.
+#: Starting points of the brute force for each pose. An arm on a linear axis is searched densely instead, which finds more in less
+#: time; what the search finds for seven revolute joints is compared with nothing.
 RESTARTS = 150
-DEEP_S, DEEP_SHARE = 1.0, 0.1
 #: Poses of a block, of which ours and TRAC-IK take turns.
 BLOCK = 250
 PACKAGES = ("numpy", "scipy", "py-opw-kinematics", "eaik", "pytracik")
@@ -124,18 +115,12 @@ def run(poses: int, seed: int, checks: int, tracik: bool) -> dict:
         measure(inverse, tasks[:20], time.perf_counter)
         beside = TracIk(robot) if tracik and name == "kr120" else None
         found = in_turns(inverse, tasks, beside)
-        some = checks
-        rng = np.random.default_rng(seed + 1)
-        if len(robot.joint_names) == 6:
-            search = brute_force(chain, rng, RESTARTS)
-        elif inverse.kind.name == "OPW on a linear axis":
-            search = dense_search(chain)
-        else:
-            search = deep_search(chain, rng, time.perf_counter, DEEP_S)
-            some = max(1, round(checks * DEEP_SHARE))
         figures = {"kind": inverse.kind.name, "poses": len(tasks), "solved": found.solved, **_spread(found.times)}
         figures |= {"residual_m": found.residual_m, "residual_rad": found.residual_rad}
-        figures["nearest"] = share_of_nearest(found.distances[:some], tasks[:some], search)
+        if inverse.kind.name != "search":
+            on_track = inverse.kind.name == "OPW on a linear axis"
+            search = dense_search(chain) if on_track else brute_force(chain, np.random.default_rng(seed + 1), RESTARTS)
+            figures["nearest"] = share_of_nearest(found.distances[:checks], tasks[:checks], search)
         result[name] = figures
         if beside is not None:
             result["tracik_speed"] = beside.figures
@@ -149,11 +134,7 @@ def environment(seed: int, checks: int) -> dict:
         "python": platform.python_version(),
         "versions": {name: _version(name) for name in PACKAGES} | {"pykdl": PyKDL.__version__},
         "seed": seed,
-        "nearest_checked": {
-            "6 joints": checks,
-            "on a linear axis": checks,
-            "7 joints": max(1, round(checks * DEEP_SHARE)),
-        },
+        "nearest_checked": {"6 joints": checks, "on a linear axis": checks},
         "tracik": {"solver": "Speed", "epsilon": TRACIK_EPSILON, "timeout_s": TRACIK_TIMEOUT},
     }
 

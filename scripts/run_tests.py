@@ -73,7 +73,6 @@ PROBE_PERIOD = 2_000_000
 REALTIME = 50
 #: Unit tests that run gateway, mock controller or bridge as processes in real time: they need the machine for themselves.
 ALONE = (
-    "test_bench_link",
     "test_faults_",
     "test_fuzz",
     "test_gateway_program",

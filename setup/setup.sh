@@ -234,10 +234,7 @@ case "${1:-}" in
   work | tests) add_packages work "work from a building model" ;;&
   physics | tests) add_packages physics "the twin with physics" ;;&
   console | tests) add_packages console "the console" ;;&
-  tests)
-    add_packages tests "second opinions of tests"
-    make_browser_venv
-    ;;
+  tests) make_browser_venv ;;
 esac
 case "${1:-}" in console | tests) build_page ;; esac
 "$venv_alone" && exit

@@ -21,7 +21,6 @@ import ifcopenshell.api.unit
 
 from construction_twin.work.building import Sequence, Task
 from construction_twin.work.global_ids import global_id
-from construction_twin.work.ifc.schedule_writer import add_schedule
 
 ROOT = Path(__file__).resolve().parents[1]
 CREATED = datetime(2026, 1, 5, 7, 0, 0, tzinfo=UTC)
@@ -240,8 +239,7 @@ class _Model:
         self._types_and_materials(elements, body)
         for part, element in zip(self.design.parts, elements, strict=True):
             self._quantities(part, element)
-        name = f"Schedule of {self.design.assembly.lower()}"
-        add_schedule(self.file, name, self.design.tasks, self.design.sequences, CREATED)
+        self._add_schedule(project, f"Schedule of {self.design.assembly.lower()}")
         self._header()
         return self.file
 
@@ -417,6 +415,74 @@ class _Model:
             RelatedObjects=[element],
             RelatingPropertyDefinition=what,
         )
+
+    def _add_schedule(self, project: ifcopenshell.entity_instance, name: str) -> None:
+        """Add the tasks: IFC2x3 has their times in relations of their own."""
+        moment = self._moment()
+        kind = {"Identifier": name} if self.old else {"PredefinedType": "PLANNED"}
+        schedule = self._of_schedule(
+            "IfcWorkSchedule", "schedule", name, Name=name, CreationDate=moment, StartTime=moment, **kind
+        )
+        if not self.old:
+            self._relate("IfcRelDeclares", name, RelatingContext=project, RelatedDefinitions=[schedule])
+        tasks = {task.id: self._task(task) for task in self.design.tasks}
+        if self.old:
+            for task in self.design.tasks:
+                time = self._of_schedule("IfcScheduleTimeControl", "time", task.id, ScheduleDuration=task.duration)
+                self._relate(
+                    "IfcRelAssignsTasks", task.id, RelatedObjects=[tasks[task.id]], RelatingControl=schedule, TimeForTask=time
+                )  # fmt: skip
+        else:
+            roots = [tasks[task.id] for task in self.design.tasks if not task.parent]
+            self._relate("IfcRelAssignsToControl", name, RelatedObjects=roots, RelatingControl=schedule)
+        for parent in dict.fromkeys(task.parent for task in self.design.tasks if task.parent):
+            nested = [tasks[task.id] for task in self.design.tasks if task.parent == parent]
+            self._relate("IfcRelNests", parent, RelatingObject=tasks[parent], RelatedObjects=nested)
+        made = [(task, product) for task in self.design.tasks for product in task.products]
+        for task, product in made:
+            self._relate(
+                "IfcRelAssignsToProduct", task.id + product, RelatedObjects=[tasks[task.id]],
+                RelatingProduct=self.file.by_guid(product),
+            )  # fmt: skip
+        robot = self._of_schedule("IfcConstructionEquipmentResource", "robot", ROBOT, Name=ROBOT)
+        for task, _ in made:
+            self._relate(
+                "IfcRelAssignsToProcess", "robots" + task.id, RelatedObjects=[robot], RelatingProcess=tasks[task.id]
+            )
+        for one in self.design.sequences:
+            self._relate(
+                "IfcRelSequence", one.before + one.after + one.kind, RelatingProcess=tasks[one.before],
+                RelatedProcess=tasks[one.after], TimeLag=0.0 if self.old else None, SequenceType=one.kind,
+            )  # fmt: skip
+
+    def _task(self, task: Task) -> ifcopenshell.entity_instance:
+        fields = {"GlobalId": task.id, "Name": task.name, "IsMilestone": task.milestone}
+        if self.old:
+            return self.file.create_entity("IfcTask", OwnerHistory=self.history, TaskId=task.id, **fields)
+        entity = self.file.create_entity("IfcTask", PredefinedType="CONSTRUCTION", **fields)
+        if task.duration is not None:
+            entity.TaskTime = self.file.create_entity(
+                "IfcTaskTime", ScheduleDuration=f"PT{task.duration:g}S", DurationType="ELAPSEDTIME"
+            )
+        return entity
+
+    def _of_schedule(self, kind: str, *words: str, **fields: object) -> ifcopenshell.entity_instance:
+        """Add an entity whose GlobalId follows from `words` alone."""
+        return self.file.create_entity(kind, GlobalId=global_id(*words), OwnerHistory=self.history, **fields)
+
+    def _relate(self, kind: str, word: str, **fields: object) -> None:
+        self._of_schedule(kind, kind, word, **fields)
+
+    def _moment(self) -> object:
+        """Return when it was made, as the schema has it."""
+        if not self.old:
+            return CREATED.isoformat(timespec="seconds")
+        create = self.file.create_entity
+        date = create(
+            "IfcCalendarDate", DayComponent=CREATED.day, MonthComponent=CREATED.month, YearComponent=CREATED.year
+        )
+        time = create("IfcLocalTime", HourComponent=CREATED.hour, MinuteComponent=CREATED.minute, SecondComponent=0.0)
+        return create("IfcDateAndTime", date, time)
 
     def _owner_history(self) -> ifcopenshell.entity_instance:
         create = self.file.create_entity

@@ -15,7 +15,7 @@ from twin_client import BOUND, DISTURBED, case
 
 from construction_twin.core.units import CYCLE_NS
 from construction_twin.evaluation.alignment import align_lag_removed, task_window
-from construction_twin.ros.commands.bag import read_recording
+from construction_twin.evaluation.bag import read_recording
 
 FILES = ("experiment.bag", "table1.csv", "figure8.png", "figure9.png", "timing.png", "summary.json")
 AXES = tuple(f"joint_a{number}" for number in range(1, 7))

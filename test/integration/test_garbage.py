@@ -16,8 +16,6 @@ import numpy as np
 import rospy
 import rostest
 from construction_twin.msg import (
-    AxisCurrent,
-    AxisTorque,
     Engagement,
     PlanCaller,
     SessionRequest,
@@ -51,9 +49,6 @@ HEARD_BY = {
     "twin/joint_states": {"pca_monitor", "executor", "planner", "scene"},
     "physical/feedback": {"pca_monitor"},
     "physical/joint_states": {"virtual_robot"},
-    # the monitor hears it where it watches torques
-    "physical/torque": set(),
-    "physical/current": set(),
     "next/joint_states": {"pca_monitor"},
     "command/joint_states": {"virtual_robot", "mqtt_bridge"},
     "plan": {"pca_monitor", "executor"},
@@ -82,8 +77,6 @@ FRAMES = {"planner", "scene"}
 MADE = {
     "tool_command": ToolCommand(verb=ToolCommand.VOID),
     "tool": ToolState(),
-    "physical/torque": AxisTorque(),
-    "physical/current": AxisCurrent(),
     "engagement": Engagement(),
     "plan_caller": PlanCaller(),
     "session_request": SessionRequest(),

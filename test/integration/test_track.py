@@ -18,10 +18,10 @@ from twin_client import RobotTest, Stream, TwinClient, case
 
 from construction_twin.core.units import CYCLE_NS
 from construction_twin.evaluation.alignment import align_lag_removed, task_window
+from construction_twin.evaluation.bag import read_recording
 from construction_twin.evaluation.report import write_report
 from construction_twin.kinematics.chain import Chain
 from construction_twin.robot.frames import rotation_to_quaternion
-from construction_twin.ros.commands.bag import read_recording
 from construction_twin.ros.commands.recorder import Recorder
 
 #: In the robot's order: the track [mm], then A1 to A6 [deg]; no two alike.

@@ -26,8 +26,8 @@ from twin_client import BOUND, DISTURBED, case, wait
 
 from construction_twin.core.units import CYCLE_NS, radians
 from construction_twin.evaluation.alignment import align_lag_removed, task_window
+from construction_twin.evaluation.bag import read_recording
 from construction_twin.evaluation.recording import Recording
-from construction_twin.ros.commands.bag import read_recording
 from construction_twin.ros.commands.recorder import Recorder
 from construction_twin.ros.shared.params import robot_from_parameters
 from construction_twin.ros.transport.latest_pose import LatestPose

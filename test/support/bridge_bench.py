@@ -10,7 +10,6 @@ from types import SimpleNamespace
 from gateway_cell import CONFIG, RUN, START
 from unplugged import ask
 
-from construction_twin.core.axis_quantities import QUANTITIES
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.states import LinkState
 from construction_twin.mqtt.client import Broker
@@ -99,7 +98,6 @@ class BridgeBench:
         self.clocks = clocks
         self.client = Client()
         self.physical, self.links, self.tools, self.asked = (Published() for _ in range(4))
-        self.told = {quantity: Published() for quantity in QUANTITIES}
         settings = Settings(
             host="127.0.0.1",
             port=1,
@@ -115,7 +113,7 @@ class BridgeBench:
 
         self._codec, self._states = codec, 0
         self._made = diagnostics(lambda: self.bridge.report())
-        outputs = Outputs(self.physical, Published(), self.links, self.tools, self.asked, self.told)
+        outputs = Outputs(self.physical, Published(), self.links, self.tools, self.asked)
         self.bridge = MqttBridge(
             settings, "arm", config, codec, Broker("127.0.0.1", 1), self.client, outputs, self._made, **options
         )

@@ -9,10 +9,10 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from ik_figures import Problem
 
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.closed_form import ClosedFormInverse
-from construction_twin.kinematics.figures import Problem
 from construction_twin.kinematics.opw import NotOpw
 from construction_twin.kinematics.rail import find_rail
 from construction_twin.kinematics.solution import IkSettings, residual

@@ -19,7 +19,7 @@ def make_report(joints: int) -> PlanReport:
 
 
 def make_plan(trajectory: Trajectory, plan_id: str = "p", scene: str = "s", asked_ns: int = 0) -> Plan:
-    """Return a plan for a trajectory, as if checked against the scene with hash `scene` at `created_ns` [ns]."""
+    """Return a plan for a trajectory, as if checked against the scene with hash `scene`, asked for at `asked_ns`."""
     return Plan(
         id=plan_id,
         hash=trajectory.content_hash(),

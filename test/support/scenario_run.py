@@ -30,12 +30,8 @@ from construction_twin.gateway.states import State
 from construction_twin.gateway.trace import TraceEntry
 from construction_twin.mock.faults import KINDS, Fault
 from construction_twin.mock.program import MockSettings, axis_angles, build_controller, joint_angles
-from construction_twin.monitor.gate import WatchedArm
 from construction_twin.monitor.settings import Behaviour
 from construction_twin.mqtt.messages import Control
-from construction_twin.physics.drive import read_drives
-from construction_twin.physics.mass import payload_of
-from construction_twin.physics.plant import InverseDynamics, bare_model
 from construction_twin.physics.rehearsal import Rehearsal
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.plan import Plan
@@ -46,7 +42,6 @@ from construction_twin.ros.shared.rehearsal_process import prepared
 from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, Step, make_scenario
 from construction_twin.scenario.judge import Judgement, judge
 from construction_twin.scenario.timeline import Change, GatewayStop, Run, SyncMoment
-from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -76,9 +71,7 @@ class ScenarioRun:
 
     def __init__(self, name: str, content: dict):
         self.scenario: Scenario = make_scenario(name, content["scenario"])
-        # as launch/scenario.launch has it
-        xml = "config/torque_ethernet.xml" if name == "lost_load" else "krl/ethernet/ctwin_ethernet.xml"
-        file = {"ethernet_xml": (ROOT / xml).read_text()}
+        file = {"ethernet_xml": (ROOT / "krl/ethernet/ctwin_ethernet.xml").read_text()}
         config = gateway_config(ROBOT, SETTINGS | {"decimals": DECIMALS, "cycle": CYCLE_MS} | file)
         mock_file = yaml.safe_load((ROOT / "config/mock_rsi.yaml").read_text())
         mock_file |= file | {"drives": DRIVES} | content.get("mock_rsi", {})
@@ -94,7 +87,6 @@ class ScenarioRun:
             behaviour.gate_settings(True),
             planner=self._replan,
             restart_after=mock.restart_after,
-            watched=_watched(monitor) if monitor.get("torque_watch") else None,
         )
         #: What rehearses each plan; None: nothing does.
         self._rehearsal: Rehearsal | None = None
@@ -363,14 +355,6 @@ class ScenarioRun:
             stops=tuple(self._stops),
             stated=self._stated,
         )
-
-
-def _watched(monitor: dict) -> WatchedArm:
-    """Return what the monitor's node makes of its parameters."""
-    drives = read_drives(DRIVES, ROBOT)
-    model = bare_model(RobotBodies(ROBOT), drives, payload_of(monitor["payload"], "payload"))
-    dynamics = InverseDynamics(model)
-    return WatchedArm(lambda *motion: tuple(map(float, dynamics.torques(*motion))), drives.torque)
 
 
 def _closings(chain: SimulatedChain):

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 from chain_samples import ROBOT, ROOT, SETTINGS, make_plan
+from inverse_dynamics import InverseDynamics
 from simulation import SimulatedChain
 
 from construction_twin.core.servo_lag import transition_matrix
@@ -24,7 +25,7 @@ from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.physics.drive import drives_of as urdf_drives
 from construction_twin.physics.drive import read_drives
 from construction_twin.physics.mass import payload_of
-from construction_twin.physics.plant import InverseDynamics, Plant, bare_model
+from construction_twin.physics.plant import Plant, bare_model
 from construction_twin.robot.plan import Plan
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.scene.collision_bodies import RobotBodies
@@ -149,7 +150,7 @@ class ForeignPlant(Plant):
         self._full = InverseDynamics(bare_model(bodies, plain, payload_of([mass, 0.0, 0.0, 0.2], "payload")))
         self._bare = InverseDynamics(bare_model(bodies, plain))
         self.laden = True
-        super().__init__(known, known, 60.0, 0.8)
+        super().__init__(known, 60.0, 0.8)
         self._answer, self._speed = self._arm.answer, np.zeros(len(NAMES))
 
     def place(self, q) -> None:
@@ -176,7 +177,6 @@ def servo_of(plant: ForeignPlant) -> Servo:
         lambda q: axis_angles(ROBOT, tuple(q)),
         lambda angles: joint_angles(ROBOT, tuple(angles)),
         [axis.sign for axis in ROBOT.axes],
-        False,
         math.radians(3e-5),
     )
 

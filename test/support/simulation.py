@@ -13,17 +13,15 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
-from construction_twin.core.axis_quantities import CURRENT, AxisQuantity
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import Moment
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.travel_time import StateCheck
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
-from construction_twin.evaluation.recording import CurrentStream, FeedbackStream, PlayedPlan, Recording, Stream
+from construction_twin.evaluation.recording import FeedbackStream, PlayedPlan, Recording, Stream
 from construction_twin.execution.approval import Approval
 from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.executor import Executor, ExecutorState
@@ -35,10 +33,10 @@ from construction_twin.link.tool_link import ToolLink
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.faults import FaultBoard
 from construction_twin.mock.impaired_line import ImpairedLine
-from construction_twin.monitor.gate import REPLAN, Gate, GateSettings, WatchedArm
+from construction_twin.monitor.gate import REPLAN, Gate, GateSettings
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.mqtt.messages import CommandProperties, StateProperties, read_report
+from construction_twin.mqtt.messages import CommandProperties, StateProperties
 from construction_twin.review.plan_under_review import Verdict
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
@@ -77,7 +75,6 @@ class SimulatedChain:
     Args:
         planner: Makes a plan from a pose to another [rad]: asked when the gate closes during a plan and the policy is to re-plan.
         backend: What simulates the twin.
-        watched: Whose torques the gate watches; None: it does not.
         servos: What the gate knows of the arm's servos; None: nothing.
         restart_after: A controller that has stopped starts a new RSI session after this time [s]; 0: it stays stopped.
 
@@ -96,7 +93,6 @@ class SimulatedChain:
         planner: Callable[[tuple[float, ...], tuple[float, ...]], Plan] | None = None,
         restart_after: float = 0.0,
         backend: TwinBackend = KinematicBackend(),
-        watched: WatchedArm | None = None,
         servos: ServoModel | None = None,
     ):
         self.robot = robot
@@ -110,7 +106,7 @@ class SimulatedChain:
         self.executor = Executor(robot)
         self.verdicts: list[Verdict] = []
         self.codec = JointStringCodec.of(robot, config.decimals)
-        self.gate = Gate(MotionLimits.of(robot), self.codec, gate, EPOCH, watched, servos)
+        self.gate = Gate(MotionLimits.of(robot), self.codec, gate, EPOCH, servos)
         #: Changes of the gate's state, oldest first.
         self.transitions: list[Transition] = []
         self.planner = planner
@@ -122,11 +118,8 @@ class SimulatedChain:
         self.corrections: list[tuple[int, tuple[float, ...]]] = []
         self.twin_poses: list[tuple[int, tuple[float, ...]]] = []
         self.feedback: list[tuple[int, tuple[float, ...], int, int]] = []
-        #: What the executor played, and what the gate let through of it.
-        self.setpoints: list[tuple[int, tuple[float, ...]]] = []
+        #: What the gate let through.
         self.commands: list[tuple[int, tuple[float, ...]]] = []
-        #: The same as `feedback` of the motors' currents, in the joints' sense.
-        self.currents: list[tuple[int, list[float], int, int]] = []
         #: Where the gate expected the servos to have the arm [rad].
         self.expected: list[tuple[int, tuple[float, ...]]] = []
         #: Where the arm really was at the beginning of each of the controller's cycles [rad].
@@ -211,22 +204,8 @@ class SimulatedChain:
             feedback=FeedbackStream(received, measured, received, seq, command_stamps),
             plans=played,
             command=_stream(self.commands),
-            setpoints=_stream(self.setpoints),
-            expected=self._expected(),
-            currents=self._currents(),
+            expected=_stream(self.expected),
         )
-
-    def _currents(self) -> CurrentStream | None:
-        if not self.currents:
-            return None
-        _, values, _, command_stamps = zip(*self.currents)
-        return CurrentStream(np.array(values), np.array(command_stamps))
-
-    def _expected(self) -> Stream | None:
-        if not self.expected:
-            return None
-        stamps, poses = map(np.array, zip(*self.expected))
-        return Stream(stamps, poses, stamps)
 
     # -- events
 
@@ -249,8 +228,6 @@ class SimulatedChain:
         theta_next = self.executor.step(stamp, stamp)
         for order in self.executor.take_orders():
             self._at(stamp + self._link.command_delay(), lambda order=order: self._switch(order))
-        if theta_next is not None:
-            self.setpoints.append((stamp, theta_next))
         command = None if theta_next is None else gate.pass_next(stamp, theta_next, stamp)
         self._note_transitions()
         if command is not None:
@@ -336,8 +313,6 @@ class SimulatedChain:
         tool = self.gateway.tool
         if tool is not None and self._reader.tool is not None:
             tool.note(self._reader.tool(packet))
-        for quantity, read in self._reader.told.items():
-            self.gateway.note_told(quantity, read(packet))
         correction = self.gateway.on_telegram(telegram, "controller", self.now)
         if correction is not None:
             self.corrections.append((telegram.controller_ms, correction))
@@ -352,10 +327,7 @@ class SimulatedChain:
             self._at(self.now + self._link.state_delay(), lambda: self._hear_tool(status))
         message = self.gateway.state_message(self.now)
         if message is not None:
-            arrival = self.now + self._link.state_delay()
-            self._at(arrival, lambda: self._receive(*message))
-            for quantity, told in self.gateway.told_messages(message[1]):
-                self._at(arrival, partial(self._receive_told, quantity, told))
+            self._at(self.now + self._link.state_delay(), lambda: self._receive(*message))
 
     def _take_reply(self, reply: bytes) -> None:
         self.controller.receive(reply, self.now <= self._ends)
@@ -398,15 +370,6 @@ class SimulatedChain:
             self.expected.append((self.now, watch.expected))
         self._note_transitions()
         self.feedback.append((self.now, q, properties.seq, properties.command_stamp))
-
-    def _receive_told(self, quantity: AxisQuantity, payload: bytes) -> None:
-        report = read_report(quantity, payload, len(self.robot.axes))
-        values = [axis.sign * value for axis, value in zip(self.robot.axes, report.values)]
-        if quantity is CURRENT:
-            self.currents.append((self.now, values, report.seq, report.command_stamp))
-            return
-        self.gate.on_torques(values, report.command_stamp, self.now)
-        self._note_transitions()
 
     def _supervise(self) -> None:
         self._at(self.now + POLL, self._supervise)

@@ -134,7 +134,6 @@ PROCESS = Process(
     acts=TOUCH,
     check=check,
     plan=plan,
-    changes=lambda job, scene, planner, stage: iter(()),
 )
 
 

@@ -8,7 +8,7 @@ stays, never increments (docs/architecture.md, law 2). Standard library only; ra
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
@@ -16,7 +16,6 @@ from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.controller.last_resort import LastResort
 from construction_twin.controller.telegram import Reply, Telegram
 from construction_twin.controller.tool import GatewayTool, ToolReading
-from construction_twin.core.axis_quantities import AxisQuantity
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.sentences import Sentence
@@ -153,13 +152,11 @@ class Reader:
         status: Of a datagram that is a telegram: what the controller says of itself, and how many of its channels cannot be read.
             None: it says nothing.
         tool: The same for a tool's outputs and inputs; it returns None when they are not told clearly. None: no tool.
-        told: The same for each quantity of the axes that is told, length n, nan for an axis that has no channel.
     """
 
     parse: Callable[[bytes], Telegram]
     status: Callable[[bytes], tuple[ControllerStatus, int]] | None = None
     tool: Callable[[bytes], ToolReading | None] | None = None
-    told: Mapping[AxisQuantity, Callable[[bytes], tuple[float, ...] | None]] = field(default_factory=dict)
 
 
 class Encoder(Protocol):
@@ -277,7 +274,6 @@ class TelegramEncoder(Protocol):
         status: MockStatus,
         outputs: Mapping[str, bool] | None,
         inputs: Mapping[str, bool],
-        told: Mapping[AxisQuantity, Sequence[float]],
         /,
     ) -> bytes:
         """Return a telegram.
@@ -287,7 +283,6 @@ class TelegramEncoder(Protocol):
             measured_pose, followed_pose: Length 6. Position [m] and A, B, C [rad] of the tool for both.
             missed: The count of missed replies.
             outputs, inputs: A tool's, by their names; None where they are not told.
-            told: Length n each. Quantities of the axes; all of them, or none where nobody knows them: then they are not told.
         """
         ...
 

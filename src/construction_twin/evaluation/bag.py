@@ -1,22 +1,33 @@
-"""From a bag's messages to a `Recording`, whatever reads the bag.
+"""Reads a bag by the package rosbags, without ROS, and makes a `Recording` of it.
 
-Two readers do: ROS's rosbag in `construction_twin.ros.commands.bag`, and `pure_bag`, which needs no ROS. A message is an object
-with its type's fields as attributes; what its times are, the reader knows (`Bag.nanoseconds`).
+A bag carries the text of its messages' definitions, and rosbags generates Python code from the definitions that it is given. It is
+given this package's (``msg``) beside its own of ROS's common messages, and nothing from the bag: what was recorded with another
+definition (type name and md5) is refused.
 """
 
 from __future__ import annotations
 
 import json
+import struct
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, Protocol
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from rosbags.interfaces import Connection
+from rosbags.rosbag1 import Reader, ReaderError
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
-from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.errors import NOT_OPENED, ConstructionTwinError, FileError, problem_of
 from construction_twin.core.sentences import Sentence
+from construction_twin.core.share import share_file
+from construction_twin.core.units import NANOSECONDS
 from construction_twin.evaluation.recording import (
-    CurrentStream,
     FeedbackStream,
     LinkSnapshot,
     PlayedPlan,
@@ -29,18 +40,18 @@ from construction_twin.evaluation.recording import (
 TWIN = "twin/joint_states"
 PHYSICAL = "physical/joint_states"
 FEEDBACK = "physical/feedback"
-CURRENT = "physical/current"
 COMMAND = "command/joint_states"
 EXPECTED = "expected/joint_states"
-NEXT = "next/joint_states"
 EXECUTION = "execution"
 PLAN = "plan"
 LINK = "link"
 SYNC = "sync"
 REVIEW = "review"
 MOCK = "mock_rsi/status"
-#: Topics read, relative to the robot's namespace. Only twin and physical have to be there.
-TOPICS = (TWIN, PHYSICAL, FEEDBACK, CURRENT, COMMAND, NEXT, EXPECTED, EXECUTION, PLAN, LINK, SYNC, REVIEW, MOCK)
+TRANSITIONS = "transitions"
+ARM = "mock_rsi/joint_states"
+#: Topics of a `Recording`, relative to the robot's namespace. Only twin and physical have to be there.
+TOPICS = (TWIN, PHYSICAL, FEEDBACK, COMMAND, EXPECTED, EXECUTION, PLAN, LINK, SYNC, REVIEW, MOCK)
 #: Reports whose changes of state are told, and what they are called.
 REPORTS = {SYNC: "gate", EXECUTION: "execution", LINK: "link"}
 
@@ -49,9 +60,7 @@ TYPES = {
     TWIN: "sensor_msgs/JointState",
     PHYSICAL: "sensor_msgs/JointState",
     FEEDBACK: "construction_twin/Feedback",
-    CURRENT: "construction_twin/AxisCurrent",
     COMMAND: "sensor_msgs/JointState",
-    NEXT: "sensor_msgs/JointState",
     EXPECTED: "sensor_msgs/JointState",
     EXECUTION: "construction_twin/Execution",
     PLAN: "construction_twin/Plan",
@@ -59,69 +68,114 @@ TYPES = {
     SYNC: "construction_twin/Sync",
     REVIEW: "construction_twin/Review",
     MOCK: "std_msgs/String",
+    TRANSITIONS: "construction_twin/Transition",
+    ARM: "sensor_msgs/JointState",
 }
+#: What rosbags raises for a file that is damaged or another one's: it takes what it finds for text, lengths and offsets.
+_DAMAGED = (
+    ReaderError, SerdeError, ValueError, LookupError, EOFError, TypeError, AssertionError, OverflowError, MemoryError, RuntimeError,
+    struct.error,
+)  # fmt: skip
 
 
-class Bag(Protocol):
-    """A bag that is open for reading."""
+class Bag:
+    """A bag that is open for reading.
 
-    @property
-    def types(self) -> Mapping[str, str]:
-        """Type of each topic: ``sensor_msgs/JointState``."""
+    Attributes:
+        topics: Each once.
+    """
 
-    def messages(self, topics: Iterable[str]) -> Iterator[tuple[str, Any, int]]:
-        """Return topic, message and reception [ns] of what was recorded on some topics, in order of reception.
+    def __init__(self, reader: Reader):
+        self._reader = reader
+        self._store, self._known = _definitions()
+        self.topics = frozenset(each.topic for each in reader.connections)
+
+    def raw(self, types: Mapping[str, str]) -> Iterator[tuple[Connection, bytes, int]]:
+        """Yield connection, serialized message and reception [ns] of what was recorded on some topics, in order of reception.
+
+        Args:
+            types: By topic, the one of `TYPES` that it must have.
 
         Raises:
-            ConstructionTwinError: If a message is of an unknown type, or of another definition of its type, or the bag is damaged.
+            ConstructionTwinError: If a topic has another type, or another definition of it.
         """
+        chosen = [each for each in self._reader.connections if each.topic in types]
+        for each in chosen:
+            self._check(each, types[each.topic])
+        # rosbags takes no connection for all of them
+        for connection, received, data in self._reader.messages(chosen) if chosen else ():
+            yield connection, data, received
 
-    def nanoseconds(self, time: Any) -> int:
-        """Return a time in a message [ns]."""
+    def messages(self, types: Mapping[str, str]) -> Iterator[tuple[str, Any, int]]:
+        """Yield topic, message and reception [ns]; see `raw`. A message has its type's fields as attributes."""
+        for connection, data, received in self.raw(types):
+            yield connection.topic, self._store.deserialize_ros1(data, connection.msgtype), received
+
+    def _check(self, connection: Connection, kind: str) -> None:
+        # its name as ROS 1 has it
+        topic, found = connection.topic, connection.msgtype.replace("/msg/", "/")
+        if found != kind:
+            raise ConstructionTwinError(Sentence("view.bag.type", topic=topic, found=found, type=kind))
+        if connection.digest != self._known[kind]:
+            values = {"topic": topic, "name": kind, "md5": connection.digest, "installed": self._known[kind]}
+            raise ConstructionTwinError(Sentence("view.bag.definition", **values))
 
 
-def recording_of(bag: Bag, namespace: str | None = None) -> Recording:
-    """Return one robot's run.
+@contextmanager
+def open_bag(path: str | Path) -> Iterator[Bag]:
+    """Open a bag for reading. No code is generated from what it contains.
+
+    Raises:
+        ConstructionTwinError: If the file cannot be read as a bag, also if that shows while it is read.
+    """
+    try:
+        # rosbags says of a file that is not there that it is damaged
+        Path(path).open("rb").close()
+        with Reader(path) as reader:
+            yield Bag(reader)
+    except NOT_OPENED as error:
+        raise FileError(str(path), error) from error
+    except (*_DAMAGED, OSError) as error:
+        if "not indexed" in str(error):
+            raise ConstructionTwinError(Sentence("view.bag.unclosed", path=str(path))) from error
+        raise ConstructionTwinError(
+            Sentence("view.bag.unreadable", path=str(path), problem=problem_of(error))
+        ) from error
+
+
+@cache
+def _definitions() -> tuple[Typestore, Mapping[str, str]]:
+    """Return how messages are read, and the md5 of each type of `TYPES`."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    for file in sorted(share_file("msg").glob("*.msg")):
+        store.register(get_types_from_msg(file.read_text(encoding="utf-8"), f"construction_twin/msg/{file.stem}"))
+    names = sorted(set(TYPES.values()))
+    return store, {name: store.generate_msgdef(name.replace("/", "/msg/"), ros_version=1)[1] for name in names}
+
+
+def nanoseconds(time: Any) -> int:
+    """Return a time in a message [ns]."""
+    return int(time.sec) * NANOSECONDS + int(time.nanosec)
+
+
+def read_recording(path: str | Path, namespace: str | None = None) -> Recording:
+    """Read one robot's run from a bag.
 
     Args:
         namespace: The robot's namespace, e.g. ``/kr120``; default: that of the only robot in the bag.
 
     Raises:
-        ConstructionTwinError: If the bag holds no or several robots, a topic of another type or of another definition of its type,
-            or too little data.
+        ConstructionTwinError: If the file cannot be read as a bag, holds no or several robots, a topic of another type or of
+            another definition of its type, or too little data.
     """
-    robot = choose_robot(bag.types, namespace)
-    return _Run(bag, robot, messages_of(bag, robot)).recording()
+    with open_bag(path) as bag:
+        robot = choose_robot(bag.topics, namespace)
+        return _Run(robot, messages_of(bag, robot)).recording()
 
 
-def check_definition(known: Mapping[str, str], topic: str, name: str, md5: str) -> None:
-    """Check that a bag's messages have the definition that is known here.
-
-    Args:
-        known: md5 of each definition, by type name.
-        topic, name, md5: Of the bag's connection: topic, type name and md5 of the definition.
-
-    Raises:
-        ConstructionTwinError: If the type is not among them, or its definition is another one.
-    """
-    if name not in known:
-        raise ConstructionTwinError(
-            Sentence("view.bag.type_of", topic=topic, found=name, known=", ".join(sorted(known)))
-        )
-    if md5 != known[name]:
-        raise ConstructionTwinError(
-            Sentence("view.bag.definition", topic=topic, name=name, md5=md5, installed=known[name])
-        )
-
-
-def robots_in(topics: Iterable[str], wanted: str = TWIN) -> list[str]:
-    """Return the namespaces that hold a topic, sorted; ``/`` for the root."""
-    return sorted(topic[: -len(wanted)].rstrip("/") or "/" for topic in topics if topic.endswith(f"/{wanted}"))
-
-
-def choose_robot(types: Mapping[str, str], namespace: str | None, topic: str = TWIN) -> str:
-    """Return the namespace of the robot that is asked for, or of the only one, among those with a topic; see `recording_of`."""
-    robots = robots_in(types, topic)
+def choose_robot(topics: Iterable[str], namespace: str | None, topic: str = TWIN) -> str:
+    """Return the namespace of the robot that is asked for, or of the only one, among those with a topic; see `read_recording`."""
+    robots = sorted(each[: -len(topic)].rstrip("/") or "/" for each in topics if each.endswith(f"/{topic}"))
     if not robots:
         if topic != TWIN:
             raise ConstructionTwinError(Sentence("view.bag.no_such_topic", topic=topic))
@@ -140,15 +194,11 @@ def messages_of(bag: Bag, robot: str, wanted: Iterable[str] = TOPICS) -> dict[st
     """Return per topic, relative to the robot's namespace, the pairs of reception [ns] and message, in order of reception.
 
     Raises:
-        ConstructionTwinError: If a topic has another type than `TYPES` says; see also `Bag.messages`.
+        ConstructionTwinError: See `Bag.raw`.
     """
     relative = {f"{robot.rstrip('/')}/{topic}": topic for topic in wanted}
-    for topic, name in relative.items():
-        found = bag.types.get(topic)
-        if found not in (None, TYPES[name]):
-            raise ConstructionTwinError(Sentence("view.bag.type", topic=topic, found=found, type=TYPES[name]))
     messages: dict[str, list[tuple[int, Any]]] = defaultdict(list)
-    for topic, message, received in bag.messages(list(relative)):
+    for topic, message, received in bag.messages({topic: TYPES[name] for topic, name in relative.items()}):
         messages[relative[topic]].append((received, message))
     return messages
 
@@ -156,8 +206,7 @@ def messages_of(bag: Bag, robot: str, wanted: Iterable[str] = TOPICS) -> dict[st
 class _Run:
     """What was read of one robot's run."""
 
-    def __init__(self, bag: Bag, robot: str, messages: dict[str, list[tuple[int, Any]]]):
-        self._time = bag.nanoseconds
+    def __init__(self, robot: str, messages: dict[str, list[tuple[int, Any]]]):
         self._robot = robot
         self._messages = messages
         self._joints: tuple[str, ...] = ()
@@ -183,8 +232,6 @@ class _Run:
             links=tuple(_link(received, message) for received, message in messages[LINK]),
             mock=_mock(messages[MOCK]),
             expected=self._stream(EXPECTED) if messages[EXPECTED] else None,
-            currents=self._currents(),
-            setpoints=self._stream(NEXT) if messages[NEXT] else None,
             changes=self._changes(),
             verdicts=self._verdicts(),
         )
@@ -192,7 +239,7 @@ class _Run:
     def _verdicts(self) -> tuple[RecordedVerdict, ...]:
         messages = [message for _, message in self._messages[REVIEW]]
         verdicts = [
-            RecordedVerdict(self._time(each.header.stamp), each.plan_id, each.approved, each.reviewer, each.reason)
+            RecordedVerdict(nanoseconds(each.header.stamp), each.plan_id, each.approved, each.reviewer, each.reason)
             for each in messages
         ]
         # a latched verdict is recorded once more by whoever listens again
@@ -207,19 +254,18 @@ class _Run:
                 # the words, not the numbers: those of older bags meant other states
                 if message.text != before:
                     before = message.text
-                    changes.append(StateChange(self._time(message.header.stamp), source, before, message.reason))
+                    changes.append(StateChange(nanoseconds(message.header.stamp), source, before, message.reason))
         return tuple(sorted(changes, key=lambda change: change.stamp))
 
     def _arrays(self, topic: str) -> dict[str, np.ndarray]:
         messages = self._messages[topic]
         return {
-            "stamps": np.array([self._time(message.header.stamp) for _, message in messages], dtype=np.int64),
-            "positions": self._columns(topic, "position"),
+            "stamps": np.array([nanoseconds(message.header.stamp) for _, message in messages], dtype=np.int64),
+            "positions": self._positions(topic),
             "received": np.array([received for received, _ in messages], dtype=np.int64),
         }
 
-    def _columns(self, topic: str, field: str) -> np.ndarray:
-        """Return what the messages on a topic hold of each joint, shape (k, n)."""
+    def _positions(self, topic: str) -> np.ndarray:
         messages = self._messages[topic]
         columns: dict[tuple[str, ...], list[int]] = {}
         rows = []
@@ -230,12 +276,11 @@ class _Run:
                 if missing:
                     raise ConstructionTwinError(Sentence("view.bag.no_joints", topic=topic, joints=", ".join(missing)))
                 columns[names] = [names.index(joint) for joint in self._joints]
-            values = getattr(message, field)
-            if len(values) != len(names):
+            if len(message.position) != len(names):
                 raise ConstructionTwinError(
-                    Sentence("view.bag.count", topic=topic, found=len(values), count=len(names))
+                    Sentence("view.bag.count", topic=topic, found=len(message.position), count=len(names))
                 )
-            rows.append([values[column] for column in columns[names]])
+            rows.append([message.position[column] for column in columns[names]])
         return np.array(rows, dtype=float).reshape(len(rows), len(self._joints))
 
     def _stream(self, topic: str) -> Stream:
@@ -248,21 +293,14 @@ class _Run:
         return FeedbackStream(
             **self._arrays(FEEDBACK),
             seq=np.array([message.seq for _, message in messages], dtype=np.uint64),
-            command_stamps=np.array([self._time(message.command_stamp) for _, message in messages], dtype=np.int64),
+            command_stamps=np.array([nanoseconds(message.command_stamp) for _, message in messages], dtype=np.int64),
         )
-
-    def _currents(self) -> CurrentStream | None:
-        messages = self._messages[CURRENT]
-        if not messages:
-            return None
-        stamps = [self._time(message.command_stamp) for _, message in messages]
-        return CurrentStream(self._columns(CURRENT, "current"), np.array(stamps, dtype=np.int64))
 
     def _plans(self) -> tuple[PlayedPlan, ...]:
         """Return the executions, each with the last outcome that was reported for it."""
         plans: dict[tuple[str, int], PlayedPlan] = {}
         for _, message in self._messages[EXECUTION]:
-            start = self._time(message.plan_start)
+            start = nanoseconds(message.plan_start)
             if message.plan_id and start:
                 done = message.state not in (message.PLAYING, message.STOPPING)
                 outcome = message.outcome if done else ""

@@ -10,12 +10,12 @@ from __future__ import annotations
 import numpy as np
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.pace import PACE, STEADY
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.evaluation.alignment import TwinPath
 from construction_twin.evaluation.recording import Recording
 from construction_twin.servo.identification import Drive
+from construction_twin.servo.pace import PACE, STEADY
 
 #: An arm whose target has not changed for so long rests [ns].
 RESTED = NANOSECONDS // 5

@@ -1,7 +1,7 @@
 """The report as one HTML page that needs no other file: figures, tables, timing, events. Standard library only.
 
 Text from a recording is escaped, so that it cannot become markup. This protects the page only: a bag from elsewhere is made safe
-to read where it is opened, in `ros.shared.known_bag`.
+to read where it is opened, in `bag`.
 """
 
 from __future__ import annotations

@@ -56,22 +56,6 @@ class FeedbackStream(Stream):
 
 
 @dataclass(frozen=True)
-class CurrentStream:
-    """The currents of the arm's motors over time.
-
-    Attributes:
-        values: Shape (k, n). In the unit in which the controller tells them; nan for a joint of which it tells none.
-        command_stamps: Shape (k,), int64. As in `FeedbackStream`; 0 too where the arm did not move exactly as commanded.
-    """
-
-    values: np.ndarray
-    command_stamps: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.command_stamps)
-
-
-@dataclass(frozen=True)
 class PlayedPlan:
     """One execution of a plan.
 
@@ -165,7 +149,6 @@ class Recording:
             command it executes.
         feedback: One sample per physical sample, with its command stamp.
         command: What the gate let through.
-        setpoints: What the executor played, before the gate and not rounded.
         plans: In order of their start.
         waypoints: Number of waypoints of each recorded plan id.
         links: In order of reception.
@@ -174,7 +157,6 @@ class Recording:
         changes, verdicts: In order of time.
         expected: Where the gate's model of the servos had the arm, stamped as the physical sample that it was compared with; None
             when it had none.
-        currents: Where the controller tells them; None: the recording holds none.
         linear: Those of `joint_names` that are prismatic: m in place of rad. A bag does not say so; `write_report` takes it from
             the robot.
 
@@ -197,8 +179,6 @@ class Recording:
     changes: tuple[StateChange, ...] = ()
     verdicts: tuple[RecordedVerdict, ...] = ()
     expected: Stream | None = None
-    currents: CurrentStream | None = None
-    setpoints: Stream | None = None
 
     def __post_init__(self):
         if not self.joint_names:
@@ -207,7 +187,7 @@ class Recording:
             count = len(getattr(self, name))
             if count < 2:
                 raise ConstructionTwinError(Sentence("view.recording.few", count=count, name=name))
-        for name in ("twin", "physical", "feedback", "command", "expected", "setpoints"):
+        for name in ("twin", "physical", "feedback", "command", "expected"):
             stream = getattr(self, name)
             if stream is not None and stream.positions.shape[1] != len(self.joint_names):
                 raise ConstructionTwinError(

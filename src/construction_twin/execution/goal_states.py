@@ -36,7 +36,6 @@ class GoalEvent(Enum):
     FINISHED = "finished"
     ENDED = "ended"
     LOST = "lost"
-    OFF_PATH = "off_path"
     STILL = "still"
     AT_GOAL = "at_goal"
     TOO_LATE = "too_late"
@@ -68,11 +67,10 @@ class Action(Enum):
     ABORT_INVALID = "the goal is aborted: INVALID_GOAL, with the reviewer's sentence"
     ABORT_PATH = "the goal is aborted: PATH_TOLERANCE_VIOLATED where the gate closed, else GOAL_TOLERANCE_VIOLATED"
     ABORT_GOAL = "the goal is aborted: GOAL_TOLERANCE_VIOLATED"
-    END_STOPPED = "the goal ends: preempted, or aborted with PATH_TOLERANCE_VIOLATED, after what it braked for"
+    END_STOPPED = "the goal ends: preempted, at rest on its path"
     GIVE_UP = "the same, and a goal that waits is recalled"
     BRAKE = "the executor's `stop_plan` is called"
     BRAKE_FOR_NEXT = "the executor's `stop_plan` is called; the new goal waits"
-    BRAKE_OFF_PATH = "the executor's `stop_plan` is called, because a joint is off the path"
     SAY_MOVING = "the status says that it moves"
     SUCCEED = "the goal succeeds"
 
@@ -117,7 +115,6 @@ TABLE: tuple[Row, ...] = (
     *rows(_S.MOVING, _E.FINISHED, _S.SETTLING),
     *rows(_S.MOVING, _E.ENDED, _S.FREE, _A.ABORT_PATH),
     *rows(_S.MOVING, _E.LOST, _S.FREE, _A.ABORT_GOAL),
-    *rows(_S.MOVING, _E.OFF_PATH, _S.BRAKING, _A.BRAKE_OFF_PATH),
     *rows(_S.MOVING, _E.CANCEL, _S.BRAKING, _A.BRAKE),
     *rows(_S.MOVING, _E.GOAL, _S.MOVING, _A.TURN_AWAY, _G.STRANGER),
     *rows(_S.MOVING, _E.GOAL, _S.BRAKING, _A.BRAKE_FOR_NEXT),

@@ -1,4 +1,4 @@
-"""How far a joint may be off on the path and at the goal, as another planner asks for it in control_msgs/JointTolerance. Pure.
+"""How far a joint may be off at the goal, as another planner asks for it in control_msgs/JointTolerance. Pure.
 
 Joint vectors are in the robot's order: rad, or m for prismatic joints, per s and per s^2. In what a planner asks, 0 stands for the
 default and a negative number for no bound; inside, no bound is infinity.
@@ -51,12 +51,11 @@ class Tolerances:
         free = (math.inf,) * len(robot.linear)
         return cls(position, free, free)
 
-    def asked(self, robot: RobotModel, asked: Iterable[ToleranceRequest], name: str) -> Tolerances:
+    def asked(self, robot: RobotModel, asked: Iterable[ToleranceRequest]) -> Tolerances:
         """Return these tolerances with what a goal asks for in their place.
 
         Args:
             asked: Joints in any order; those that are missing keep their default.
-            name: Of the field, for messages.
 
         Raises:
             GoalJointsError: Naming a joint that is none of the robot's.
@@ -67,16 +66,16 @@ class Tolerances:
         for one in asked:
             if one.joint not in robot.joint_names:
                 known = ", ".join(robot.joint_names)
-                raise GoalJointsError(Sentence("reason.goal.tolerance_joint", field=name, joint=one.joint, known=known))
+                raise GoalJointsError(Sentence("reason.goal.tolerance_joint", joint=one.joint, known=known))
             if one.joint in named:
-                raise GoalError(Sentence("reason.goal.tolerance_twice", field=name, joint=one.joint))
+                raise GoalError(Sentence("reason.goal.tolerance_twice", joint=one.joint))
             named.add(one.joint)
             index = robot.joint_names.index(one.joint)
             for quantity, column in columns.items():
                 value = getattr(one, quantity)
                 if math.isnan(value):
                     what = Sentence(f"reason.goal.quantity.{quantity}")
-                    raise GoalError(Sentence("reason.goal.tolerance_nan", field=name, quantity=what, joint=one.joint))
+                    raise GoalError(Sentence("reason.goal.tolerance_nan", quantity=what, joint=one.joint))
                 if value:
                     column[index] = value if value > 0.0 else math.inf
         return Tolerances(*(tuple(column) for column in columns.values()))

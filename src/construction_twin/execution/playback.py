@@ -119,7 +119,8 @@ class Playback:
         if elapsed < self._moved_at and elapsed > 0.0:
             start = self.plan.trajectory.positions[0]
             if self._progress.finished or outside_tolerance(start, setpoint, START_TOLERANCE) is not None:
-                self._moved_at = elapsed
+                # the next segment begins at the end of this one, which the last step may pass by a part of a cycle
+                self._moved_at = min(elapsed, self._progress.elapsed * NANOSECONDS)
         if self.goal_stamp == 0 and self._progress.finished:
             self.goal_stamp = stamp
 

@@ -61,13 +61,12 @@ class TrajectoryGoal:
 
     Attributes:
         client: Name of the node that sent it: an address, not a proof.
-        path, goal: While it moves, and at the end.
+        goal: How far each joint may be off at the end.
         time_tolerance: How much later than planned the arm may be at the goal [s].
     """
 
     id: str
     client: str
-    path: Tolerances
     goal: Tolerances
     time_tolerance: float
 
@@ -178,7 +177,6 @@ class TrajectoryGoals:
         self._next: TrajectoryGoal | None = None
         self._coming: TrajectoryGoal | None = None
         self._why = ""
-        self._off_path = False
         self._retry_at = self._since = self._now = 0
         self._turned_down: dict[str, str] = {}
         self._effects: list[Effect] = []
@@ -313,20 +311,11 @@ class TrajectoryGoals:
             self._on(GoalEvent.STILL, now)
         elif self.state is GoalState.STOPPED and now - self._since > STOPPED:
             self._on(GoalEvent.TOO_LATE, now)
-        if self.state is GoalState.MOVING and sample is not None:
-            self._check_path(sample, now)
         if self.state is GoalState.SETTLING:
             self._check_goal(sample if settled else None, now)
         if self.state is GoalState.FREE and self._next is not None and at_rest:
             self._coming, self._next = self._next, None
             self._on(GoalEvent.GOAL, now)
-
-    def _check_path(self, sample: Sample, now: int) -> None:
-        assert self.goal is not None  # it moves
-        error = sample.error
-        problem = self.goal.path.violation(self._robot, error.position, error.velocity, error.acceleration)
-        if problem:
-            self._on(GoalEvent.OFF_PATH, now, Sentence("reason.goal.off_path", problem=problem))
 
     def _check_goal(self, sample: Sample | None, now: int) -> None:
         assert self.goal is not None  # it settles
@@ -374,7 +363,7 @@ class TrajectoryGoals:
             self._since, self._retry_at = occasion.now, 0
         if self.state is GoalState.FREE:
             self.goal = self._plan = None
-            self._why, self._off_path = "", False
+            self._why = ""
 
     # -- actions: one method for each of the table
 
@@ -453,11 +442,7 @@ class TrajectoryGoals:
             self._next = None
 
     def _end_where(self, where: str) -> None:
-        where = both(where, self._report.reason)
-        if self._off_path:
-            self._finish(Ending.ABORTED, ResultCode.PATH_TOLERANCE_VIOLATED, both(self._why, where))
-        else:
-            self._cancel(where)
+        self._cancel(both(where, self._report.reason))
 
     def _brake(self, _reason: str) -> None:
         self._effects.append(Brake(self._planned.id))
@@ -467,10 +452,6 @@ class TrajectoryGoals:
         self._why = self._why or REPLACED
         self._brake("")
         self._line_up("")
-
-    def _brake_off_path(self, reason: str) -> None:
-        self._why, self._off_path = reason, True
-        self._brake("")
 
     def _say_moving(self, _reason: str) -> None:
         self._tell(f"{self._report.state.name}: {self._report.reason}")

@@ -9,15 +9,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 from construction_twin.controller.port import ControllerStatus
 from construction_twin.controller.telegram import Telegram
-from construction_twin.core.axis_quantities import AxisQuantity
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.follower import Follower
-from construction_twin.core.pace import STEADY
 from construction_twin.core.records import document
 from construction_twin.core.sentences import Sentence, Value, both
 from construction_twin.core.side_effects import SideEffects
@@ -41,7 +39,6 @@ from construction_twin.mqtt.interventions import Intervention
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import (
     PROTOCOL,
-    AxisReport,
     CommandProperties,
     Control,
     StateProperties,
@@ -139,10 +136,6 @@ class Gateway:
         self._ending = False
         #: What the controller says of itself, where its telegrams tell.
         self._status: ControllerStatus = config.make.no_status
-        #: What the newest telegram tells of the axes.
-        self._told: dict[AxisQuantity, tuple[float, ...]] = {}
-        #: For how long the arm has been told exactly what was commanded, at its own speed [ns].
-        self._steady = 0
         self._machine = Machine(
             ROWS,
             State.NO_CONTROLLER,
@@ -244,8 +237,6 @@ class Gateway:
             position = self._move_in_parts(follower, elapsed)
         else:
             position = self._move(follower, elapsed)
-        if self._told:
-            self._note_steadiness(follower, taken.elapsed, lost)
         if self.tool is not None and machine.state is State.FOLLOWING and player.braking is None:
             self.tool.play(player.stamp)
         if self.trace is not None:
@@ -259,14 +250,6 @@ class Gateway:
         self._status = status
         if unreadable:
             self.counters["status_channels_unreadable"] += unreadable
-
-    def note_told(self, quantity: AxisQuantity, values: tuple[float, ...] | None) -> None:
-        """Take what a telegram tells of a quantity of the axes; None: it cannot be read. It changes no answer."""
-        if values is not None:
-            self._told[quantity] = values
-            return
-        self._told.pop(quantity, None)
-        self.counters[f"{quantity.name}_channels_unreadable"] += 1
 
     @property
     def kept(self) -> tuple[float, ...]:
@@ -362,33 +345,6 @@ class Gateway:
             stamp: The gateway's own time, for the receiver's freshness check [ns].
         """
         return self._states.message(self._controller.measured, self._command_stamp, stamp)
-
-    def told_messages(self, beside: StateProperties) -> list[tuple[AxisQuantity, bytes]]:
-        """Return each quantity that goes with a state and its message's payload: of those that the newest telegram tells.
-
-        They name a command only where the arm's motion is that of the commands: not for a moment after a reply that was lost, while
-        it brakes or catches up, or where a speed limit stretches the motion.
-        """
-        if not self._told:
-            return []
-        if self._steady < STEADY:
-            beside = replace(beside, command_stamp=0)
-        messages = [(quantity, AxisReport.of(beside, told).to_json(quantity)) for quantity, told in self._told.items()]
-        self._told.clear()
-        return messages
-
-    def _note_steadiness(self, follower: Follower, elapsed: int, lost: bool) -> None:
-        """Take note of whether the reply that is being given moves the arm exactly as it was commanded."""
-        player = self._player
-        as_commanded = (
-            self._machine.state is State.FOLLOWING
-            and player.braking is None
-            and not lost
-            and elapsed == self._cycle
-            and not follower.settling
-            and player.keeps_pace(elapsed)
-        )
-        self._steady = self._steady + elapsed if as_commanded else 0
 
     def _begin_session(self, telegram: Telegram) -> None:
         controller, words = self._controller, self._words
@@ -727,7 +683,7 @@ class Gateway:
         # what cannot tell how often an account was answered must not refuse its stop
         if (
             self.side_effects.run("the pace of answers", self._stop_pace.take, stop.account, now) is False
-            and self.fault
+            and self.stopped
         ):
             self.counters["stops_repeated"] += 1
             # it changes nothing now, and yet a reset that is under way does not know of it

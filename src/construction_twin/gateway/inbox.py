@@ -51,12 +51,7 @@ class TelegramInbox:
         self._clock = clock
         self._controller = controller
         reader = gateway.config.make.reader(gateway.config)
-        self._parse, self._status, self._tool, self._told = (
-            reader.parse,
-            reader.status,
-            reader.tool,
-            reader.told.items(),
-        )
+        self._parse, self._status, self._tool = reader.parse, reader.status, reader.tool
         self._timeout_ms = round(gateway.config.timeout * 1000)
 
     def newest(self) -> Arrival | None:
@@ -91,8 +86,6 @@ class TelegramInbox:
             newest = Arrival(telegram, source, arrived)
             if self._tool is not None and self._gateway.tool is not None:
                 self._gateway.tool.note(self._tool(data))
-            for quantity, read in self._told:
-                self._gateway.note_told(quantity, read(data))
         return newest
 
     def _read(self, data: bytes, source: tuple) -> Telegram | None:

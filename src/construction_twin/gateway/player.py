@@ -6,7 +6,6 @@ from collections import Counter
 from dataclasses import dataclass
 
 from construction_twin.core.follower import Follower
-from construction_twin.core.pace import keeps_pace
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.playout import Playout, PlayoutBounds
@@ -116,10 +115,6 @@ class Player:
         if follower.settling:
             self._counters["settling"] += 1
         return position
-
-    def keeps_pace(self, elapsed: int) -> bool:
-        """Return whether the last step through the stream was as long as its time, `elapsed` [ns], but for what a clock drifts."""
-        return bool(self._stamp_before) and keeps_pace(self.stamp - self._stamp_before, elapsed)
 
     def stand(self, pause: int, taken_back: bool) -> None:
         """Go on from where HOLDON keeps the arm, while a stream is followed.

@@ -477,8 +477,6 @@ class GatewayService:
         payload, properties = message
         beside = properties.pairs() if self._state_properties else None
         self._mqtt.client.send_stream(self._topics.state, payload, beside)
-        for quantity, told in self.gateway.told_messages(properties):
-            self._mqtt.client.send_stream(self._topics.told(quantity), told, None)
 
     def _publish_status(self, final: bool = False) -> paho.MQTTMessageInfo | None:
         return self._send_status(lambda: self.guarded(self._document) or self._document_of_failure(), final)

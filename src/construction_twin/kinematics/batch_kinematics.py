@@ -10,12 +10,10 @@ from __future__ import annotations
 import numpy as np
 
 from construction_twin.kinematics.axes import joint_axes
-from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.kinematics.chain import Chain
 
-#: Newton steps of a projection, at most, and the size of the step that is the last one [rad].
-_STEPS, _LAST = 5, 1e-3
 #: Keeps steps short where the tip cannot move in a direction.
-_DAMPING = 1e-12
+_DAMPING = 1e-14
 _DIAGONAL, _ONE = np.arange(6), np.eye(4)
 #: So many joint vectors are computed together: their arrays stay in the processor's cache.
 _TOGETHER = 128
@@ -96,7 +94,7 @@ class BatchKinematics:
     def errors(self, q: np.ndarray, positions: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return the twists from the tip's poses to targets near them, shape (k, 6)."""
         tip = self._tips(q)
-        return _twists(tip, positions, rotations)[0]
+        return _twists(tip, positions, rotations)
 
     def newton(self, q: np.ndarray, positions: np.ndarray, rotations: np.ndarray, steps: int) -> np.ndarray:
         """Move each joint vector by Newton steps onto its own target pose.
@@ -112,55 +110,9 @@ class BatchKinematics:
         """
         for _ in range(steps):
             tip, jacobian = self.frames(q)
-            error, _ = _twists(tip, positions, rotations)
-            q = q + self._pace * _least_steps(jacobian * self._pace, error, 1e-14)
+            error = _twists(tip, positions, rotations)
+            q = q + self._pace * _least_steps(jacobian * self._pace, error)
         return q
-
-    def projected(self, q: np.ndarray, pose: Pose) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the postures on a pose that Newton steps of least length lead to.
-
-        Args:
-            q: Shape (k, n)
-
-        Returns:
-            q: Shape (k, n). Ranges are ignored.
-            arrived: Shape (k,), true or false. Which ones are on the pose, to about 1e-6 m and rad.
-            jacobian: Shape (k, 6, n). Of the last postures but one, which hardly differ.
-        """
-        for _ in range(_STEPS):
-            tip, jacobian = self.frames(q)
-            error, turn = _twists(tip, pose.position, pose.rotation)
-            step = _least_steps(jacobian, error, _DAMPING)
-            q = q + step
-            # the error that the last step leaves is of the order of the square of this
-            size = np.abs(step).max(axis=1)
-            if (size < _LAST).all():
-                break
-        # a turn by pi has no error in its sense; the trace tells
-        arrived = (size < _LAST) & (turn[:, 0, 0] + turn[:, 1, 1] + turn[:, 2, 2] > 0.0)
-        return q, arrived, jacobian
-
-
-def tangents(jacobian: np.ndarray, held: int) -> np.ndarray:
-    """Return how arms with one redundant joint move along their self-motions.
-
-    Args:
-        jacobian: Shape (k, 6, n)
-        held: The joint whose motion is positive, from 0.
-
-    Returns:
-        Shape (k, n). Unit vectors.
-    """
-    count, _, joints = jacobian.shape
-    others = [joint for joint in range(joints) if joint != held]
-    square = jacobian[:, :, others]
-    back = square.transpose(0, 2, 1)
-    normal = back @ square
-    normal[:, _DIAGONAL, _DIAGONAL] += _DAMPING
-    found = np.ones((count, joints))
-    found[:, others] = -np.linalg.solve(normal, back @ jacobian[:, :, held : held + 1])[:, :, 0]
-    found /= np.sqrt(np.einsum("kn,kn->k", found, found))[:, None]
-    return found
 
 
 def angles_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -169,20 +121,20 @@ def angles_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return 2.0 * np.arcsin(np.minimum(1.0, chords / np.sqrt(8.0)))
 
 
-def _twists(tip: np.ndarray, positions: np.ndarray, rotations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the twists to targets near the poses `tip`, shape (k, 6), and the turns to them, shape (k, 3, 3)."""
+def _twists(tip: np.ndarray, positions: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+    """Return the twists to targets near the poses `tip`, shape (k, 6)."""
     error = np.empty((len(tip), 6))
     error[:, :3] = positions - tip[:, :3, 3]
     turn = rotations @ tip[:, :3, :3].transpose(0, 2, 1)
     error[:, 3] = 0.5 * (turn[:, 2, 1] - turn[:, 1, 2])
     error[:, 4] = 0.5 * (turn[:, 0, 2] - turn[:, 2, 0])
     error[:, 5] = 0.5 * (turn[:, 1, 0] - turn[:, 0, 1])
-    return error, turn
+    return error
 
 
-def _least_steps(jacobian: np.ndarray, error: np.ndarray, damping: float) -> np.ndarray:
+def _least_steps(jacobian: np.ndarray, error: np.ndarray) -> np.ndarray:
     """Return the steps of least length that a Jacobian maps to an error; damped where the tip cannot move in a direction."""
     back = jacobian.transpose(0, 2, 1)
     square = jacobian @ back
-    square[:, _DIAGONAL, _DIAGONAL] += damping
+    square[:, _DIAGONAL, _DIAGONAL] += _DAMPING
     return (back @ np.linalg.solve(square, error[:, :, None]))[:, :, 0]

@@ -20,7 +20,7 @@ class Carriage:
     """The carriage of an arm, and the arm on it.
 
     Args:
-        chain: All seven joints, see `carries`.
+        chain: One prismatic joint followed by six revolute ones.
 
     Attributes:
         arm: The six joints on the carriage, which is their base.
@@ -49,8 +49,3 @@ class Carriage:
         """
         origin = self.origin + position * self.direction
         return Pose(self.rotation.T @ (pose.position - origin), self.rotation.T @ pose.rotation)
-
-
-def carries(chain: Chain) -> bool:
-    """Return whether a chain is one prismatic joint followed by six revolute ones."""
-    return chain.robot.linear == (True,) + (False,) * 6

@@ -1,4 +1,4 @@
-"""Which closed form solves an arm of six revolute axes, or of seven with one of them held: found from the axes as lines in space.
+"""Which closed form solves an arm of six revolute axes: found from the axes as lines in space.
 
 Six revolute axes have a closed form if some of them are parallel or meet in one point (`KINDS`). The package EAIK (Ostermeier,
 "Automatic geometric decomposition for analytical inverse kinematics", 2024) then splits a pose into geometric subproblems, each
@@ -96,15 +96,13 @@ class ClosedForm:
     Attributes:
         properties: Why it has one.
         off_m, off_rad: By how much the true axes miss them.
-        locked: The axis that has to be held for it; None: there are six.
-        directions, points: Shape (n, 3). Of the model's axes, in the base.
+        directions, points: Shape (6, 3). Of the model's axes, in the base.
         tip: ``base_T_tip`` with all joints at zero.
     """
 
     properties: tuple[Property, ...]
     off_m: float
     off_rad: float
-    locked: int | None
     directions: np.ndarray
     points: np.ndarray
     tip: Pose
@@ -123,41 +121,30 @@ class ClosedForm:
     def why(self) -> str:
         """Why the arm has a closed form: part of a sentence."""
         words = " and ".join(str(each) for each in self.properties)
-        held = "" if self.locked is None else f" with joint {self.locked + 1} held"
         near = "" if self.exact else f", to within {self.off_m * 1e3:.2g} mm and {math.degrees(self.off_rad):.2g} deg"
-        return f"{words}{held}{near}"
+        return f"{words}{near}"
 
-    def solver(self, held: float | None = None) -> Solver:
-        """Return EAIK's solver for this model.
-
-        Args:
-            held: Value of the locked joint [rad].
-        """
+    def solver(self) -> Solver:
+        """Return EAIK's solver for this model."""
         places = np.vstack([self.points, self.tip.position])
         offsets = np.diff(places, axis=0, prepend=np.zeros((1, 3)))
-        fixed = [] if self.locked is None or held is None else [(self.locked, held)]
-        return Solver(self.directions.T, offsets.T, self.tip.rotation, fixed, True)
+        return Solver(self.directions.T, offsets.T, self.tip.rotation, [], True)
 
 
-def find_closed_form(chain: Chain, axes: Sequence[Axis], locked: int | None = None) -> ClosedForm | NoClosedForm:
+def find_closed_form(chain: Chain, axes: Sequence[Axis]) -> ClosedForm | NoClosedForm:
     """Return the model that solves an arm in closed form.
 
     Args:
-        chain: Of revolute joints.
+        chain: Of six revolute joints.
         axes: The chain's, see `axes.joint_axes`.
-        locked: Of seven axes the one to hold, from 0.
 
     Returns:
         An exact model if there is one, otherwise the one that the arm is nearest to.
     """
-    free = [axis for axis in range(len(axes)) if axis != locked]
-    if len(free) != 6:
-        return NoClosedForm(f"{len(free)} axes are to be solved, not six")
     tip = chain.forward([0.0] * len(axes))
     found = []
     for order, kind in enumerate(KINDS):
-        properties = tuple(_of_chain(each, free, locked) for each in kind)
-        form = _model(properties, axes, tip, locked)
+        form = _model(kind, axes, tip)
         if form is not None:
             found.append((form.misses, order, form))
     found.sort(key=lambda each: each[:2])
@@ -167,15 +154,7 @@ def find_closed_form(chain: Chain, axes: Sequence[Axis], locked: int | None = No
     return NoClosedForm(_what_is_missing([form for _, _, form in found]))
 
 
-def _of_chain(each: Property, free: Sequence[int], locked: int | None) -> Property:
-    """Return a property of the free axes as one of all: if it spans the locked axis, that one must have it, too."""
-    axes = {free[axis] for axis in each.axes}
-    if locked is not None and min(axes) < locked < max(axes):
-        axes.add(locked)
-    return Property(each.parallel, tuple(sorted(axes)))
-
-
-def _model(properties: tuple[Property, ...], axes: Sequence[Axis], tip: Pose, locked: int | None) -> ClosedForm | None:
+def _model(properties: tuple[Property, ...], axes: Sequence[Axis], tip: Pose) -> ClosedForm | None:
     """Return the model with given properties that is near the axes; None: axes that should meet are parallel."""
     directions, points = np.array([axis.direction for axis in axes]), np.array([axis.point for axis in axes])
     off_m = 0.0
@@ -198,18 +177,18 @@ def _model(properties: tuple[Property, ...], axes: Sequence[Axis], tip: Pose, lo
             off_m = max(off_m, *(float(np.linalg.norm(axes[axis].nearest(place) - place)) for axis in group))
             points[group] = place
     turned = np.linalg.norm(np.cross(directions, [axis.direction for axis in axes]), axis=1)
-    return ClosedForm(properties, off_m, float(turned.max()), locked, directions, points, tip)
+    return ClosedForm(properties, off_m, float(turned.max()), directions, points, tip)
 
 
 def _works(form: ClosedForm, chain: Chain) -> bool:
     """Return whether EAIK solves a model, and whether the model is the chain as far as it should be."""
     robot = chain.robot
     allowed = _AGREES if form.exact else 10.0 * (form.off_m + form.off_rad)
+    solver = form.solver()
+    if not solver.has_known_decomposition():
+        return False
     rng = np.random.default_rng(_TRIAL_SEED)
     for q in rng.uniform(robot.lower, robot.upper, (_TRIALS, len(robot.lower))):
-        solver = form.solver(None if form.locked is None else float(q[form.locked]))
-        if not solver.has_known_decomposition():
-            return False
         reached = solver.fwdkin(q)
         pose = chain.forward(q)
         gap = max(np.abs(reached[:3, 3] - pose.position).max(), np.abs(reached[:3, :3] - pose.rotation).max())

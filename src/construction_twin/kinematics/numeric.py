@@ -32,6 +32,7 @@ from construction_twin.kinematics.solution import (
     pose_error,
     refuse_configuration,
     residual,
+    spaced,
 )
 from construction_twin.robot.description import JointValues
 
@@ -44,6 +45,8 @@ _SAME = 1e-4
 #: Most steps along the self-motion of a redundant arm, and the step below which the motion ends [rad].
 _SELF_MOTIONS = 30
 _SETTLED = 1e-7
+#: Besides the nearest ones, `all` returns at most so many of a redundant arm.
+_MOST = 64
 #: Longest step along the self-motion [rad].
 _STEP = 0.4
 #: Singular values below this fraction of the largest are directions in which the tip cannot move.
@@ -94,7 +97,8 @@ class NumericInverse(InverseKinematics):
     def all(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> list[IkSolution]:
         """See `InverseKinematics.all`: those found, until `patience` solved starting points in a row bring nothing new.
 
-        Probably all that exist, but this is not proven.
+        Probably all that exist, but this is not proven. Of a redundant arm also solutions spaced along the self-motions: who has to
+        avoid contacts takes the first that is free.
         """
         return _Search(self, pose, seed, configuration).all()
 
@@ -203,6 +207,7 @@ class _Search:
         self._seed = np.array(seed, dtype=float)
         self._outside: list[np.ndarray] = []
         self._isolated: list[np.ndarray] = []
+        self._unmoved: list[np.ndarray] = []
         self._residual = (math.inf, math.inf)
         self._tried = 0
         self._check_reach()
@@ -236,7 +241,18 @@ class _Search:
         if not found:
             self._explain()
         turned = [other for solution in found for other in self._turned(solution)]
+        turned += self._spaced(found)
         return sorted(turned, key=lambda solution: solution.distance)
+
+    def _spaced(self, found: list[IkSolution]) -> Iterator[IkSolution]:
+        """Yield where the solver ended before the arm moved along its self-motion, each apart from all others, nearest first."""
+        unmoved = np.array(sorted(self._unmoved, key=lambda q: math.dist(q, self._seed))).reshape(-1, len(self._seed))
+        return spaced(
+            unmoved,
+            found,
+            _MOST,
+            lambda number: self._inverse.confirmed(unmoved[number].tolist(), self._pose, self._seed),
+        )
 
     def _solutions(self) -> Iterator[IkSolution]:
         """Yield solutions, one for each starting point that leads to one, while seeds and budget last.
@@ -265,6 +281,8 @@ class _Search:
             self._residual = min(self._residual, error, key=lambda error: math.hypot(*error))
             return None
         if inverse._redundant or self._is_free(q):
+            if inverse.ranges.excesses(q).max() <= 0.0:
+                self._unmoved.append(q)
             moved = inverse.towards(q, self._seed, self._pose)
             moved_error = residual(inverse.chain, moved, self._pose)
             if inverse.is_solved(*moved_error):

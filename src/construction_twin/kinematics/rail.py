@@ -19,7 +19,7 @@ import numpy as np
 
 from construction_twin.core.motion_errors import BranchError, KinematicsError, UnreachableError
 from construction_twin.kinematics import rail_search
-from construction_twin.kinematics.carriage import Carriage, carries
+from construction_twin.kinematics.carriage import Carriage
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
 from construction_twin.kinematics.numeric import NumericInverse
@@ -56,8 +56,8 @@ _MOST = 64
 
 def find_rail(chain: Chain) -> tuple[Carriage, OpwModel] | NotOpw:
     """Return the carriage of an arm on a linear axis, with the arm's model, or why the chain is not one."""
-    if not carries(chain):
-        return NotOpw("it is not one prismatic joint followed by six revolute ones")
+    if chain.robot.linear != (True,) + (False,) * 6:
+        return NotOpw("its joints are neither six revolute ones nor a prismatic one followed by six revolute ones")
     carriage = Carriage(chain)
     model = find_opw(carriage.arm)
     return model if isinstance(model, NotOpw) else (carriage, model)

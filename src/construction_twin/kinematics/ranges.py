@@ -31,28 +31,20 @@ class Ranges:
         # plain floats, which a loop over the joints takes
         self._each = list(zip(robot.lower, robot.upper, self.turns.tolist()))
 
-    def wrapped(self, differences: np.ndarray) -> np.ndarray:
-        """Return differences of joint values, shape (..., n), without their whole turns."""
-        return differences - self.turns * np.rint(differences * (1.0 / TURN))
-
-    def into_range(self, q: np.ndarray, seed: np.ndarray, slack: float = 0.0) -> np.ndarray:
+    def into_range(self, q: np.ndarray, seed: np.ndarray, slack: float) -> np.ndarray:
         """Return joint values, shape (..., n), with the turns nearest to a seed that are within the ranges, or else nearest to it.
 
         Args:
             seed: Shape (n,). Within the ranges: so besides the nearest turn only the next one towards the range can be in it.
             slack: Out of range by no more than this counts as within.
         """
-        q = seed + self.wrapped(q - seed)
+        q = q - self.turns * np.rint((q - seed) * (1.0 / TURN))
         q = np.where((q > self.upper + slack) & (q - self.turns >= self.lower - slack), q - self.turns, q)
         return np.where((q < self.lower - slack) & (q + self.turns <= self.upper + slack), q + self.turns, q)
 
     def excesses(self, q: np.ndarray) -> np.ndarray:
         """Return by how much each joint is out of range, shape (..., n); 0 or less: it is in range."""
         return np.maximum(self.lower - q, q - self.upper)
-
-    def excess(self, q: np.ndarray) -> np.ndarray:
-        """Return by how much the worst joint of each of some postures is out of range, shape (...)."""
-        return self.excesses(q).max(axis=-1)
 
     def turned(self, q: Sequence[float], slack: float, kept: Sequence[int] = ()) -> Iterator[tuple[float, ...]]:
         """Return joint values with every choice of whole turns within the ranges.

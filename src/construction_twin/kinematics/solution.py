@@ -119,7 +119,7 @@ class ArmKind:
     """How an arm is solved.
 
     Attributes:
-        name: ``OPW``, ``closed form``, ``OPW on a linear axis``, ``one redundant joint`` or ``search``.
+        name: ``OPW``, ``closed form``, ``OPW on a linear axis`` or ``search``.
         why: What was found in its geometry: part of a sentence.
     """
 
@@ -131,17 +131,14 @@ class InverseKinematics(abc.ABC):
     """From a pose of the tip to joint values. `inverse.inverse_kinematics` makes the one that fits the arm.
 
     Args:
-        exact: Joint values that miss the pose by more are improved by Newton steps before they are a solution [m], [rad]. Default:
-            by more than the tolerances.
-        refinable: Those that miss it by more than this are none [m], [rad].
+        settings: Joint values that miss the pose by more than the tolerances are improved by Newton steps first.
     """
 
-    def __init__(self, chain: Chain, settings: IkSettings, exact: float | None = None, refinable: float = _REFINABLE):
+    def __init__(self, chain: Chain, settings: IkSettings):
         self.chain = chain
         self.settings = settings
         self.ranges = Ranges(chain.robot)
-        self._exact = min(settings.tolerance_m, settings.tolerance_rad) if exact is None else exact
-        self._refinable = refinable
+        self._exact = min(settings.tolerance_m, settings.tolerance_rad)
         self._ends = list(zip(chain.robot.lower, chain.robot.upper))
 
     @property
@@ -154,8 +151,8 @@ class InverseKinematics(abc.ABC):
         """Return the solution nearest to a seed.
 
         In closed form it is the nearest solution; with a linear axis it is the nearest as far as joints move smoothly between the
-        positions of its division. With a redundant joint, or by search, it is the nearest solution found: probably the nearest that
-        exists, but this is not proven, and `all` of a search may find a nearer one.
+        positions of its division. By search it is the nearest solution found: probably the nearest that exists, but this is not
+        proven, and `all` may find a nearer one.
 
         Args:
             pose: Target ``base_T_tip``.
@@ -220,7 +217,7 @@ class InverseKinematics(abc.ABC):
         ]
         error = residual(self.chain, q, pose)
         if max(error) > self._exact:
-            if not max(error) < self._refinable:
+            if not max(error) < _REFINABLE:
                 return None
             q = refine(self.chain, np.array(q), pose).tolist()
             error = residual(self.chain, q, pose)

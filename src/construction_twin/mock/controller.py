@@ -20,20 +20,18 @@ reason: when the session stops, the arm stands still at once. What KUKA calls ea
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from construction_twin.controller.makes import make_of
 from construction_twin.controller.port import ControllerStatus, MockStatus
 from construction_twin.controller.telegram import STAMP_WRAP, Reply, stamp_step
-from construction_twin.core.axis_quantities import CURRENT, TORQUE, AxisQuantity
 from construction_twin.core.errors import ConfigurationError, TelegramError
 from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.core.sentences import Sentence
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.encoders import Encoders
 from construction_twin.mock.gripper import SimulatedTool
-from construction_twin.mock.motor_current import motor_currents
 from construction_twin.mock.own_motion import EmergencyBrake, Program, ToolSpeedLimit
 from construction_twin.mock.refusals import ReplyRefusals
 from construction_twin.mock.servo import Servo
@@ -198,14 +196,9 @@ class MockController:
         pose = _flat(self._forward_kinematics(self.reported))
         values = self.stamp, self.reported, self._followed, pose, self._start_tool, self.missed, self._shown
         if self.tool is None:
-            return self._encode(*values, {}, {}, self._told)
+            return self._encode(*values, {}, {})
         outputs = None if self.tool.hidden else self.tool.outputs
-        return self._encode(*values, outputs, self.tool.inputs, self._told)
-
-    @property
-    def _told(self) -> Mapping[AxisQuantity, Sequence[float]]:
-        torque = self.servo.torque
-        return {TORQUE: torque, CURRENT: motor_currents(self.config.axes, torque)} if torque else {}
+        return self._encode(*values, outputs, self.tool.inputs)
 
     @property
     def _followed(self) -> tuple[float, ...]:

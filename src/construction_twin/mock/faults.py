@@ -72,7 +72,6 @@ KINDS = {
     "opened_by_hand": FaultKind("no", (0,), Sentence("expected.fault.no_value"), lasting=False),
     "no_read_back": FaultKind("no", (0,), Sentence("expected.fault.no_value")),
     "collision": FaultKind("one", (1,), Sentence("expected.fault.collision"), shift=True, positive=False),
-    "lost_load": FaultKind("no", (0,), Sentence("expected.fault.no_value")),
     "restart_at": FaultKind("no", (-1,), Sentence("expected.fault.pose"), positive=False, lasting=False),
     "jog": FaultKind("no", (-1,), Sentence("expected.fault.pose"), positive=False, lasting=False),
 }
@@ -224,8 +223,8 @@ class FaultBoard:
         """Return what switches the fault on, and off."""
         if fault.name in ("stall", "slow"):
             return self._servo(fault)
-        if fault.name in ("collision", "lost_load"):
-            return self._plant(fault)
+        if fault.name == "collision":
+            return self._push(fault)
         if fault.name in ("offset", "drift", "backlash", "noise"):
             return self._encoders(fault)
         if KINDS[fault.name].network:
@@ -283,13 +282,10 @@ class FaultBoard:
             return lambda: servo.stall(joint), lambda: servo.release(joint, *limits)
         return lambda: servo.limit(joint, fault.values[0], limits[1]), lambda: servo.unlimit(joint, *limits)
 
-    def _plant(self, fault: Fault):
+    def _push(self, fault: Fault):
         servo = self.controller.servo
-        if not isinstance(servo, WithMass) or (fault.name == "lost_load" and not servo.loaded):
-            key = "reason.no_mass" if not isinstance(servo, WithMass) else "reason.no_payload"
-            raise ConstructionTwinError(Sentence(key, fault=fault.name))
-        if fault.name == "lost_load":
-            return lambda: servo.carry(False), lambda: servo.carry(True)
+        if not isinstance(servo, WithMass):
+            raise ConstructionTwinError(Sentence("reason.no_mass", fault=fault.name))
         joint = self.controller.config.axes.index(fault.axis)
         return lambda: servo.push(joint, fault.values[0]), lambda: servo.push(joint, 0.0)
 

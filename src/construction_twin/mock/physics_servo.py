@@ -22,11 +22,6 @@ class Plant(Protocol):
         """Where the joints are, shape (n,)."""
         ...
 
-    @property
-    def torque(self) -> np.ndarray:
-        """What the axes gave in the last cycle, shape (n,)."""
-        ...
-
     def place(self, q: Sequence[float]) -> None:
         """Stand at rest."""
 
@@ -36,9 +31,6 @@ class Plant(Protocol):
     def push(self, joint: int, torque: float) -> None:
         """Have something push on one joint."""
 
-    def carry(self, carries: bool) -> None:
-        """Lose the load, or have it again."""
-
     def cycle(self, setpoint: np.ndarray, cycles: int = 1) -> None:
         """Advance."""
 
@@ -46,12 +38,11 @@ class Plant(Protocol):
 class PhysicsServo(WithMass, Servo):
     """Axes that a simulated arm moves; they answer as `RealisticServo`, as long as the drives have the torque for it.
 
-    A stalled axis is held where it is by a brake, whatever it takes; its torque says nothing then.
+    A stalled axis is held where it is by a brake, whatever it takes.
 
     Args:
         axis_angles, joint_angles: Between angles of the controller's axes and of the robot's joints, each length n.
         signs: Length n. 1 or -1: the sense of each axis, seen from its joint.
-        loaded: Whether there is a payload to lose.
         resolution: Encoder step [rad]; 0 for an exact reading.
         period: Length of a cycle [s], a multiple of 4 ms.
     """
@@ -62,7 +53,6 @@ class PhysicsServo(WithMass, Servo):
         axis_angles: Callable[[Sequence[float]], tuple[float, ...]],
         joint_angles: Callable[[Sequence[float]], tuple[float, ...]],
         signs: Sequence[int],
-        loaded: bool,
         resolution: float,
         period: float = CYCLE,
     ):
@@ -72,15 +62,10 @@ class PhysicsServo(WithMass, Servo):
         self._signs = tuple(signs)
         self._cycles = round(period / CYCLE)
         self._resolution = resolution
-        self.loaded = loaded
 
     def push(self, joint: int, torque: float) -> None:
         """Have something push on an axis with this torque [N m], in the axis' own sense, until it is 0 again."""
         self._plant.push(joint, self._signs[joint] * torque)
-
-    def carry(self, carries: bool) -> None:
-        """Lose the payload, or have it again."""
-        self._plant.carry(carries)
 
     def _start(self, q: tuple[float, ...]) -> None:
         self._plant.place(self._joint_angles(q))
@@ -89,8 +74,6 @@ class PhysicsServo(WithMass, Servo):
         self._plant.cycle(np.array(self._joint_angles(reference)), self._cycles)
         for joint in self._stalled:
             self._plant.hold(joint, self._joint_angles(reference)[joint])
-        torques = self._plant.torque.tolist()
-        self.torque = tuple([sign * torque for sign, torque in zip(self._signs, torques)])
         moved = self._axis_angles(self._plant.q.tolist())
         return tuple(
             [

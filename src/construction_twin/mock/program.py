@@ -182,15 +182,12 @@ def _physics_servo(settings: MockSettings, robot: RobotModel, period: float) -> 
 
     bodies = RobotBodies(robot)
     drives = read_drives(settings.drives, robot) if settings.drives else drives_of(robot)
-    payload = payload_of(settings.payload, "payload")
-    empty = bare_model(bodies, drives)
-    loaded = empty if payload is None else bare_model(bodies, drives, payload)
+    model = bare_model(bodies, drives, payload_of(settings.payload, "payload"))
     return PhysicsServo(
-        Plant(loaded, empty, SERVO_OMEGA, SERVO_ZETA),
+        Plant(model, SERVO_OMEGA, SERVO_ZETA),
         lambda q: axis_angles(robot, tuple(q)),
         lambda angles: joint_angles(robot, tuple(angles)),
         [axis.sign for axis in robot.axes],
-        payload is not None,
         radians([ENCODER_RESOLUTION_DEG])[0],
         period,
     )

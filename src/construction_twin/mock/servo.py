@@ -30,8 +30,6 @@ class Servo(ABC):
 
     def __init__(self, period: float) -> None:
         self._period = period
-        #: Length n. What the axes gave in the last cycle [N m], [N]; () of a servo that knows no mass.
-        self.torque: tuple[float, ...] = ()
         self._measured: tuple[float, ...] = ()
         self._setpoint: tuple[float, ...] = ()
         self._last_setpoint: tuple[float, ...] = ()
@@ -128,21 +126,11 @@ class Servo(ABC):
 
 
 class WithMass(ABC):
-    """A servo whose arm has mass: it can be pushed, and lose what it carries.
-
-    Attributes:
-        loaded: Whether it carries anything at all.
-    """
-
-    loaded: bool
+    """A servo whose arm has mass: it can be pushed."""
 
     @abstractmethod
     def push(self, joint: int, torque: float) -> None:
         """Have something push on an axis with this torque [N m], in the axis' own sense, until it is 0 again."""
-
-    @abstractmethod
-    def carry(self, carries: bool) -> None:
-        """Lose the payload, or have it again."""
 
 
 class IdealServo(Servo):

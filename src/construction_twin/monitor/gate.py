@@ -7,10 +7,9 @@ put off every time-out. Stamps are on a clock of their own. Angles in rad, prism
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from construction_twin.core.axis_name import axis_name
 from construction_twin.core.errors import ConfigurationError, MotionRefused, PayloadError
 from construction_twin.core.limits import MotionCheck, MotionLimits
 from construction_twin.core.sentences import Quantity, Sentence
@@ -29,13 +28,6 @@ from construction_twin.monitor.states import (
     SyncOccasion,
     SyncState,
     Transition,
-)
-from construction_twin.monitor.torque_watch import (
-    InverseDynamics,
-    TorqueDifference,
-    TorqueSettings,
-    TorqueWatch,
-    thresholds,
 )
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.servo.model import ServoModel
@@ -67,10 +59,6 @@ class GateSettings:
         give_up_time: A gate that is closed this long stays closed until there is a new command session [s].
         escalate_count, escalate_time: So does one that closes this often within this time, but not for stale feedback [s].
         compares: False without a physical arm: the gate then only checks the motion.
-        torque_threshold: Largest difference of an axis' torque, as a fraction of what the axis can give.
-        torque_thresholds: Other values for single joints, by joint name [N m], [N].
-        torque_samples: So many comparisons of torques in a row must differ.
-        torque_omega, torque_zeta: Of the lag of the arm's servos, by which its torques are expected [rad/s], [1].
     """
 
     threshold: float = 0.01
@@ -87,25 +75,6 @@ class GateSettings:
     escalate_count: int = 5
     escalate_time: float = 30.0
     compares: bool = True
-    torque_threshold: float = 0.1
-    torque_thresholds: Mapping[str, float] = field(default_factory=dict)
-    torque_samples: int = 5
-    torque_omega: float = 60.0
-    torque_zeta: float = 0.8
-
-    def torques(self, names: Sequence[str], limits: Sequence[float | None]) -> TorqueSettings:
-        """Return the part that the torque watch needs, for joints with these names and torques [N m], [N].
-
-        Raises:
-            ConfigurationError: When `torque_thresholds` names another joint.
-        """
-        foreign = [name for name in self.torque_thresholds if name not in names]
-        if foreign:
-            raise ConfigurationError(
-                "torque_thresholds", foreign[0], Sentence("expected.joint_names", names=", ".join(names))
-            )
-        found = thresholds(self.torque_threshold, self.torque_thresholds, names, limits)
-        return TorqueSettings(found, self.torque_samples, self.torque_omega, self.torque_zeta)
 
     def comparison(self, limits: MotionLimits) -> ComparisonSettings:
         """Return the part that the comparison needs, for the joints of `limits` in their order.
@@ -123,19 +92,6 @@ class GateSettings:
             for name, slides in zip(limits.names, limits.linear)
         )
         return ComparisonSettings(threshold, self.lag_allowance, self.lag_margin, self.aligned)
-
-
-@dataclass(frozen=True)
-class WatchedArm:
-    """What the gate must know of an arm to watch its torques.
-
-    Attributes:
-        dynamics: Its model, with what it is believed to carry.
-        limits: Length n. What each axis can give [N m], [N]; None: nobody says.
-    """
-
-    dynamics: InverseDynamics
-    limits: tuple[float | None, ...]
 
 
 @dataclass(frozen=True)
@@ -159,7 +115,6 @@ class Gate:
     Args:
         codec: The wire's; everything that passes is rounded by it, so that both robots execute identical numbers.
         now: [ns]
-        watched: None: torques are not watched.
         servos: How the arm's servos answer; None: nobody says, and the arm is compared with the twin alone.
 
     Raises ConfigurationError.
@@ -171,17 +126,11 @@ class Gate:
         codec: JointStringCodec,
         settings: GateSettings,
         now: int = 0,
-        watched: WatchedArm | None = None,
         servos: ServoModel | None = None,
     ):
         self._limits = limits
         #: Compares the arm with where its servos should have it; None: nobody knows these.
         self.watch_of_servos = ServoWatch(servos, settings.comparison(limits).threshold) if servos is not None else None
-        self._watched = watched
-        #: Compares torques; None: they are not watched.
-        self.watch_of_torques = (
-            None if watched is None else TorqueWatch(settings.torques(limits.names, watched.limits), watched.dynamics)
-        )
         self._codec = codec
         self.settings = settings
         self.violations = 0
@@ -206,8 +155,6 @@ class Gate:
 
     def _forget(self) -> None:
         self.comparison = PoseComparison(self.settings.comparison(self._limits))
-        if self.watch_of_torques is not None:
-            self.watch_of_torques.restart()
         if self.watch_of_servos is not None:
             self.watch_of_servos.restart()
         #: Nominal stamp of the last setpoint that passed [ns]; 0 when none.
@@ -321,8 +268,6 @@ class Gate:
         """
         self.check_rest(now)
         comparison = settings.comparison(self._limits)
-        if self.watch_of_torques is not None and self._watched is not None:
-            self.watch_of_torques.configure(settings.torques(self._limits.names, self._watched.limits))
         if self.watch_of_servos is not None:
             self.watch_of_servos.configure(comparison.threshold)
         self.comparison.configure(comparison)
@@ -400,42 +345,7 @@ class Gate:
             threshold=Quantity(difference.threshold, unit),
         )
 
-    def on_torques(self, torques: Sequence[float], command_stamp: int, now: int) -> TorqueDifference | None:
-        """Take what the axes give. A difference that lasts closes the gate, and keeps it closed.
-
-        Args:
-            torques: Shape (n,). [N m], [N]; nan for an axis that is not told.
-            command_stamp: See `TorqueWatch.on_torques`.
-            now: [ns]
-
-        Returns:
-            The present difference; None while there is none, and where torques are not watched.
-        """
-        if self.watch_of_torques is None:
-            return None
-        difference = self.watch_of_torques.on_torques(torques, command_stamp)
-        if difference is not None:
-            # agreement counts from the moment at which the torques agree again
-            self._agreed, self._agreed_since = False, None
-            if self._machine.row(SyncEvent.TORQUE_DIFFERS, SyncOccasion(now=now)) is not None:
-                self._close(SyncEvent.TORQUE_DIFFERS, self._torque_sentence(difference), now)
-        return difference
-
-    def _torque_sentence(self, difference: TorqueDifference) -> Sentence:
-        unit = "N" if self._limits.linear[difference.joint] else "Nm"
-        return Sentence(
-            "reason.gate.torque",
-            axis=axis_name(self._limits.names[difference.joint]),
-            measured=difference.measured,
-            expected=difference.expected,
-            unit=unit,
-        )
-
     def _note_agreement(self, comparison: Comparison, now: int) -> None:
-        torques = self.watch_of_torques
-        if torques is not None and torques.difference:
-            self._agreed_since = None
-            return
         if not comparison.agrees_within(self.settings.agree_share):
             self._agreed_since = None
             return
@@ -481,8 +391,6 @@ class Gate:
         passed = self._check.position or None
         if self.state is SyncState.IN_SYNC:
             passed = self._checked(stamp, theta_next, now)
-        if passed and self.watch_of_torques is not None:
-            self.watch_of_torques.on_command(stamp, passed)
         if passed and self.watch_of_servos is not None:
             self.watch_of_servos.on_command(stamp, passed)
         return passed

@@ -34,11 +34,6 @@ class Behaviour(pydantic.BaseModel):
     give_up_time: float = pydantic.Field(gt=0, le=3600, strict=True)
     escalate_count: int = pydantic.Field(ge=1, le=1000, strict=True)
     escalate_time: float = pydantic.Field(gt=0, le=3600, strict=True)
-    torque_threshold: float = pydantic.Field(default=0.1, gt=0, le=1, strict=True)
-    torque_thresholds: dict[str, Annotated[float, pydantic.Field(gt=0, le=1e6)]] = {}
-    torque_samples: int = pydantic.Field(default=5, ge=1, le=250, strict=True)
-    torque_omega: float = pydantic.Field(default=60.0, gt=0, le=1000, strict=True)
-    torque_zeta: float = pydantic.Field(default=0.8, gt=0, le=10, strict=True)
 
     def gate_settings(self, compares: bool) -> GateSettings:
         """Return the same for the gate; `compares` is False without a physical arm."""

@@ -34,7 +34,6 @@ class SyncEvent(Enum):
     MIRROR = "mirror"
     OPENED = "opened"
     POSE_DIFFERS = "pose_differs"
-    TORQUE_DIFFERS = "torque_differs"
     FEEDBACK_STALE = "feedback_stale"
     SETPOINT_STALE = "setpoint_stale"
     SETPOINT_REFUSED = "setpoint_refused"
@@ -89,8 +88,6 @@ TABLE: tuple[Row, ...] = (
     *rows(_S.IN_SYNC, _E.SERVOS_REFINED, _S.IN_SYNC, Action.KEEP_REASON),
     *rows((_S.WAITING, *HELD_STATES), _E.OPENED, _S.IN_SYNC),
     *rows(_S.IN_SYNC, _E.POSE_DIFFERS, _S.HOLDING, Action.HOLD_AND_COUNT),
-    # what pushes on the arm, or what it has lost, shows before the arm is off its way
-    *rows(_S.IN_SYNC, _E.TORQUE_DIFFERS, _S.HOLDING, Action.HOLD_AND_COUNT),
     # silence is not counted: no pose has differed, and whether the link is lost is for the bridge to say
     *rows(_S.IN_SYNC, _E.FEEDBACK_STALE, _S.STALE, Action.HOLD),
     *rows(_S.IN_SYNC, _E.SETPOINT_STALE, _S.STALE, Action.HOLD),

@@ -6,14 +6,12 @@ Property values are text on the wire; what is not exactly as written here is ref
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partialmethod
 from typing import Any
 
-from construction_twin.core.axis_quantities import AxisQuantity
 from construction_twin.core.errors import ConfigurationError, PayloadError
 from construction_twin.core.records import SPACED, dumped, left_out
 from construction_twin.core.sentences import Sentence
@@ -85,13 +83,6 @@ class Topics:
         """Where they are answered."""
         return self._topic(kind.ack.format(account))
 
-    def told(self, quantity: AxisQuantity) -> str:
-        """Where a quantity of the axes is told beside the joint strings, where the controller tells it.
-
-        A topic of its own: a bridge that does not know it takes the states as ever.
-        """
-        return self._topic(quantity.name)
-
     #: Joint strings to the arm, and from it.
     command, state = _level("command"), _level("state")
     #: Retained: the gateway's status, and the bridge's.
@@ -142,59 +133,6 @@ class StateProperties:
     def pairs(self) -> list[tuple[str, str]]:
         """Return them as MQTT 5 user properties."""
         return [("seq", str(self.seq)), ("stamp", str(self.stamp)), ("command_stamp", str(self.command_stamp))]
-
-
-@dataclass(frozen=True)
-class AxisReport:
-    """A message with a quantity of the axes: what it was in the cycle that a state ends.
-
-    Attributes:
-        seq, stamp, command_stamp: Of that state, see `StateProperties`.
-        values: Per axis, in the unit of the quantity's key; nan (in JSON null) for one that the controller does not tell.
-    """
-
-    seq: int
-    stamp: int
-    command_stamp: int
-    values: tuple[float, ...]
-
-    @classmethod
-    def of(cls, beside: StateProperties, values: Sequence[float]) -> AxisReport:
-        """Return the report of what goes with a state."""
-        return cls(beside.seq, beside.stamp, beside.command_stamp, tuple(values))
-
-    def to_json(self, quantity: AxisQuantity) -> bytes:
-        """Return the message's payload; values with 3 decimals."""
-        told = [None if math.isnan(value) else value for value in self.values]
-        document = {"seq": self.seq, "stamp": self.stamp, "command_stamp": self.command_stamp, quantity.key: told}
-        return dumped(document, places=3)
-
-
-def read_report(quantity: AxisQuantity, payload: bytes, count: int) -> AxisReport:
-    """Parse a message with a quantity of an arm with `count` axes; PayloadError (with its name) when it is not one."""
-    document = parse_object(payload, quantity.name)
-    keys = ("seq", "stamp", "command_stamp", quantity.key)
-    if set(document) != set(keys):
-        found = Sentence("link.payload.axis_keys", what=quantity.name, key=quantity.key, found=shown_keys(document))
-        raise PayloadError(quantity.name, found)
-    for key in keys[:3]:
-        if type(document[key]) is not int or not 0 <= document[key] <= _MAX_NUMBER:
-            shown = repr(document[key])[:32]
-            raise PayloadError(
-                quantity.name, Sentence("link.payload.property_number", name=key, found=shown, most=_MAX_NUMBER)
-            )
-    told = document[quantity.key]
-    if not isinstance(told, list) or len(told) != count or not all(_can_be(value, quantity.most) for value in told):
-        wanted = Sentence("link.payload.axis_values", key=quantity.key, count=count, most=quantity.most)
-        raise PayloadError(quantity.name, wanted)
-    values = tuple(math.nan if value is None else float(value) for value in told)
-    return AxisReport(document["seq"], document["stamp"], document["command_stamp"], values)
-
-
-def _can_be(value: object, most: float) -> bool:
-    # a truth value is an int, too; what is no number is not between the bounds
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return value is None or (is_number and -most <= value <= most)  # type: ignore[operator]
 
 
 def _read(pairs: list[tuple[str, str]], names: tuple[str, ...]) -> dict[str, str]:

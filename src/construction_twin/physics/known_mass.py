@@ -7,7 +7,6 @@ an element of a building.
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Mapping
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from construction_twin.scene.objects import Scene
@@ -22,11 +21,6 @@ TOOL = "tool"
 def body_of(name: str) -> str:
     """Return the body that an object is part of."""
     return name.partition("/")[0]
-
-
-def carried_part(scene: Scene) -> Scene:
-    """Return what the arm carries in a scene, alone: what it may touch is left out, because most of that is not there."""
-    return replace(scene, objects=tuple(replace(item, touch=()) for item in scene.objects if item.link))
 
 
 def masses_of(

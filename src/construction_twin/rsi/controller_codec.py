@@ -12,10 +12,8 @@ from xml.etree import ElementTree
 
 from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.controller.telegram import Reply
-from construction_twin.core.axis_quantities import AxisQuantity
 from construction_twin.core.errors import ConfigurationError, TelegramError
 from construction_twin.core.sentences import Sentence
-from construction_twin.rsi.axis_channels import BLOCKS, ELEMENTS, quantity_of, told_axes
 from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP
 from construction_twin.rsi.status_channels import NAMES, RsiStatus, status_channels
 from construction_twin.rsi.telegram import (
@@ -52,7 +50,7 @@ class RobotEncoder:
             reads 0.
         precision: Decimals of every sent value, 1 to 32 (the ETHERNET object's `Precision`).
         send: Blocks in the order of the Ethernet XML, see `RsiLayout`; default: RIst, RSol, AIPos, ASPos, Delay. The channels of
-            `status_channels`, of `axis_channels` and of a tool may be among them.
+            `status_channels` and of a tool may be among them.
         units: Length n. Default: every axis is revolute, and in the controller's own units.
 
     Raises:
@@ -71,19 +69,13 @@ class RobotEncoder:
             raise ConfigurationError("precision", precision, Sentence("expected.xml.precision"))
         self._count = len(axes)
         self._units = [(unit.feedback_factor, unit.zero) for unit in axis_units(axes, units)]
-        blocks = grouped(send, lambda tag: is_signal(tag) or quantity_of(tag) is not None)
+        blocks = grouped(send)
         self._blocks = [
             (tags[0], [axes.index(a) if a in axes else None for a in AXIS_BLOCKS.get(tags[0], ())]) for tags in blocks
         ]
         self._status = {tag: _STATUS_VALUES[tag.partition(".")[0]] for tag in status_channels(send)}
         #: TAGs of a tool by the first one of their element.
         self._signals = {tags[0]: tags for tags in blocks if is_signal(tags[0])}
-        #: Per TAG of a quantity that comes first: which it is, and which axes stand in its element; None: no axis of the robot.
-        self._told = {
-            tags[0]: (quantity, [axes.index(axis) if axis in axes else None for axis in told_axes(quantity, tags)])
-            for tags in blocks
-            if (quantity := quantity_of(tags[0])) is not None
-        }
         elements = "".join(_block(tags, precision) for tags in blocks)
         self._template = f'<Rob Type="KUKA">{elements}<IPOC>%d</IPOC></Rob>'.encode()
         zero = f"{0:.{precision}f}".encode()
@@ -99,7 +91,6 @@ class RobotEncoder:
         delay: int,
         status: RsiStatus = _NO_STATUS,
         signals: Mapping[str, bool] = MappingProxyType({}),
-        told: Mapping[AxisQuantity, Sequence[float]] = MappingProxyType({}),
     ) -> bytes:
         """Write one packet.
 
@@ -110,7 +101,6 @@ class RobotEncoder:
             delay: Cycles without a valid reply.
             status: For the optional channels; what is not known is sent as 0.
             signals: Outputs and inputs of a tool by their TAGs, e.g. ``Out.vacuum``; what is not there is sent as 0.
-            told: Length n each, where there are channels of them.
 
         Returns:
             The datagram.
@@ -122,8 +112,6 @@ class RobotEncoder:
         check_values("ASPos", setpoint, self._count)
         check_values("RIst", measured_pose, 6)
         check_values("RSol", setpoint_pose, 6)
-        for quantity, _ in self._told.values():
-            check_values(ELEMENTS[quantity], told.get(quantity, ()), self._count)
         axes = {"I": self._positions(measured), "S": self._positions(setpoint)}
         values: list[float] = []
         for name, slots in self._blocks:
@@ -135,9 +123,6 @@ class RobotEncoder:
                 values.append(self._status[name](status) or 0)
             elif name in self._signals:
                 values.extend(signal_texts(self._signals[name], signals))
-            elif name in self._told:
-                quantity, slots = self._told[name]
-                values.extend(0.0 if slot is None else told[quantity][slot] for slot in slots)
             else:
                 values.extend(0.0 if slot is None else axes[name[1]][slot] for slot in slots)
         return (self._template % (*values, ipoc)).replace(self._negative_zero, self._zero)
@@ -237,9 +222,6 @@ def _block(tags: tuple[str, ...], precision: int) -> str:
     if is_signal(name):
         attributes = " ".join(f'{tag.partition(".")[2]}="%d"' for tag in tags)
         return f"<{name.partition('.')[0]} {attributes}/>"
-    quantity = quantity_of(name)
-    if quantity is not None:
-        return f"<{ELEMENTS[quantity]} {attribute_template(told_axes(quantity, tags), precision)}/>"
     if name in POSE_BLOCKS:
         return f"<{name} {attribute_template(('X', 'Y', 'Z', 'A', 'B', 'C'), precision)}/>"
     if name in AXIS_BLOCKS:
@@ -249,15 +231,7 @@ def _block(tags: tuple[str, ...], precision: int) -> str:
     if status_channels((name,)):
         element, _, attribute = name.partition(".")
         return f'<{element} {attribute}="%g"/>' if attribute else f"<{element}>%g</{element}>"
-    known = (
-        *POSE_BLOCKS,
-        *AXIS_BLOCKS,
-        "Delay",
-        *NAMES,
-        *(f"{element}.<axis>" if quantity not in BLOCKS else element for quantity, element in ELEMENTS.items()),
-        "Out.<output>",
-        "In.<input>",
-    )
+    known = (*POSE_BLOCKS, *AXIS_BLOCKS, "Delay", *NAMES, "Out.<output>", "In.<input>")
     raise ConfigurationError("SEND", name, Sentence("expected.one_of", known=", ".join(known)))
 
 

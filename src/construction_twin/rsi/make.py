@@ -16,9 +16,7 @@ from construction_twin.controller.port import (
     Setup,
     Words,
 )
-from construction_twin.core.axis_quantities import QUANTITIES, AxisQuantity
 from construction_twin.core.sentences import Sentence
-from construction_twin.rsi.axis_channels import AxisReader, quantity_of, told_axes
 from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder
 from construction_twin.rsi.ethernet_xml import (
     check_axes,
@@ -59,16 +57,10 @@ def check(setup: Setup[RsiLayout]) -> None:
 def reader(setup: Setup[RsiLayout]) -> Reader:
     """Return what reads the telegrams of one configuration."""
     channels, tool = status_channels(setup.layout.send), setup.tool
-    told = {quantity: told_axes(quantity, setup.layout.send) for quantity in QUANTITIES}
     return Reader(
         RobotDecoder(setup.axes, setup.units).parse,
         StatusReader(channels).read if channels else None,
         ToolReader([output.name for output in tool.outputs], tool.inputs).read if tool else None,
-        {
-            quantity: AxisReader(quantity, setup.axes, axes).read
-            for quantity, axes in told.items()
-            if any(axis in setup.axes for axis in axes)
-        },
     )
 
 
@@ -98,24 +90,17 @@ def status_of(shown: MockStatus) -> RsiStatus:
 def controller_side(config: MockSetup[RsiLayout]) -> ControllerSide:
     """Return what a KR C4 with this configuration writes and reads."""
     layout = config.layout
-    # what is not told is left out: an element of zeros would say something else
+    # outputs that are hidden are left out: an element of zeros would say something else
     encoders = {
-        (hides, tells): RobotEncoder(
+        hides: RobotEncoder(
             config.axes,
             config.precision,
-            tuple(
-                tag
-                for tag in layout.send
-                if not (hides and tag.startswith(f"{OUT}.")) and (tells or quantity_of(tag) is None)
-            ),
+            tuple(tag for tag in layout.send if not (hides and tag.startswith(f"{OUT}."))),
             config.units,
         )
         for hides in (False, True)
-        for tells in (False, True)
     }
-    rich = bool(status_channels(layout.send)) or any(
-        is_signal(tag) or quantity_of(tag) is not None for tag in layout.send
-    )
+    rich = bool(status_channels(layout.send)) or any(map(is_signal, layout.send))
 
     def encode(
         ipoc: int,
@@ -127,15 +112,14 @@ def controller_side(config: MockSetup[RsiLayout]) -> ControllerSide:
         shown: MockStatus,
         outputs: Mapping[str, bool] | None,
         inputs: Mapping[str, bool],
-        told: Mapping[AxisQuantity, Sequence[float]],
     ) -> bytes:
         values = ipoc, measured, setpoint, measured_pose, setpoint_pose, delay
-        encoder = encoders[outputs is None, bool(told)]
+        encoder = encoders[outputs is None]
         if not rich:
             return encoder.encode(*values)
         status, signals = status_of(shown), {f"{IN}.{name}": value for name, value in inputs.items()}
         signals |= {f"{OUT}.{name}": value for name, value in (outputs or {}).items()}
-        return encoder.encode(*values, status, signals, told)
+        return encoder.encode(*values, status, signals)
 
     decode = None
     if layout.answered:

@@ -13,7 +13,7 @@ Read beside the telegram, as `status_channels` is, so that an arm without a tool
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from construction_twin.controller.tool import ENABLE, ToolReading, is_tool_name
 from construction_twin.core.errors import ConfigurationError
@@ -44,15 +44,11 @@ def names_of(element: str, send: Iterable[str]) -> tuple[str, ...]:
     return tuple(name for found, _, name in parts if found == element and is_tool_name(name))
 
 
-def grouped(send: Sequence[str], is_attribute: Callable[[str], bool] = is_signal) -> list[tuple[str, ...]]:
-    """Return the blocks of a packet: the attributes of one element stand together where the first one does.
-
-    Args:
-        is_attribute: Of which TAGs that is so; default: of `Out` and `In`.
-    """
+def grouped(send: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return the blocks of a packet: the attributes of `Out`, and of `In`, stand together where the first one does."""
     blocks: dict[str, list[str]] = {}
     for tag in send:
-        blocks.setdefault(tag.partition(".")[0] if is_attribute(tag) else tag, []).append(tag)
+        blocks.setdefault(tag.partition(".")[0] if is_signal(tag) else tag, []).append(tag)
     return [tuple(block) for block in blocks.values()]
 
 

@@ -111,7 +111,6 @@ class Expectation(_Model):
     max_error_deg: _Positive | None = None
     min_missed: Annotated[int, pydantic.Field(ge=1)] | None = None
     stop: StopBound | None = None
-    reason: str | None = None
     refused: str | None = None
 
 

@@ -94,22 +94,17 @@ def judge(
     checks += _arm(scenario, run, limits, decimals, cycle, measured)
     checks += _stop(scenario, run, cycle, measured)
     checks += _gateway_stops(scenario, run, limits)
-    checks += _reasons(scenario, run)
+    checks += _refusal(scenario, run)
     return Judgement(scenario.name, scenario.title, tuple(checks), measured)
 
 
-def _reasons(scenario: Scenario, run: Run) -> list[Check]:
-    """Whether the gate closed, and an approval was refused, for the reason that was expected."""
-    closed = next((c for c in run.changes if (c.topic, c.value) == ("sync", "HOLDING")), None)
-    checks = []
-    for name, wanted, change in (
-        ("reason of the hold", scenario.expect.reason, closed),
-        ("refused approval", scenario.expect.refused, run.first("refused")),
-    ):
-        if wanted is not None:
-            found = "none" if change is None else change.reason
-            checks.append(Check(name, wanted, found, change is not None and wanted in found))
-    return checks
+def _refusal(scenario: Scenario, run: Run) -> list[Check]:
+    """Whether an approval was refused for the reason that was expected."""
+    wanted, change = scenario.expect.refused, run.first("refused")
+    if wanted is None:
+        return []
+    found = "none" if change is None else change.reason
+    return [Check("refused approval", wanted, found, change is not None and wanted in found)]
 
 
 def _begun(scenario: Scenario, run: Run) -> list[Check]:

@@ -88,16 +88,6 @@ class ServoState:
     def __init__(self, model: ServoModel, q: Sequence[float]):
         self._joints = [_Joint(servo, model.period, start) for servo, start in zip(model.servos, q)]
 
-    @property
-    def position(self) -> tuple[float, ...]:
-        """Shape (n,). At the end of the last cycle [rad]."""
-        return tuple([joint.position for joint in self._joints])
-
-    @property
-    def speed(self) -> tuple[float, ...]:
-        """Shape (n,). Of the lag, at the end of the last cycle [rad/s]."""
-        return tuple([joint.speed for joint in self._joints])
-
     def configure(self, model: ServoModel) -> None:
         """Go on with other servos, which forget the targets before: a change at rest moves nothing."""
         for joint, servo in zip(self._joints, model.servos):

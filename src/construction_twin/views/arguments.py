@@ -1,4 +1,4 @@
-"""The command line `twin`: its commands, options, exit codes and the shell's completion. Angles in deg, lengths in mm."""
+"""The command line `twin`: its commands, options and exit codes. Angles in deg, lengths in mm."""
 
 from __future__ import annotations
 
@@ -8,33 +8,8 @@ import math
 import re
 from collections.abc import Sequence
 
-import shtab
-
 from construction_twin.core.sentences import Sentence
 
-#: Added to the completion that shtab makes of the parser: the short name `twin`, and for bash `rosrun construction_twin twin`. Any
-#: other `rosrun` is left to ROS's own completion.
-_PREAMBLE = {
-    "bash": """\
-# Load it in a shell: source <(rosrun construction_twin twin --completion bash)
-twin() { rosrun construction_twin twin "$@"; }
-_twin_rosrun() {
-  COMPREPLY=()
-  if [[ ${COMP_WORDS[1]-} == construction_twin && ${COMP_WORDS[2]-} == twin && $COMP_CWORD -gt 2 ]]; then
-    local words=("${COMP_WORDS[@]:2}") word=$((COMP_CWORD - 2))
-    local COMP_WORDS=("${words[@]}") COMP_CWORD=$word
-    _shtab_twin
-  elif declare -F _roscomplete_exe > /dev/null; then
-    _roscomplete_exe "$@"
-  fi
-}
-complete -F _twin_rosrun rosrun
-""",
-    "zsh": """\
-# Load it in a shell: source <(rosrun construction_twin twin --completion zsh)
-twin() { rosrun construction_twin twin "$@"; }
-""",
-}
 #: How long a service or a topic may stay silent before the command gives up [s].
 TIMEOUT = 5.0
 #: Options whose values may be a list with commas, and a word of such a list.
@@ -79,12 +54,6 @@ def parser(robot: str) -> argparse.ArgumentParser:
         prog="twin",
         description="Plan, review and watch the motions of one robot and its twin. Angles in deg, lengths in mm.",
         epilog="exit codes: 0 done, 1 refused, 2 usage, 3 no system answers, 4 motion not finished, 5 not confirmed",
-    )
-    root.add_argument(
-        "--completion",
-        choices=list(_PREAMBLE),
-        action=shtab.completion_action(root, _PREAMBLE),
-        help="print the shell's completion and end",
     )
     common = argparse.ArgumentParser(add_help=False)
     # given before or after the command; only the first of the two has a default
@@ -194,8 +163,7 @@ def _add_plan(plan: argparse.ArgumentParser) -> None:
         metavar=("X", "Y", "Z", "A", "B", "C"),
         help="pose of tool0: position [mm] and KUKA's angles [deg]",
     )
-    csv = goal.add_argument("--csv", metavar="FILE", help="joint waypoints in a file on the planner's machine")
-    csv.complete = shtab.FILE  # type: ignore[attr-defined]  # shtab reads it from the action
+    goal.add_argument("--csv", metavar="FILE", help="joint waypoints in a file on the planner's machine")
     plan.add_argument(
         "--columns",
         default="",
@@ -217,8 +185,7 @@ def _add_plan(plan: argparse.ArgumentParser) -> None:
 
 
 def _add_export(export: argparse.ArgumentParser) -> None:
-    file = export.add_argument("file", metavar="FILE", help="the file to write; -: standard output")
-    file.complete = shtab.FILE  # type: ignore[attr-defined]
+    export.add_argument("file", metavar="FILE", help="the file to write; -: standard output")
     export.add_argument("--deg", action="store_true", help="in deg and mm [rad and m, to the last bit]")
 
 
@@ -249,10 +216,9 @@ def _add_approve(approve: argparse.ArgumentParser) -> None:
 
 
 def _add_scene(scene: argparse.ArgumentParser) -> None:
-    moveit = scene.add_argument(
+    scene.add_argument(
         "--moveit", metavar="FILE", help="write what stands in it as a .scene file of MoveIt; - for the terminal"
     )
-    moveit.complete = shtab.FILE  # type: ignore[attr-defined]  # shtab reads it from the action
 
 
 def _add_work(work: argparse.ArgumentParser, common: argparse.ArgumentParser) -> None:
@@ -278,7 +244,8 @@ def _add_work(work: argparse.ArgumentParser, common: argparse.ArgumentParser) ->
     answer.add_argument(
         "answer",
         metavar="ANSWER",
-        help="in_stock, in_grip, placed, gone, done, not_done, same, stands or taken_away: one of those that `show` lists",
+        help="in_stock, in_grip, placed, gone, done, not_done, same, stands or taken_away: one of those that `show` lists; "
+        "with `all` in place of TASK, which is all that was placed and asks: same, stands or placed",
     )
     _add_person(answer)
     _add_person(step("accept", "accept the schedule that was proposed from the geometry"))
@@ -318,8 +285,8 @@ def _add_pair(pair: argparse.ArgumentParser) -> None:
         "--revoke", default="", metavar="NAME", help="take the devices of a person away, and end their open sessions"
     )
     pair.add_argument("--device", type=int, metavar="NUMBER", help="with --revoke: this one only")
-    site = pair.add_argument("--site", default="", metavar="DIR", help="the site's folder, as make_site made it")
-    folder = pair.add_argument(
+    pair.add_argument("--site", default="", metavar="DIR", help="the site's folder, as make_site made it")
+    pair.add_argument(
         "--pairings",
         default="",
         metavar="DIR",
@@ -328,12 +295,10 @@ def _add_pair(pair: argparse.ArgumentParser) -> None:
     pair.add_argument(
         "--console", default="", metavar="HOST", help="name of the console in the code [the first one of the site]"
     )
-    picture = pair.add_argument("--picture", metavar="FILE", help="also write the code as SVG or PNG, by its suffix")
+    pair.add_argument("--picture", metavar="FILE", help="also write the code as SVG or PNG, by its suffix")
     pair.add_argument(
         "--no-wait", action="store_true", help="do not wait until the code is used, and do not say by whom"
     )
-    for option, kind in ((site, shtab.DIRECTORY), (folder, shtab.DIRECTORY), (picture, shtab.FILE)):
-        option.complete = kind  # type: ignore[attr-defined]  # shtab reads it from the action
 
 
 def _add_watch(watch: argparse.ArgumentParser) -> None:

@@ -27,7 +27,6 @@ SWITCHES = (
     "broker",
     "gateway",
     "commissioning",
-    "torque_watch",
     "tool_marker",
     "follow_joint_trajectory",
     "track",

@@ -9,14 +9,30 @@ from __future__ import annotations
 import functools
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import LedgerError
-from construction_twin.work.events import ACCEPTED, CHANGED, OF_NO_TASK, OPENED, Entry
+from construction_twin.work.events import ACCEPTED, CHANGED, NOT_IN_MODEL, OF_NO_TASK, OPENED, PLANNED, Entry
 from construction_twin.work.task_memory import TaskMemory
 from construction_twin.work.task_states import SETTLED, UNDER_WAY, TaskEvent, TaskState
 
 _FREED, _BLOCKED = Entry(TaskEvent.FREED.value), Entry(TaskEvent.BLOCKED.value)
+
+
+@dataclass(frozen=True)
+class Present:
+    """What the present model says of a task's element.
+
+    Attributes:
+        element: GlobalId.
+        digest: SHA-256 of all that a person is asked about when it changes: GlobalId, name, class, shape, place; empty: no shape.
+    """
+
+    element: str
+    name: str = ""
+    ifc_class: str = ""
+    digest: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +93,7 @@ class Book:
         """
         if entry.event in OF_NO_TASK:
             return
-        if entry.task not in self.tasks and entry.event != TaskEvent.FOUND.value:
+        if entry.task not in self.tasks and not entry.former and entry.event != TaskEvent.FOUND.value:
             raise LedgerError("ledger", Sentence("work.ledger.no_task", task=repr(entry.task), count=len(self.tasks)))
         self.tasks.get(entry.task, TaskMemory(entry.task)).then(entry)
 
@@ -131,15 +147,44 @@ class Book:
         left = {task: memory for task, memory in self.tasks.items() if task not in self.after}
         return {task: memory for task, memory in left.items() if memory.touched and not memory.stays}
 
-    def doubts(self, model: str, placing: Mapping[str, str], standing: Collection[str] = ()) -> list[Entry]:
+    def handed_over(self, present: Mapping[str, Present]) -> list[Entry]:
+        """Return the events after which no task of the schedule counts with what it has done to another element than it has now.
+
+        What it has left of that one goes by the element's own id, as of a task that is no more.
+
+        Args:
+            present: As of `doubts`.
+        """
+        found = []
+        for task, memory in self.tasks.items():
+            if task not in present or memory.element in ("", present[task].element) or memory.stays:
+                continue
+            reason = Sentence("work.event.task_changed")
+            if memory.touched:
+                own = memory.element if memory.element not in self.tasks else f"{memory.element} {task}"
+                found.append(placed_elsewhere("found" if memory.placed else "unknown", own, memory, reason=reason))
+            elif memory.gone and memory.state is TaskState.DONE:
+                found.append(Entry("redone", task, present[task].element, reason=reason))
+        return found
+
+    def doubts(
+        self,
+        model: str,
+        placing: Mapping[str, str],
+        standing: Collection[str] = (),
+        present: Mapping[str, Present] = MappingProxyType({}),
+    ) -> list[Entry]:
         """Return the events by which a person is asked about what was touched for another version of model or schedule.
+
+        What was placed is not asked about again where nothing has changed since it was placed or answered.
 
         Args:
             model: SHA-256 of the present one.
             placing: The task of the present schedule that places each element.
             standing: The elements that stand in the present model without a task that places them.
+            present: What the model says of the element of each task of the schedule.
         """
-        found = []
+        found, called = [], {(each.name, each.ifc_class) for each in present.values()}
         for task, memory in self.tasks.items():
             no_more, stands = task not in self.after, memory.placed and memory.state in SETTLED
             heir = placing.get(memory.element, "") if no_more else ""
@@ -147,8 +192,14 @@ class Book:
                 continue
             if heir and self.tasks[heir].state in (TaskState.WAITING, TaskState.READY):
                 event, reason = "found" if memory.placed else "unknown", Sentence("work.event.task_changed")
+                if stands and heir in present and memory.seen == present[heir].digest:
+                    event = "same"
                 found.append(placed_elsewhere(event, heir, memory, reason=reason))
             elif memory.state is TaskState.ASKS or (no_more and stands and memory.element in standing):
+                continue
+            elif stands and task in present and memory.seen == present[task].digest:
+                continue
+            elif stands and no_more and memory.seen == NOT_IN_MODEL and (memory.name, memory.ifc_class) not in called:
                 continue
             elif self.model != model or (no_more and not stands):
                 # what is on its way out stands; only then can it be asked about
@@ -160,9 +211,11 @@ class Book:
 
 def placed_elsewhere(event: str, task: str, memory: TaskMemory, reason: str = "", source: str = "") -> Entry:
     """Return the event by which a task takes over what another one has left where it stands."""
+    if event == TaskEvent.SAME.value and memory.as_planned:
+        source = PLANNED
     return Entry(
         event, task, memory.element, pose=memory.base_T_element, name=memory.name, ifc_class=memory.ifc_class,
-        body=memory.body, goal=memory.goal, former=memory.task, reason=reason, source=source,
+        body=memory.body, goal=memory.goal, seen=memory.seen, former=memory.task, reason=reason, source=source,
     )  # fmt: skip
 
 

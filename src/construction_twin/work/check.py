@@ -1,16 +1,14 @@
-"""Whether the arm can do each task of a building model, before anything starts, and what would help where it cannot.
+"""Whether the arm can do each task of a building model, before anything starts.
 
 In: a layout, the jobs of its schedule, a robot. Out: one `CheckedTask` per job. Each is planned in the scene that its turn finds if
 everything before it stands as designed, from the arm's home pose: so each can be checked on its own.
-What would help is only named after it was tried. SI; time and randomness are arguments; knows no process and no file.
+SI; time and randomness are arguments; knows no process and no file.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 
@@ -19,14 +17,11 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
-from construction_twin.kinematics.solution import InverseKinematics
 from construction_twin.planning.planner import PlannerSettings
 from construction_twin.robot.description import RobotModel
 from construction_twin.scene.objects import Scene, product
 from construction_twin.scene.self_collision import SelfCollision
 from construction_twin.work.jobs import TaskMotions, WorkJob
-from construction_twin.work.motions import TaskLimits
-from construction_twin.work.nearest_change import LONGER, longer_track, nearest_change
 from construction_twin.work.processes import process_of
 from construction_twin.work.recipe import DEFAULT
 from construction_twin.work.schedule import Job
@@ -34,11 +29,8 @@ from construction_twin.work.site import pose_of
 from construction_twin.work.site_scene import Layout, WorkState
 from construction_twin.work.task_planner import TaskPlanner
 
-#: What is tried for a change is searched for less long than the task itself.
-_TRIAL = TaskLimits(budget=2.0, solutions=6, pairs=2, free_budget=1.0)
 #: Points of the tool's path that are kept are this far apart [s].
 _PATH_STEP = 0.1
-_FIGURES = re.compile(r"-?\d+(\.\d+)?")
 
 
 @dataclass(frozen=True)
@@ -55,8 +47,6 @@ class CheckedTask:
         duration: Of all motions [s], without the waiting for the tool.
         planning: Time it took to find out [s].
         stage, reason: What was not possible, and why; empty if it is possible.
-        change: What would help: it was tried, and a plan found; empty: nothing was found.
-        tried: Whether changes were looked for.
         remarks: What a person should know of the task or its element, as the model was read.
         path: Length 3. The tool's centre point in the base [m].
         process: Name of its process.
@@ -76,8 +66,6 @@ class CheckedTask:
     planning: float = 0.0
     stage: str = ""
     reason: str = ""
-    change: str = ""
-    tried: bool = False
     remarks: tuple[str, ...] = ()
     path: tuple[tuple[float, float, float], ...] = field(default=(), repr=False)
     process: str = DEFAULT
@@ -91,7 +79,6 @@ class Checker:
         layout: With the elements of `jobs`, in their order.
         jobs: In the order of the schedule; those whose element has no geometry are not possible.
         clock: Returns seconds from any fixed origin.
-        limits: For each task; by default those of the work node.
         removals: What people take down: gone for the jobs that wait for it, an obstacle for all others.
     """
 
@@ -104,7 +91,6 @@ class Checker:
         jobs: Sequence[Job],
         clock: Callable[[], float],
         rng: np.random.Generator,
-        limits: TaskLimits = TaskLimits(),
         removals: Sequence[Job] = (),
     ):
         self._robot, self._layout, self._clock = robot, layout, clock
@@ -113,22 +99,7 @@ class Checker:
         solver = inverse_kinematics(self._chain, IkSettings(), rng, clock)
         site = layout.site
         self._tool0_T_tcp = pose_of(site.tool.tool.tool0_T_tcp)
-
-        def planner(arm: RobotModel, of_arm: InverseKinematics, within: TaskLimits) -> TaskPlanner:
-            return TaskPlanner(arm, of_arm, settings, self_collision, site.tool, site.recipes, clock, within)
-
-        self._planner = planner(robot, solver, limits)
-        self._trial = planner(robot, solver, _TRIAL)
-        self._longer: dict[float, TaskPlanner] = {}
-
-        def longer(by: float) -> TaskPlanner:
-            if by not in self._longer:
-                other = longer_track(robot, by)
-                assert other is not None
-                self._longer[by] = planner(other, inverse_kinematics(Chain(other), IkSettings(), rng, clock), _TRIAL)
-            return self._longer[by]
-
-        self._longer_tracks = [(by, partial(longer, by)) for by in LONGER] if any(robot.linear) else []
+        self._planner = TaskPlanner(robot, solver, settings, self_collision, site.tool, site.recipes, clock)
 
     def check(self, number: int) -> CheckedTask:
         """Return what was found for one job of the schedule, by its number from 0."""
@@ -151,24 +122,6 @@ class Checker:
                 found = replace(found, stage=error.stage, grip=error.method, reason=error.reason)
             return replace(found, reason=self._layout.building.called(found.reason, job.element))
         return replace(self._described(found, plan), planning=self._clock() - began)
-
-    def changed(self, found: CheckedTask, until: float) -> CheckedTask:
-        """Return a task that is not possible with what would help, as far as it was found in time.
-
-        Args:
-            found: From `check`.
-            until: By the clock [s].
-        """
-        if found.possible or not found.stage or self._clock() >= until:
-            return found
-        scene, place = self._turn(found.number)
-        failure = TaskPlanningError(found.job, found.reason, found.stage, found.grip)
-        names = {job.element: self._layout.building.element(job.element).name for job in self._jobs[: found.number]}
-        change = nearest_change(
-            place, self._robot.home, scene, self._trial, names, self._longer_tracks, lambda: self._clock() < until,
-            failure, self._before(found.number),
-        )  # fmt: skip
-        return replace(found, tried=True, change="" if change is None else change.sentence)
 
     def _before(self, number: int) -> set[str]:
         """Return the elements that a job waits for, at first or second hand."""
@@ -209,8 +162,3 @@ class Checker:
             for q in segment.trajectory.sample_many(np.linspace(0.0, segment.trajectory.duration, count))[0]:
                 x, y, z = product(self._chain.forward(q), self._tool0_T_tcp).position
                 yield round(float(x), 3), round(float(y), 3), round(float(z), 3)
-
-
-def reason_kind(task: CheckedTask) -> str:
-    """Return why a task is not possible, without the figures: tasks of one kind have the same change."""
-    return f"{task.stage}: {_FIGURES.sub('#', task.reason)}"

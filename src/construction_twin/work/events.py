@@ -20,6 +20,8 @@ OPENED, ACCEPTED, MENDED, CHANGED = "opened", "accept_schedule", "mended", "chan
 OF_NO_TASK = (OPENED, ACCEPTED, MENDED, CHANGED)
 #: Where the pose of an element that was let go comes from.
 MEASURED, PLANNED = "measured", "planned"
+#: What a person has seen of an element of which they said that it stands, and is not in the model.
+NOT_IN_MODEL = "not in the model"
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,8 @@ class Entry:
         task, element: GlobalIds; empty where it is about neither.
         name, ifc_class, body, goal: Of the element, as it was handled: what it needs to stand in the scene without its model.
             `body`: digest of its pieces (`Ledger.keep`); `goal`: where the model had it.
-        former: Of `same` and `found`: the task that placed the element, which this one replaces.
+        seen: What the model said of the element then, as `book.Present.digest`; of one that it did not have `NOT_IN_MODEL`.
+        former: Of `same`, `found` and `unknown`: the task that handled the element, which this one replaces.
         source: Of the pose of `released` and `same`: `MEASURED` by the arm's own feedback, or `PLANNED`: as planned, not measured.
             Of `found`: the ledger that says so.
         plan, offer: `offer` is named in the plan's `source`, so that a plan whose id was never learnt is known again.
@@ -64,6 +67,7 @@ class Entry:
     ifc_class: str = ""
     body: str = ""
     goal: tuple[float, ...] = ()
+    seen: str = ""
     former: str = ""
     robot: str = ""
     time_ns: int = 0

@@ -21,7 +21,7 @@ from construction_twin.core.files import write_whole
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import LedgerError
 from construction_twin.scene.objects import SceneObject
-from construction_twin.work.book import Book, fold
+from construction_twin.work.book import Book, Present, fold
 from construction_twin.work.events import CHANGED, MENDED, OPENED, Entry, entry_of
 from construction_twin.work.task_memory import NotNow
 
@@ -39,6 +39,7 @@ class Ledger:
         cell: Path of the cell file, for the record.
         placing, standing: As of `Book.doubts`.
         robot: Its name, in whose frame the poses are.
+        present: As of `Book.doubts`.
 
     Attributes:
         book: What all lines so far say.
@@ -57,6 +58,7 @@ class Ledger:
         placing: Mapping[str, str] = MappingProxyType({}),
         standing: Collection[str] = (),
         robot: str = "",
+        present: Mapping[str, Present] = MappingProxyType({}),
     ):
         self.path = Path(path)
         self._bodies = self.path.parent / "standing"
@@ -76,7 +78,9 @@ class Ledger:
                 self.add(Entry(OPENED, model=model, cell=cell, robot=robot))
             if self._file.mended:
                 self.add(Entry(MENDED, reason=f"{self._file.mended} bytes of a line without its end were cut off"))
-            for entry in self.book.doubts(model, placing, standing):
+            for entry in self.book.handed_over(present):
+                self.add(entry)
+            for entry in self.book.doubts(model, placing, standing, present):
                 self.add(entry)
             # last: killed before it, the next start asks again
             if (self.book.model, self.book.cell) != (model, cell):
@@ -118,8 +122,7 @@ class Ledger:
             for item in bodies:
                 if item.mesh:
                     self._write(_mesh_name(item), Path(item.mesh).read_bytes())
-            contents = [{**{key: getattr(item, key) for key in _OF_BODY}, "mesh": _mesh_name(item)} for item in bodies]
-            text = json.dumps(contents).encode()
+            text = _contents(bodies)
             digest = hashlib.sha256(text).hexdigest()
             self._write(f"{digest}.json", text)
         except OSError as error:
@@ -131,7 +134,7 @@ class Ledger:
         if path.exists() and path.read_bytes() == contents:
             return
         write_whole(path, contents)
-        for each in (path, self._bodies):
+        for each in (path, self._bodies, self._bodies.parent):
             handle = os.open(each, os.O_RDONLY)
             try:
                 os.fsync(handle)
@@ -164,6 +167,16 @@ class Ledger:
 
 #: What is kept of each piece, besides its mesh.
 _OF_BODY = ("shape", "size", "position", "quaternion", "padding")
+
+
+def body_digest(bodies: Sequence[SceneObject]) -> str:
+    """Return the digest by which an element's pieces are kept."""
+    return hashlib.sha256(_contents(bodies)).hexdigest()
+
+
+def _contents(bodies: Sequence[SceneObject]) -> bytes:
+    each = [{**{key: getattr(item, key) for key in _OF_BODY}, "mesh": _mesh_name(item)} for item in bodies]
+    return json.dumps(each).encode()
 
 
 def _mesh_name(item: SceneObject) -> str:

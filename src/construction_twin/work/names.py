@@ -13,6 +13,8 @@ _ID = re.compile(
     r"""((?P<name>'[^']*'|"[^"]*") \()?(?<![\w$#/])(?P<quote>['"]?)(?P<whole>(?P<id>[\w$#]{1,64})(?:/\d+)?)(?P=quote)(?![\w$/])"""
     r"""(?(name)\))"""
 )
+#: An id behind the name that it belongs to.
+_IN_PARENTHESES = re.compile(r" \((?P<id>[\w$#]{1,64})\)")
 
 
 def labels(names: Mapping[str, str]) -> dict[str, str]:
@@ -38,4 +40,16 @@ def named(text: str, known: Mapping[str, str]) -> str:
         name = found["name"]
         return said if not name or said.startswith(name) else f"{name} ({said})"
 
-    return _ID.sub(label, text)
+    return _ID.sub(label, _quoted(text, known))
+
+
+def _quoted(text: str, known: Mapping[str, str]) -> str:
+    """Return a sentence in which a name before its id in parentheses stands in quotes, as what stands for the id does."""
+    parts, at = [], 0
+    for found in _IN_PARENTHESES.finditer(text):
+        name = known.get(found["id"], "").removesuffix(f" ({found['id']})")
+        before = text[at : found.start()]
+        if len(name) > 2 and before.endswith(name[1:-1]):
+            parts += [before[: 2 - len(name)], name]
+            at = found.start()
+    return "".join((*parts, text[at:]))

@@ -116,8 +116,6 @@ def check_placement(model: BuildingModel, model_T_base: Pose, reach: float, base
 
 def _check_pose(pose: Pose) -> None:
     position, rotation = np.asarray(pose.position, dtype=float), np.asarray(pose.rotation, dtype=float)
-    if position.shape != (3,) or rotation.shape != (3, 3):
-        raise PlacementError(Sentence("work.place.shapes", position=str(position.shape), rotation=str(rotation.shape)))
     if not (np.isfinite(position).all() and np.isfinite(rotation).all()):
         raise PlacementError(Sentence("work.place.finite", position=_figures(position)))
     error = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
@@ -240,7 +238,10 @@ def _buried(model: BuildingModel, boxes: dict[str, np.ndarray], base: Pose) -> t
     for identifier, (low, high) in boxes.items():
         inside = points[np.all((points > low) & (points < high), axis=1)]
         element = model.elements[identifier]
-        if any(_contains(body.vertices[body.triangles], element, inside) for body in element.bodies):
+        # the box of a doubtful one is larger than it: it says nothing of where the base is
+        if not element.doubt and any(
+            _contains(body.vertices[body.triangles], element, inside) for body in element.bodies
+        ):
             found.append(identifier)
     return tuple(found)
 

@@ -7,7 +7,7 @@ review, the switches, the ledger.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,8 +37,6 @@ class Process:
         check: Takes a `motions.Search`; raises TaskPlanningError when job or scene are not what it needs.
         plan: Takes the same; returns the plan, or raises `motions.Failed` with the attempt that came furthest. Its segments are all
             that is drawn of it, played, and told to the ledger.
-        changes: Takes job, scene, the planner that failed, and the stage; yields what else of its recipe may help, as
-            `nearest_change.Candidate`.
     """
 
     moves: bool
@@ -49,4 +47,3 @@ class Process:
     acts: str
     check: Callable[[Any], None]
     plan: Callable[[Any], TaskMotions]
-    changes: Callable[[WorkJob, Any, Any, str], Iterator[Any]]

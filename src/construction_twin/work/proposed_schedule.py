@@ -51,12 +51,11 @@ class ProposedSchedule:
         return replace(model, tasks=tasks, sequences=self.sequences, notes=(*model.notes, *self.notes))
 
 
-def propose(model: BuildingModel, robots: tuple[str, ...] = ()) -> ProposedSchedule:
+def propose(model: BuildingModel) -> ProposedSchedule:
     """Return an order in which a model's elements can be built.
 
     Args:
         model: Its workpieces (`workpieces.workpieces`) get a place in the order; what else is there is taken as there before.
-        robots: Who may do it; empty: any.
 
     Raises:
         ScheduleError: If it has no workpiece.
@@ -68,14 +67,13 @@ def propose(model: BuildingModel, robots: tuple[str, ...] = ()) -> ProposedSched
     before = _supports(solids)
     notes += _held_at_the_side(solids, before)
     order = _built(solids, before, notes)
-    root = Task(_root(model), "Proposed order", "From the geometry; not accepted yet.")
+    root = Task(global_id("proposed schedule", model.project), "Proposed order", "From the geometry; not accepted yet.")
     tasks = {
         number: Task(
             global_id("proposed task", solids[number].element.id),
             f"Place {solids[number].element.name or solids[number].element.id}",
             parent=root.id,
             products=(solids[number].element.id,),
-            robots=robots,
         )
         for number in order
     }
@@ -85,15 +83,6 @@ def propose(model: BuildingModel, robots: tuple[str, ...] = ()) -> ProposedSched
         for first in sorted(firsts, key=order.index)
     ]
     return ProposedSchedule((root, *tasks.values()), tuple(sequences), tuple(notes))
-
-
-def is_proposal(model: BuildingModel) -> bool:
-    """Return whether the tasks of a model are a proposal that was written into it: a person must still accept it."""
-    return _root(model) in model.tasks
-
-
-def _root(model: BuildingModel) -> str:
-    return global_id("proposed schedule", model.project)
 
 
 class _Solid:

@@ -6,6 +6,8 @@ Pure but for the ledger's file. Times in ns since 1970, poses in the robot's bas
 from __future__ import annotations
 
 import functools
+import hashlib
+import json
 import math
 import shlex
 from collections.abc import Iterable, Mapping
@@ -20,17 +22,18 @@ from construction_twin.core.work_errors import WorkError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.tool import Tool
 from construction_twin.scene.objects import SceneObject
-from construction_twin.work.book import Book, placed_elsewhere
+from construction_twin.work.book import Book, Present, placed_elsewhere
 from construction_twin.work.built import Deviation, at, deviation, objects_of, placed_at, pose_of_tuple, pose_tuple
 from construction_twin.work.convex_bodies import Pieces
-from construction_twin.work.events import ACCEPTED, PLANNED, Entry
+from construction_twin.work.events import ACCEPTED, NOT_IN_MODEL, PLANNED, Entry
 from construction_twin.work.following import GripReading, known_of, question
-from construction_twin.work.ledger import Ledger, replay
+from construction_twin.work.ledger import Ledger, body_digest, replay
 from construction_twin.work.names import labels, named
 from construction_twin.work.racks import StockPlan
 from construction_twin.work.schedule import Job, Schedule
 from construction_twin.work.task_memory import TaskMemory
 from construction_twin.work.task_states import (
+    ANSWERS_FOR_ALL,
     ANSWERS_OF_FORMER,
     PLANNABLE,
     SAME,
@@ -126,6 +129,12 @@ class Prepared:
         every = {job.id: job.name for job in (*self.schedule.jobs, *self.schedule.removals)}
         return {**{job: job for job in every}, **labels(every)}
 
+    @cached_property
+    def present(self) -> dict[str, Present]:
+        """Return what the model says of the element of each job and removal."""
+        jobs = (*self.schedule.jobs, *self.schedule.removals)
+        return {job.id: _present(job.element, self.elements[job.element]) for job in jobs}
+
     @property
     def standing_elements(self) -> frozenset[str]:
         """GlobalIds of what stands where the model has it, as no task places it."""
@@ -155,6 +164,18 @@ class Appearance:
     name: str
     word: str
     pose: Pose
+
+
+def _present(element: str, facts: ElementFacts) -> Present:
+    """Return what the model says of an element; where it is to 0.1 mm, so that how a file writes its numbers is no change."""
+    digest = ""
+    if facts.bodies:
+        goal = np.column_stack((facts.base_T_goal.rotation, facts.base_T_goal.position))
+        # no -0.0 beside 0.0
+        place = (np.round(goal, 4) + 0.0).tolist()
+        said = [element, facts.name, facts.ifc_class, body_digest(facts.bodies), place]
+        digest = hashlib.sha256(json.dumps(said).encode()).hexdigest()
+    return Present(element, facts.name, facts.ifc_class, digest)
 
 
 def _element_in(item: SceneObject) -> str:
@@ -211,6 +232,8 @@ class TaskBoard:
                 entry, name=facts.name, ifc_class=facts.ifc_class, body=self.ledger.keep(facts.bodies),
                 goal=pose_tuple(facts.base_T_goal),
             )  # fmt: skip
+        if task in self.book.after and entry.event in _SEEING:
+            entry = replace(entry, seen=self.prepared.present[task].digest)
         self.ledger.add(replace(entry, element=self.element_of(task)))
 
     @property
@@ -421,14 +444,31 @@ class TaskBoard:
         if answer == SAME:
             self._take_as(task, self._counterpart(task), person, reason)
         else:
-            said = ANSWERS_OF_FORMER.get(answer, answer)
-            self.add(Entry("answered", task, answer=said, person=person, reason=reason))
+            said, seen = ANSWERS_OF_FORMER.get(answer, answer), NOT_IN_MODEL if answer in ANSWERS_OF_FORMER else ""
+            self.add(Entry("answered", task, answer=said, person=person, reason=reason, seen=seen))
         return sentence
+
+    def answer_all(self, answer: str, person: str, reason: str) -> str:
+        """Answer, with what leaves it an obstacle, what is asked of all that was placed and can be answered so; return a sentence.
+
+        Raises WorkRefused.
+        """
+        self._named(person)
+        if answer not in ANSWERS_FOR_ALL:
+            raise WorkRefused(Sentence("work.answer_one", answer=repr(answer), answers=", ".join(ANSWERS_FOR_ALL)))
+        count = 0
+        for task in self.book.asking:
+            # each is looked at when it is its turn: what was answered before may have taken its counterpart
+            if self.book.tasks[task].placed and answer in self._answers(task):
+                self.answer(task, answer, person, reason)
+                count += 1
+        left = len(self.book.asking)
+        return Sentence("work.answered_all", count=count, answer=Sentence(f"work.answer.{answer}"), left=left)
 
     def _take_as(self, task: str, heir: str, person: str, reason: str) -> None:
         """Count what a task that is no more has placed as placed by one of the schedule."""
         memory, facts = self.book.tasks[task], self._element(heir)
-        entry = placed_elsewhere("same", heir, memory, reason)
+        entry = replace(placed_elsewhere("same", heir, memory, reason), seen=self.prepared.present[heir].digest)
         body, goal = self.ledger.keep(facts.bodies), pose_tuple(facts.base_T_goal)
         if body != memory.body:
             # its frame may be another one: where it stands is known as well as places are compared
@@ -459,7 +499,9 @@ class TaskBoard:
         if not task:
             here = _box(self._bodies(memory), placed_at(memory, _ORIGIN)) if mine and memory.body else None
             if here is None or not any(
-                _overlap(here, self._goal_box(one)) for one in self.prepared.schedule.placing.values()
+                _overlap(here, self._goal_box(one))
+                for one in self.prepared.schedule.placing.values()
+                if self._element(one).bodies
             ):
                 return
             task = memory.element
@@ -817,6 +859,8 @@ class TaskBoard:
             raise WorkRefused(Sentence("work.nameless"))
 
 
+#: Events by which what the model says of an element is seen by the arm, or by a person.
+_SEEING = ("offered", "answered")
 #: Boxes whose sides are all closer than this are at the same place; boxes that reach further than that into each other overlap [m].
 _SAME_PLACE, _OVERLAP = 0.02, 0.005
 _ORIGIN = Pose(np.zeros(3), np.eye(3))

@@ -29,7 +29,7 @@ from construction_twin.work.task_states import (
 _NOT_HELD = (TaskState.WAITING, TaskState.READY, TaskState.DONE, TaskState.SKIPPED)
 
 #: What lines say of the element; the last one that says it counts.
-_ELEMENT = ("element", "name", "ifc_class", "body", "goal")
+_ELEMENT = ("element", "name", "ifc_class", "body", "goal", "seen")
 
 
 class NotNow(WorkError):
@@ -48,7 +48,7 @@ class TaskMemory:
         before: The state that a question is about: in which its answer was lost.
         plan, offer, grip: Of the plan under review or under way; `grip` stays with the element.
         process: Of the plan that was offered last; empty: `recipe.DEFAULT`.
-        element, name, ifc_class, body, goal: Of the element, see `Entry`; empty: no line says it.
+        element, name, ifc_class, body, goal, seen: Of the element, see `Entry`; empty: no line says it.
         source: The other ledger that says that it was placed; empty: this one.
         in_grip: The element is held by the tool, as far as is known.
         gone: It is neither in its stock nor placed; of a task that is done: taken down.
@@ -80,6 +80,7 @@ class TaskMemory:
     ifc_class: str = ""
     body: str = ""
     goal: tuple[float, ...] = ()
+    seen: str = ""
     source: str = ""
 
     @property

@@ -57,19 +57,6 @@ class TaskPlanner:
         self._shapes = Shapes()
         self._world: CollisionWorld | None = None
 
-    def with_recipes(self, recipes: Recipes) -> TaskPlanner:
-        """Return a planner of the same robot and tool with other recipes."""
-        other = TaskPlanner(
-            self._robot, self._solver, self._settings, self._self_collision, self._tool, recipes, self._clock, self._limits,
-        )  # fmt: skip
-        other._world = self._world
-        return other
-
-    @property
-    def recipes(self) -> Recipes:
-        """The recipes that it plans with."""
-        return self._recipes
-
     def plan(
         self,
         job: WorkJob,

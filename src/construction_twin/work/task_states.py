@@ -155,6 +155,8 @@ ANSWERS_OF_STAYING = ("done", "not_done")
 #: `SAME`, where the model has a counterpart.
 ANSWERS_OF_FORMER = {"stands": "placed", "taken_away": "gone"}
 SAME = "same"
+#: What can be answered for all that was placed at once: each leaves it an obstacle.
+ANSWERS_FOR_ALL = (SAME, "stands", "placed")
 #: The guard that each of them satisfies.
 SAYS = {
     "in_stock": _G.SAYS_STOCK, "in_grip": _G.SAYS_GRIP, "placed": _G.SAYS_PLACED, "gone": _G.SAYS_GONE,

@@ -28,7 +28,7 @@ from construction_twin.work.ifc.reading import read_building
 from construction_twin.work.jobs import TaskMotions, bare_job
 from construction_twin.work.placement import check_placement
 from construction_twin.work.processes import process_of
-from construction_twin.work.proposed_schedule import is_proposal, propose
+from construction_twin.work.proposed_schedule import propose
 from construction_twin.work.recipe import DEFAULT
 from construction_twin.work.schedule import Schedule
 from construction_twin.work.site import Site, pose_of, read_site
@@ -72,8 +72,7 @@ def prepare(
     proposed = not building.tasks
     if proposed:
         building = propose(building).applied(building)
-    # one that was written into the file is a proposal, too, until a person accepts it
-    schedule = Schedule.of(building, proposed or is_proposal(building), site.recipes.process)
+    schedule = Schedule.of(building, proposed, site.recipes.process)
     order = list(dict.fromkeys(job.element for job in schedule.jobs))
     chain = Chain(robot)
     tool = pose_of(site.tool.tool.tool0_T_tcp)

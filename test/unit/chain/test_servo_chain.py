@@ -147,6 +147,16 @@ def test_the_arm_with_mass_is_followed_with_known_payloads():
         assert not work.holds and work.largest.max() < 2e-4
 
 
+def test_a_collision_that_the_drives_cannot_hold_against_is_found():
+    chain = servo_chain(servo="physics")
+    plan, fastest, _ = sweep(chain, 2)
+    chain.play(plan)
+    chain.run_for(fastest)
+    chain.faults.inject(Fault("collision", "A3", (12000.0,)))
+    assert chain.run_until(lambda: chain.gate.state is SyncState.HOLDING, 0.1)
+    assert "joint_a3" in chain.transitions[-1].reason
+
+
 def test_an_arm_of_another_class_is_held_to_the_threshold_by_what_was_identified():
     chain = servo_chain(arm=servo_of(ForeignPlant(60.0, 0.05)))
     for goal in itertools.islice(poses(4), 5):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -164,8 +163,8 @@ class TestPlaying:
     def test_a_plan_asked_for_before_a_restart_is_void_when_it_arrives(self, bench):
         bench.executor.restart("new command session", bench.stamp)
         with pytest.raises(ReviewError, check=says("review.void", plan="p")):
-            bench.executor.offer(replace(make_plan(), asked_ns=bench.stamp - 1))
-        bench.executor.offer(replace(make_plan(), asked_ns=bench.stamp))
+            bench.executor.offer(make_plan(asked_ns=bench.stamp - 1))
+        bench.executor.offer(make_plan(asked_ns=bench.stamp))
 
     @pytest.mark.parametrize("stopping", [False, True])
     def test_an_arm_that_is_no_longer_armed_drops_the_plan(self, bench, stopping):

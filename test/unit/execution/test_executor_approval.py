@@ -404,6 +404,19 @@ class TestAge:
         bench.run(5 * SECOND)
         assert bench.state is ExecutorState.AT_BOUNDARY and bench.executor.outcome == ""
 
+    @pytest.mark.parametrize("duration", [0.8, 0.803])
+    def test_a_first_segment_that_stays_where_it_is_has_begun_when_it_ends(self, bench, duration):
+        bench.with_tool()
+        bench.approve(make_work_plan(motion=between(0.0, 0.0, 0.3, 0.4, 0.6, duration=duration)))
+        bench.run_to_end_of(0)
+        bench.executor.under_review.scene_alive = False
+        bench.run(5 * SECOND)
+        assert bench.state is ExecutorState.AT_BOUNDARY and bench.executor.outcome == ""
+        bench.executor.under_review.scene_alive = True
+        bench.run_into(1)
+        bench.run(10)
+        assert bench.state is ExecutorState.PLAYING
+
     def test_what_has_begun_to_move_within_its_time_goes_on_after_it(self, bench):
         bench.executor.limit_rate(0.0, "somebody is near")
         bench.play(make_plan(), SECOND * 29 // 10)

@@ -28,7 +28,7 @@ def test_zero_is_the_default_negative_no_bound_and_the_rest_as_asked():
         ToleranceRequest(NAMES[2], -1.0, -1.0, -1.0),
         ToleranceRequest(NAMES[3], 0.2, 0.5),
     ]
-    taken = DEFAULT.asked(ROBOT, asked, "goal_tolerance")
+    taken = DEFAULT.asked(ROBOT, asked)
     assert taken.position == (0.01, 0.01, math.inf, 0.2, 0.01, 0.01)
     assert taken.velocity == (math.inf, math.inf, math.inf, 0.5, math.inf, math.inf)
     assert taken.acceleration == (math.inf,) * 6
@@ -41,7 +41,7 @@ def test_a_default_of_zero_is_no_bound_and_prismatic_joints_have_their_own():
 
 @pytest.mark.parametrize("joint", range(6))
 def test_a_joint_that_is_off_is_named_with_value_and_tolerance(joint):
-    tolerances = DEFAULT.asked(ROBOT, [ToleranceRequest(name, 0.1, 0.2, 0.3) for name in NAMES], "path_tolerance")
+    tolerances = DEFAULT.asked(ROBOT, [ToleranceRequest(name, 0.1, 0.2, 0.3) for name in NAMES])
     assert tolerances.violation(ROBOT, off(joint, -0.1), off(joint, 0.2), off(joint, 0.3)) == ""
     name = NAMES[joint]
     for quantity, errors, error, bound in (
@@ -67,26 +67,25 @@ def test_a_pose_that_is_no_number_does_not_pass():
 def test_a_tolerance_of_a_foreign_joint_or_of_no_number_is_refused():
     with pytest.raises(
         GoalJointsError,
-        check=says("reason.goal.tolerance_joint", field="path_tolerance", joint="elbow", known=", ".join(NAMES)),
+        check=says("reason.goal.tolerance_joint", joint="elbow", known=", ".join(NAMES)),
     ):
-        DEFAULT.asked(ROBOT, [ToleranceRequest("elbow", 0.1)], "path_tolerance")
+        DEFAULT.asked(ROBOT, [ToleranceRequest("elbow", 0.1)])
     with pytest.raises(
         GoalError,
         check=says(
             "reason.goal.tolerance_nan",
-            field="goal_tolerance",
             quantity=Sentence("reason.goal.quantity.velocity"),
             joint="joint_a1",
         ),
     ):
-        DEFAULT.asked(ROBOT, [ToleranceRequest("joint_a1", 0.1, math.nan)], "goal_tolerance")
+        DEFAULT.asked(ROBOT, [ToleranceRequest("joint_a1", 0.1, math.nan)])
 
 
 @pytest.mark.parametrize("second", [0.2, 0.1])
 def test_a_tolerance_of_a_joint_that_is_named_twice_is_refused(second):
     asked = [ToleranceRequest("joint_a1", 0.1), ToleranceRequest("joint_a1", second)]
-    with pytest.raises(GoalError, check=says("reason.goal.tolerance_twice", field="path_tolerance", joint="joint_a1")):
-        DEFAULT.asked(ROBOT, asked, "path_tolerance")
+    with pytest.raises(GoalError, check=says("reason.goal.tolerance_twice", joint="joint_a1")):
+        DEFAULT.asked(ROBOT, asked)
 
 
 @pytest.mark.parametrize(

@@ -7,11 +7,11 @@ import math
 import pytest
 from executor_bench import ROBOT
 
-from construction_twin.core.sentences import Quantity, Sentence, both
+from construction_twin.core.sentences import Sentence, both
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.execution.goal_states import TABLE, Action, GoalEvent, GoalState
-from construction_twin.execution.joint_tolerances import ToleranceRequest, Tolerances
+from construction_twin.execution.joint_tolerances import Tolerances
 from construction_twin.execution.tracking import Motion, Sample
 from construction_twin.execution.trajectory_goals import (
     REPLACED,
@@ -33,15 +33,14 @@ from construction_twin.execution.trajectory_goals import (
     Withdraw,
 )
 
-FREE = Tolerances.default(ROBOT, 0.0, 0.0)
 CLOSE = Tolerances.default(ROBOT, 0.01, 0.005)
 PLAN = GoalPlan("plan-1", "hash-1", 2.5)
 REST = (0.0,) * 6
 CANCELLED = Sentence("reason.goal.cancelled")
 
 
-def goal(name: str = "a", client: str = "/move_group", path: Tolerances = FREE) -> TrajectoryGoal:
-    return TrajectoryGoal(name, client, path, CLOSE, 2.0)
+def goal(name: str = "a", client: str = "/move_group") -> TrajectoryGoal:
+    return TrajectoryGoal(name, client, CLOSE, 2.0)
 
 
 def off_by(error: float) -> Sample:
@@ -98,12 +97,12 @@ class Desk:
         self.goals.tick(self.now, sample, at_rest, at_rest if settled is None else settled)
         return self
 
-    def under_review(self, path: Tolerances = FREE) -> Desk:
-        self.send(goal(path=path)).planned().effects()
+    def under_review(self) -> Desk:
+        self.send(goal()).planned().effects()
         return self
 
-    def moving(self, path: Tolerances = FREE) -> Desk:
-        self.under_review(path).executes(ExecutorState.PLAYING).effects()
+    def moving(self) -> Desk:
+        self.under_review().executes(ExecutorState.PLAYING).effects()
         return self
 
     def cancel(self, name: str = "a") -> Desk:
@@ -237,28 +236,6 @@ class TestToTheGoal:
 
 
 class TestTolerances:
-    def test_off_the_path_brakes_on_it_and_is_aborted_at_rest(self, desk):
-        desk.moving(FREE.asked(ROBOT, [ToleranceRequest("joint_a2", 0.1)], "path_tolerance"))
-        assert desk.after(0.02, off_by(-0.099)).effects() == []
-        brake, told = desk.after(0.02, off_by(-0.11)).effects()
-        assert brake == Brake(PLAN.id) and told.text.values["why"].key == "reason.goal.off_path"
-        off = told.text.values["why"].values["problem"].values
-        assert off["quantity"].key == "reason.goal.quantity.position" and off["joint"] == "joint_a2"
-        assert off["error"] == Quantity(pytest.approx(0.11), "rad")
-        assert desk.executes(ExecutorState.STOPPING).effects() == []
-        desk.executes(ExecutorState.IDLE, "stopped", "at rest 0.200 s into the plan")
-        assert desk.effects() == [] and desk.state is GoalState.STOPPED
-        end = desk.after(0.02, off_by(0.0), at_rest=True).end()
-        assert (end.ending, end.code) == (Ending.ABORTED, ResultCode.PATH_TOLERANCE_VIOLATED)
-        assert end.sentence.values["first"].values["problem"].values["bound"] == Quantity(0.1, "rad")
-        assert end.sentence.values["second"] == both(
-            Sentence("reason.goal.on_its_path"), "at rest 0.200 s into the plan"
-        )
-
-    def test_a_cancel_while_it_brakes_because_of_its_path_changes_nothing(self, desk):
-        desk.moving(CLOSE).after(0.02, off_by(1.0)).cancel().executes(ExecutorState.IDLE, "stopped")
-        assert desk.after(0.1, off_by(0.0), at_rest=True).end().code is ResultCode.PATH_TOLERANCE_VIOLATED
-
     @pytest.mark.parametrize(("error", "late"), [(0.02, 2.1), (math.nan, 2.1)])
     def test_an_arm_that_is_not_at_the_goal_in_time_has_violated_its_tolerance(self, desk, error, late):
         desk.moving().executes(ExecutorState.IDLE, "finished")
@@ -354,12 +331,6 @@ class TestCancel:
         assert (waiting.goal_id, waiting.ending) == ("b", Ending.CANCELED)
         assert waiting.sentence == Sentence("reason.goal.next_not_planned", seconds=10, unknown=UNKNOWN_REST)
         assert desk.state is GoalState.FREE and desk.after(1.0, at_rest=True).effects() == []
-
-    def test_nor_does_one_that_braked_off_its_path(self, desk):
-        desk.moving(CLOSE).after(0.02, off_by(1.0)).executes(ExecutorState.IDLE, "stopped").effects()
-        end = desk.after(STOPPED / NANOSECONDS + 0.1).end()
-        assert (end.ending, end.code) == (Ending.ABORTED, ResultCode.PATH_TOLERANCE_VIOLATED)
-        assert end.sentence.values["second"].values["first"] == UNKNOWN_REST
 
     def test_of_a_goal_that_has_ended_changes_nothing(self, desk):
         assert desk.moving().cancel("other").effects() == [] and desk.state is GoalState.MOVING

@@ -108,6 +108,17 @@ def test_what_is_kept_is_the_first_stop_that_nobody_has_reset_and_no_end_of_the_
     assert "first" in cell.gateway.stopped
 
 
+def test_a_stop_is_kept_also_from_an_account_that_was_just_answered_while_the_program_ends():
+    cell = following()
+    assert all(press(cell, id_=str(k)).reason for k in range(ANSWERS))
+    while cell.state is State.BRAKING:
+        cell.cycle()
+    assert cell.control("reset", "s2")[0]
+    cell.gateway.end("the gateway is ending", True)
+    press(cell)
+    assert "arm-stopper-bob" in cell.gateway.stopped
+
+
 def test_pressing_on_costs_a_count_and_no_answer():
     cell = following()
     assert all(press(cell, id_=str(k)).reason for k in range(ANSWERS))

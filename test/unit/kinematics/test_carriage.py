@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
-from inverse_cases import IIWA_LIKE, KR120, TRACK, joints
+from inverse_cases import TRACK, joints
 
-from construction_twin.kinematics.carriage import Carriage, carries
+from construction_twin.kinematics.carriage import Carriage
 from construction_twin.kinematics.chain import Chain
 
 CHAIN = Chain(TRACK)
 CARRIAGE = Carriage(CHAIN)
-
-
-@pytest.mark.parametrize(("robot", "expected"), [(TRACK, True), (KR120, False), (IIWA_LIKE, False)])
-def test_one_prismatic_joint_before_six_revolute_ones_carries_an_arm(robot, expected):
-    assert carries(Chain(robot)) is expected
 
 
 @given(joints(TRACK))

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from dense_search import dense_search
 from hypothesis import given, settings
+from ik_figures import NEARER, Problem, problems
 from inverse_cases import KR120, TRACK, assert_solves, changed, joints, make_inverse
 
 from construction_twin.core.freshness import Moment
 from construction_twin.core.motion_errors import CollisionError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
-from construction_twin.kinematics.figures import NEARER, Problem, problems
 from construction_twin.kinematics.inverse import IkSettings
 from construction_twin.kinematics.rail import find_rail
 from construction_twin.kinematics.rail_intervals import make_intervals, make_node

@@ -1,4 +1,4 @@
-"""Inverse kinematics by search (tried on an arm that also has a closed form) and along a linear axis (the KR 120 on its track)."""
+"""Inverse kinematics by search (tried on an arm that has a closed form, and on two of seven joints) and along a linear axis."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from inverse_cases import KR120, TRACK, UR_LIKE, assert_solves, joints, make_inverse
+from inverse_cases import IIWA_LIKE, KR120, PANDA_LIKE, TRACK, UR_LIKE, assert_solves, joints, make_inverse
 
 from construction_twin.core.motion_errors import (
     BranchError,
@@ -37,6 +37,14 @@ def search_of(robot, number=0, clock=time.monotonic, **settings):
 
 
 UR = search_of(UR_LIKE)
+SEVEN = {robot.name: make_inverse(robot, patience=8) for robot in (PANDA_LIKE, IIWA_LIKE)}
+#: An arm of the OPW kind behind a prismatic joint would be solved by `rail`; with the wrist to one side it is none.
+OBLIQUE_ON_TRACK = replace(
+    TRACK,
+    urdf=TRACK.urdf.replace(
+        '<origin rpy="0 0 0" xyz="1.000 0 -0.041"/>', '<origin rpy="0 0 0.3" xyz="1.000 0 -0.041"/>'
+    ),
+)
 RAIL = make_inverse(TRACK)
 EYE = np.eye(3)
 
@@ -46,6 +54,43 @@ EYE = np.eye(3)
 def test_every_reachable_pose_of_an_arm_without_a_spherical_wrist_is_solved(q, seed):
     pose = UR.chain.forward(q)
     assert_solves(UR.chain, UR.nearest(pose, seed), pose, seed)
+
+
+@pytest.mark.parametrize("name", SEVEN)
+def test_poses_of_an_arm_of_seven_joints_are_solved(name):
+    inverse = SEVEN[name]
+    robot = inverse.chain.robot
+    assert isinstance(inverse, NumericInverse) and "neither six revolute ones nor a prismatic one" in inverse.kind.why
+    for q, seed in np.random.default_rng(1).uniform(robot.lower, robot.upper, (8, 2, 7)):
+        pose = inverse.chain.forward(q)
+        found = inverse.nearest(pose, seed)
+        assert_solves(inverse.chain, found, pose, seed)
+        # the arm has slid until no motion brings it nearer, or a range ends
+        along = np.linalg.svd(inverse.chain.jacobian(found.q))[2][6]
+        at_end = (found.q < np.array(robot.lower) + 1e-3) | (found.q > np.array(robot.upper) - 1e-3)
+        assert abs((found.q - seed) @ along) < 5e-3 or at_end.any()
+
+
+@pytest.mark.parametrize("name", SEVEN)
+def test_all_of_an_arm_of_seven_joints_offers_others_along_the_self_motion(name):
+    inverse = SEVEN[name]
+    robot = inverse.chain.robot
+    pose, seed = inverse.chain.forward(0.5 * np.add(robot.home, robot.upper)), np.array(robot.home)
+    solutions = inverse.all(pose, seed)
+    assert [one.distance for one in solutions] == sorted(one.distance for one in solutions)
+    for one in solutions:
+        assert_solves(inverse.chain, one, pose, seed)
+    assert solutions[0].distance <= inverse.nearest(pose, seed).distance + 0.05
+    # so that whoever avoids contacts can choose: also postures that are far apart
+    assert len(solutions) > 8 and max(math.dist(solutions[0].q, one.q) for one in solutions) > 1.0
+
+
+def test_an_arm_of_another_kind_on_a_linear_axis_is_solved_by_search():
+    inverse = make_inverse(OBLIQUE_ON_TRACK, patience=8)
+    assert isinstance(inverse, NumericInverse)
+    for q, seed in np.random.default_rng(6).uniform(TRACK.lower, TRACK.upper, (4, 2, 7)):
+        pose = inverse.chain.forward(q)
+        assert_solves(inverse.chain, inverse.nearest(pose, seed), pose, seed)
 
 
 @given(joints(TRACK), joints(TRACK))
@@ -67,7 +112,7 @@ def test_no_solution_known_is_nearer(inverse):
         assert solution.distance <= np.linalg.norm(q - seed) + 1e-5
 
 
-@pytest.mark.parametrize("inverse", [UR, RAIL], ids=["ur_like", "track"])
+@pytest.mark.parametrize("inverse", [UR, RAIL, *SEVEN.values()], ids=["ur_like", "track", *SEVEN])
 def test_a_near_seed_is_kept(inverse):
     robot = inverse.chain.robot
     rng = np.random.default_rng(8)

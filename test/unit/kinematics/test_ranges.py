@@ -16,7 +16,7 @@ HOME = np.array(TRACK.home)
 
 def test_a_prismatic_joint_has_no_turns():
     q = HOME + [0.1, 0, 0, 0, 0, 0, 0]
-    assert RAIL.wrapped(np.full(7, TURN)) == pytest.approx([TURN, 0, 0, 0, 0, 0, 0])
+    assert RAIL.into_range(q + TURN, HOME, 0.0) == pytest.approx(q + [TURN, 0, 0, 0, 0, 0, 0])
     assert {each[0] for each in RAIL.turned(q.tolist(), 1e-6)} == {q[0]}
 
 
@@ -26,9 +26,9 @@ def test_the_turn_nearest_to_the_seed_is_taken_where_the_range_allows_it():
     q = np.array(KR120.home)
     # half a radian further than the seed would be out of range: one turn back it is within
     q[3] = seed[3] + 0.5 - 2.0 * TURN
-    assert ARM.into_range(q, seed)[3] == pytest.approx(seed[3] + 0.5 - TURN)
+    assert ARM.into_range(q, seed, 0.0)[3] == pytest.approx(seed[3] + 0.5 - TURN)
     q[3] = seed[3] - 0.5 - 2.0 * TURN
-    assert ARM.into_range(q, seed)[3] == pytest.approx(seed[3] - 0.5)
+    assert ARM.into_range(q, seed, 0.0)[3] == pytest.approx(seed[3] - 0.5)
 
 
 def test_out_of_range_by_rounding_keeps_its_turn():
@@ -37,7 +37,7 @@ def test_out_of_range_by_rounding_keeps_its_turn():
     q = seed.copy()
     q[3] += 5e-7
     assert ARM.into_range(q, seed, 1e-6)[3] == pytest.approx(seed[3], abs=1e-6)
-    assert ARM.into_range(q, seed)[3] == pytest.approx(seed[3] - TURN, abs=1e-6)
+    assert ARM.into_range(q, seed, 0.0)[3] == pytest.approx(seed[3] - TURN, abs=1e-6)
 
 
 def test_every_choice_of_turns_is_given_once_and_is_within_the_ranges():
@@ -49,13 +49,13 @@ def test_every_choice_of_turns_is_given_once_and_is_within_the_ranges():
         for joint in wide
     )
     assert len(every) == len(np.unique(every, axis=0)) == expected > 1
-    assert ARM.excess(every).max() <= 0.0
+    assert ARM.excesses(every).max() <= 0.0
     kept = np.array(list(ARM.turned(q.tolist(), 1e-6, kept=wide)))
     np.testing.assert_allclose(kept, [q])
 
 
-def test_the_worst_joint_tells_how_far_a_posture_is_out_of_range():
+def test_each_joint_tells_how_far_it_is_out_of_range():
     q = np.array([KR120.home, KR120.home], dtype=float)
     q[1, 1], q[1, 4] = KR120.lower[1] - 0.3, KR120.upper[4] + 0.2
-    excess = ARM.excess(q)
-    assert excess[0] < 0.0 and excess[1] == pytest.approx(0.3)
+    excesses = ARM.excesses(q)
+    assert excesses[0].max() < 0.0 and excesses[1, [1, 4]] == pytest.approx([0.3, 0.2])

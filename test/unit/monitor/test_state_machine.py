@@ -22,7 +22,7 @@ from construction_twin.core.errors import ConfigurationError, ConstructionTwinEr
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.executor import ExecutorState
-from construction_twin.monitor.gate import POLICIES, Gate, GateSettings, WatchedArm
+from construction_twin.monitor.gate import POLICIES, Gate, GateSettings
 from construction_twin.monitor.states import HELD_STATES, ROWS, SyncEvent, SyncState
 from construction_twin.mqtt.joint_string import JointStringCodec
 
@@ -37,10 +37,6 @@ ROUNDING = math.radians(1.0e-3)
 MOVING = {ExecutorState.PLAYING, ExecutorState.STOPPING, ExecutorState.PAUSING}
 
 
-#: An arm of which every motion takes no torque at all.
-WATCHED = WatchedArm(lambda q, speed, acceleration: (0.0,) * len(q), (100.0,) * len(HOME))
-
-
 class Cell(RuleBasedStateMachine):
     """Gate, executor and twin; the arm does as it is told, or not."""
 
@@ -49,7 +45,7 @@ class Cell(RuleBasedStateMachine):
 
     @initialize(policy=st.sampled_from(POLICIES))
     def build(self, policy):
-        self.gate = Gate(LIMITS, CODEC, GateSettings(policy=policy, **BRISK), 1000 * CYCLE_NS, WATCHED)
+        self.gate = Gate(LIMITS, CODEC, GateSettings(policy=policy, **BRISK), 1000 * CYCLE_NS)
         bench = Bench()
         self.executor, self.approval = bench.executor, bench.approval
         self.stamp = bench.stamp
@@ -172,7 +168,7 @@ class Cell(RuleBasedStateMachine):
     def respawn(self):
         """The monitor begins anew; one that was STOPPED stays so."""
         stopped = self.state is SyncState.STOPPED
-        self.gate = Gate(LIMITS, CODEC, self.gate.settings, self.stamp, WATCHED)
+        self.gate = Gate(LIMITS, CODEC, self.gate.settings, self.stamp)
         self.state, self.command = SyncState.WAITING, None
         if stopped:
             self.gate.stay_stopped("it was STOPPED before", self.stamp)
@@ -224,22 +220,6 @@ class Cell(RuleBasedStateMachine):
             self.cycle(feedback)
         for _ in range(cycles):
             self.cycle()
-
-    @precondition(lambda self: self.state is SyncState.IN_SYNC)
-    @rule(cycles=st.integers(5, 20))
-    def collide(self, cycles):
-        watch = self.gate.watch_of_torques
-        before = watch.compared
-        for _ in range(cycles):
-            self.cycle()
-            self.gate.on_torques((50.0, *HOME[1:]), self.stamp, self.stamp)
-            self.check_transitions()
-        if watch.compared - before >= cycles:
-            assert self.state is not SyncState.IN_SYNC and not self.gate.agreed(self.stamp)
-        for _ in range(cycles):
-            self.cycle()
-            self.gate.on_torques((0.0,) * len(HOME), self.stamp, self.stamp)
-            self.check_transitions()
 
     @precondition(lambda self: self.state is SyncState.IN_SYNC)
     @rule(comes_back=st.sampled_from(["agrees", "differs"]), replan=st.booleans())

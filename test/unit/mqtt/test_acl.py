@@ -10,7 +10,6 @@ from processes import ROOT, wait_until
 from site_broker import ROBOTS, Listener, SiteBroker
 
 from construction_twin.broker.access import MOVING, PLC, PROGRAMS, RIGHTS, ROLES, Grant, Person, Site, access_rules
-from construction_twin.core.axis_quantities import QUANTITIES
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import REQUESTS
@@ -44,7 +43,7 @@ PEOPLE = ("viewer", "reviewer", "stopper", "planner", "lead")
 OF_PERSONS = ("reset", "arm", "answer", "acknowledge", "speed", "override_rehearsal")
 OF_PEOPLE = {f"{act}/{ACCOUNTS[role]}" for acts in ACTS.values() for act in acts for role in PEOPLE}
 TOPICS = (
-    "command", "state", "torque", "current", "status", "bridge/status", "control", "control/ack", "plan", "review", "scene",
+    "command", "state", "status", "bridge/status", "control", "control/ack", "plan", "review", "scene",
     "screen", "work/tasks", "path", "messages", "rehearsal", "trajectory", "view", *sorted(ANSWERS), *sorted(OF_PEOPLE),
     "somewhere/else",
 )  # fmt: skip
@@ -54,7 +53,7 @@ WRITES = {
         "command", "control", "bridge/status", "plan", "scene", "screen", "work/tasks", "path", "messages", "rehearsal",
         "view", *ANSWERS,
     },
-    "gateway": {"state", "torque", "current", "status", "control/ack", "stop/ack"},
+    "gateway": {"state", "status", "control/ack", "stop/ack"},
     "plc": {"command", "control"},
 } | {
     role: {f"{act}/{ACCOUNTS[role]}" for right, acts in ACTS.items() if role in HAVE[right] for act in acts} for role in PEOPLE
@@ -63,7 +62,7 @@ WRITES["planner"] |= {"trajectory"}
 STOPS = {topic for topic in OF_PEOPLE if topic.startswith("stop/")}
 READS = {
     # who takes `stop/+` also gets `stop/ack`
-    "bridge": {"state", "torque", "current", "status", "control/ack"}
+    "bridge": {"state", "status", "control/ack"}
     | {"plan", "scene", "work/tasks", "path", "messages", "rehearsal", "trajectory"}
     | OF_PEOPLE
     | ({f"{act}/ack" for acts in ACTS.values() for act in acts} & ANSWERS),
@@ -111,7 +110,7 @@ def test_the_table_knows_every_role_and_topic():
     assert set(WRITES) == set(READS) == set(ACCOUNTS) == {*PROGRAMS, *ROLES, PLC, "lead"}
     topics = Topics("twin", "one")
     names = [name for name, value in vars(Topics).items() if isinstance(value, property)]
-    listed = {getattr(topics, name) for name in names} | {topics.told(quantity) for quantity in QUANTITIES}
+    listed = {getattr(topics, name) for name in names}
     for kind in OF_ACCOUNTS:
         listed |= {topics.of(kind, ACCOUNTS[role]) for role in PEOPLE} | {topics.ack_of(kind, "one-planner-ada")}
     assert listed == {f"twin/one/{topic}" for topic in TOPICS[:-1]}

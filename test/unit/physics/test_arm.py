@@ -7,6 +7,7 @@ import pinocchio
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from inverse_dynamics import InverseDynamics
 from physics_samples import READY, between, bodies_of, drives, dynamics_of, model_of, robot_of
 
 from construction_twin.core.units import CYCLE
@@ -14,7 +15,6 @@ from construction_twin.mock.servo import RealisticServo
 from construction_twin.physics.arm import Servo, SimulatedArm
 from construction_twin.physics.mass import of_shape
 from construction_twin.physics.model import Load
-from construction_twin.physics.plant import InverseDynamics
 from construction_twin.scene.objects import Scene, SceneObject
 
 FAR = READY + np.array((1.0, 0.3, -0.4, 0.8, -0.6, 1.2))

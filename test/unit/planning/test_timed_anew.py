@@ -25,9 +25,7 @@ from construction_twin.scene.objects import Scene, SceneObject
 
 PACE = np.array(ROBOT.velocity)
 TOOL = Chain(ROBOT)
-PIPELINE = PlanningPipeline(
-    ROBOT, solver(), PlannerSettings(**QUICK), SELF_COLLISION, Clock(), np.random.default_rng(0), "/kr120/scene"
-)
+PIPELINE = PlanningPipeline(ROBOT, solver(), PlannerSettings(**QUICK), SELF_COLLISION, Clock(), "/kr120/scene")
 
 
 def asked(points: np.ndarray, pauses: float = 0.0) -> Waypoints:

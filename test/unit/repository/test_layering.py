@@ -44,10 +44,10 @@ ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr1
 THIRD_PARTY = {
     "numpy", "scipy", "ompl", "toppra", "pydantic", "yaml", "xacro", "urdf_parser_py", "PyKDL", "paho", "matplotlib", "rich",
     "mpl_toolkits", "coal", "pinocchio", "eaik", "py_opw_kinematics", "manifold3d", "ifcopenshell", "isodate",
-    "mujoco", "rospkg", "shtab",
+    "mujoco", "rosbags", "rospkg",
 }  # fmt: skip
-#: The only folder or file that may need a package that is not everywhere: `setup/setup.sh work` and `console` install it, or ROS
-#: has something of its own in its place (rosbags). Everything else must run without.
+#: The only folder or file that may need a package that is not everywhere: `setup/setup.sh work` and `console` install it.
+#: Everything else must run without.
 OPTIONAL = {
     "segno": "broker/console_files.py",
     "ifcopenshell": "work/ifc",
@@ -57,7 +57,6 @@ OPTIONAL = {
     "mujoco": "physics",
     "websockets": "console",
     "cryptography": "console/sealing.py",
-    "rosbags": "evaluation/pure_bag.py",
 }
 GENERATED = {"msg", "srv", "action"}
 #: Given in the launch files: deployment, not behaviour.
@@ -90,10 +89,6 @@ DEPLOYMENT = {
         "arm",
         "decimals",
         "realtime_priority",
-        "torque_watch",
-        "tool",
-        "drives",
-        "payload",
         "servo_model",
     },
     "mock_rsi": {"gateway_host", "gateway_port", "make", "ethernet_xml", "tool", "drives", "payload"},
@@ -340,8 +335,6 @@ def test_every_key_of_a_configuration_is_explained_above_it(node):
             {
                 "arm": "mock",
                 "decimals": 3,
-                "torque_watch": False,
-                "drives": "",
                 "servo_model": "",
             },
         ),

@@ -1,4 +1,4 @@
-"""The folder moveit/: made from our limits, accepted by roslaunch, and complete by what MoveIt 1's setup assistant writes.
+"""The folder moveit/: true to our limits and pairs, accepted by roslaunch, and complete by what MoveIt 1's setup assistant writes.
 
 MoveIt is not installed here. Its packages are stood in for by empty ones; names of arguments, parameters and keys are compared with
 lists that were taken from moveit 1.1 (moveit_setup_assistant/templates, moveit_ros, moveit_plugins) and panda_moveit_config.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import os
 import subprocess
+from itertools import combinations
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -19,20 +20,23 @@ import yaml
 from construction_twin.kinematics.chain import Chain
 from construction_twin.planning.waypoints import START_TOLERANCE_M, START_TOLERANCE_RAD
 from construction_twin.robot.description import RobotModel, read_robot_files
-from construction_twin.robot.moveit_config import moveit_files
-from construction_twin.robot.planning_groups import planning_groups
-from construction_twin.scene.moveit_config_command import main as moveit_config_main
+from construction_twin.robot.urdf import chain_joints, parse_urdf
+from construction_twin.scene.collision_bodies import RobotBodies
+from construction_twin.scene.collision_world import checked_pairs
 from construction_twin.scene.self_collision import read_self_collision
 
 ROOT = Path(__file__).resolve().parents[3]
 MOVEIT = ROOT / "moveit"
 LAUNCHES = sorted((MOVEIT / "launch").glob("*.launch*"))
-ROBOTS = {
-    "kr120": ("urdf/kr120r2500.urdf.xacro", "config/kr120"),
-    "kr120_track": ("urdf/kr120_track.urdf.xacro", "config/kr120_track"),
-    "ur_like": ("test/data/ur_like.urdf", "test/data/ur_like"),
+XACROS = {"kr120": "urdf/kr120r2500.urdf.xacro", "kr120_track": "urdf/kr120_track.urdf.xacro"}
+OURS = tuple(XACROS)
+#: The groups of each SRDF with their chains, base to tip; the one of all joints last.
+GROUPS = {
+    "kr120": {"manipulator": ("base_link", "tool0")},
+    "kr120_track": {"manipulator": ("base_link", "tool0"), "manipulator_track": ("track_base", "tool0")},
 }
-OURS = ("kr120", "kr120_track")
+#: MoveIt's word for each reason of a self_collision file.
+REASONS = {"adjacent": "Adjacent", "always": "Always", "never": "Never"}
 #: Programs of packages that a PC with MoveIt has.
 STAND_INS = {
     "moveit_ros_move_group": ("move_group",),
@@ -100,8 +104,23 @@ OMPL_PLANNERS = {
 
 
 def robot_of(name: str) -> RobotModel:
-    urdf, files = ROBOTS[name]
-    return read_robot_files(ROOT / urdf, ROOT / f"{files}.yaml")
+    return read_robot_files(ROOT / XACROS[name], ROOT / f"config/{name}.yaml")
+
+
+def srdf_of(name: str) -> ElementTree.Element:
+    return ElementTree.parse(MOVEIT / "config" / name / "robot.srdf").getroot()
+
+
+def joints_of(robot: RobotModel, base: str, tip: str) -> tuple[str, ...]:
+    joints = chain_joints(parse_urdf(robot.urdf), base, tip)
+    return tuple(joint.name for joint in joints if joint.joint_type != "fixed")
+
+
+def pairs_of(root: ElementTree.Element, tag: str) -> dict[frozenset[str], str]:
+    rows = [row.attrib for row in root.findall(tag)]
+    pairs = {frozenset((row["link1"], row["link2"])): row.get("reason", "") for row in rows}
+    assert len(pairs) == len(rows)
+    return pairs
 
 
 @pytest.fixture(scope="module")
@@ -136,18 +155,7 @@ def arguments(path: Path) -> dict[str, ElementTree.Element]:
     return {arg.get("name", ""): arg for arg in ElementTree.parse(path).getroot().findall("arg")}
 
 
-# -- made from our files
-
-
-@pytest.mark.parametrize("name", OURS)
-def test_the_files_are_those_that_the_command_makes_today(name):
-    """Stale? `rosrun construction_twin moveit_config <urdf> <robot.yaml> <self_collision.yaml> moveit/config/<robot>`."""
-    robot = robot_of(name)
-    made = moveit_files(robot, read_self_collision(ROOT / f"config/{name}_self_collision.yaml", robot).ignored)
-    folder = MOVEIT / "config" / name
-    assert {path.name for path in folder.iterdir()} == set(made)
-    for file, text in made.items():
-        assert (folder / file).read_text() == text, file
+# -- true to our files
 
 
 @pytest.mark.parametrize("name", OURS)
@@ -166,7 +174,7 @@ def test_joint_limits_are_the_robot_s(name):
 @pytest.mark.parametrize("name", OURS)
 def test_every_group_of_the_srdf_has_a_solver_and_planners(name):
     folder = MOVEIT / "config" / name
-    groups = {group.get("name") for group in ElementTree.parse(folder / "robot.srdf").getroot().findall("group")}
+    groups = {group.get("name") for group in srdf_of(name).findall("group")}
     kinematics = yaml.safe_load((folder / "kinematics.yaml").read_text())
     assert set(kinematics) == groups and all(set(solver) == SOLVER_KEYS for solver in kinematics.values())
     ompl = yaml.safe_load((folder / "ompl_planning.yaml").read_text())
@@ -174,10 +182,60 @@ def test_every_group_of_the_srdf_has_a_solver_and_planners(name):
     assert set(planners) <= OMPL_PLANNERS
     assert all(settings["type"] == f"geometric::{planner}" for planner, settings in planners.items())
     assert set(ompl) == groups
-    for group in planning_groups(robot_of(name)):
-        assert set(ompl[group.name]["planner_configs"]) == set(planners)
-        assert ompl[group.name]["default_planner_config"] in planners
-        assert ompl[group.name]["projection_evaluator"] == f"joints({group.joints[0]},{group.joints[1]})"
+    for group, chain in GROUPS[name].items():
+        first, second, *_ = joints_of(robot_of(name), *chain)
+        assert set(ompl[group]["planner_configs"]) == set(planners)
+        assert ompl[group]["default_planner_config"] in planners
+        assert ompl[group]["projection_evaluator"] == f"joints({first},{second})"
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_groups_are_chains_of_the_urdf_and_home_is_the_robot_yaml_s(name):
+    robot, root = robot_of(name), srdf_of(name)
+    assert root.get("name") == parse_urdf(robot.urdf).name
+    chains = {group.get("name"): group.find("chain").attrib for group in root.findall("group")}
+    assert chains == {group: {"base_link": base, "tip_link": tip} for group, (base, tip) in GROUPS[name].items()}
+    home = dict(zip(robot.joint_names, robot.home))
+    states = {state.get("group"): state for state in root.findall("group_state")}
+    for group, chain in GROUPS[name].items():
+        values = {joint.get("name"): float(joint.get("value")) for joint in states[group]}
+        assert states[group].get("name") == "home"
+        assert values == pytest.approx({joint: home[joint] for joint in joints_of(robot, *chain)}, abs=1e-11)
+    assert len(states) == len(GROUPS[name])
+    (joint,) = root.findall("virtual_joint")
+    assert joint.get("child_link") == parse_urdf(robot.urdf).get_root()
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_disabled_pairs_are_those_of_the_self_collision_file(name):
+    """Besides them only pairs of links that nothing moves against each other, which our check leaves out by itself."""
+    robot = robot_of(name)
+    ignored = read_self_collision(ROOT / f"config/{name}_self_collision.yaml", robot).ignored
+    disabled = pairs_of(srdf_of(name), "disable_collisions")
+    assert {pair: disabled.get(pair) for pair in ignored} == {pair: REASONS[ignored[pair]] for pair in ignored}
+    joint = {body.owner: body.joint for body in RobotBodies(robot).bodies}
+    assert all(len({joint[link] for link in pair}) == 1 for pair in set(disabled) - set(ignored))
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_moveit_checks_the_pairs_of_links_that_we_check(name):
+    """Its allowed collision matrix, built as MoveIt builds it: defaults, then enabled pairs, then disabled ones."""
+    robot, root = robot_of(name), srdf_of(name)
+    bodies = RobotBodies(robot).bodies
+    defaults = {row.get("link") for row in root.findall("disable_default_collisions")}
+    # they may stand on objects
+    assert defaults == {body.owner for body in bodies if body.joint == 0}
+    enabled, disabled = set(pairs_of(root, "enable_collisions")), set(pairs_of(root, "disable_collisions"))
+    assert not enabled & disabled
+    links = [link.name for link in parse_urdf(robot.urdf).links if link.collisions]
+    theirs = {
+        pair
+        for pair in map(frozenset, combinations(links, 2))
+        if pair not in disabled and (pair in enabled or not pair & defaults)
+    }
+    pairs = read_self_collision(ROOT / f"config/{name}_self_collision.yaml", robot)
+    ours = {frozenset((bodies[one].owner, bodies[other].owner)) for one, other, _ in checked_pairs(bodies, 0.0, pairs)}
+    assert theirs == ours
 
 
 @pytest.mark.parametrize("name", OURS)
@@ -188,15 +246,22 @@ def test_moveit_checks_a_motion_in_steps_that_find_what_stands_in_a_cell(name):
     stretched = Chain(robot).forward([0.0] * len(ranges)).position[0]
     assert stretched > 2.5
     ompl = yaml.safe_load((MOVEIT / "config" / name / "ompl_planning.yaml").read_text())
-    for group in planning_groups(robot):
-        extent = sum(ranges[joint] for joint in group.joints)
-        assert ompl[group.name]["longest_valid_segment_fraction"] * extent * stretched < 0.25
+    groups = {"manipulator": robot.joint_names[-6:], "manipulator_track": robot.joint_names}
+    for group, settings in ompl.items():
+        if "longest_valid_segment_fraction" in settings:
+            extent = sum(ranges[joint] for joint in groups[group])
+            assert settings["longest_valid_segment_fraction"] * extent * stretched < 0.25
 
 
 def test_the_srdf_is_the_one_of_bringup():
     for name, words in (("kr120", []), ("kr120_track", ["track:=true"])):
         loaded = parameters(dict(os.environ), "bringup.launch", *words)["/kr120/robot_description_semantic"]
         assert loaded == (MOVEIT / "config" / name / "robot.srdf").read_text()
+
+
+def test_another_arm_is_not_given_the_srdf_of_ours():
+    loaded = parameters(dict(os.environ), "robot.launch", f"robot_xacro:={ROOT / 'test/data/ur_like.urdf'}")
+    assert "/robot_description" in loaded and "/robot_description_semantic" not in loaded
 
 
 def test_cartesian_limits_have_the_keys_of_pilz():
@@ -215,7 +280,8 @@ def test_every_argument_is_explained(path):
 @pytest.mark.parametrize("file", ["move_group.launch", "demo.launch"])
 def test_ros_args_lists_them(file, with_moveit):
     said = roslaunch(with_moveit | {"COLUMNS": "80"}, "--ros-args", "construction_twin", file)
-    assert all(name in said for name in arguments(MOVEIT / "launch" / file)) and "undocumented" not in said
+    given = [name for name, arg in arguments(MOVEIT / "launch" / file).items() if "value" not in arg.attrib]
+    assert all(name in said for name in given) and "undocumented" not in said
 
 
 @pytest.mark.parametrize("file", sorted(ASSISTANT_ARGUMENTS))
@@ -238,8 +304,7 @@ def test_one_command_starts_move_group_and_rviz_in_the_robot_s_namespace(with_mo
 def test_tf_gets_the_frame_that_moveit_plans_in(track, root, with_moveit):
     words = ["--args", "/kr120/moveit_frame", "construction_twin", "move_group.launch", f"track:={track}"]
     assert f"/moveit/scripts/fixed_frame kr120/twin/{root} {root} " in roslaunch(with_moveit, *words)
-    srdf = ElementTree.parse(MOVEIT / "config" / ("kr120_track" if track == "true" else "kr120") / "robot.srdf")
-    joint = srdf.getroot().find("virtual_joint")
+    joint = srdf_of("kr120_track" if track == "true" else "kr120").find("virtual_joint")
     assert joint is not None and joint.get("child_link") == root
 
 
@@ -314,18 +379,6 @@ def test_pilz_is_a_pipeline_of_its_own(with_moveit):
     assert given["/kr120/move_group/default_planning_pipeline"] == "pilz_industrial_motion_planner"
 
 
-def test_another_arm_needs_a_folder_and_its_names(tmp_path, capsys, with_moveit):
-    urdf, files = (str(ROOT / path) for path in ROBOTS["ur_like"])
-    folder = tmp_path / "moveit of mine"
-    moveit_config_main([urdf, f"{files}.yaml", f"{files}_self_collision.yaml", str(folder)])
-    assert f"move_group.launch config:={folder}" in capsys.readouterr().out
-    given = parameters(with_moveit, "move_group.launch", f"config:={folder}", "robot:=ur_like")
-    (controller,) = given["/ur_like/move_group/controller_list"]
-    assert tuple(controller["joints"]) == robot_of("ur_like").joint_names
-    assert given["/ur_like/robot_description_planning/joint_limits/elbow/max_acceleration"] > 0.0
-    assert given["/ur_like/move_group/planning_pipelines/ompl/manipulator/projection_evaluator"] == "joints(pan,lift)"
-
-
 def test_nothing_in_it_needs_this_package_to_be_built():
     """The other PC's Python is an older one; roslaunch and a checkout are all that it needs."""
     ours = {
@@ -366,7 +419,7 @@ def test_the_demo_brings_everything_itself(track, with_moveit):
     assert given["/kr120/robot_description_semantic"] == (MOVEIT / "config" / name / "robot.srdf").read_text()
     (controller,) = given["/kr120/move_group/controller_list"]
     assert tuple(controller["joints"]) == robot.joint_names and controller["type"] == "interpolate"
-    assert given["/kr120/move_group/initial"] == [{"group": planning_groups(robot)[-1].name, "pose": "home"}]
+    assert given["/kr120/move_group/initial"] == [{"group": [*GROUPS[name]][-1], "pose": "home"}]
     assert given["/kr120/joint_state_publisher/source_list"] == ["move_group/fake_controller_joint_states"]
     nodes = roslaunch(
         with_moveit, "--nodes", "construction_twin", "demo.launch", f"track:={track}", "use_rviz:=false"

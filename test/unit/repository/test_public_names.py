@@ -28,8 +28,6 @@ EXEMPT: dict[str, dict[str, str]] = {
     },
     "test/unit/evaluation/test_evaluation_bag.py": {
         "_md5sum": GENPY,
-        "_message_types": "rosbag keeps the classes it has generated here; a fresh process has none",
-        "_get_message_type": "rosbag makes a class from a bag's text here; the test proves that it is not called",
     },
     "test/unit/gateway/test_gateway_failure.py": dict.fromkeys(
         (

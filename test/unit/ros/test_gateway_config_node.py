@@ -1,8 +1,10 @@
-"""rsi_gateway under roslaunch: the file it hands its configuration over in."""
+"""rsi_gateway under roslaunch: the files that it hands over to the gateway."""
 
 from __future__ import annotations
 
 from construction_twin.core.files import write_whole
+from construction_twin.gateway.stop_file import StopFile
+from construction_twin.ros.nodes.rsi_gateway import MOCK, NEW_MOCK, stop_file
 
 
 def test_a_second_start_replaces_the_file_and_leaves_nothing_else(tmp_path):
@@ -11,3 +13,22 @@ def test_a_second_start_replaces_the_file_and_leaves_nothing_else(tmp_path):
         write_whole(file, text)
     assert file.read_text() == "second"
     assert list(file.parent.iterdir()) == [file]
+
+
+def test_a_real_arm_s_stop_outlasts_a_simulation_and_another_master(tmp_path):
+    """Law 5: nobody has reset it, and it is the same arm."""
+    config, other = tmp_path / "http_a_11311_kr120_rsi_gateway.json", tmp_path / "http_b_11312_kr120_rsi_gateway.json"
+
+    def found(arm, file=config):
+        return StopFile(stop_file(arm, file, "kr120")).found
+
+    def stop(arm):
+        stops = StopFile(stop_file(arm, config, "kr120"))
+        stops.keep(f"{arm} stopped")
+        stops.close()
+
+    stop("real")
+    assert found(NEW_MOCK) == ""
+    stop(MOCK)
+    assert found(MOCK) == "mock stopped" and found("real") == "real stopped"
+    assert found(NEW_MOCK) == "" and found("real", other) == "real stopped"

@@ -34,8 +34,7 @@ OFFICIAL = {
     "JointTolerance": "f544fe9c16cf04547e135dd6063ff5be",
 }
 MESSAGES = control_messages()
-FREE = Tolerances.default(ROBOT, 0.0, 0.0)
-DEFAULTS = GoalDefaults(FREE, Tolerances.default(ROBOT, 0.01, 0.005), 2.0)
+DEFAULTS = GoalDefaults(Tolerances.default(ROBOT, 0.01, 0.005), 2.0)
 
 
 def string(text: str) -> bytes:
@@ -154,7 +153,7 @@ def goal_of(names=ROBOT.joint_names, **fields):
 def test_tolerances_are_read_by_joint_and_a_time_of_zero_is_the_default():
     tolerance = [MESSAGES.JointTolerance("joint_a2", 0.1, -1.0, 0.0)]
     taken = trajectory_goal(goal_of(goal_tolerance=tolerance), "g", "/client", ROBOT, DEFAULTS)
-    assert (taken.id, taken.client, taken.time_tolerance, taken.path) == ("g", "/client", 2.0, FREE)
+    assert (taken.id, taken.client, taken.time_tolerance) == ("g", "/client", 2.0)
     assert taken.goal.position == (0.01, 0.1, 0.01, 0.01, 0.01, 0.01) and taken.goal.velocity == (math.inf,) * 6
     later = trajectory_goal(
         goal_of(goal_time_tolerance=genpy.Duration(0, 500_000_000)), "g", "/client", ROBOT, DEFAULTS
@@ -165,13 +164,22 @@ def test_tolerances_are_read_by_joint_and_a_time_of_zero_is_the_default():
 def test_foreign_joints_and_tolerances_that_are_no_numbers_are_refused():
     with pytest.raises(GoalJointsError):
         trajectory_goal(goal_of(["elbow"]), "g", "/client", ROBOT, DEFAULTS)
-    with pytest.raises(
-        GoalJointsError, check=says("reason.goal.tolerance_joint", field="goal_tolerance", joint="elbow")
-    ):
+    with pytest.raises(GoalJointsError, check=says("reason.goal.tolerance_joint", joint="elbow")):
         goal = goal_of(goal_tolerance=[MESSAGES.JointTolerance("elbow", 0.1, 0.0, 0.0)])
         trajectory_goal(goal, "g", "/client", ROBOT, DEFAULTS)
     with pytest.raises(GoalError, check=says("reason.goal.tolerance_nan")):
-        goal = goal_of(path_tolerance=[MESSAGES.JointTolerance("joint_a1", math.nan, 0.0, 0.0)])
+        goal = goal_of(goal_tolerance=[MESSAGES.JointTolerance("joint_a1", math.nan, 0.0, 0.0)])
+        trajectory_goal(goal, "g", "/client", ROBOT, DEFAULTS)
+
+
+@pytest.mark.parametrize(
+    "bound", [(0.1, 0.0, 0.0), (-1.0, 0.1, -1.0), (0.0, 0.0, 0.1), (math.nan, 0.0, 0.0), (0.0, 0.0, math.nan)]
+)
+def test_a_bound_on_the_path_is_refused_and_one_that_asks_for_none_is_not(bound):
+    free = [MESSAGES.JointTolerance("joint_a1", -1.0, 0.0, -1.0)]
+    assert trajectory_goal(goal_of(path_tolerance=free), "g", "/client", ROBOT, DEFAULTS).client == "/client"
+    goal = goal_of(path_tolerance=[*free, MESSAGES.JointTolerance("joint_a2", *bound)])
+    with pytest.raises(GoalError, check=says("reason.goal.path_tolerance", joint="joint_a2")):
         trajectory_goal(goal, "g", "/client", ROBOT, DEFAULTS)
 
 

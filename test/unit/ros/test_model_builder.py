@@ -7,12 +7,8 @@ import pytest
 from chain_samples import ROBOT
 from live_twin_samples import DRIVES, FLOOR, SELF_COLLISION, carrying, model_in
 
-from construction_twin.physics.drive import read_drives
 from construction_twin.physics.live_twin import LiveTwin
-from construction_twin.physics.mass import payload_of
-from construction_twin.physics.plant import InverseDynamics, bare_model
 from construction_twin.ros.shared.model_builder import ModelBuilder
-from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import SceneObject
 from construction_twin.work.worker import WorkerError
 
@@ -43,22 +39,6 @@ def test_a_scene_that_cannot_be_built_is_a_sentence_and_the_next_one_is_built(bu
         )
     assert refusal.value.kind == "SceneError" and "nothing_there" in str(refusal.value)
     assert builder.build(FLOOR, {}, SELF_COLLISION).robot.name == ROBOT.name
-
-
-def test_the_arm_alone_carries_what_it_does_in_a_scene_and_nothing_stands_around_it(builder):
-    cube = SceneObject("cube/a", "box", (0.3,) * 3, (0.0, 0.0, 0.2), link=ROBOT.tip_link, touch=("post",))
-    scene = FLOOR.add(SceneObject("post", "box", (0.1,) * 3, (2.0, 0.0, 0.5))).add(cube)
-    model = builder.build_carrying(scene, {"cube": 50.0})
-    names = {model.model.body(number).name for number in range(model.model.nbody)}
-    assert "cube/a" in names and not names & {"post", FLOOR.objects[0].name}
-    assert model.payload is not None and model.payload.mass == pytest.approx(50.0)
-    still = ROBOT.home, (0.0,) * 6, (0.0,) * 6
-    loaded = InverseDynamics(model).torques(*still)
-    bare = bare_model(RobotBodies(ROBOT), read_drives(DRIVES, ROBOT), payload_of((50.0, 0.0, 0.0, 0.2), "payload"))
-    empty = bare_model(RobotBodies(ROBOT), read_drives(DRIVES, ROBOT))
-    # at rest a point mass weighs as the cube does
-    np.testing.assert_allclose(loaded, InverseDynamics(bare).torques(*still), atol=1e-6)
-    assert abs(loaded - InverseDynamics(empty).torques(*still)).max() > 300.0
 
 
 def test_without_a_file_of_drives_the_torques_are_the_urdf_s():

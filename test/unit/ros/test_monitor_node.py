@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 import rospy
-from construction_twin.msg import AxisTorque, Execution, Link, Plan, Segment, Sync, WorkTask, WorkTasks
+from construction_twin.msg import Execution, Link, Plan, Segment, Sync
 from construction_twin.srv import ConfigureGateRequest
 from executor_bench import ROBOT
 from processes import wait_until
@@ -16,19 +16,15 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from unplugged import ask
 
 from construction_twin.core.limits import MotionLimits
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.sentences import understood
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
-from construction_twin.monitor.gate import Gate, GateSettings, WatchedArm
+from construction_twin.monitor.gate import Gate
 from construction_twin.monitor.settings import Behaviour
 from construction_twin.monitor.states import SyncEvent, SyncState
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.ros.messages.scene_convert import scene_to_msg
 from construction_twin.ros.nodes import pca_monitor as module
-from construction_twin.ros.shared.load_follower import Loads
 from construction_twin.ros.shared.stop_memory import PARAMETER
 from construction_twin.ros.transport.joint_stream import from_time, to_time
-from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.servo.model import JointServo, ServoModel
 
 HOME = ROBOT.home
@@ -67,15 +63,11 @@ class World:
         #: What the gate knows of the arm's servos.
         self.servos: ServoModel | None = None
 
-    def start(self, sync=None, watched: WatchedArm | None = None, loads: Loads | None = None) -> module.PcaMonitorNode:
-        """Return a monitor, and keep its gate, which watches torques of `watched`.
-
-        `sync` is a publisher in place of the one that notes what it is given.
-        """
+    def start(self, sync=None) -> module.PcaMonitorNode:
+        """Return a monitor, and keep its gate; `sync` is a publisher in place of the one that notes what it is given."""
         behaviour = Behaviour(**SETTINGS)
         limits, codec = MotionLimits.of(ROBOT), JointStringCodec.of(ROBOT, 6)
-        settings = behaviour.gate_settings(True) if watched is None else GateSettings(policy="resume")
-        self.gate = Gate(limits, codec, settings, self.steady, watched, servos=self.servos)
+        self.gate = Gate(limits, codec, behaviour.gate_settings(True), self.steady, self.servos)
         outputs = self.outputs if sync is None else replace(self.outputs, sync=sync)
         return module.PcaMonitorNode(
             self.gate,
@@ -85,7 +77,6 @@ class World:
             outputs,
             SimpleNamespace(refuse=lambda *said: self.refused.append(said)),
             self.parameters.get(PARAMETER, ""),
-            loads,
         )
 
     def change(self, node, settings: str, operator: str = "Ada"):
@@ -175,8 +166,7 @@ def test_sync_is_told_at_its_rate_in_motion_and_while_the_gate_is_closed_and_les
 
 
 def test_settings_of_this_test_are_all_there_are():
-    watched = {name for name in Behaviour.model_fields if name.startswith("torque_")}
-    assert set(SETTINGS) | {"thresholds"} | watched == set(Behaviour.model_fields)
+    assert set(SETTINGS) | {"thresholds"} == set(Behaviour.model_fields)
 
 
 class TestSettings:
@@ -449,229 +439,9 @@ def test_without_a_model_it_publishes_none_and_says_so(world):
 
 def test_it_publishes_expected_poses_only_with_a_model_and_an_arm():
     (topic,) = (each for each in module.INTERFACE.publishes if each.topic == "expected/joint_states")
-    plain = SETTINGS | {"decimals": 3, "transition_file": "t", "drives": "", "torque_watch": False}
+    plain = SETTINGS | {"decimals": 3, "transition_file": "t"}
     told = [
         topic.when(module.Settings(**plain | {"arm": arm, "servo_model": file}))
         for arm, file in (("mock", "servos.yaml"), ("mock", ""), ("none", "servos.yaml"))
     ]
     assert told == [True, False, False]
-
-
-# -- torques
-
-
-def watching(world, loads=None):
-    """Return a monitor whose gate watches torques; every motion takes none, until it is told what the arm carries."""
-    node = world.start(watched=WatchedArm(lambda q, speed, acceleration: (0.0,) * 6, (100.0,) * 6), loads=loads)
-    for _ in range(60):
-        world.pass_time()
-        node.on_twin(world.wall - CYCLE_NS, HOME)
-        node.on_feedback(world.wall, HOME, 0, 0)
-        node.on_next(world.wall, HOME)
-    assert world.gate.state is SyncState.IN_SYNC
-    return node
-
-
-def torques(world, values, names=ROBOT.joint_names):
-    return AxisTorque(name=names, torque=values, command_stamp=to_time(world.wall))
-
-
-def test_torques_that_are_not_compared_any_more_are_told(world, monkeypatch):
-    node = watching(world)
-    clock = [100.0]
-    monkeypatch.setattr(module.time, "monotonic", lambda: clock[0])
-    node.on_torques(torques(world, (0.0,) * 6))
-    assert node.report().sentence.endswith("agree") or "torques" not in node.report().sentence
-    clock[0] += module.TORQUE_SILENCE
-    assert "torques" not in node.report().sentence
-    clock[0] += 1.0
-    report = node.report()
-    assert (report.level, "no torques have been compared for 3 s" in report.sentence) == (module.WARN, True)
-    # they come again
-    node.on_torques(torques(world, (0.0,) * 6))
-    assert "torques" not in node.report().sentence
-
-
-def test_it_holds_by_torques_and_says_so_at_once(world):
-    node = watching(world)
-    for _ in range(5):
-        node.on_torques(torques(world, (0.0, 0.0, 50.0, 0.0, 0.0, 0.0)))
-    assert world.syncs()[-1] == "HOLDING"
-    hold = [message for name, message in world.said if name == "hold"][-1]
-    assert str(hold.cause).startswith("collision or lost load on axis A3: measured 50 Nm, expected 0 Nm")
-    assert [change.event.value for name, change in world.said if name == "transitions"][-1] == "torque_differs"
-
-
-def test_torques_of_other_joints_are_refused(world):
-    node = watching(world)
-    for _ in range(5):
-        node.on_torques(torques(world, (500.0,) * 6, tuple(reversed(ROBOT.joint_names))))
-        node.on_torques(torques(world, (500.0,) * 5))
-    assert world.gate.state is SyncState.IN_SYNC and len(world.refused) == 10
-
-
-def test_a_watch_that_hears_nothing_says_so(world):
-    node = watching(world)
-    assert "no torques are compared" in node.report().sentence
-    node.on_torques(torques(world, (0.0,) * 6))
-    assert "no torques are compared" not in node.report().sentence
-
-
-def test_it_listens_only_where_it_watches_an_arm():
-    (hears,) = (each for each in module.INTERFACE.hears if each.topic == "physical/torque")
-    plain = SETTINGS | {
-        "arm": "mock",
-        "decimals": 3,
-        "transition_file": "t",
-        "drives": "",
-        "servo_model": "",
-    }
-    told = [
-        hears.when(module.Settings(**plain | {"arm": arm, "torque_watch": watch}))
-        for arm, watch in (("mock", True), ("mock", False), ("none", True))
-    ]
-    assert told == [True, False, False]
-
-
-# -- what the arm carries
-
-TILE = SceneObject("tile", "box", (0.1,) * 3, (0.0, 0.0, 0.1), link=ROBOT.tip_link)
-TOOL = SceneObject("tool/post", "box", (0.1,) * 3, (0.0, 0.0, 0.1), link=ROBOT.tip_link)
-WALL = SceneObject("wall", "box", (0.1,) * 3, (2.0, 0.0, 0.1))
-EMPTY, HOLDS, RELEASED = Scene((WALL, TOOL)), Scene((TILE, TOOL, WALL)), Scene((WALL, TOOL, replace(TILE, link="")))
-
-
-def scene_msg(scene):
-    return scene_to_msg(scene, to_time(0), "base_link")
-
-
-class Weights:
-    """Models in which axis 3 gives 1 Nm per kg that the arm carries; what is built is noted, and can be refused or watched."""
-
-    def __init__(self):
-        self.built: list[dict[str, float]] = []
-        self.problem = ""
-        self.meanwhile = lambda: None
-
-    def __call__(self, scene, masses):
-        self.built.append(dict(masses))
-        self.meanwhile()
-        if self.problem:
-            raise SceneError("object 'tile'", "", self.problem)
-        assert not any(item.touch or not item.link for item in scene.objects)
-        weight = sum(masses.values())
-        return (lambda *motion: (0.0, 0.0, weight, 0.0, 0.0, 0.0)), ()
-
-
-def loaded(world):
-    """Return a monitor that hears what the arm carries, and how the models are made; it has heard nothing yet."""
-    weights = Weights()
-    return watching(world, Loads(weights, {"tool": 30.0})), weights
-
-
-def tell(world, node, weight, cycles=5) -> str:
-    """Let the arm stand with an axis that gives so much [Nm]; return the gate's state, and have it open again."""
-    compared = world.gate.watch_of_torques.compared
-    for _ in range(cycles):
-        world.pass_time()
-        node.on_twin(world.wall - CYCLE_NS, HOME)
-        node.on_feedback(world.wall, HOME, 0, 0)
-        node.on_next(world.wall, HOME)
-        node.on_torques(torques(world, (0.0, 0.0, weight, 0.0, 0.0, 0.0)))
-    if world.gate.watch_of_torques.compared == compared:
-        return "paused"
-    return world.gate.state.name
-
-
-def at_boundary(node, expected="", boundary=True, state=Execution.AT_BOUNDARY) -> None:
-    """Tell what the executor does."""
-    node.on_execution(
-        Execution(state=state, at_boundary=boundary, wants_scene=bool(expected), expected_scene=expected, plan_id="p")
-    )
-
-
-def test_torques_count_when_the_scene_has_said_what_the_arm_carries(world):
-    node, weights = loaded(world)
-    assert tell(world, node, 500.0) == "paused" and "no scene has said what" in node.report().sentence
-    node.on_tasks(WorkTasks(tasks=[WorkTask(element="tile", mass_kg=40.0)]))
-    assert not weights.built and tell(world, node, 500.0) == "paused"
-    node.on_scene(scene_msg(EMPTY))
-    # the tool counts, the tile does not: it is not in the scene
-    assert weights.built == [{"tool": 30.0}] and tell(world, node, 30.0) == "IN_SYNC"
-    node.on_scene(scene_msg(HOLDS))
-    assert weights.built[1:] == [{"tile": 40.0, "tool": 30.0}] and tell(world, node, 70.0) == "IN_SYNC"
-    assert tell(world, node, 30.0) == "HOLDING"
-
-
-def test_masses_that_come_after_the_scene_count_too(world):
-    node, weights = loaded(world)
-    node.on_scene(scene_msg(HOLDS))
-    node.on_tasks(WorkTasks(tasks=[WorkTask(element="tile", mass_kg=40.0)]))
-    assert weights.built == [{"tool": 30.0}, {"tile": 40.0, "tool": 30.0}] and tell(world, node, 70.0) == "IN_SYNC"
-
-
-@pytest.mark.parametrize("before, after, new, old", [(EMPTY, HOLDS, 70.0, 30.0), (HOLDS, RELEASED, 30.0, 70.0)])
-def test_from_the_boundary_until_the_new_scene_s_model_counts_nothing_is_compared(world, before, after, new, old):
-    node, weights = loaded(world)
-    node.on_tasks(WorkTasks(tasks=[WorkTask(element="tile", mass_kg=40.0)]))
-    node.on_scene(scene_msg(before))
-    assert tell(world, node, old) == "IN_SYNC"
-    at_boundary(node)
-    assert tell(world, node, new) == "paused"
-    at_boundary(node, after.hash)
-    assert tell(world, node, new) == "paused"
-    # the executor may have heard of the scene before the monitor did
-    at_boundary(node, boundary=False, state=Execution.PLAYING)
-    assert tell(world, node, new) == "paused"
-    meanwhile = []
-    weights.meanwhile = lambda: meanwhile.append(tell(world, node, new))
-    node.on_scene(scene_msg(after))
-    assert meanwhile == ["paused"] and tell(world, node, new) == "IN_SYNC"
-    assert tell(world, node, old) == "HOLDING"
-
-
-def test_a_plan_dropped_at_a_boundary_is_believed_to_have_changed_nothing(world):
-    node, _ = loaded(world)
-    node.on_scene(scene_msg(EMPTY))
-    at_boundary(node, HOLDS.hash)
-    at_boundary(node, state=Execution.IDLE)
-    assert tell(world, node, 30.0) == "IN_SYNC" and tell(world, node, 70.0) == "HOLDING"
-
-
-def test_what_changes_around_the_arm_builds_no_model_and_pauses_nothing(world):
-    node, weights = loaded(world)
-    node.on_scene(scene_msg(EMPTY))
-    node.on_scene(scene_msg(EMPTY.add(SceneObject("post", "box", (0.1,) * 3, (3.0, 0.0, 0.1)))))
-    assert len(weights.built) == 1 and tell(world, node, 30.0) == "IN_SYNC"
-
-
-def test_a_load_without_a_model_is_said_and_torques_wait_for_the_next_one(world):
-    node, weights = loaded(world)
-    node.on_scene(scene_msg(EMPTY))
-    weights.problem = "a mesh"
-    node.on_scene(scene_msg(HOLDS))
-    assert tell(world, node, 500.0) == "paused" and [reason for reason, _ in world.refused] == ["load"]
-    report = node.report()
-    assert "no model of what the arm carries" in report.sentence and report.level == module.WARN
-    weights.problem = ""
-    node.on_scene(scene_msg(RELEASED))
-    assert tell(world, node, 30.0) == "IN_SYNC" and "no model" not in node.report().sentence
-
-
-def test_a_scene_that_is_none_is_refused_and_the_load_stays(world):
-    node, weights = loaded(world)
-    node.on_scene(scene_msg(EMPTY))
-    broken = scene_msg(HOLDS)
-    broken.hash = "0"
-    node.on_scene(broken)
-    assert [reason for reason, _ in world.refused] == ["scene"] and len(weights.built) == 1
-    assert tell(world, node, 30.0) == "IN_SYNC"
-
-
-def test_a_new_load_opens_no_gate_that_a_collision_closed(world):
-    node, _ = loaded(world)
-    node.on_scene(scene_msg(EMPTY))
-    assert tell(world, node, 90.0) == "HOLDING"
-    node.on_scene(scene_msg(HOLDS))
-    assert tell(world, node, 90.0, cycles=60) == "HOLDING"
-    assert tell(world, node, 30.0, cycles=60) == "IN_SYNC"

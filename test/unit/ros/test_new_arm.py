@@ -159,7 +159,7 @@ def check_planning(robot: RobotModel, given: dict[str, str]) -> None:
         max_duration=600.0, seed=1,
     )  # fmt: skip
     pairs = read_self_collision(given["self_collision"], robot)
-    pipeline = PlanningPipeline(robot, solver, settings, pairs, lambda: float(next(times)), np.random.default_rng(0))
+    pipeline = PlanningPipeline(robot, solver, settings, pairs, lambda: float(next(times)))
     pipeline.set_scene(read_scene(given["scene"]))
     goal = np.array(robot.home)
     goal[0] += 0.05 if robot.linear[0] else np.radians(20)

@@ -22,10 +22,7 @@ class Cell:
     """A handler with a pipeline of its own; remembers what it published and counted."""
 
     def __init__(self, publishers: int = 1):
-        rng = np.random.default_rng(0)
-        self.pipeline = PlanningPipeline(
-            ROBOT, solver(), PlannerSettings(**QUICK), SELF_COLLISION, Clock(), rng, "/scene"
-        )
+        self.pipeline = PlanningPipeline(ROBOT, solver(), PlannerSettings(**QUICK), SELF_COLLISION, Clock(), "/scene")
         self.pipeline.set_scene(EMPTY)
         self.publishers = publishers
         self.refused: Counter[str] = Counter()

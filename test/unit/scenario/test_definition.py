@@ -96,13 +96,7 @@ def test_shipped_scenarios_are_valid_fit_the_robot_and_are_documented(path):
             fault = Fault(
                 step.inject.fault, axis, tuple(step.inject.values), step.inject.direction, step.inject.duration
             )
-            if step.inject.fault != "lost_load":
-                # which needs an arm with mass: test/unit/mock/test_physics_servo.py
-                board().inject(fault)
-
-
-def board():
-    return FaultBoard(Cell().mock, 0)
+            FaultBoard(Cell().mock, 0).inject(fault)
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
@@ -115,7 +109,7 @@ def test_shipped_scenarios_change_only_parameters_that_there_are(path):
             continue
         known = yaml.safe_load((ROOT / f"config/{node}.yaml").read_text())
         # given in the launch files, and so in no file of config/
-        launched = {"mode", "payload", "torque_watch"}
+        launched = {"mode", "payload"}
         assert set(values) <= set(known) | launched, node
 
 
@@ -128,7 +122,7 @@ def test_every_fault_is_in_a_scenario_or_is_motion_of_its_own_or_a_mere_word():
         "program",
         "override",
         "grip_fails",
-        # on the simulated chain: test/unit/chain/test_torques.py
+        # which needs an arm with mass: test/unit/chain/test_servo_chain.py
         "collision",
         "grip_lost",
         "opened_by_hand",

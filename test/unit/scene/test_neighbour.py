@@ -210,9 +210,7 @@ def test_a_pose_belongs_to_the_first_row_that_is_near_and_a_foreign_one_to_none(
 
 def pipeline(neighbour) -> PlanningPipeline:
     settings_ = PlannerSettings(**QUICK)
-    made = PlanningPipeline(
-        ROBOT, solver(), settings_, SELF_COLLISION, Clock(), np.random.default_rng(0), neighbour=neighbour
-    )
+    made = PlanningPipeline(ROBOT, solver(), settings_, SELF_COLLISION, Clock(), neighbour=neighbour)
     made.set_scene(Scene((), 0.0))
     return made
 

@@ -70,8 +70,7 @@ def test_another_model_at_rest_moves_nothing():
     for target in np.linspace(0.7, 0.8, 50):
         state.advance((target,))
     for _ in range(500):
-        state.advance((0.8,))
-    before = state.position
+        before = state.advance((0.8,))
     state.configure(model.slower((0.001,)))
     assert state.advance((0.8,)) == pytest.approx(before, abs=1e-12)
 

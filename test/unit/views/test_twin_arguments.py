@@ -1,10 +1,9 @@
-"""The command line's words, goals and texts, and its completion in a real bash."""
+"""The command line's words, goals and texts."""
 
 from __future__ import annotations
 
 import math
 import shlex
-import subprocess
 
 import numpy as np
 import pytest
@@ -61,7 +60,7 @@ def test_a_plan_s_options():
     "text",
     [
         "", "dance", "plan", "plan --pose 1 2 3", "plan --joints 1 --csv a", "plan --joints nan", "plan --joints 1 --speed 101",
-        "plan --joints 1 --speed 0", "plan --joints 1 --duration -1", "watch --rate 11", "--completion csh", "status --rea dy x",
+        "plan --joints 1 --speed 0", "plan --joints 1 --duration -1", "watch --rate 11", "status --rea dy x",
     ],
 )  # fmt: skip
 def test_nonsense_is_a_usage_error(text, capsys):
@@ -228,82 +227,6 @@ def test_progress_is_known_while_playing():
     playing = ExecutionReport("PLAYING", "", plan_start=90_000_000_000, duration=20.0)
     assert playing.progress(100.0) == 0.5 and playing.progress(0.0) == 0.0 and playing.progress(1e3) == 1.0
     assert ExecutionReport("PAUSED", "", plan_start=90_000_000_000, duration=20.0).progress(100.0) is None
-
-
-# -- completion
-
-
-def completion(shell: str, capsys) -> str:
-    """Return what `twin --completion SHELL` prints."""
-    with pytest.raises(SystemExit) as ending:
-        parsed(f"--completion {shell}")
-    assert ending.value.code == Exit.DONE
-    return capsys.readouterr().out
-
-
-@pytest.fixture
-def completed(tmp_path, capsys):
-    """What bash offers for the last word of a line."""
-    script = tmp_path / "completion.bash"
-    script.write_text(completion("bash", capsys))
-
-    def offers(line: str, prelude: str = "") -> list[str]:
-        words = line.split(" ")
-        function = "_twin_rosrun" if words[0] == "rosrun" else "_shtab_twin"
-        array = " ".join(f"'{word}'" for word in words)
-        call = f"COMP_WORDS=({array}); COMP_CWORD={len(words) - 1}; {function}; printf '%s\\n' \"${{COMPREPLY[@]}}\""
-        run = subprocess.run(
-            ["bash", "--norc", "-c", f"{prelude} source {script}; {call}"], capture_output=True, text=True, cwd=tmp_path
-        )
-        assert run.returncode == 0 and run.stderr == "", run.stderr
-        return sorted(run.stdout.split())
-
-    return offers
-
-
-@pytest.mark.parametrize(
-    "line, offers",
-    [
-        ("twin st", ["status", "stop"]),
-        ("twin --robot a re", ["rehearsal", "reject", "reset", "resume"]),
-        ("twin plan --j", ["--joints"]),
-        ("twin approve --w", ["--wait"]),
-        ("twin --completion ", ["bash", "zsh"]),
-        ("twin plan --duration ", []),
-        ("rosrun construction_twin twin app", ["approve"]),
-        ("rosrun construction_twin twin watch --o", ["--once"]),
-    ],
-)
-def test_bash_completes(line, offers, completed):
-    assert completed(line) == offers
-
-
-def test_bash_completes_files(completed, tmp_path):
-    (tmp_path / "points.csv").touch()
-    assert completed("twin plan --csv po") == completed("twin export po") == ["points.csv"]
-
-
-def test_any_other_rosrun_is_left_to_ros(completed):
-    prelude = "_roscomplete_exe() { COMPREPLY=(ros); };"
-    assert completed("rosrun construction_twin ev", prelude) == ["ros"]
-    assert completed("rosrun roscpp twin x", prelude) == ["ros"]
-    assert completed("rosrun other ev") == []
-
-
-def test_both_names_of_the_command_are_completed(tmp_path, capsys):
-    (tmp_path / "completion.bash").write_text(completion("bash", capsys))
-    run = subprocess.run(
-        ["bash", "--norc", "-c", f"source {tmp_path}/completion.bash; complete -p twin rosrun; declare -F twin"],
-        capture_output=True,
-        text=True,
-    )
-    assert run.returncode == 0, run.stderr
-    assert "-F _shtab_twin twin" in run.stdout and "-F _twin_rosrun rosrun" in run.stdout
-
-
-def test_zsh_is_given_a_completion_too(capsys):
-    script = completion("zsh", capsys)
-    assert script.startswith("#compdef twin") and "rosrun construction_twin twin" in script and "--joints" in script
 
 
 def test_a_scene_is_listed_in_mm_with_what_carries_and_what_may_touch():

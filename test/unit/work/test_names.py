@@ -17,6 +17,8 @@ KNOWN = labels({A: "Stud 1", B: "Brick", C: "Brick", f"{A}/2": "Drill stud 1", "
         (f"{A} waits", "'Stud 1' waits"),
         (f"'{A}' waits for {A}, {B}", f"'Stud 1' waits for 'Stud 1', 'Brick' ({B})"),
         (f"'Stud 1' ({A}) can be planned", "'Stud 1' can be planned"),
+        (f"see Stud 1 ({A}), Brick ({B}), Stud 1", f"see 'Stud 1', 'Brick' ({B}), Stud 1"),
+        (f"see Stud 2 ({A})", "see Stud 2 ('Stud 1')"),
         (f"'Brick' ({B}) can be planned", f"'Brick' ({B}) can be planned"),
         (f"{A}/0 would touch floor/1", "'Stud 1' would touch floor/1"),
         (f"after {A}/2", "after 'Drill stud 1'"),

@@ -58,7 +58,7 @@ def opened(folder: Path, ready: Prepared, name: str = "kr120_deck", robot: str =
     times = count(NOW)
     ledger = Ledger(
         folder / f"{name}.jsonl", ready.after, ready.digest, times.__next__, ready.cell, ready.schedule.placing,
-        ready.standing_elements, robot,
+        ready.standing_elements, robot, ready.present,
     )  # fmt: skip
     board = TaskBoard(ready, ledger, robot, "tool0")
     board.look_around()
@@ -104,12 +104,11 @@ def of_b(board: TaskBoard) -> SceneObject:
 def test_what_was_deleted_from_the_model_stands_and_is_asked_about_before_anything_is_planned(two_placed):
     board = opened(two_placed, model("old", "A", "X", "C", "D", digest="b"))
     of_b(board)
-    assert board.next(NOW) == "" and board.book.asking == ("ToldA", "ToldB")
+    assert board.next(NOW) == "" and board.book.asking == ("ToldB",)
     assert row(board, "B").question.key == "work.question.stands" and row(board, "B").answers == (
         "stands",
         "taken_away",
     )
-    board.answer("ToldA", "placed", "eva", "")
     assert board.obstacle("ToldX", NOW).key == "work.asks_first" and "B" in board.obstacle("ToldX", NOW)
     board.answer("ToldB", "stands", "eva", "")
     of_b(board)
@@ -120,8 +119,7 @@ def test_what_was_deleted_from_the_model_stands_and_is_asked_about_before_anythi
 def test_it_is_asked_once_for_each_version_and_stands_over_every_start(two_placed):
     changed = model("old", "A", "X", "C", "D", digest="b")
     board = opened(two_placed, changed)
-    for answer, task in (("placed", "ToldA"), ("stands", "ToldB")):
-        board.answer(task, answer, "eva", "")
+    board.answer("ToldB", "stands", "eva", "")
     for _ in range(2):
         lines = board.ledger.lines
         board.ledger.close()
@@ -165,7 +163,7 @@ def test_what_stands_in_the_models_own_version_can_be_taken_away_too(two_placed)
 
 
 def test_an_element_that_is_asked_about_is_in_the_scene_of_a_node_that_starts(two_placed):
-    board = opened(two_placed, model("old", "A", "B", "C", "D", digest="b"))
+    board = opened(two_placed, model("old", "A", "B", "C", "D", digest="b", shifted=0.3))
     assert board.book.asking == ("ToldA", "ToldB")
     of_b(board)
 
@@ -177,6 +175,127 @@ def test_it_stands_with_the_shape_that_it_was_placed_with(two_placed):
     board = opened(two_placed, changed)
     board.answer("ToldB", "placed", "eva", "")
     of_b(board)
+
+
+# -- what is not asked again
+
+
+def shifted(ready: Prepared, element: str, by: float) -> Prepared:
+    """Return a model with one element elsewhere."""
+    facts = ready.elements[element]
+    moved = replace(facts, base_T_goal=Pose(facts.base_T_goal.position + (by, 0.0, 0.0), np.eye(3)))
+    return replace(ready, elements={**ready.elements, element: moved})
+
+
+def test_what_a_new_version_has_as_it_was_placed_is_not_asked_about(two_placed):
+    board = opened(two_placed, model("old", "A", "B", "C", digest="b"))
+    assert board.book.asking == () and board.next(NOW) == "ToldC"
+    of_b(board)
+
+
+def test_an_answer_counts_for_later_versions_that_say_the_same_and_for_no_other(two_placed):
+    def asked(*names: str, digest: str, by: float = 0.0) -> TaskBoard:
+        return opened(two_placed, shifted(model("old", *names, digest=digest), f"old{names[0]}", by))
+
+    board = asked("A", "X", "C", digest="b", by=0.2)
+    assert board.book.asking == ("ToldA", "ToldB")
+    assert board.answer_all("placed", "eva", "").values["left"] == 1
+    assert board.answer_all("stands", "eva", "").values["count"] == 1 and board.book.asking == ()
+    board.ledger.close()
+    later = asked("A", "X", "C", "D", digest="c", by=0.2)
+    assert later.book.asking == () and later.next(NOW) == "ToldX" and stands(later, "oldA").position[0] == 0.0
+    of_b(later)
+    later.ledger.close()
+    again = asked("A", "X", "C", digest="d", by=0.1)
+    assert again.book.asking == ("ToldA",)
+    again.ledger.close()
+    back = opened(two_placed, model("new", "B", digest="e"))
+    assert "ToldB" in back.book.asking, "the model has one of that name and class again"
+    of_b(back)
+
+
+def test_the_same_element_with_a_new_task_is_not_asked_about_and_not_placed_twice(two_placed):
+    ready = model("old", "A", "B", "C", digest="b")
+    jobs = tuple(replace(job, id=f"N{job.id}", task=f"N{job.task}") for job in ready.schedule.jobs)
+    board = opened(two_placed, replace(ready, schedule=Schedule(jobs, (), ())))
+    assert board.book.asking == () and board.book.former == {} and board.next(NOW) == "NToldC"
+    of_b(board)
+    assert board.deviation("NToldB").distance == pytest.approx(0.001)
+
+
+def test_all_that_was_placed_is_answered_at_once_where_that_leaves_it_an_obstacle(two_placed):
+    board = opened(two_placed, model("new", "A", "B", "C", "D", digest="b"))
+    for answer in ("taken_away", "gone", "in_stock"):
+        with pytest.raises(WorkRefused, check=says("work.answer_one")):
+            board.answer_all(answer, "eva", "")
+    with pytest.raises(WorkRefused, check=says("work.nameless")):
+        board.answer_all("same", " ", "")
+    said = board.answer_all("same", "eva", "")
+    assert (said.values["count"], said.values["left"]) == (2, 0) and board.next(NOW) == "TnewC"
+    board.ledger.close()
+    again = opened(two_placed, model("new", "A", "B", "C", "D", "E", digest="c"))
+    assert again.book.asking == () and np.allclose(stands(again, "newB").position, (0.6, 1.001, 0.6))
+
+
+def test_what_may_be_in_the_grip_is_not_answered_with_all_others(two_placed):
+    board = opened(two_placed, model("old", "A", "B", "C", "D"))
+    for event in EVENTS[:6]:
+        board.add(Entry(event, "ToldC", plan="p", offer="o", pose=HELD if event == "offered" else ()))
+    board.ledger.close()
+    again = opened(two_placed, model("old", "A", "B", "C", "D", digest="b", shifted=0.3))
+    assert again.book.asking == ("ToldA", "ToldB", "ToldC") and "placed" in row(again, "ToldC").answers
+    again.answer_all("placed", "eva", "")
+    assert again.book.asking == ("ToldC",)
+
+
+# -- an id that is used for something else
+
+
+@pytest.mark.parametrize("answer", ["stands", "taken_away"])
+def test_a_task_that_has_another_element_now_does_not_take_over_what_it_has_placed(two_placed, answer):
+    ready = model("old", "A", "X", "C", "D", digest="b")
+    jobs = tuple(
+        replace(job, id="ToldB", task="ToldB") if job.element == "oldX" else job for job in ready.schedule.jobs
+    )
+    ready = replace(ready, schedule=Schedule(jobs, (), ()))
+    board = opened(two_placed, ready)
+    of_b(board)
+    assert board.book.asking == ("oldB",) and row(board, "B").answers == ("stands", "taken_away")
+    board.ledger.close()
+    again = opened(two_placed, ready)
+    assert again.book.asking == ("oldB",)
+    again.answer("oldB", answer, "eva", "")
+    assert again.next(NOW) == "ToldB" and again.element_of("ToldB") == "oldX"
+    assert (stands(again, "oldB") is not None) == (answer == "stands")
+
+
+def test_tasks_that_have_changed_their_elements_leave_them_where_they_stand(two_placed):
+    ready = model("old", "A", "B", "C", "D", digest="b")
+    other = {"oldA": "ToldB", "oldB": "ToldA"}
+    jobs = tuple(replace(job, id=other.get(job.element, job.id)) for job in ready.schedule.jobs)
+    board = opened(two_placed, replace(ready, schedule=Schedule(jobs, (), ())))
+    of_b(board)
+    assert stands(board, "oldA").position[0] == 0.0 and set(board.book.standing) == {"ToldA", "ToldB"}
+    assert board.element_of("ToldA") == "oldB" == board.book.tasks["ToldA"].element
+
+
+def test_what_a_removal_has_taken_down_says_nothing_of_its_next_element(tmp_path):
+    def takes_down(element: str, digest: str) -> Prepared:
+        ready = model("old", "A", digest=digest)
+        removal = Job("TR", "TR", "Take down", element, (), ())
+        body = SceneObject(f"{element}/0", "box", SIZE, (3.0, 1.0, 0.6))
+        facts = ElementFacts(element, (), at(3.0), np.zeros((1, 3, 3)))
+        return replace(
+            ready, schedule=Schedule(ready.schedule.jobs, (), (), removals=(removal,)), standing=(body,),
+            elements={**ready.elements, element: facts},
+        )  # fmt: skip
+
+    board = opened(tmp_path, takes_down("old wall", "a"))
+    board.removed("TR", "eva", "")
+    assert stands(board, "old wall") is None
+    board.ledger.close()
+    again = opened(tmp_path, takes_down("other wall", "b"))
+    assert stands(again, "other wall") is not None and again.book.tasks["TR"].state is TaskState.READY
 
 
 # -- the same element under another id
@@ -306,6 +425,13 @@ def test_the_same_places_in_another_ledger_are_asked_about_and_others_are_not(tw
     board.ledger.close()
     again = opened(two_placed, model("new", "X", digest="b"), "kr120_shed")
     assert again.next(NOW) == "TnewX" and stands(again, "oldA") is None
+
+
+def test_an_element_without_a_body_does_not_keep_other_ledgers_from_being_read(two_placed):
+    ready = model("new", "X", "Y", digest="b")
+    bodiless = replace(ready.elements["newX"], bodies=())
+    ready = replace(ready, elements={**ready.elements, "newX": bodiless}, unplannable={"newX": "doubtful"})
+    assert opened(two_placed, ready, "kr120_shed").book.asking == ("oldB",)
 
 
 def test_what_another_robot_placed_is_asked_about_by_its_id_alone(two_placed):

@@ -1,4 +1,4 @@
-"""What the commands share that make files of a bag: options, the folder for the files, and how they end."""
+"""What the commands share that read a bag: its plans, their options, the folder for their files, how they end."""
 
 from __future__ import annotations
 
@@ -7,13 +7,41 @@ import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+import genpy
 from rich.console import Console
 
-from construction_twin.core.errors import ConstructionTwinError, spoken
+from construction_twin.core.errors import ConstructionTwinError, problem_of, spoken
 from construction_twin.core.files import check_writable
+from construction_twin.core.sentences import Sentence
+from construction_twin.evaluation.bag import PLAN, TYPES, choose_robot, open_bag, read_recording
 from construction_twin.evaluation.recording import Recording
 from construction_twin.evaluation.tables import table_console
-from construction_twin.ros.commands.bag import read_recording
+from construction_twin.msg import Plan as PlanMsg
+from construction_twin.robot.plan import Plan
+from construction_twin.ros.messages.convert import plan_from_msg
+
+
+def read_plans(path: Path, namespace: str | None = None) -> list[Plan]:
+    """Return every plan of one robot in a bag, the oldest first.
+
+    Args:
+        namespace: As in `read_recording`.
+
+    Raises:
+        ConstructionTwinError: As `read_recording`.
+        TrajectoryError: For a plan that is not what its hash says.
+    """
+    try:
+        with open_bag(path) as bag:
+            robot = choose_robot(bag.topics, namespace, PLAN)
+            recorded = bag.raw({f"{robot.rstrip('/')}/{PLAN}": TYPES[PLAN]})
+            messages = [PlanMsg().deserialize(data) for _, data, _ in recorded]
+    except genpy.DeserializationError as error:
+        raise ConstructionTwinError(
+            Sentence("view.bag.unreadable", path=str(path), problem=problem_of(error))
+        ) from error
+    # a latched plan is recorded once more by whoever listens again
+    return list({message.id: plan_from_msg(message) for message in messages}.values())
 
 
 def bag_parser(program: str, description: str, needs: str, suffix: str) -> argparse.ArgumentParser:

@@ -17,8 +17,7 @@ from construction_twin.evaluation.report import write_report
 from construction_twin.evaluation.tables import render_tables
 from construction_twin.planning.waypoint_file import format_plan
 from construction_twin.robot.description import RobotModel, read_robot_files
-from construction_twin.ros.commands.bag import read_plans
-from construction_twin.ros.commands.bag_report import bag_parser, report_bag
+from construction_twin.ros.commands.bag_report import bag_parser, read_plans, report_bag
 
 #: This package's arms, as URDF and robot YAML; the first one whose joints are the bag's is taken.
 ROBOTS = (

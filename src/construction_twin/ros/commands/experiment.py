@@ -17,11 +17,11 @@ from construction_twin.core.errors import ConstructionTwinError, spoken
 from construction_twin.core.files import check_writable
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import from_wire
+from construction_twin.evaluation.bag import read_recording
 from construction_twin.evaluation.report import Report, write_report
 from construction_twin.evaluation.tables import render_tables, table_console
 from construction_twin.msg import Execution, Feedback, Link, Sync
 from construction_twin.robot.description import RobotModel
-from construction_twin.ros.commands.bag import read_recording
 from construction_twin.ros.commands.bag_report import print_files
 from construction_twin.ros.commands.experiment_settings import ExperimentSettings, check_goals
 from construction_twin.ros.commands.recorder import Recorder

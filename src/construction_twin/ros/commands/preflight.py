@@ -134,21 +134,14 @@ def _check_twin(given: Given, robot: RobotModel) -> None:
         find_gzserver(given.get("gzserver", ""))
 
 
-def _check_mass(name: str, needs: Callable[[str], bool]) -> Callable[[Given, RobotModel], None]:
-    """Return the check of an argument that needs the group ``physics`` for some values."""
-
-    def check(given: Given, _robot: RobotModel) -> None:
-        if needs(given[name]):
-            check_extras("physics")
-
-    return check
+def _check_servo(given: Given, _robot: RobotModel) -> None:
+    """Check that a mock arm with mass can be simulated."""
+    if given["servo"] == "physics":
+        check_extras("physics")
 
 
-def _check_payload(name: str) -> Callable[[Given, RobotModel], None]:
-    def check(given: Given, _robot: RobotModel) -> None:
-        payload_of(payload_of_launch(given[name]), name)
-
-    return check
+def _check_payload(given: Given, _robot: RobotModel) -> None:
+    payload_of(payload_of_launch(given["payload"]), "payload")
 
 
 def _check_work(given: Given, robot: RobotModel) -> None:
@@ -308,10 +301,8 @@ CONTENTS: tuple[tuple[str, Callable[[Given, RobotModel], None]], ...] = (
     ("self_collision", _check_self_collision),
     ("tool", _check_tool),
     ("twin", _check_twin),
-    ("servo", _check_mass("servo", lambda servo: servo == "physics")),
-    ("torque_watch", _check_mass("torque_watch", lambda on: on.lower() in ("true", "1"))),
-    ("payload", _check_payload("payload")),
-    ("mock_payload", _check_payload("mock_payload")),
+    ("servo", _check_servo),
+    ("payload", _check_payload),
     ("ethernet_xml", _check_controller_file),
     ("work_model", _check_work),
     ("rehearsal", _check_rehearsal),

@@ -18,6 +18,7 @@ from rich.progress import track
 
 from construction_twin.core.errors import ConstructionTwinError, FileError, spoken
 from construction_twin.core.extras import check_extras
+from construction_twin.core.freshness import Moment
 from construction_twin.core.records import document
 from construction_twin.core.sentences import Sentence
 from construction_twin.evaluation.tables import table_console
@@ -28,7 +29,7 @@ from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
 from construction_twin.robot.tool import read_tool, tool_hash
 from construction_twin.robot.trajectory import Trajectory
-from construction_twin.ros.commands.bag import read_plans
+from construction_twin.ros.commands.bag_report import read_plans
 from construction_twin.ros.commands.evaluate import package_file
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene
@@ -229,7 +230,9 @@ def _plan(trajectory: Trajectory, plan_id: str, scene: Scene) -> Plan:
     unknown = (float("nan"),) * len(trajectory.joint_names)
     report = PlanReport(Clearance(float("nan")), LimitUsage(unknown, unknown, unknown), 0.0)
     found = trajectory.content_hash()
-    return Plan(plan_id or found[:12], found, "rehearse", "waypoints", scene.hash, 0, 0.0, trajectory, report)
+    return Plan(
+        plan_id or found[:12], found, "rehearse", "waypoints", scene.hash, Moment("", 0), 0.0, trajectory, report
+    )
 
 
 def _payload(text: str):

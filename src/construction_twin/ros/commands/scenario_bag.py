@@ -8,25 +8,29 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from sensor_msgs.msg import JointState
-from std_msgs.msg import String
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.sentences import Sentence
-from construction_twin.msg import Execution, Link, Sync, Transition
-from construction_twin.ros.commands.bag import read_recording
-from construction_twin.ros.shared.known_bag import open_bag
+from construction_twin.evaluation.bag import (
+    ARM,
+    EXECUTION,
+    LINK,
+    MOCK,
+    SYNC,
+    TRANSITIONS,
+    messages_of,
+    nanoseconds,
+    open_bag,
+    read_recording,
+)
 from construction_twin.scenario.timeline import Change, GatewayStop, Run, SyncMoment
 
 BAG, NOTES, TRACE, VERDICT = "scenario.bag", "run.json", "gateway.trace", "verdict.json"
-ARM, MOCK = "mock_rsi/joint_states", "mock_rsi/status"
 #: What is recorded, relative to the robot's namespace.
 TOPICS = (
     "twin/joint_states",
     "physical/joint_states",
     "physical/feedback",
-    "physical/current",
-    "next/joint_states",
     "command/joint_states",
     "expected/joint_states",
     "sync",
@@ -55,19 +59,17 @@ def read_run(folder: Path, namespace: str | None = None) -> Run:
     prefix = recording.robot.rstrip("/")
     notes = json.loads((folder / NOTES).read_text())
     changes = [Change(**change) for change in notes["actions"]]
-    messages: dict[str, list] = {}
-    with open_bag(path, (Execution, Link, Sync, Transition, JointState, String)) as bag:
-        wanted = {f"{prefix}/{name}": name for name in ("sync", "transitions", "link", "execution", MOCK, ARM)}
-        for topic, message, _ in bag.read_messages(topics=list(wanted)):
-            messages.setdefault(wanted[topic], []).append(message)
-    for name in ("sync", "execution", MOCK, ARM):
+    with open_bag(path) as bag:
+        read = messages_of(bag, recording.robot, (SYNC, TRANSITIONS, LINK, EXECUTION, MOCK, ARM))
+    messages = {name: [message for _, message in found] for name, found in read.items()}
+    for name in (SYNC, EXECUTION, MOCK, ARM):
         if name not in messages:
             raise ConstructionTwinError(Sentence("view.bag.not_there", path=str(path), topic=f"{prefix}/{name}"))
     reports = [json.loads(message.data) for message in messages[MOCK]]
-    transitions = messages.get("transitions", [])
-    changes += [*_states("sync", messages["sync"][:1]), *_transitions(transitions)]
-    changes += _states("link", messages.get("link", []))
-    changes += [*_states("execution", messages["execution"]), *_outcomes(messages["execution"]), *_faults(reports)]
+    transitions = messages.get(TRANSITIONS, [])
+    changes += [*_states("sync", messages[SYNC][:1]), *_transitions(transitions)]
+    changes += _states("link", messages.get(LINK, []))
+    changes += [*_states("execution", messages[EXECUTION]), *_outcomes(messages[EXECUTION]), *_faults(reports)]
     arm = messages[ARM]
     columns = [arm[0].name.index(joint) for joint in recording.joint_names]
     missed = np.array([report["counters"]["missed"] for report in reports])
@@ -75,13 +77,13 @@ def read_run(folder: Path, namespace: str | None = None) -> Run:
     return Run(
         recording=recording,
         changes=tuple(sorted(changes, key=lambda change: change.stamp)),
-        closings=tuple(_closings(transitions, messages["sync"])),
-        arm_stamps=np.array([message.header.stamp.to_nsec() for message in arm], dtype=np.int64),
+        closings=tuple(_closings(transitions, messages[SYNC])),
+        arm_stamps=np.array([nanoseconds(message.header.stamp) for message in arm], dtype=np.int64),
         arm=np.array([message.position for message in arm])[:, columns],
         missed=int(missed[-1] - missed[0]),
         missed_at=told[np.diff(missed, prepend=missed[0]) > 0],
         failure=notes["failure"],
-        stops=tuple(dict.fromkeys(_stops(messages.get("link", [])))),
+        stops=tuple(dict.fromkeys(_stops(messages.get(LINK, [])))),
         stated=next((tuple(report["stop_ramp"]["distance_deg"]) for report in reports if report["stop_ramp"]), ()),
     )
 
@@ -91,7 +93,7 @@ def _states(topic: str, messages: list) -> Iterator[Change]:
     for message in messages:
         if message.text != last:
             last = message.text
-            yield Change(message.header.stamp.to_nsec(), topic, last, message.reason)
+            yield Change(nanoseconds(message.header.stamp), topic, last, message.reason)
 
 
 def _outcomes(messages: list) -> Iterator[Change]:
@@ -99,7 +101,7 @@ def _outcomes(messages: list) -> Iterator[Change]:
     for message in messages:
         found = message.plan_id, message.outcome
         if message.outcome and found != last:
-            yield Change(message.header.stamp.to_nsec(), "outcome", message.outcome, message.reason)
+            yield Change(nanoseconds(message.header.stamp), "outcome", message.outcome, message.reason)
         last = found
 
 
@@ -130,14 +132,14 @@ def _stops(messages: list) -> Iterator[GatewayStop]:
 def _transitions(messages: list) -> Iterator[Change]:
     """Return every change of the gate's state: two of them may come within one cycle, which `sync` does not show."""
     for message in messages:
-        yield Change(message.header.stamp.to_nsec(), "sync", message.to_text, message.reason)
+        yield Change(nanoseconds(message.header.stamp), "sync", message.to_text, message.reason)
 
 
 def _closings(transitions: list, syncs: list) -> Iterator[SyncMoment]:
-    stamps = [sync.header.stamp.to_nsec() for sync in syncs]
+    stamps = [nanoseconds(sync.header.stamp) for sync in syncs]
     for message in transitions:
         if message.from_text == "IN_SYNC":
-            stamp = message.header.stamp.to_nsec()
+            stamp = nanoseconds(message.header.stamp)
             last = syncs[max(0, bisect_right(stamps, stamp) - 1)]
             measured = tuple(message.name), tuple(message.error), tuple(message.threshold)
             yield SyncMoment(stamp, *measured, last.servo_lag)

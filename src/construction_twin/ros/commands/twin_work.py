@@ -23,6 +23,8 @@ from construction_twin.views.work_texts import chosen, list_lines, note_lines, s
 from construction_twin.work.names import labels
 
 _DECISIONS = {"skip": "skip", "redo": "redo", "answer": "answer", "removed": "removed", "accept": "accept_schedule"}
+#: Stands for every task that asks about what was placed.
+ALL = "all"
 
 
 class WorkCommand:
@@ -74,13 +76,15 @@ class WorkCommand:
         work = self._work()
         # of an element with a task of its own name that one is meant which asks
         asking = [task for task in work.tasks if task.question] if step == "answer" else []
-        task = chosen(asking or work.tasks, options.task).id if step != "accept" else ""
+        every = step == "accept" or (step == "answer" and options.task == ALL)
+        task = "" if every else chosen(asking or work.tasks, options.task).id
         if step == "accept":
             # what was left out or understood in some way is known before it is accepted
             print("\n".join(note_lines(work) or ["no notes on model and schedule"]))
         answer = options.answer if step == "answer" else ""
         person = options.person or self._account
-        fields = {"task": task, "decision": _DECISIONS[step], "answer": answer, "person": person}
+        decision = "answer_all" if every and step == "answer" else _DECISIONS[step]
+        fields = {"task": task, "decision": decision, "answer": answer, "person": person}
         print(self._client.ask("work/decide", WorkDecide, reason=options.reason, **fields).message)
 
     def _measured(self) -> None:

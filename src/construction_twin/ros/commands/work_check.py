@@ -1,6 +1,6 @@
 """work check: what the arm can do of a building model, before anything starts. Runs without a ROS master.
 
-Prints one line per task and writes report.html and check.json. Exit code 0: every task is possible; 1: some are not; 2: it could
+Prints one line per task and writes check.json and check.png. Exit code 0: every task is possible; 1: some are not; 2: it could
 not be checked, after one sentence on standard error.
 """
 
@@ -12,7 +12,6 @@ import sys
 import tempfile
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from datetime import datetime
 from pathlib import Path
 from typing import Literal
 
@@ -33,14 +32,12 @@ from construction_twin.ros.commands.evaluate import package_file
 from construction_twin.ros.commands.work_check_pool import Arm, Checked, Setup, check_all
 from construction_twin.scene.objects import SceneObject
 from construction_twin.work.building import BuildingModel
-from construction_twin.work.check import CheckedTask
-from construction_twin.work.check_report import Header, as_json, page, row, short_why, why
+from construction_twin.work.check_report import as_json, cell_picture, row, why
 from construction_twin.work.ifc.reading import read_building
 from construction_twin.work.placement import check_placement
 from construction_twin.work.proposed_schedule import propose
 from construction_twin.work.schedule import Job, Schedule
 from construction_twin.work.site import Site, pose_of, read_site
-from construction_twin.work.site_scene import Layout
 from construction_twin.work.worker import WorkerError
 
 #: By how much bodies may be larger than their element without being told [m].
@@ -89,18 +86,24 @@ def main(arguments: list[str]) -> int:
             for note in notes:
                 console.print(note, markup=False, soft_wrap=True)
             setup = Setup(
-                arm, options.cell, work.building, pieces, work.jobs, changes=options.changes, robot=options.robot,
-                standing=stands.pieces, removals=work.schedule.removals,
+                arm, options.cell, work.building, pieces, work.jobs, robot=options.robot, standing=stands.pieces,
+                removals=work.schedule.removals,
             )  # fmt: skip
-            checked = _remarked(_check(setup, options.processes, console), work.schedule)
-            header = _header(options, work, notes, robot, checked)
-            files = _write(directory, header, checked.tasks, setup.layout(robot))
+            checked = _remarked(_check(setup, options.processes, console), work)
+            about = {
+                "model": work.building.file, "digest": work.building.digest, "cell": str(options.cell), "robot": robot.name,
+                "proposed": work.schedule.proposed, "seconds": checked.seconds, "rss_mb": checked.rss_mb, "notes": notes,
+            }  # fmt: skip
+            picture = cell_picture(checked.tasks, setup.layout(robot))
+            contents: dict[str, str | bytes] = {"check.json": as_json(about, checked.tasks), "check.png": picture}
+            for name, content in contents.items():
+                write_whole(directory / name, content)
     except (ConstructionTwinError, OSError) as error:
         ended = isinstance(error, WorkerError) and not error.kind
         said = "a process was ended, perhaps for want of memory; try --processes 1" if ended else spoken(error)
         print(f"work check: {said}", file=sys.stderr)
         return NOT_CHECKED
-    _print(console, checked, files, options.changes)
+    _print(console, checked, [directory / name for name in contents])
     return ALL if all(task.possible for task in checked.tasks) else SOME
 
 
@@ -109,16 +112,7 @@ def _work(options: argparse.Namespace, robot: RobotModel) -> _Work:
     site = read_site(options.cell)
     missing = proposed = not building.tasks
     if proposed:
-        proposal = propose(building)
-        if options.write_schedule:
-            # ifcopenshell is needed for this only
-            from construction_twin.work.ifc.schedule_writer import write_schedule
-
-            write_schedule(
-                options.model, options.write_schedule, "Proposed order", proposal.tasks, proposal.sequences,
-                datetime.now().replace(microsecond=0), "From the geometry; not accepted yet.",
-            )  # fmt: skip
-        building = proposal.applied(building)
+        building = propose(building).applied(building)
     schedule = Schedule.of(building, proposed, site.recipes.process)
     proposed = schedule.proposed
     model_T_base = site.model_T_base(building)
@@ -165,27 +159,9 @@ def _check(setup: Setup, processes: int, console: Console) -> Checked:
         return check_all(setup, processes, lambda _: progress.update(bar, advance=1, refresh=True))
 
 
-def _remarked(checked: Checked, schedule: Schedule) -> Checked:
-    tasks = (replace(task, remarks=schedule.remarks.get(task.job, ())) for task in checked.tasks)
-    return replace(checked, tasks=tuple(tasks))
-
-
-def _header(
-    options: argparse.Namespace, work: _Work, notes: tuple[str, ...], robot: RobotModel, checked: Checked
-) -> Header:
-    return Header(
-        work.building.file, work.building.digest, str(options.cell), robot.name, work.schedule.proposed,
-        checked.seconds, checked.rss_mb, notes,
-    )  # fmt: skip
-
-
-def _write(directory: Path, header: Header, tasks: Iterable[CheckedTask], layout: Layout) -> tuple[Path, ...]:
-    found = tuple(tasks)
-    contents = {"report.html": page(header, found, layout), "check.json": as_json(header, found)}
-    directory.mkdir(parents=True, exist_ok=True)
-    for name, text in contents.items():
-        write_whole(directory / name, text)
-    return tuple(directory / name for name in contents)
+def _remarked(checked: Checked, work: _Work) -> Checked:
+    remarks = {job: tuple(map(work.building.called, said)) for job, said in work.schedule.remarks.items()}
+    return replace(checked, tasks=tuple(replace(task, remarks=remarks.get(task.job, ())) for task in checked.tasks))
 
 
 #: Headings of the table in the terminal; whether the column holds words; its greatest width, 0: what is left of the terminal.
@@ -197,7 +173,7 @@ _COLUMNS = {
 _BESIDE_GRIP = 66
 
 
-def _print(console: Console, checked: Checked, files: Iterable[Path], changes: float) -> None:
+def _print(console: Console, checked: Checked, files: Iterable[Path]) -> None:
     impossible = any(not task.possible for task in checked.tasks)
     # numbers are shown whole; in a narrow terminal words are cut
     table = Table(box=box.SIMPLE, padding=(0, 1, 0, 0))
@@ -207,22 +183,14 @@ def _print(console: Console, checked: Checked, files: Iterable[Path], changes: f
             justify: Literal["left", "right"] = "left" if words else "right"
             table.add_column(heading, justify=justify, no_wrap=True, overflow="ellipsis", max_width=most or widest)
     for task in checked.tasks:
-        place, name, _, possible, grip, track, clearance, duration, _ = row(task)
-        table.add_row(
-            *(place, name, possible, grip, track, clearance, duration),
-            *([short_why(task)] if impossible else []),
-            style="" if task.possible else "red",
-        )
+        table.add_row(*row(task)[: len(table.columns)], style="" if task.possible else "red")
     console.print(table)
     for task in checked.tasks:
+        about = f"{task.number + 1} {task.name} ({task.element_name or task.element})"
         if not task.possible:
-            console.print(f"{task.number + 1} {task.name} ({task.element}): {why(task)}", markup=False, soft_wrap=True)
+            console.print(f"{about}: {why(task)}", markup=False, soft_wrap=True)
         for remark in task.remarks:
-            console.print(
-                f"{task.number + 1} {task.name} ({task.element}), note: {remark}", markup=False, soft_wrap=True
-            )
-    if not all(task.possible for task in checked.tasks):
-        console.print(f"Changes were tried for {changes:g} s in all, the first task of each reason first (--changes)")
+            console.print(f"{about}, note: {remark}", markup=False, soft_wrap=True)
     count = sum(task.possible for task in checked.tasks)
     console.print(
         f"{count} of {len(checked.tasks)} tasks are possible; checked in {checked.seconds:.0f} s, {checked.rss_mb:.0f} MB"
@@ -249,16 +217,9 @@ def _processes(text: str) -> int:
     return value
 
 
-def _seconds(text: str) -> float:
-    value = float(text)
-    if not 0.0 <= value <= 3600.0:
-        raise argparse.ArgumentTypeError(Sentence("view.argument.range", value=value, lowest=0, largest=3600))
-    return value
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="work check", description="What the arm can do of a building model: a table, report.html and check.json."
+        prog="work check", description="What the arm can do of a building model: a table, check.json and check.png."
     )
     parser.add_argument("model", type=Path, help="an IFC file")
     parser.add_argument(
@@ -271,14 +232,6 @@ def _parser() -> argparse.ArgumentParser:
         "--processes", type=_processes, default=max(1, min(8, os.cpu_count() or 1)), metavar="N",
         help="tasks that are checked at once (default: one per core, at most 8)",
     )  # fmt: skip
-    parser.add_argument(
-        "--changes", type=_seconds, default=60.0, metavar="SECONDS",
-        help="how long changes are tried in all, at most 15 s per task, the first task of each reason before others "
-        "(default: 60; 0: not at all)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--write-schedule", type=Path, metavar="FILE", help="also write a proposed order into a copy of the model"
-    )
     parser.add_argument("--robot-xacro", type=Path, metavar="FILE", help="URDF or xacro of another arm")
     parser.add_argument("--robot-xacro-args", default="", metavar="'NAME=VALUE ...'", help="arguments of the xacro")
     parser.add_argument("--robot-config", type=Path, metavar="FILE", help="its robot YAML")

@@ -9,13 +9,12 @@ import os
 import resource
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any
 
 import numpy as np
 import yaml
@@ -25,7 +24,7 @@ from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.scene.objects import SceneObject
 from construction_twin.scene.self_collision import read_self_collision
 from construction_twin.work.building import BuildingModel
-from construction_twin.work.check import CheckedTask, Checker, reason_kind
+from construction_twin.work.check import CheckedTask, Checker
 from construction_twin.work.schedule import Job
 from construction_twin.work.site import read_site
 from construction_twin.work.site_scene import Layout
@@ -33,8 +32,8 @@ from construction_twin.work.worker import Worker, serve_parent
 
 #: What a process is started with.
 PROGRAM = (sys.executable, "-m", "construction_twin.ros.commands.work_check_pool")
-#: Most time for the changes of one task [s].
-TASK_CHANGES = 15.0
+#: Of every planning: the same model and cell give the same findings.
+SEED = 1
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,6 @@ class Setup:
     Attributes:
         pieces: Of the elements that have geometry.
         jobs: In the order of the schedule.
-        changes: For all changes that are tried, of all tasks together [s]; 0: none are tried.
         robot: Only jobs that this robot may do are checked; empty: all. The others' elements are placed in their turn as well.
         standing: See `Layout`.
         removals: What people take down before jobs that wait for it.
@@ -70,8 +68,6 @@ class Setup:
     building: BuildingModel
     pieces: dict[str, tuple[SceneObject, ...]]
     jobs: tuple[Job, ...]
-    seed: int = 1
-    changes: float = 60.0
     robot: str = ""
     standing: dict[str, tuple[SceneObject, ...]] = field(default_factory=dict)
     removals: tuple[Job, ...] = ()
@@ -99,9 +95,9 @@ class Setup:
         robot = self.arm.robot()
         shipped = yaml.safe_load(self.arm.planner.read_text(encoding="utf-8"))
         known = {key: value for key, value in shipped.items() if key in PlannerSettings.model_fields}
-        settings = PlannerSettings(**{**known, "seed": self.seed})
+        settings = PlannerSettings(**{**known, "seed": SEED})
         layout = self.layout(robot)
-        rng = np.random.default_rng(self.seed)
+        rng = np.random.default_rng(SEED)
         collision = read_self_collision(self.arm.self_collision, robot)
         return Checker(robot, collision, settings, layout, self.jobs, time.monotonic, rng, removals=self.removals)
 
@@ -134,16 +130,10 @@ def check_all(setup: Setup, processes: int, done: Callable[[CheckedTask], None] 
     found: dict[int, CheckedTask] = {}
     memory: dict[int, float] = {}
     with _pool(setup, processes) as pool:
-        for task, process, rss in pool.each("check", [{"number": number} for number in setup.numbers]):
+        for task, process, rss in pool.each(setup.numbers):
             found[task.number] = task
             memory[process] = rss
             done(task)
-        until = time.monotonic() + setup.changes
-        failed = _first_of_each_reason([found[number] for number in sorted(found) if not found[number].possible])
-        tried = failed if setup.changes > 0.0 else []
-        for task, process, rss in pool.each("change", [{"task": task, "until": until} for task in tried]):
-            found[task.number] = task
-            memory[process] = rss
     tasks = tuple(found[number] for number in sorted(found))
     return Checked(tasks, time.monotonic() - began, _rss_mb() + sum(memory.values()))
 
@@ -174,9 +164,9 @@ class _Pool:
         for worker in self._workers:
             self._idle.put(worker)
 
-    def each(self, name: str, questions: Sequence[dict[str, Any]]) -> Iterator[tuple[CheckedTask, int, float]]:
-        """Yield the answers to questions as they come: task, process, and its memory [MB]."""
-        for future in as_completed([self._threads.submit(self._ask, name, question) for question in questions]):
+    def each(self, numbers: Iterable[int]) -> Iterator[tuple[CheckedTask, int, float]]:
+        """Yield what is found for jobs as it comes: task, process, and its memory [MB]."""
+        for future in as_completed([self._threads.submit(self._check, number) for number in numbers]):
             yield future.result()
 
     def close(self) -> None:
@@ -186,10 +176,10 @@ class _Pool:
             worker.close()
         self._threads.shutdown(wait=True)
 
-    def _ask(self, name: str, question: dict[str, Any]) -> tuple[CheckedTask, int, float]:
+    def _check(self, number: int) -> tuple[CheckedTask, int, float]:
         worker = self._idle.get()
         try:
-            return worker.ask(name, **question)
+            return worker.ask("check", number=number)
         finally:
             self._idle.put(worker)
 
@@ -206,21 +196,9 @@ def _check(number: int) -> tuple[CheckedTask, int, float]:
     return _checkers[0].check(number), os.getpid(), _rss_mb()
 
 
-def _change(task: CheckedTask, until: float) -> tuple[CheckedTask, int, float]:
-    # the clock of all processes of a machine is the same
-    within = min(until, time.monotonic() + TASK_CHANGES)
-    return _checkers[0].changed(task, within), os.getpid(), _rss_mb()
-
-
-def _first_of_each_reason(failed: list[CheckedTask]) -> list[CheckedTask]:
-    """Return tasks with the first of each reason before all others."""
-    first = list({reason_kind(task): task for task in reversed(failed)}.values())[::-1]
-    return first + [task for task in failed if task not in first]
-
-
 def _rss_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
 if __name__ == "__main__":
-    serve_parent({"prepare": _prepare, "check": _check, "change": _change})
+    serve_parent({"prepare": _prepare, "check": _check})

@@ -39,9 +39,8 @@ OFFICIAL_MD5 = {
 
 @dataclass(frozen=True)
 class GoalDefaults:
-    """What holds where a goal asks for nothing: tolerances on the path and at the goal, and of the time [s]."""
+    """What holds where a goal asks for nothing: tolerances at the goal, and of the time [s]."""
 
-    path: Tolerances
     goal: Tolerances
     time_tolerance: float
 
@@ -75,23 +74,24 @@ def trajectory_goal(goal, goal_id: str, client: str, robot: RobotModel, defaults
 
     Raises:
         GoalJointsError: When it does not name each joint of the robot once, or a tolerance names another one.
-        GoalError: When a tolerance is no number, or the time's not from 0 to `LONGEST`.
+        GoalError: When a tolerance is no number, the time's is not from 0 to `LONGEST`, or a bound on the path is asked for: the
+            gate watches the path.
     """
     check_joint_names(robot, goal.trajectory.joint_names)
+    for one in goal.path_tolerance:
+        # 0 is the default, below 0 no bound: there is none
+        if not (one.position <= 0.0 and one.velocity <= 0.0 and one.acceleration <= 0.0):
+            raise GoalError(Sentence("reason.goal.path_tolerance", joint=one.name))
     seconds = goal.goal_time_tolerance.to_nsec() / NANOSECONDS
     if not 0.0 <= seconds <= LONGEST:
         raise GoalError(Sentence("reason.goal.time_tolerance", seconds=seconds, longest=LONGEST))
+    asked = [ToleranceRequest(one.name, one.position, one.velocity, one.acceleration) for one in goal.goal_tolerance]
     return TrajectoryGoal(
         goal_id,
         client,
-        defaults.path.asked(robot, _asked(goal.path_tolerance), "path_tolerance"),
-        defaults.goal.asked(robot, _asked(goal.goal_tolerance), "goal_tolerance"),
+        defaults.goal.asked(robot, asked),
         seconds or defaults.time_tolerance,
     )
-
-
-def _asked(tolerances) -> list[ToleranceRequest]:
-    return [ToleranceRequest(one.name, one.position, one.velocity, one.acceleration) for one in tolerances]
 
 
 def asked_duration(trajectory: JointTrajectory) -> float:

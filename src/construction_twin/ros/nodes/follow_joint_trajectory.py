@@ -85,8 +85,6 @@ class Settings(pydantic.BaseModel):
     action_names: Annotated[
         list[Annotated[str, pydantic.Field(pattern=r"^/?[A-Za-z]\w*(/\w+)*$")]], pydantic.Field(min_length=1)
     ]
-    path_tolerance: Tolerance
-    path_tolerance_linear: Tolerance
     goal_tolerance: Tolerance
     goal_tolerance_linear: Tolerance
     goal_time_tolerance: Annotated[float, pydantic.Field(gt=0.0, le=LONGEST)]
@@ -110,7 +108,6 @@ class FollowJointTrajectoryNode:
         self._robot = robot
         self._retime = settings.retime
         self._defaults = GoalDefaults(
-            Tolerances.default(robot, settings.path_tolerance, settings.path_tolerance_linear),
             Tolerances.default(robot, settings.goal_tolerance, settings.goal_tolerance_linear),
             settings.goal_time_tolerance,
         )

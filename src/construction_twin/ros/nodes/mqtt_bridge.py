@@ -8,16 +8,14 @@ import time
 import uuid
 import xmlrpc.client
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
-import paho.mqtt.client as paho
 import pydantic
 import rospy
 from std_srvs.srv import SetBool, Trigger
 
-from construction_twin.core.axis_quantities import CURRENT, TORQUE, AxisQuantity
 from construction_twin.core.errors import ExpiredError, PayloadError
 from construction_twin.core.freshness import parse_moment, staleness
 from construction_twin.core.records import SPACED, dumped
@@ -43,17 +41,13 @@ from construction_twin.mqtt.messages import (
     Control,
     StateProperties,
     Topics,
-    demand_live,
     no_properties,
     parse_presence,
     parse_status,
-    read_report,
     read_state_properties,
 )
 from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.msg import (
-    AxisCurrent,
-    AxisTorque,
     Execution,
     Feedback,
     Link,
@@ -85,7 +79,7 @@ from construction_twin.ros.shared.ports import (
 )
 from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.shared.stop_memory import StopMemory
-from construction_twin.ros.transport.joint_stream import now_ns, to_time
+from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.publisher import Sink
 from construction_twin.ros.transport.subscriber import caller_of
 from construction_twin.srv import SessionFromScreen, SessionFromScreenRequest, TakeResponsibility
@@ -100,8 +94,6 @@ MIRROR_MODE = "mirror_mode"
 WAITS = "waits_for_person"
 #: Between two writings of the log [s].
 LOG_PERIOD = 0.05
-#: Message of each quantity of the axes, and the field that takes the values.
-TOLD = {TORQUE: (AxisTorque, "torque"), CURRENT: (AxisCurrent, "current")}
 
 
 class Settings(MqttSettings):
@@ -119,7 +111,6 @@ class Outputs:
     Attributes:
         physical, feedback: The arm's pose for tf and people; the same with its sequence number and command stamp for the gate.
         tool, session_request: None: nobody is told of the tool, or who asked for a session.
-        told: Where quantities of the axes are told; nobody is told of those that are not there.
     """
 
     physical: Sink
@@ -127,7 +118,6 @@ class Outputs:
     link: Sink
     tool: Sink | None = None
     session_request: Sink | None = None
-    told: Mapping[AxisQuantity, Sink] = field(default_factory=dict)
 
 
 class MqttBridge:
@@ -143,7 +133,6 @@ class MqttBridge:
         diagnostics: Counts what is refused.
         mirrors: Whether the arm leads from the start.
         waits: Why the bridge before this one waited for a person, in a sentence; empty: it did not.
-        joints: Name of each joint, and 1 or -1: the sense of its axis.
         remember, remember_mirror: Keep such a sentence, and whether the arm leads, for the bridge after this one; they may take as
             long as the master does.
     """
@@ -162,13 +151,10 @@ class MqttBridge:
         waits: str = "",
         remember: Callable[[str], object] = lambda waits: None,
         remember_mirror: Callable[[bool], object] = lambda mirrors: None,
-        joints: tuple[tuple[str, int], ...] = (),
     ):
         self._settings = settings
         self._codec = codec
         self._outputs = outputs
-        self._names = tuple(name for name, _ in joints)
-        self._signs = tuple(sign for _, sign in joints)
         bare = settings.gateway_kind == PLC
         # a bare PLC's strings travel alone
         self._properties = config.properties and settings.protocol == "5" and not bare
@@ -210,8 +196,6 @@ class MqttBridge:
             self._topics.status: lambda message: self.on_status(bytes(message.payload)),
             self._topics.control_ack: lambda message: self.on_answer(bytes(message.payload)),
         }
-        for quantity in self._outputs.told:
-            on_message[self._topics.told(quantity)] = partial(self._on_told, quantity)
         connect(self._client, self._broker, self._connection, self.on_connect, self.on_disconnect, on_message)
 
     @property
@@ -383,7 +367,6 @@ class MqttBridge:
                 client,
                 [
                     (self._topics.state, 0),
-                    *((self._topics.told(quantity), 0) for quantity in self._outputs.told),
                     (self._topics.status, 1),
                     (self._topics.control_ack, 1),
                 ],
@@ -427,24 +410,6 @@ class MqttBridge:
         # the gate's first: each program that looks on at the other takes its time from what comes after
         self._outputs.feedback.publish(received, q, seq, command_stamp)
         self._outputs.physical.publish(received, q)
-
-    def _on_told(self, quantity: AxisQuantity, message: paho.MQTTMessage) -> None:
-        self.on_told(quantity, bytes(message.payload), message.retain)
-
-    def on_told(self, quantity: AxisQuantity, payload: bytes, retained: bool) -> None:
-        """Take a quantity of the arm's axes, which goes with a state; what cannot be read is refused and counted."""
-        received = now_ns()
-        try:
-            demand_live(retained, quantity.name)
-            report = read_report(quantity, payload, len(self._names))
-        except PayloadError as error:
-            self._diagnostics.refuse(f"{quantity.name}_{error.reason}", str(error))
-            return
-        kind, field_name = TOLD[quantity]
-        message = kind(name=self._names, seq=report.seq, command_stamp=to_time(report.command_stamp))
-        message.header.stamp = to_time(received)
-        setattr(message, field_name, [sign * value for sign, value in zip(self._signs, report.values)])
-        self._outputs.told[quantity].publish(message)
 
     def on_status(self, payload: bytes) -> None:
         """Take the gateway's status, or a bare PLC's word; one that cannot be read is refused as a whole."""
@@ -784,7 +749,6 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttBridge:
             link=ports.publishers["link"],
             tool=ports.publishers["tool"],
             session_request=ports.publishers["session_request"],
-            told={quantity: ports.publishers[f"physical/{quantity.name}"] for quantity in TOLD},
         ),
         ports.diagnostics,
         # not a private parameter: those hold settings, and this was asked for while the bridge ran
@@ -792,7 +756,6 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttBridge:
         waits=str(ports.parameters[WAITS]),
         remember=ports.keeper(WAITS),
         remember_mirror=ports.keeper(MIRROR_MODE),
-        joints=tuple((name, axis.sign) for name, axis in zip(robot.joint_names, robot.axes)),
     )
     bridge.connect()
     return bridge
@@ -804,7 +767,6 @@ INTERFACE = Interface(
     publishes=(
         PosePublication("physical/joint_states"),
         PosePublication("physical/feedback", Feedback),
-        *(Publication(f"physical/{quantity.name}", kind, queue_size=50) for quantity, (kind, _) in TOLD.items()),
         Publication("link", Link, queue_size=10, latch=True),
         Publication("tool", ToolState, queue_size=50, latch=True),
         Publication("session_request", SessionRequestMessage, queue_size=10),

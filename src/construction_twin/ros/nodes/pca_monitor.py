@@ -5,37 +5,31 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import pydantic
 import rospy
 
 from construction_twin.core.errors import ConfigurationError, RequestRefused
-from construction_twin.core.extras import check_extras
 from construction_twin.core.files import check_writable
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.reports import HoldReport, SyncReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.monitor.gate import REPLAN, Cause, Gate, WatchedArm
+from construction_twin.monitor.gate import REPLAN, Cause, Gate
 from construction_twin.monitor.replan import ReplanGoal, ReplanGoals
 from construction_twin.monitor.servo_watch import ServoWatch
 from construction_twin.monitor.settings import Behaviour
 from construction_twin.monitor.states import SyncState, Transition
-from construction_twin.monitor.torque_watch import InverseDynamics
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.msg import AxisTorque, Execution, Feedback, Hold, Link, Plan, Sync, WorkTasks
-from construction_twin.msg import Scene as SceneMsg
+from construction_twin.msg import Execution, Feedback, Hold, Link, Plan, Sync
 from construction_twin.msg import Transition as TransitionMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.element_masses import tool_mass
-from construction_twin.ros.shared.launch_arguments import arm_of, decimals_of, payload_of_launch
-from construction_twin.ros.shared.load_follower import LoadFollower, Loads
-from construction_twin.ros.shared.model_builder import ModelBuilder
+from construction_twin.ros.shared.launch_arguments import arm_of, decimals_of
 from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.ros.shared.params import NodeSettings, robot_file
 from construction_twin.ros.shared.ports import (
@@ -51,9 +45,8 @@ from construction_twin.ros.shared.ports import (
 )
 from construction_twin.ros.shared.stop_memory import PARAMETER, StopMemory
 from construction_twin.ros.shared.transition_report import TransitionReport
-from construction_twin.ros.transport.joint_stream import from_time, now_ns
+from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.publisher import Sink
-from construction_twin.scene.objects import Scene
 from construction_twin.servo.file import read_servos
 from construction_twin.srv import (
     ConfigureGate,
@@ -61,15 +54,9 @@ from construction_twin.srv import (
     PlanToJoints,
     PlanToJointsResponse,
 )
-from construction_twin.views.preflight import is_true
-
-if TYPE_CHECKING:
-    from construction_twin.physics.model import PhysicsModel
 
 #: Setpoints kept while the gate is busy, 0.1 s: what is older it does not let pass.
 SETPOINTS_KEPT = 25
-#: For so long no torque may be compared while poses are, without a word on `/diagnostics` [s].
-TORQUE_SILENCE = 2.0
 #: Poses of the arm kept while the gate is busy.
 FEEDBACK_KEPT = 50
 #: Longest time between two `sync` of an open gate while the command rests [ns]: five nodes read each of them.
@@ -86,10 +73,6 @@ class Settings(NodeSettings, Behaviour):
     arm: Literal["mock", "real", "none"]
     decimals: int = pydantic.Field(ge=1, le=6)
     transition_file: Annotated[str, pydantic.Field(min_length=1)]
-    torque_watch: bool
-    drives: str
-    tool: str = ""
-    payload: list[Annotated[float, pydantic.Field(allow_inf_nan=False)]] = []
     servo_model: str
 
 
@@ -122,7 +105,6 @@ class PcaMonitorNode:
         diagnostics: Counts what is refused.
         stopped_in: The session in which a monitor before this one was STOPPED: the gate stays so until the link tells of another
             session.
-        loads: Where torques are watched; None: what the gate was given first is believed for good.
     """
 
     def __init__(
@@ -134,7 +116,6 @@ class PcaMonitorNode:
         outputs: Outputs,
         diagnostics: NodeDiagnostics,
         stopped_in: str = "",
-        loads: Loads | None = None,
     ):
         self._gate = gate
         self._behaviour = behaviour
@@ -160,13 +141,6 @@ class PcaMonitorNode:
         #: The executor's sentence while a plan is being executed, at rest or not; empty otherwise.
         self._executing = ""
         self._diagnostics = diagnostics
-        watch = gate.watch_of_torques
-        #: Has the torque watch expect what the arm carries; None: what the gate was given first is believed for good.
-        self._load = (
-            LoadFollower(loads, watch, self._lock, diagnostics) if loads is not None and watch is not None else None
-        )
-        #: Torques compared when a report saw that number first, and when that was, by the monotonic clock [s].
-        self._torques_seen = 0, time.monotonic()
 
     # -- the path; all times but those of stamps and reports are monotonic
 
@@ -215,28 +189,6 @@ class PcaMonitorNode:
         if expected and self._outputs.expected is not None:
             # with the stamp of the pose that it was compared with
             self._outputs.expected.publish(received, expected)
-
-    def on_torques(self, message: AxisTorque) -> None:
-        """Take what the arm's axes give."""
-        if tuple(message.name) != self._names or len(message.torque) != len(self._names):
-            self._diagnostics.refuse("torque", Sentence("reason.refused.torque"))
-            return
-        now = time.monotonic_ns()
-        with self._lock:
-            self._gate.on_torques(message.torque, from_time(message.command_stamp), now)
-            self._note_changes()
-        if self._changes:
-            self._publish(now)
-
-    def on_scene(self, message: SceneMsg) -> None:
-        """Take what the arm carries. In rospy's thread of this connection, which may wait."""
-        if self._load is not None:
-            self._load.on_scene(message)
-
-    def on_tasks(self, message: WorkTasks) -> None:
-        """Take what elements weigh. In rospy's thread of this connection, which may wait."""
-        if self._load is not None:
-            self._load.on_tasks(message)
 
     def on_link(self, message: Link) -> None:
         """Take the link's state; a new session restarts the gate."""
@@ -289,9 +241,6 @@ class PcaMonitorNode:
         """Note which plan is played."""
         active = message.state not in (Execution.WAITING, Execution.IDLE)
         self._executing = f"plan {message.plan_id} is {message.text}" if active else ""
-        with self._lock:
-            if self._load is not None:
-                self._load.on_execution(active, message.at_boundary, message.expected_scene)
         self._goals.on_execution(message.plan_id, message.state == Execution.PLAYING, message.moment)
 
     def _note_changes(self) -> None:
@@ -415,83 +364,21 @@ class PcaMonitorNode:
             "refused setpoints": gate.refused,
         }
         values |= _servo_values(gate.watch_of_servos)
-        watch, watched = self._gate.watch_of_torques, ""
-        if watch is not None:
-            values["torques compared"] = watch.compared
-            watched = self._load.problem if self._load is not None else ""
-            if not watched and self._compares and gate.state is SyncState.IN_SYNC:
-                silence = self._torque_silence(watch.compared)
-                if not watch.compared:
-                    watched = Sentence("reason.gate.no_torques")
-                elif silence > TORQUE_SILENCE:
-                    watched = Sentence("reason.gate.torques_silent", seconds=silence)
         level = {SyncState.IN_SYNC: OK, SyncState.STOPPED: ERROR, SyncState.FAULT: ERROR}.get(gate.state, WARN)
-        sentence = "; ".join(filter(None, (f"{gate.state.name}: {gate.reason}", problem, watched)))
-        if watched and level is OK:
-            level = WARN
+        sentence = "; ".join(filter(None, (f"{gate.state.name}: {gate.reason}", problem)))
         return Report(ERROR if problem else level, sentence, values | self._outputs.transitions.values())
-
-    def _torque_silence(self, compared: int) -> float:
-        """Return for how long the number of compared torques has not changed, as the reports have seen it [s]."""
-        now = time.monotonic()
-        if compared != self._torques_seen[0]:
-            self._torques_seen = compared, now
-        return now - self._torques_seen[1]
 
 
 def make_gate(settings: Settings, robot: RobotModel, now: int) -> Gate:
     """Return the gate of a robot; ConfigurationError where the parameters do not fit it."""
     codec = JointStringCodec.of(robot, settings.decimals)
-    watched = watched_arm(settings, robot) if watches_torques(settings) else None
     servos = read_servos(settings.servo_model, robot.joint_names) if knows_servos(settings) else None
-    return Gate(MotionLimits.of(robot), codec, settings.gate_settings(settings.arm != "none"), now, watched, servos)
+    return Gate(MotionLimits.of(robot), codec, settings.gate_settings(settings.arm != "none"), now, servos)
 
 
 def knows_servos(settings: Settings) -> bool:
     """Return whether the arm is compared with a model of its servos: not without an arm."""
     return bool(settings.servo_model) and settings.arm != "none"
-
-
-def watches_torques(settings: Settings) -> bool:
-    """Return whether torques are compared: not without an arm."""
-    return settings.torque_watch and settings.arm != "none"
-
-
-def watched_arm(settings: Settings, robot: RobotModel) -> WatchedArm:
-    """Return the model by which torques are expected.
-
-    Raises:
-        ConfigurationError: If the packages of the set-up's group `physics` are missing, or drives or payload are none.
-    """
-    check_extras("physics")
-    # only here: what simulates is not everywhere
-    from construction_twin.physics.drive import drives_of, read_drives
-    from construction_twin.physics.mass import payload_of
-    from construction_twin.physics.plant import bare_model
-    from construction_twin.scene.collision_bodies import RobotBodies
-
-    drives = read_drives(settings.drives, robot) if settings.drives else drives_of(robot)
-    model = bare_model(RobotBodies(robot), drives, payload_of(settings.payload, "payload"))
-    return WatchedArm(dynamics_of(model), drives.torque)
-
-
-def dynamics_of(model: PhysicsModel) -> InverseDynamics:
-    """Return the torques that motions of an arm take, by its model."""
-    from construction_twin.physics.plant import InverseDynamics as OfModel
-
-    found = OfModel(model)
-    return lambda *motion: tuple(map(float, found.torques(*motion)))
-
-
-def loads_of(settings: Settings, robot: RobotModel) -> Loads:
-    """Return how the monitor learns what the arm carries beside the payload; raises like `read_tool`."""
-    builder = ModelBuilder(robot, settings.drives, tuple(settings.payload))
-
-    def build(scene: Scene, masses: Mapping[str, float]) -> tuple[InverseDynamics, tuple[str, ...]]:
-        model = builder.build_carrying(scene, masses)
-        return dynamics_of(model), model.remarks
-
-    return Loads(build, tool_mass(settings.tool))
 
 
 def check(settings: Settings, robot: RobotModel) -> None:
@@ -520,7 +407,6 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> PcaMonitorNode
         ),
         ports.diagnostics,
         ports.parameters[PARAMETER] if compares else "",
-        loads_of(settings, robot) if watches_torques(settings) else None,
     )
 
 
@@ -557,9 +443,6 @@ INTERFACE = Interface(
     hears=(
         PoseSubscription("twin/joint_states", PcaMonitorNode.on_twin),
         PoseSubscription("physical/feedback", PcaMonitorNode.on_feedback, FEEDBACK_KEPT, Feedback),
-        Subscription("physical/torque", AxisTorque, PcaMonitorNode.on_torques, queue_size=50, when=watches_torques),
-        Subscription("scene", SceneMsg, PcaMonitorNode.on_scene, queue_size=1, when=watches_torques),
-        Subscription("work/tasks", WorkTasks, PcaMonitorNode.on_tasks, queue_size=1, when=watches_torques),
         PoseSubscription("next/joint_states", PcaMonitorNode.on_next, SETPOINTS_KEPT),
         Subscription("plan", Plan, PcaMonitorNode.on_plan, queue_size=5),
         Subscription("execution", Execution, PcaMonitorNode.on_execution, queue_size=5),
@@ -575,10 +458,6 @@ FILE = ConfigFile(
     lambda given: {
         "arm": arm_of(given),
         "decimals": decimals_of(given),
-        "torque_watch": is_true(given, "torque_watch"),
-        "drives": given.get("drives", ""),
-        "tool": given.get("tool", ""),
-        "payload": payload_of_launch(given.get("payload", "")),
         "servo_model": given.get("servo_model", ""),
     }
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import sys
+from pathlib import Path
 
 import rosgraph
 import rospy
@@ -15,8 +16,23 @@ from construction_twin.ros.shared.gateway_config import config_from_parameters
 from construction_twin.ros.shared.master import wait_for_master
 from construction_twin.ros.shared.params import ros_home
 
-#: In the robot's namespace, by the launch file: the arm is a mock, another one in each launch, and nobody has stopped it yet.
-NEW_ARM = "gateway_new_arm"
+#: In the robot's namespace, by the launch file: which arm it is. A mock is another one in each launch: nobody has stopped it yet.
+ARM, NEW_MOCK, MOCK = "gateway_arm", "new mock", "mock"
+
+
+def stop_file(arm: str, config: Path, robot: str) -> Path:
+    """Return the file that keeps an arm's stop. A mock, whose own is new in each launch, never touches the real arm's.
+
+    Args:
+        arm: Of `ARM`.
+        config: The configuration's file, of one node and ROS master; the real arm is the same one with another master.
+    """
+    if arm not in (NEW_MOCK, MOCK):
+        return config.with_name(f"{robot}.stopped")
+    stops = config.with_suffix(".stopped")
+    if arm == NEW_MOCK:
+        stops.unlink(missing_ok=True)
+    return stops
 
 
 def main() -> None:
@@ -30,10 +46,10 @@ def main() -> None:
     # one file per node and ROS master: two masters of one user must not hand each other's configuration over
     name = re.sub(r"\W+", "_", f"{rosgraph.get_master_uri()} {rospy.get_name()}")
     path = ros_home() / f"{name}.json"
-    stops = path.with_suffix(".stopped")
-    if rospy.get_param(NEW_ARM, False):
-        stops.unlink(missing_ok=True)
-        rospy.set_param(NEW_ARM, False)
+    arm = rospy.get_param(ARM, "")
+    stops = stop_file(arm, path, config.robot)
+    if arm == NEW_MOCK:
+        rospy.set_param(ARM, MOCK)
     write_whole(path, config.to_json())
     rospy.signal_shutdown("handing over to the gateway")
     arguments = rospy.myargv(sys.argv)[1:]

@@ -270,7 +270,7 @@ class WorkNode:
         path = ledger_path(ros_home() / settings.folder, self._robot.name, prepared.cell)
         ledger = Ledger(
             path, prepared.after, prepared.digest, time.time_ns, str(Path(prepared.cell).resolve()),
-            prepared.schedule.placing, prepared.standing_elements, self._robot.name,
+            prepared.schedule.placing, prepared.standing_elements, self._robot.name, prepared.present,
         )  # fmt: skip
         board = TaskBoard(prepared, ledger, self._robot.name, self._robot.tip_link)
         board.look_around()
@@ -447,6 +447,8 @@ class WorkNode:
     def _decided(board: TaskBoard, request: WorkDecideRequest) -> str:
         if request.decision == "accept_schedule":
             return board.accept(request.person, request.reason)
+        if request.decision == "answer_all":
+            return board.answer_all(request.answer, request.person, request.reason)
         if request.decision == "answer":
             return board.answer(request.task, request.answer, request.person, request.reason, request.question)
         if request.decision in DECISIONS:

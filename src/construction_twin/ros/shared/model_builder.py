@@ -40,10 +40,6 @@ class ModelBuilder:
         """
         return self._worker.ask("build", **self._arm, scene=scene, masses=dict(masses), self_collision=self_collision)
 
-    def build_carrying(self, scene: Scene, masses: Mapping[str, float]) -> PhysicsModel:
-        """Return the model of the arm with what it carries in a scene and nothing around it; otherwise as `build`."""
-        return self._worker.ask("build_carrying", **self._arm, scene=scene, masses=dict(masses))
-
     def close(self) -> None:
         """End the process."""
         self._worker.close()
@@ -51,20 +47,14 @@ class ModelBuilder:
 
 def main() -> None:
     """Serve the node."""
-    from construction_twin.physics.drive import ArmDrives, drives_of, read_drives
+    from construction_twin.physics.drive import drives_of, read_drives
     from construction_twin.physics.known_mass import masses_of
     from construction_twin.physics.mass import payload_of
     from construction_twin.physics.model import Load, build_model
-    from construction_twin.physics.plant import bare_model
     from construction_twin.scene.collision_bodies import RobotBodies
     from construction_twin.scene.self_collision import read_self_collision
 
     read: dict[str, RobotBodies] = {}
-
-    def arm_of(robot: RobotModel, drives: str) -> tuple[RobotBodies, ArmDrives]:
-        # it is always the same arm; its meshes are read once
-        bodies = read.get(robot.name) or read.setdefault(robot.name, RobotBodies(robot))
-        return bodies, read_drives(drives, robot) if drives else drives_of(robot)
 
     def build(
         robot: RobotModel,
@@ -74,17 +64,14 @@ def main() -> None:
         masses: Mapping[str, float],
         self_collision: str,
     ) -> PhysicsModel:
-        bodies, known = arm_of(robot, drives)
+        # it is always the same arm; its meshes are read once
+        bodies = read.get(robot.name) or read.setdefault(robot.name, RobotBodies(robot))
+        known = read_drives(drives, robot) if drives else drives_of(robot)
         load = Load(masses_of(masses, (scene,), bodies), flange=payload_of(payload, "payload"))
         return build_model(bodies, scene, read_self_collision(self_collision, robot), known, load)
 
-    def build_carrying(
-        robot: RobotModel, drives: str, payload: tuple[float, ...], scene: Scene, masses: Mapping[str, float]
-    ) -> PhysicsModel:
-        return bare_model(*arm_of(robot, drives), payload_of(payload, "payload"), scene, masses)
-
     release_realtime()
-    serve_parent({"build": build, "build_carrying": build_carrying})
+    serve_parent({"build": build})
 
 
 if __name__ == "__main__":

@@ -23,8 +23,6 @@ PUBLISHERS = {
     "twin/joint_states": "virtual_robot",
     "twin/commanded": "virtual_robot",
     "gazebo/joint_states": "gazebo_arm",
-    "physical/torque": "mqtt_bridge",
-    "physical/current": "mqtt_bridge",
     "physical/joint_states": "mqtt_bridge",
     "physical/feedback": "mqtt_bridge",
     "link": "mqtt_bridge",

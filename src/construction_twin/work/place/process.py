@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
-from construction_twin.work.jobs import TaskMotions, WorkJob
+from construction_twin.work.jobs import TaskMotions
 from construction_twin.work.place.recipe import OVERRIDES, PlaceRecipe, check_tool, mass_of
 from construction_twin.work.place.stages import SET_DOWN
 from construction_twin.work.process import Process
@@ -23,12 +22,6 @@ def _plan(search: Any) -> TaskMotions:
     return plan(search)
 
 
-def _changes(job: WorkJob, scene: Any, planner: Any, stage: str) -> Iterator[Any]:
-    from construction_twin.work.place.changes import changes
-
-    return changes(job, scene, planner, stage)
-
-
 PROCESS = Process(
     moves=True,
     recipe=PlaceRecipe,
@@ -38,5 +31,4 @@ PROCESS = Process(
     acts=SET_DOWN,
     check=_check,
     plan=_plan,
-    changes=_changes,
 )

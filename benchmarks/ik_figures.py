@@ -15,8 +15,7 @@ import PyKDL
 
 from construction_twin.core.motion_errors import KinematicsError
 from construction_twin.kinematics.chain import Chain, Pose, to_frame
-from construction_twin.kinematics.numeric import NumericInverse
-from construction_twin.kinematics.solution import IkSettings, InverseKinematics, refine, residual
+from construction_twin.kinematics.solution import InverseKinematics, refine, residual
 
 #: A solution counts as the nearest unless the brute force finds one nearer by more than this: KDL's solver leaves that much
 #: in the joints where the wrist is almost singular [rad].
@@ -139,21 +138,5 @@ def brute_force(chain: Chain, rng: np.random.Generator, restarts: int) -> Callab
                 if max(residual(chain, q, task.pose)) <= EXACT:
                     best = min(best, float(np.linalg.norm(q - task.seed)))
         return best
-
-    return search
-
-
-def deep_search(
-    chain: Chain, rng: np.random.Generator, clock: Callable[[], float], budget_s: float
-) -> Callable[[Problem], float]:
-    """Return the same for a redundant arm: KDL's solver and steps along the self-motion, for a long time on each pose."""
-    settings = IkSettings(seeds=100_000, budget_s=budget_s, patience=100_000)
-    inverse = NumericInverse(chain, settings, rng, clock)
-
-    def search(task: Problem) -> float:
-        try:
-            return inverse.nearest(task.pose, task.seed).distance
-        except KinematicsError:
-            return math.inf
 
     return search

@@ -1,4 +1,4 @@
-"""The figures of inverse kinematics: problems, brute force, and what counts as nearest."""
+"""The benchmark's figures of inverse kinematics: problems, brute force, and what counts as nearest."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ik_figures import Problem, brute_force, measure, problems, share_of_nearest
 from inverse_cases import KR120, make_inverse
 
 from construction_twin.kinematics.chain import Chain
-from construction_twin.kinematics.figures import Problem, brute_force, measure, problems, share_of_nearest
 
 CHAIN = Chain(KR120)
 

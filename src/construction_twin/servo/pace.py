@@ -1,4 +1,4 @@
-"""Is the arm moved exactly as it was commanded? Gateway and monitor judge it by the same two numbers. Standard library only; ns."""
+"""Is the arm moved exactly as it was commanded? Gate and identification judge it by the same two numbers. Pure; ns."""
 
 from __future__ import annotations
 
