@@ -578,7 +578,11 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> WorkNode:
         ports.parameters["planner"],
         worker,
         WorkListener(ports.connections, rospy.is_shutdown, review_file, refuse),
-        Inputs(*(functools.partial(each.pose, MAX_POSE_AGE, MAX_POSE_AGE) for each in (twin, arm)), frames.transform),
+        Inputs(
+            functools.partial(twin.pose, MAX_POSE_AGE, MAX_POSE_AGE),
+            functools.partial(arm.pose, MAX_POSE_AGE, MAX_POSE_AGE),
+            frames.transform,
+        ),
         Outputs(
             ports.publishers["work/tasks"],
             ports.publishers["work/markers"],
