@@ -124,7 +124,6 @@ class LinkReport:
     state: int = 0
     stamp: int = 0
     commands_sent: int = 0
-    states_received: int = 0
     reply_us_bins: tuple[int, ...] = ()
     reply_us_counts: tuple[int, ...] = ()
 

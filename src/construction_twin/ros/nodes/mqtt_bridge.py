@@ -705,7 +705,6 @@ class MqttBridge:
             state=state.value,
             stamp=rospy.Time.now().to_nsec(),
             commands_sent=self._sequence,
-            states_received=self._states,
             reply_us_bins=tuple(reply.get("bins", ())),
             reply_us_counts=tuple(reply.get("counts", ())),
         )

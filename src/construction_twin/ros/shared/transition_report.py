@@ -79,8 +79,6 @@ class TransitionReport:
 
     def _message(self, change: Transition) -> TransitionMsg:
         message = TransitionMsg(
-            from_state=change.source.value,
-            to_state=change.target.value,
             from_text=change.source.name,
             to_text=change.target.name,
             event=change.event.value,
