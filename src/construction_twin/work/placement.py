@@ -265,5 +265,5 @@ def _figures(values: np.ndarray) -> str:
 
 def _named(model: BuildingModel, ids: tuple[str, ...]) -> str:
     if len(ids) == 1:
-        return Sentence("work.place.element", id=model.labels.get(ids[0], ids[0]))
+        return Sentence("ifc.element", id=model.labels.get(ids[0], ids[0]))
     return Sentence("work.place.elements", count=len(ids), listed=first_few(model.labels.get(one, one) for one in ids))

@@ -64,7 +64,6 @@ EXEMPT: dict[str, dict[str, str]] = {
     "test/unit/ros/test_goal_server.py": {"_connection_header": GENPY},
     "test/unit/ros/test_planner_node.py": {"_connection_header": GENPY},
     "test/unit/ros/test_twin_cli.py": {"_client": "injection: what answers in place of the services of a running robot"},
-    "test/unit/repository/test_bench_start.py": {"_exit": "Python's way to end a forked process without the parent's cleaning up"},
     "test/unit/ros/test_marker_server.py": {"_connection_header": GENPY},
     "test/unit/ros/test_speed_limits.py": {"_connection_header": GENPY},
     "test/unit/ros/test_safety_acts.py": {"_connection_header": GENPY},
