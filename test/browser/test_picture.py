@@ -432,7 +432,7 @@ def test_in_a_small_picture_everything_has_its_place(page_of, robot, width, heig
     }""")
     left, top, right, bottom = boxes["stage"]
     parts = [(name, np.array(place)) for name, *place in boxes["parts"]]
-    assert sum(name.startswith("tool ") for name, _ in parts) >= 3
+    assert sum(name.startswith("tool ") for name, _ in parts) >= 2
     for number, (name, one) in enumerate(parts):
         assert one[0] >= left and one[1] >= top and one[2] <= right + 0.5 and one[3] <= bottom + 0.5, name
         if name.startswith("tool "):
