@@ -8,6 +8,7 @@ from ifc_models import IfcModel
 from sentence_checks import key_of
 
 from construction_twin.work.ifc.reader import read_ifc
+from construction_twin.work.ifc.representations import bounds
 from construction_twin.work.mesh_checks import is_closed, volume
 
 BOX = [(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
@@ -223,6 +224,15 @@ def test_an_opening_flush_with_its_wall_leaves_no_skin(read):
     model.opening(wall, (0.9, 0.3, 1.2), at=(1.0 / 3.0, 0.0, 0.8))
     (body,) = read(model)["wall"].bodies
     assert is_closed(body.triangles) and len(body.triangles) == 32
+
+
+def test_a_box_that_stands_for_flat_faces_is_that_of_their_points():
+    model = IfcModel(unit="m")
+    points = model.make("IfcCartesianPointList3D", CoordList=((1.0, 2.0, 3.0), (5.0, 2.0, 3.0), (1.0, 2.2, 6.0)))
+    faces = model.make("IfcTriangulatedFaceSet", Coordinates=points, CoordIndex=((1, 2, 3),))
+    np.testing.assert_allclose(bounds(model.representation(faces, kind="Tessellation")), ((1, 2, 3), (5, 2.2, 6)))
+    both = bounds(model.representation(faces, model.extrusion(model.rectangle(2.0, 0.2), 9.0), kind="SolidModel"))
+    assert (both[0] <= (-1.0, -0.1, 0.0)).all() and (both[1] >= (5.0, 2.2, 9.0)).all()
 
 
 def test_a_mass_that_no_material_has_in_that_box_is_doubted(read):

@@ -27,11 +27,11 @@ from construction_twin.work.ifc.representations import (
     Item,
     Items,
     body_of,
+    bounds,
     corners_of,
     crosses_itself,
     extent,
     extrusion,
-    reach,
 )
 from construction_twin.work.mesh_checks import is_closed, volume
 
@@ -84,15 +84,13 @@ class Shape:
     model_T_shape: np.ndarray | None
     doubt: str = ""
 
-    def doubted(self, why: str, within: float) -> Shape:
+    def doubted(self, why: str, *beyond: np.ndarray) -> Shape:
         """Return the shape with a box in place of its bodies.
 
         Args:
-            within: What is not made reaches this far from the origin of the frame [m].
+            beyond: Shape (k, 3) each. What the box holds beside the bodies [m].
         """
-        points = [body.vertices for body in self.bodies] + (
-            [within * np.array([[-1.0] * 3, [1.0] * 3])] if within else []
-        )
+        points = [*(body.vertices for body in self.bodies), *beyond]
         return replace(self, bodies=(box(np.concatenate(points)),) if points else (), doubt=why)
 
 
@@ -140,7 +138,7 @@ def shapes(
     for number, representation in missing.items():
         # one of lines alone has nothing to touch
         if any(_has_surface(part) for part in file.traverse(representation)):
-            yield Shape(number, (), None).doubted(Sentence("ifc.doubt.nothing"), reach(representation) * unit)
+            yield Shape(number, (), None).doubted(Sentence("ifc.doubt.nothing"), bounds(representation) * unit)
 
 
 @dataclass(frozen=True)
@@ -193,14 +191,13 @@ def _shape(
             shape, bodies=(box(np.concatenate([made.vertices, *crossed])),), doubt=Sentence("ifc.doubt.crossed")
         )
     if less := _less(items, made.owners):
-        within = max((reach(item.entity) for item in items), default=0.0) * unit
-        return shape.doubted(Sentence("ifc.doubt.less", problem=less), within)
+        return shape.doubted(Sentence("ifc.doubt.less", problem=less), *(bounds(item.entity) * unit for item in items))
     if not all(map(_is_simple, bodies)):
-        return shape.doubted(Sentence("ifc.doubt.within"), 0.0)
+        return shape.doubted(Sentence("ifc.doubt.within"))
     if openings:
         cut = _cut(shape, openings, holes)
         if cut is None:
-            return shape.doubted(Sentence("ifc.doubt.uncut"), 0.0)
+            return shape.doubted(Sentence("ifc.doubt.uncut"))
         shape = replace(shape, bodies=cut)
         if (pieces := pieces_of(cut)) > 1:
             return replace(shape, doubt=Sentence("ifc.doubt.in_pieces", count=pieces))

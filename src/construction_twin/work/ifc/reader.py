@@ -27,7 +27,7 @@ from construction_twin.work.ifc.notes import Misread, Notes, Where
 from construction_twin.work.ifc.placements import Placements, check_rigid
 from construction_twin.work.ifc.properties import HEAVIEST, read_mass, read_material, read_properties, read_status
 from construction_twin.work.ifc.relations import Relations, read_relations
-from construction_twin.work.ifc.representations import body_of, reach
+from construction_twin.work.ifc.representations import body_of, bounds
 from construction_twin.work.ifc.step_text import for_parser
 from construction_twin.work.ifc.tasks import Groups, read_tasks, unique_id
 from construction_twin.work.ifc.units import Units, read_units
@@ -241,8 +241,7 @@ def _elements(file: ifcopenshell.file, found: _Found, progress: Progress) -> tup
     _take_kernel_log(found)
     for number, shape in made.items():
         if not shape.doubt and number in found.doubts.shapes:
-            within = reach(bodies[number]) * found.units.length
-            made[number] = shape.doubted(found.doubts.shapes[number], within)
+            made[number] = shape.doubted(found.doubts.shapes[number], bounds(bodies[number]) * found.units.length)
     elements = {}
     for count, product in enumerate(products):
         if count % 100 == 0:

@@ -5,6 +5,7 @@ Mapped items are followed here before the geometry kernel does: a loop, or a few
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import ifcopenshell
@@ -40,6 +41,8 @@ _NO_BODIES = {
     "Surface",
     "Lighting",
 }
+#: Items that lie between their points.
+_FLAT = ("IfcFacetedBrep", "IfcTessellatedFaceSet")
 #: What reaches nowhere, or without an end and only cuts.
 _NO_REACH = ("IfcHalfSpaceSolid", "IfcRepresentationContext", "IfcDirection", "IfcPresentationItem")
 #: Copies by mapped items, and operands of booleans, of one element.
@@ -202,6 +205,33 @@ def corners_of(given: Extrusion) -> np.ndarray:
     flat = np.column_stack([given.outline, np.zeros(len(given.outline))])
     corners = np.concatenate([flat, flat + given.direction * given.depth])
     return corners @ given.element_T_profile.rotation.T + given.element_T_profile.position
+
+
+def bounds(node: ifcopenshell.entity_instance) -> np.ndarray:
+    """Return the lowest and highest coordinates of a representation or one of its items [unit of the file], shape (2, 3).
+
+    What flat faces bound is as large as its points; of other items see `reach`.
+    """
+    if node.is_a("IfcRepresentation"):
+        boxes = [bounds(item) for item in node.Items]
+        return np.array([np.min(boxes, axis=(0, 1)), np.max(boxes, axis=(0, 1))]) if boxes else np.zeros((2, 3))
+    points = list(_points(node)) if any(node.is_a(kind) for kind in _FLAT) else []
+    if not points:
+        return reach(node) * np.array([[-1.0] * 3, [1.0] * 3])
+    return np.array([np.min(points, axis=0), np.max(points, axis=0)])
+
+
+def _points(value: object) -> Iterator[tuple[float, ...]]:
+    if isinstance(value, tuple):
+        for each in value:
+            yield from _points(each)
+    elif isinstance(value, ifcopenshell.entity_instance):
+        if value.is_a("IfcCartesianPoint"):
+            yield value.Coordinates
+        elif value.is_a("IfcCartesianPointList3D"):
+            yield from value.CoordList
+        else:
+            yield from _points(tuple(value))
 
 
 def reach(node: ifcopenshell.entity_instance, known: dict[int, float] | None = None) -> float:
