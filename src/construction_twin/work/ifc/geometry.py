@@ -203,7 +203,7 @@ def _shape(
             return replace(shape, doubt=Sentence("ifc.doubt.in_pieces", count=pieces))
     whole = sum(volume(body.vertices, body.triangles) for body in shape.bodies if is_closed(body.triangles))
     if whole > _hull_volume(made.vertices) * (1.0 + _OVERLAP):
-        return shape.doubted(Sentence("ifc.doubt.more"), 0.0)
+        return shape.doubted(Sentence("ifc.doubt.more"))
     return shape
 
 
