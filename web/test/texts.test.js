@@ -48,7 +48,7 @@ const GAVE_UP = {key: "reason.gate.gave_up", values: {held: 30.004, reason: DIFF
 
 test("what a robot has said with key and values is said in the page's language, in deg, and in itself", () => {
   const de = textsIn("de");
-  assert.match(de.said(DIFFERS, "?"), /joint_a3 .*0\.707 °.*0\.573 °/);
+  assert.match(de.said(DIFFERS, "?"), /joint_a3 .*0\.7074 °.*0\.5730 °/);
   assert.ok(de.said(GAVE_UP, "?").includes(de.said(DIFFERS, "?")));
 });
 

@@ -61,7 +61,7 @@ def started(monkeypatch, values: dict) -> list:
     shell = NodeShell("fast", Settings, start, Interface(), refuse_fast)
     monkeypatch.setattr(rospy, "get_param", lambda name, default=None: values)
     monkeypatch.setattr(rospy, "get_name", lambda: "/kr120/fast")
-    monkeypatch.setattr(module, "robot_from_parameters", lambda _namespace: ROBOT)
+    monkeypatch.setattr(module, "robot_from_parameters", lambda: ROBOT)
     monkeypatch.setattr(module, "run_node", lambda name, start: start())
     shell.run()
     return found

@@ -62,7 +62,6 @@ class Bench:
         patch = monkeypatch.setattr
         patch(module, "neighbour_settings", lambda: None)
         patch(module, "caller_of", lambda _: "a caller")
-        patch(module, "now_ns", lambda: 7_000_000_000)
         patch(
             module,
             "listen_to_frames",

@@ -132,9 +132,9 @@ class Topic:
 
     def __init__(self, monkeypatch, kind: type = JointState, topic: str = "t"):
         self.poses, self.refused = [], []
-        monkeypatch.setattr(joint_stream.rospy, "Subscriber", self.subscribe)
-        monkeypatch.setattr(joint_stream.rospy, "get_param", lambda _, default: default)
-        monkeypatch.setattr(joint_stream.rospy, "resolve_name", lambda name: f"/{name}")
+        monkeypatch.setattr(rospy, "Subscriber", self.subscribe)
+        monkeypatch.setattr(rospy, "get_param", lambda _, default: default)
+        monkeypatch.setattr(rospy, "resolve_name", lambda name: f"/{name}")
         JointSubscriber(topic, NAMES, lambda *content: self.poses.append(content), self.refuse, kind=kind)
 
     def subscribe(self, topic, kind, callback, **_):

@@ -106,8 +106,9 @@ def test_without_a_moment_of_this_computer_nothing_is_lifted(stopped, moment):
     assert not reset(stopped, moment).success and stopped.bridge.link is LinkState.NEEDS_RESET
 
 
-def test_to_arm_is_a_request_of_its_own(stopped):
-    assert reset(stopped, now(stopped), "arm").success and stopped.asked[0][0].verb == "arm"
+def test_to_arm_lifts_no_stop(stopped):
+    answer = reset(stopped, now(stopped), "arm")
+    assert not answer.success and "call reset" in answer.message and stopped.bridge.link is LinkState.NEEDS_RESET
 
 
 def test_a_view_shows_a_stop_a_while_after_it_is_known():

@@ -48,7 +48,7 @@ class Bench:
         self.restart()
 
     def restart(self):
-        settings = Settings(arm=self.arm, folder="limits", rate=20.0)
+        settings = Settings(arm=self.arm, folder="limits")
         self.made = Unplugged(self._patch, NODE, settings, ROBOT, parameters=self.server)
         self.node = self.made.node
 

@@ -269,7 +269,7 @@ def test_a_line_of_place_is_written_as_before_there_were_processes(bench):
     bench.planned()
     (offered,) = (json.loads(line) for line in bench.ledger_lines if '"offered"' in line)
     of_element = {"element", "name", "body", "goal", "seen"}
-    assert set(offered) == {"time", "time_ns", "previous", "event", "task", "offer", "grip", "pose"} | of_element
+    assert set(offered) == {"time", "time_ns", "event", "task", "offer", "grip", "pose"} | of_element
 
 
 def test_people_read_of_it_in_the_list_and_can_have_it_done_again(bench):
