@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import rospy
 from interactive_markers.interactive_marker_server import InteractiveMarkerServer
 from visualization_msgs.msg import InteractiveMarkerFeedback
 
@@ -25,6 +26,14 @@ class MarkerServer(InteractiveMarkerServer):
     def __init__(self, topic: str, refused: Callable[[str, str], None]):
         self._refused = refused
         super().__init__(topic)
+
+    def keepAlive(self, msg: object) -> None:  # noqa: N802 (the name of its base class)
+        """Tell clients that it is here; at shutdown its topic may be closed already."""
+        try:
+            super().keepAlive(msg)
+        except rospy.ROSException:
+            if not rospy.core.is_shutdown_requested():
+                raise
 
     def processFeedback(self, feedback: InteractiveMarkerFeedback) -> None:  # noqa: N802 (the name of its base class)
         """Take what a client sent, if it is the client's own."""
