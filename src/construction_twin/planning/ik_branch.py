@@ -30,6 +30,8 @@ SINGULAR = 0.007
 #: Most Newton steps to a pose, and the error at which it counts as reached [m] and [rad].
 NEWTON_STEPS = 10
 REACHED = 1e-9
+#: A joint so close to the end of its range stands there [rad] or [m].
+AT_END = 1e-6
 #: Largest motion of a joint from one sample to the next [rad] or [m]; beyond it, shorter steps are taken.
 LONGEST_STEP = 0.3
 #: Distances behind the end of a branch [m] at which poses are tested for reach: a stretched arm becomes singular just before the
@@ -114,14 +116,28 @@ class Branch:
         return CartesianPathError(reason, fraction, s, self.path.waypoint_at(s), what, cause)
 
     def _advance(self, q: np.ndarray, target: Pose) -> np.ndarray | None:
-        """Return the joint vector of a pose near that of `q`; None if the Newton steps do not converge to it."""
+        """Return the joint vector of a pose near that of `q`; None if the Newton steps do not converge to it.
+
+        A joint that stands at the end of its range and would leave it stays there, where the others are enough.
+        """
+        reached = self._newton(q, target, self._pace)
+        if reached is None or len(q) <= 6:
+            return reached
+        inside = np.clip(reached, self._lower, self._upper)
+        stays = (inside != reached) & (np.abs(q - inside) <= AT_END)
+        if not stays.any():
+            return reached
+        held = self._newton(np.where(stays, inside, q), target, np.where(stays, 0.0, self._pace))
+        return reached if held is None else held
+
+    def _newton(self, q: np.ndarray, target: Pose, pace: np.ndarray) -> np.ndarray | None:
         p = q
         for _ in range(NEWTON_STEPS):
             error = _error(self.chain.forward(p), target)
             if np.abs(error).max() < REACHED:
                 return p
-            scaled = self.chain.jacobian(p) * self._pace
-            p = p + self._pace * (scaled.T @ np.linalg.solve(scaled @ scaled.T + 1e-14 * np.eye(6), error))
+            scaled = self.chain.jacobian(p) * pace
+            p = p + pace * (scaled.T @ np.linalg.solve(scaled @ scaled.T + 1e-14 * np.eye(6), error))
             if np.abs(p - q).max() > LONGEST_STEP:
                 return None
         return None

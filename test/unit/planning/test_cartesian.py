@@ -166,6 +166,28 @@ def test_other_arms_follow_lines_too(name, way):
     assert np.linalg.norm(off[-1] - way) < 1e-6
 
 
+@pytest.mark.parametrize(("end", "x"), [(0, -0.2), (1, 0.2)])
+def test_a_carriage_at_its_end_stays_there_where_the_arm_can_go_on(end, x):
+    """The least motion of all joints would take it beyond: where the carriage stands, six joints are enough."""
+    inverse = OTHERS["track"]
+    robot = inverse.chain.robot
+    limit = (robot.lower, robot.upper)[end][0]
+    at_end = np.array([limit, *robot.home[1:]])
+    start = inverse.chain.forward(at_end)
+    # the track leads along the axis in which its carriage moves the tool
+    along = (
+        inverse.chain.forward([0.1 + robot.home[0], *robot.home[1:]]).position
+        - inverse.chain.forward(robot.home).position
+    ) / 0.1
+    for way in (x * along, x * along + [0.0, 0.0, -0.1], -0.5 * x * along):
+        motion = plan_cartesian(at_end, [away(*way, start=start)], inverse, speed=0.2)
+        check_limits(motion, robot)
+        _, positions, _ = tool_of(motion, inverse.chain)
+        assert np.linalg.norm(positions[-1] - start.position - way) < 1e-6
+        carriage = motion.trajectory.positions[:, 0]
+        assert carriage.min() >= robot.lower[0] and carriage.max() <= robot.upper[0]
+
+
 small = st.floats(-0.25, 0.25)
 
 
