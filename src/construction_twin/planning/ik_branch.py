@@ -30,8 +30,8 @@ SINGULAR = 0.007
 #: Most Newton steps to a pose, and the error at which it counts as reached [m] and [rad].
 NEWTON_STEPS = 10
 REACHED = 1e-9
-#: A joint so close to the end of its range stands there [rad] or [m].
-AT_END = 1e-6
+#: A joint so close to the end of its range stands there [rad] or [m]: some digits of the wire.
+AT_END = 1e-5
 #: Largest motion of a joint from one sample to the next [rad] or [m]; beyond it, shorter steps are taken.
 LONGEST_STEP = 0.3
 #: Distances behind the end of a branch [m] at which poses are tested for reach: a stretched arm becomes singular just before the
@@ -56,6 +56,8 @@ class Branch:
         self._inverse = inverse
         robot = self.chain.robot
         self._lower, self._upper, self._pace = np.array(robot.lower), np.array(robot.upper), np.array(robot.velocity)
+        self._start = start
+        self._began_at_end = np.minimum(start - self._lower, self._upper - start) <= AT_END
         self._sign = self._determinant_sign(start[None])[0]
         fault = self._faults(start[None])
         if fault[0]:
@@ -118,16 +120,17 @@ class Branch:
     def _advance(self, q: np.ndarray, target: Pose) -> np.ndarray | None:
         """Return the joint vector of a pose near that of `q`; None if the Newton steps do not converge to it.
 
-        A joint that stands at the end of its range and would leave it stays there, where the others are enough.
+        A joint that began at the end of its range and would leave it stays where it is, where the others are enough. One that came
+        there in motion would have to stop at once.
         """
         reached = self._newton(q, target, self._pace)
         if reached is None or len(q) <= 6:
             return reached
-        inside = np.clip(reached, self._lower, self._upper)
-        stays = (inside != reached) & (np.abs(q - inside) <= AT_END)
+        outside = (reached < self._lower) | (reached > self._upper)
+        stays = outside & self._began_at_end & (q == self._start)
         if not stays.any():
             return reached
-        held = self._newton(np.where(stays, inside, q), target, np.where(stays, 0.0, self._pace))
+        held = self._newton(q, target, np.where(stays, 0.0, self._pace))
         return reached if held is None else held
 
     def _newton(self, q: np.ndarray, target: Pose, pace: np.ndarray) -> np.ndarray | None:

@@ -166,12 +166,13 @@ def test_other_arms_follow_lines_too(name, way):
     assert np.linalg.norm(off[-1] - way) < 1e-6
 
 
+@pytest.mark.parametrize("inside", [0.0, 1e-6])
 @pytest.mark.parametrize(("end", "x"), [(0, -0.2), (1, 0.2)])
-def test_a_carriage_at_its_end_stays_there_where_the_arm_can_go_on(end, x):
+def test_a_carriage_at_its_end_stays_there_where_the_arm_can_go_on(end, x, inside):
     """The least motion of all joints would take it beyond: where the carriage stands, six joints are enough."""
     inverse = OTHERS["track"]
     robot = inverse.chain.robot
-    limit = (robot.lower, robot.upper)[end][0]
+    limit = (robot.lower[0] + inside, robot.upper[0] - inside)[end]
     at_end = np.array([limit, *robot.home[1:]])
     start = inverse.chain.forward(at_end)
     # the track leads along the axis in which its carriage moves the tool
