@@ -96,7 +96,9 @@ class BatchKinematics:
         tip = self._tips(q)
         return _twists(tip, positions, rotations)
 
-    def newton(self, q: np.ndarray, positions: np.ndarray, rotations: np.ndarray, steps: int) -> np.ndarray:
+    def newton(
+        self, q: np.ndarray, positions: np.ndarray, rotations: np.ndarray, steps: int, pace: np.ndarray | None = None
+    ) -> np.ndarray:
         """Move each joint vector by Newton steps onto its own target pose.
 
         An arm with more joints than a pose needs takes the smallest steps, measured in fractions of the joints' full speeds.
@@ -104,14 +106,16 @@ class BatchKinematics:
         Args:
             q: Shape (k, n)
             positions, rotations: Shape (k, 3) and (k, 3, 3)
+            pace: Shape (n,). Speeds by which steps are measured; 0: the joint stays. Default: full speeds.
 
         Returns:
             Shape (k, n). Neither the ranges nor the remaining error is checked.
         """
+        pace = self._pace if pace is None else pace
         for _ in range(steps):
             tip, jacobian = self.frames(q)
             error = _twists(tip, positions, rotations)
-            q = q + self._pace * _least_steps(jacobian * self._pace, error)
+            q = q + pace * _least_steps(jacobian * pace, error)
         return q
 
 

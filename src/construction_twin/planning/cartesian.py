@@ -218,7 +218,7 @@ def _joint_curve(branch: Branch, piece: Piece, q: np.ndarray) -> JointCurve:
         targets = branch.path.poses(middle)
         error = branch.batch.errors(guess, *targets)
         away, turned = np.linalg.norm(error[:, :3], axis=1), np.linalg.norm(error[:, 3:], axis=1)
-        between = branch.batch.newton(guess, *targets, steps=2)
+        between = branch.batch.newton(guess, *targets, steps=2, pace=branch.pace)
         branch.check(between, joints[:-1], s[:-1], middle)
         deviates = (away > CURVE_FRACTION * DEVIATION_M) | (turned > CURVE_FRACTION * DEVIATION_RAD)
         if not np.any(deviates):

@@ -47,6 +47,9 @@ class Branch:
     Args:
         inverse: Asked only why a branch ends.
         start: Shape (n,). Joint values at the path's start.
+
+    Attributes:
+        pace: Shape (n,). By these speeds the joints' steps are measured; 0: the joint stays.
     """
 
     def __init__(self, path: ToolPath, inverse: InverseKinematics, start: np.ndarray):
@@ -55,7 +58,7 @@ class Branch:
         self.batch = BatchKinematics(self.chain)
         self._inverse = inverse
         robot = self.chain.robot
-        self._lower, self._upper, self._pace = np.array(robot.lower), np.array(robot.upper), np.array(robot.velocity)
+        self._lower, self._upper, self.pace = np.array(robot.lower), np.array(robot.upper), np.array(robot.velocity)
         self._start = start
         self._began_at_end = np.minimum(start - self._lower, self._upper - start) <= AT_END
         self._sign = self._determinant_sign(start[None])[0]
@@ -120,18 +123,22 @@ class Branch:
     def _advance(self, q: np.ndarray, target: Pose) -> np.ndarray | None:
         """Return the joint vector of a pose near that of `q`; None if the Newton steps do not converge to it.
 
-        A joint that began at the end of its range and would leave it stays where it is, where the others are enough. One that came
-        there in motion would have to stop at once.
+        A joint that began at the end of its range and would leave it stays where it is for good, where the others are enough: one
+        that came there in motion would have to stop at once.
         """
-        reached = self._newton(q, target, self._pace)
+        reached = self._newton(q, target, self.pace)
         if reached is None or len(q) <= 6:
             return reached
         outside = (reached < self._lower) | (reached > self._upper)
         stays = outside & self._began_at_end & (q == self._start)
         if not stays.any():
             return reached
-        held = self._newton(q, target, np.where(stays, 0.0, self._pace))
-        return reached if held is None else held
+        pace = np.where(stays, 0.0, self.pace)
+        held = self._newton(q, target, pace)
+        if held is None:
+            return reached
+        self.pace = pace
+        return held
 
     def _newton(self, q: np.ndarray, target: Pose, pace: np.ndarray) -> np.ndarray | None:
         p = q
