@@ -157,10 +157,6 @@ class ConsolePage:
         self.page.mouse.move(*end, steps=8)
         self.page.mouse.up()
 
-    def forget_uploads(self) -> None:
-        """Drop what was noted of the drawn geometry: it is this class's, not the page's."""
-        self.page.evaluate("window.uploaded.length = 0")
-
     def tab(self, name: str) -> Locator:
         """Open the panel of a name (`plan`, `tasks`, ...) and return it; on a wide screen some are always open, and have no tab."""
         panel = self.page.locator(f"#{name}")

@@ -141,12 +141,6 @@ class ConsoleSite:
             "--broker-host", "localhost", "--broker-port", str(self.site.site.port), "--broker-ca", self.site.folder / "ca/ca.crt",
         )  # fmt: skip
 
-    @property
-    def console_pid(self) -> int:
-        """Process of the console."""
-        assert self._process is not None
-        return self._process.pid
-
     def stop_console(self) -> None:
         """End it as a power cut would."""
         if self._process is not None:

@@ -22,11 +22,6 @@ class PaperError:
     average: float
     maximum: float
 
-    @property
-    def consistent(self) -> bool:
-        """Whether the two figures can both be right: an average cannot exceed its maximum."""
-        return self.average <= self.maximum
-
 
 TABLE_1 = {
     "A1": PaperError(1.5269e-06, 1.7232e-06),

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from construction_twin.core.interpolation import interpolate
@@ -155,23 +154,6 @@ class ComparisonSettings:
     lag_allowance: float
     lag_margin: float
     aligned: bool = True
-
-
-def undetected(settings: ComparisonSettings, velocity: Sequence[float], known: bool = True) -> tuple[float, ...]:
-    """Return how far the arm may be from the twin's pose for the same command without a violation.
-
-    The comparison takes out a lag of up to `lag_allowance`, and grants `lag_margin` beyond that. Until the lag is known it grants
-    `lag_allowance` a second time, because what was learned so far may be wrong by as much.
-
-    Args:
-        velocity: Length n. Commanded velocity of each joint [rad/s]; [m/s] for prismatic joints.
-        known: Whether the lag is known: `lag.ENOUGH` samples in motion after the start of a command session.
-
-    Returns:
-        Shape (n,). [rad]; [m] for prismatic joints.
-    """
-    lag = settings.lag_allowance + (settings.lag_margin if known else settings.lag_allowance)
-    return tuple(limit + lag * abs(v) for limit, v in zip(settings.threshold, velocity))
 
 
 class PoseComparison:

@@ -160,7 +160,7 @@ class PlanningPipeline:
         Args:
             start: Length n. The arm's pose.
             request: Its duration and number of waypoints are not used.
-            retime: Times that need too much acceleration or jerk are replaced (`waypoints.retime_waypoints`), and the plan says so,
+            retime: Times that need too much acceleration or jerk are replaced (`waypoints.time_asked`), and the plan says so,
                 with the reason; otherwise they are refused.
         """
 

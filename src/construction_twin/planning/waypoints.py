@@ -213,30 +213,6 @@ def plan_waypoints(
     return trajectory
 
 
-def retime_waypoints(
-    waypoints: Waypoints,
-    present: JointValues,
-    robot: RobotModel,
-    speed_scale: float = 1.0,
-    acceleration_scale: float | None = None,
-    bounds: PlanBounds = PlanBounds(),
-) -> Trajectory:
-    """Make a trajectory through waypoints whose own times break a limit: the same points, in no less time from any of them to the
-    next than they say.
-
-    For planners that know no jerk limit (MoveIt, and whoever else plans with steps of acceleration): nothing that they time fits.
-
-    Args:
-        waypoints: With times.
-        present, robot, speed_scale, acceleration_scale, bounds: As for `plan_waypoints`.
-
-    Raises:
-        WaypointsError, PlanSizeError, PlanningError: As `plan_waypoints` without times.
-    """
-    path = asked_path(waypoints, present, robot, bounds)
-    return time_asked(path, robot, speed_scale, acceleration_scale, bounds).trajectory
-
-
 def asked_path(
     waypoints: Waypoints, present: JointValues, robot: RobotModel, bounds: PlanBounds = PlanBounds()
 ) -> Waypoints:

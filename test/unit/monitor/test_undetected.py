@@ -11,7 +11,7 @@ import yaml
 
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE, CYCLE_NS
-from construction_twin.monitor.comparison import ComparisonSettings, PoseComparison, undetected
+from construction_twin.monitor.comparison import ComparisonSettings, PoseComparison
 from construction_twin.monitor.gate import GateSettings
 from construction_twin.monitor.lag import ENOUGH
 from construction_twin.robot.description import read_robot_files
@@ -20,6 +20,20 @@ ROOT = Path(__file__).parents[3]
 SHIPPED = yaml.safe_load((ROOT / "config/pca_monitor.yaml").read_text())
 ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
 SPEED = 2.0
+
+
+def undetected(settings: ComparisonSettings, velocity, known: bool = True):
+    """Return how far the arm may be from the twin's pose for the same command without a violation.
+
+    The comparison takes out a lag of up to `lag_allowance`, and grants `lag_margin` beyond that. Until the lag is known it grants
+    `lag_allowance` a second time, because what was learned so far may be wrong by as much.
+
+    Args:
+        velocity: Commanded velocity of each joint [rad/s]
+        known: Whether the lag is known: `lag.ENOUGH` samples in motion after the start of a command session.
+    """
+    lag = settings.lag_allowance + (settings.lag_margin if known else settings.lag_allowance)
+    return tuple(limit + lag * abs(v) for limit, v in zip(settings.threshold, velocity))
 
 
 def follow(settings: ComparisonSettings, lag: float, samples: int) -> tuple[PoseComparison, int]:

@@ -17,7 +17,13 @@ from construction_twin.core.motion_errors import WaypointsError, WaypointTimesEr
 from construction_twin.core.sentences import Sentence
 from construction_twin.planning.limit_usage import sampled_usage
 from construction_twin.planning.timing import ACCELERATION_FRACTION, time_path
-from construction_twin.planning.waypoints import START_TOLERANCE_RAD, from_points, plan_waypoints, retime_waypoints
+from construction_twin.planning.waypoints import (
+    START_TOLERANCE_RAD,
+    asked_path,
+    from_points,
+    plan_waypoints,
+    time_asked,
+)
 from construction_twin.robot.description import RobotModel, read_robot_files
 
 ROOT = Path(__file__).parents[3]
@@ -25,6 +31,11 @@ ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr1
 NAMES = list(ROBOT.joint_names)
 HOME = np.array(ROBOT.home)
 ROWS = np.array([HOME, HOME + 0.1, HOME + [0.3, 0.2, 0.1, 0.0, 0.3, 0.0], HOME + 0.2])
+
+
+def retimed(points):
+    """Return the trajectory through waypoints whose own times break a limit."""
+    return time_asked(asked_path(points, HOME, ROBOT), ROBOT, 1.0).trajectory
 
 
 def refused(rows, present=HOME, **values) -> WaypointsError:
@@ -244,7 +255,7 @@ def test_times_of_planners_without_a_jerk_limit_are_refused_and_may_be_replaced(
     points = from_points(ROBOT, NAMES, rows, velocities, accelerations if with_accelerations else None, times)
     with pytest.raises(WaypointTimesError):
         plan_waypoints(points, HOME, ROBOT)
-    trajectory = retime_waypoints(points, HOME, ROBOT)
+    trajectory = retimed(points)
     use = sampled_usage(trajectory, ROBOT).largest()
     assert max(*use.velocity, *use.acceleration) <= ACCELERATION_FRACTION + 1e-6 and max(use.jerk) <= 1.0 + 1e-6
     assert times[-1] <= trajectory.duration < 3.0 * times[-1]
@@ -262,7 +273,7 @@ def test_times_that_are_replaced_are_never_made_shorter():
     points = from_points(ROBOT, NAMES, rows, velocities, accelerations, times)
     with pytest.raises(WaypointTimesError, check=says("motion.points.moves")):
         plan_waypoints(points, HOME, ROBOT)
-    assert times[-1] <= retime_waypoints(points, HOME, ROBOT).duration < 1.05 * times[-1]
+    assert times[-1] <= retimed(points).duration < 1.05 * times[-1]
 
 
 def test_a_single_point_is_retimed_to_no_less_than_its_time():
@@ -270,7 +281,7 @@ def test_a_single_point_is_retimed_to_no_less_than_its_time():
     point = from_points(ROBOT, NAMES, [HOME + 0.1], np.zeros_like(slowly), slowly, [60.0])
     with pytest.raises(WaypointTimesError, check=says("motion.points.moves")):
         plan_waypoints(point, HOME, ROBOT)
-    assert retime_waypoints(point, HOME, ROBOT).duration == 60.0
+    assert retimed(point).duration == 60.0
 
 
 def test_a_single_point_whose_time_needs_too_much_jerk_is_retimed_to_no_less_than_its_time():
@@ -281,7 +292,7 @@ def test_a_single_point_whose_time_needs_too_much_jerk_is_retimed_to_no_less_tha
     with pytest.raises(WaypointTimesError, check=says("motion.points.jerk")):
         plan_waypoints(point, HOME, ROBOT)
     # times are kept on whole nanoseconds
-    assert retime_waypoints(point, HOME, ROBOT).duration >= asked - 1e-9
+    assert retimed(point).duration >= asked - 1e-9
 
 
 #: MoveIt's scaling factor, and the velocity that 1.1.16 gave joint_a1 at point 0 with moveit/config/kr120 [rad/s].
@@ -330,7 +341,7 @@ def test_velocities_that_moveit_gives_one_step_late_are_timed_anew(scaling, firs
         f"point 0: joint_a1 moves there ({first:.6g} rad/s, no more than 10 ms of its acceleration); the motion must begin and end "
         "at rest"
     ).replace(f"{first:.6g}", f"{given['velocities'][0, 0]:.6g}")
-    motion = retime_waypoints(points, HOME, ROBOT)
+    motion = retimed(points)
     assert motion.duration >= given["times"][-1] and not motion.velocities[[0, -1]].any()
     assert motion.positions[-1].tobytes() == given["positions"][-1].tobytes()
     use = limit_use(motion, ROBOT)
@@ -438,7 +449,7 @@ def test_a_part_that_is_slow_stays_slow_when_times_are_replaced(fast, slow, midd
     points = from_points(ROBOT, NAMES, rows, times=times)
     with pytest.raises(WaypointsError):
         plan_waypoints(points, HOME, ROBOT)
-    motion = retime_waypoints(points, HOME, ROBOT)
+    motion = retimed(points)
     assert np.min(np.diff(passing_times(motion, rows))) >= 0.98 * step
     assert motion.duration < 2.0 * times[-1] + 2.0
     use = limit_use(motion, ROBOT)
@@ -448,7 +459,7 @@ def test_a_part_that_is_slow_stays_slow_when_times_are_replaced(fast, slow, midd
 def test_a_pause_at_a_point_is_kept_as_time_when_times_are_replaced():
     rows = [HOME, HOME + 0.1, HOME + 0.1, HOME + 0.2]
     points = from_points(ROBOT, NAMES, rows, times=[0.0, 0.2, 5.2, 5.4])
-    assert retime_waypoints(points, HOME, ROBOT).duration >= 5.4
+    assert retimed(points).duration >= 5.4
 
 
 def trapezoid(speed: float, acceleration: float, step: float) -> dict[str, np.ndarray]:
@@ -483,7 +494,7 @@ def test_accelerations_that_jump_are_refused_or_the_same_points_are_passed_in_ti
     rows, asked = given["positions"], given["times"][-1]
     with pytest.raises(WaypointTimesError):
         plan_waypoints(from_points(ROBOT, NAMES, **given), HOME, ROBOT)
-    motion = retime_waypoints(from_points(ROBOT, NAMES, **given), HOME, ROBOT)
+    motion = retimed(from_points(ROBOT, NAMES, **given))
     assert motion.positions[-1].tobytes() == rows[-1].tobytes() and motion.duration >= asked - 1e-9
     use = limit_use(motion, ROBOT)
     assert use.velocity <= 1.0 and use.acceleration <= 1.0 and use.jerk <= 1.0
