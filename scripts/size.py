@@ -42,11 +42,11 @@ CORE = {
 
 
 def files(folder: str, *endings: str) -> list[Path]:
-    """Return the files below a folder of the tree with one of the endings, without what was built or installed."""
+    """Return the files below a folder of the tree with one of the endings, without what was made or installed."""
     return [
         path
         for path in sorted((ROOT / folder).rglob("*"))
-        if path.is_file() and path.suffix in endings and not {"node_modules", "__pycache__"} & set(path.parts)
+        if path.is_file() and path.suffix in endings and not {"node_modules", "__pycache__", "schemas.js"} & set(path.parts)
     ]
 
 
