@@ -46,7 +46,9 @@ def files(folder: str, *endings: str) -> list[Path]:
     return [
         path
         for path in sorted((ROOT / folder).rglob("*"))
-        if path.is_file() and path.suffix in endings and not {"node_modules", "__pycache__", "schemas.js"} & set(path.parts)
+        if path.is_file()
+        and path.suffix in endings
+        and not {"node_modules", "__pycache__", "schemas.js"} & set(path.parts)
     ]
 
 

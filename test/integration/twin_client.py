@@ -291,11 +291,13 @@ class TwinClient:
     # -- assertions
 
     def assert_at(self, goal_deg: Sequence[float], *streams: Stream) -> None:
-        """Wait until the streams rest; every joint has then come within `FINAL_ERROR` of the goal."""
+        """Wait until the streams rest with every joint within `FINAL_ERROR` of the goal."""
+        goal = self.si(goal_deg)
         for stream in streams:
-            self.wait(stream.at_rest, "the pose to rest")
-            error = np.abs(stream.positions(-1)[0] - self.si(goal_deg))
-            assert error.max() <= FINAL_ERROR, f"final error {error} rad; allowed {FINAL_ERROR} rad"
+            self.wait(
+                lambda stream=stream: stream.at_rest() and np.abs(stream.positions(-1)[0] - goal).max() <= FINAL_ERROR,
+                f"the pose to rest at {goal}",
+            )
 
     def assert_no_jump(self, twin: Stream, since: int = 0) -> None:
         """Check that every step of the twin from message `since` on keeps its velocity limits over the time between the stamps."""

@@ -253,7 +253,7 @@ class RehearsalNode:
         if interrupted:
             # the process may still be ending: the next question goes to another one
             self._process.close()
-        if rospy.is_shutdown():
+        if rospy.core.is_shutdown_requested():
             return
         if superseded:
             self._dropped += 1

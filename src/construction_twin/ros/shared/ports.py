@@ -296,7 +296,8 @@ class Ports:
         self._subscribers.pop(topic).unregister()
 
     def _doing(self, act: Callable[[Any, Ports], object]) -> Callable[[object], object]:
-        return lambda _event: act(self._node, self)
+        # once this node is asked to end, what stays away is no news: the others end as well
+        return lambda _event: rospy.core.is_shutdown_requested() or act(self._node, self)
 
     def _report(self) -> Report:
         if self._node is None or self._interface.report is None:
