@@ -97,14 +97,6 @@ def test_a_plan_of_a_pc_whose_clock_is_ten_seconds_ahead_is_planned_reviewed_and
         assert np.abs(table[-1, 1:] - radians(goal)).max() < 1e-4
 
 
-def test_a_plan_that_is_refused_is_told_to_the_other_pc_with_its_reason(twin, other, tmp_path):
-    before = len(twin.plans)
-    with other.reaching("topic", (200.0, *HOME[1:]), 4.0, tmp_path) as program:
-        assert program.wait(60.0) == 1, program.output
-    assert "no plan: " in program.output and "joint_a1" in program.output and "its range is" in program.output
-    assert len(twin.plans) == before
-
-
 def test_a_line_that_delays_and_loses_brings_the_plan_whole_or_not_at_all(twin, spaces, other, tmp_path):
     before, syncs, links = len(twin.plans), len(twin.syncs), len(twin.links)
     with bad_line(spaces, other), other.reaching("topic", NEAR, 4.0, tmp_path) as program:
