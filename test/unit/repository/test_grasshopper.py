@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import ast
 import json
-import math
 import shutil
 import subprocess
 import threading
@@ -26,10 +25,9 @@ from site_broker import SiteBroker
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.kinematics.chain import Chain
-from construction_twin.link.remote_trajectory import Joints, parse_trajectory
+from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import ViewWriter
 from construction_twin.mqtt.client import make_client, unique_id
-from construction_twin.mqtt.json_fields import read_document
 from construction_twin.planning.waypoints import plan_waypoints
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.urdf import expand_xacro
@@ -209,23 +207,12 @@ def test_the_reviewer_reads_which_account_sent_it(session, cell):
     assert cell.planner.sources[0] == "MQTT account kr120-planner-ada, which says it is 'Ada'"
 
 
-def test_a_component_that_runs_again_sends_nothing_again(session, cell):
-    assert session["sent"] == session["sent_again"] and len(cell.planner.sources) == 3
-
-
 def test_times_are_kept_and_what_is_too_fast_is_refused_with_the_planner_s_sentence(session, cell):
     assert session["timed"]["ok"] is True and cell.planner.made[1].duration == pytest.approx(4.5)
     assert "all velocities are zero, which compas_fab writes where none are given" in session["timed"]["text"]
     assert session["fast"]["ok"] is False and "joint_a1" in session["fast"]["text"]
     assert session["no trajectory"] == "a str is no JointTrajectory of compas_fab"
     assert session["off"] == "off"
-
-
-def test_the_same_trajectory_is_read_without_an_envelope(session):
-    document = read_document(session["compas_json"].encode(), False, "trajectory", 100_000)
-    request = parse_trajectory(document, Joints(tuple(ROBOT.joint_names), tuple(ROBOT.linear)))
-    assert len(request.points) == 3 and request.points[0].positions == pytest.approx(tuple(ROBOT.home), abs=1e-9)
-    assert all(math.isfinite(value) for point in request.points for value in point.positions)
 
 
 def test_a_view_that_was_lost_comes_back_when_the_broker_does(cell, python, tmp_path):
@@ -244,16 +231,6 @@ def test_a_view_that_was_lost_comes_back_when_the_broker_does(cell, python, tmp_
             assert json.loads(session.stdout.readline())["fresh"] is True
         finally:
             session.kill()
-
-
-def test_a_stranger_is_not_let_in_and_is_told(cell, python, tmp_path):
-    for name in ("ca.crt", "account.json"):
-        shutil.copy(cell.site.folder / "accounts/kr120-planner-ada" / name, tmp_path / name)
-    (tmp_path / "password").write_text("guessed\n")
-    said = run(python, "stranger", cell.site.site.port, tmp_path / "account.json", cell.site.log)
-    # the components say the same where there is no broker
-    assert "not authorised" in said["broker"]
-    assert said["connect"].startswith("not let in yet") and said["send"].startswith("not connected")
 
 
 @pytest.mark.parametrize("path", COMPONENTS, ids=lambda path: path.name)
