@@ -271,7 +271,7 @@ def test_whatever_happens_a_closed_gate_changes_nothing_and_nothing_moves_withou
     Cell.seen = Counter()
     run_state_machine_as_test(
         Cell,
-        settings=settings(max_examples=50, stateful_step_count=40, deadline=None, derandomize=True, database=None),
+        settings=settings(max_examples=100, stateful_step_count=40, deadline=None, derandomize=True, database=None),
     )
     assert set(Cell.seen) >= REACHED, REACHED - set(Cell.seen)
 

@@ -12,6 +12,7 @@ from itertools import combinations
 from pathlib import Path
 from xml.etree import ElementTree
 
+import launch_files
 import numpy as np
 import pytest
 import yaml
@@ -186,7 +187,7 @@ def test_moveit_checks_a_motion_in_steps_that_find_what_stands_in_a_cell(name):
 
 def test_the_srdf_is_the_one_of_bringup():
     for name, words in (("kr120", []), ("kr120_track", ["track:=true"])):
-        loaded = parameters(dict(os.environ), "bringup.launch", *words)["/kr120/robot_description_semantic"]
+        loaded = launch_files.parameters("bringup", *words)["/kr120/robot_description_semantic"]
         assert loaded == (MOVEIT / "config" / name / "robot.srdf").read_text()
 
 

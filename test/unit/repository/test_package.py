@@ -6,6 +6,7 @@ import ast
 import re
 import subprocess
 import sys
+from functools import cache
 from importlib.metadata import packages_distributions
 from pathlib import Path
 from xml.etree import ElementTree
@@ -60,6 +61,7 @@ def pinned() -> dict[str, str]:
     }
 
 
+@cache
 def imported(folder: str) -> set[str]:
     """Return the packages outside of the standard library that the modules of a folder import."""
     found = set()

@@ -31,6 +31,7 @@ CONFIG = Path(__file__).resolve().parents[3] / "config"
 NAMES = ("objects", "shapes", "racks", "recipes", "materials")
 #: A file whose uppermost keys are such names: of robots.
 NAMED_AT_THE_TOP = "cell_two_robots.yaml"
+URDF = expand_xacro(str(CONFIG.parent / "urdf" / "kr120r2500.urdf.xacro"), {})
 Place = tuple[str | int, ...]
 
 
@@ -58,8 +59,7 @@ def mistyped(document: dict, place: Place, keep: bool) -> tuple[dict, str]:
 
 
 def robot_yaml(path: Path) -> None:
-    urdf = expand_xacro(str(CONFIG.parent / "urdf" / "kr120r2500.urdf.xacro"), {})
-    load_robot(urdf, yaml.safe_load(path.read_text()) | {"name": "kr120"})
+    load_robot(URDF, yaml.safe_load(path.read_text()) | {"name": "kr120"})
 
 
 def experiment(path: Path) -> None:
