@@ -5,7 +5,6 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import rosgraph
@@ -78,12 +77,6 @@ class BringupTest(RobotTest):
         last = shown.messages[-1]
         self.assertEqual(tuple(last.name), self.client.robot.joint_names)
         self.assertEqual(tuple(last.velocity), (0.0,) * 6)
-
-    def test_the_srdf_is_beside_the_urdf(self):
-        root = ElementTree.fromstring(rospy.get_param("robot_description_semantic"))
-        described = ElementTree.fromstring(rospy.get_param("robot_description"))
-        self.assertEqual(root.get("name"), described.get("name"))
-        self.assertEqual([group.get("name") for group in root.findall("group")], ["manipulator"])
 
     def test_the_scene_is_written_for_moveit(self):
         with tempfile.TemporaryDirectory() as folder:

@@ -11,12 +11,11 @@ import rospkg
 import rospy
 import rostest
 from construction_twin.msg import Review
-from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient, case, wait
+from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient, wait
 from visualization_msgs.msg import InteractiveMarkerFeedback, InteractiveMarkerInit, MarkerArray
 
 from construction_twin.core.units import radians
 from construction_twin.kinematics.chain import Chain, Pose
-from construction_twin.robot.frames import rotation_to_abc
 from construction_twin.ros.messages.convert import pose_to_msg
 
 #: Cycles over which an arm that must not move is watched.
@@ -172,39 +171,6 @@ class ByHandTest(RobotTest):
             self.client.assert_within_limits(arm, missed)
         self.assertEqual(rospy.wait_for_message("review", Review, 5.0).reviewer, "tester")
 
-    def test_marker_plans_a_straight_line_and_rejects_it(self):
-        start = self.chain.forward(radians(HOME))
-        with Stream("mock_rsi/joint_states") as arm:
-            self.rviz.drag(Pose(start.position + (0.0, 0.0, -0.2), start.rotation))
-            self.rviz.wait_for("green", "can be reached")
-            plans = len(self.client.plans)
-            self.rviz.choose("Plan straight line")
-            self.client.wait(lambda: len(self.client.plans) > plans, "a plan")
-            plan = self.client.plans[-1]
-            self.assertEqual(plan.planner, "cartesian")
-            path = np.array([(point.x, point.y, point.z) for point in plan.tool_path])
-            np.testing.assert_allclose(path[:, :2], np.broadcast_to(start.position[:2], (len(path), 2)), atol=1e-3)
-            self.rviz.wait_for("green", f"plan {plan.id[:8]} waits for approval")
-            self.rviz.decide("Reject")
-            verdict = rospy.wait_for_message("review", Review, 5.0)
-            self.assertEqual((verdict.plan_id, verdict.approved), (plan.id, False))
-            self.rviz.choose("Approve")
-            self.rviz.wait_for("green", "no plan waits for approval")
-            self.assert_rests(arm)
-
-    def test_marker_tells_why_a_pose_is_none(self):
-        here = self.chain.forward(radians(HOME))
-        plans = len(self.client.plans)
-        self.rviz.drag(Pose(np.array([4.0, 0.0, 1.5]), here.rotation))
-        self.rviz.wait_for("red", "out of reach by")
-        self.rviz.choose("Plan")
-        self.rviz.wait_for("red", "Plan: the target is out of the arm's reach")
-        self.rviz.drag(Pose(np.array([1.6, 0.0, -0.1]), here.rotation))
-        self.rviz.wait_for("orange", "would touch")
-        self.rviz.choose("Plan")
-        self.rviz.wait_for("orange", "touches")
-        self.assertEqual(len(self.client.plans), plans)
-
     def test_marker_stops_a_motion(self):
         self.rviz.drag(self.chain.forward(radians(RIGHT)))
         self.rviz.wait_for("green", "can be reached")
@@ -240,55 +206,6 @@ class ByHandTest(RobotTest):
         self.assertEqual(self.twin("show").returncode, 1)
         self.assertIn("waiting for review", self.done("home"))
         self.assertIn("finished", self.done("approve", "--yes", "--wait"))
-
-    def test_command_line_plans_poses_and_lines_in_mm_and_deg(self):
-        home = self.chain.forward(radians(HOME))
-        x, y, z = home.position * 1e3
-        pose = "--pose", x, y, z - 150.0, *np.degrees(rotation_to_abc(home.rotation))
-        self.assertIn("made by", self.done("plan", *pose))
-        np.testing.assert_allclose(self.client.plans[-1].tool_path[-1].z * 1e3, z - 150.0, atol=0.01)
-        self.assertIn("cartesian", self.done("plan", *pose, "--line", "--tool-speed", 100))
-        self.assertGreater(self.client.plans[-1].duration, 1.5)
-        self.done("reject", "--reason", "a test")
-        # each a process of its own: it must have heard of the verdict before it says that a plan waits
-        for _ in range(3):
-            self.assertIn("review     no plan waits", self.done("status"))
-
-    def test_command_line_refuses_in_one_sentence(self):
-        for words, code, sentence in (
-            (("plan", "--pose", 4000, 0, 1500, 0, 90, 0), 1, " mm; move it closer to the base"),
-            (("plan", "--joints", 1, 2, 3), 2, "expected 6 values"),
-            (("plan", "--joints", 400, *LEFT[1:]), 1, "joint_a1 is 400 deg, outside its range -185 deg to 185 deg"),
-            (("plan",), 2, "required"),
-            (("--robot", "nobody", "--timeout", 1, "stop"), 3, "no robot of this name; known here: /kr120"),
-        ):
-            with case(words):
-                run = self.twin(*words)
-                self.assertEqual(run.returncode, code, run.stderr)
-                self.assertIn(sentence, run.stderr)
-                self.assertNotIn("Traceback", run.stderr)
-
-    def test_command_line_reports_a_motion_that_was_stopped(self):
-        # long enough for another command line to start meanwhile
-        self.done("plan", "--duration", "20", "--joints", *RIGHT)
-        command = ["rosrun", "construction_twin", "twin", "--robot", "kr120", "approve", "--yes", "--wait"]
-        with Stream("mock_rsi/joint_states") as arm:
-            waiting = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-            wait(lambda: arm.moved(2.0), "the arm to move")
-            self.done("stop")
-            said, _ = waiting.communicate(timeout=30.0)
-        self.assertEqual(waiting.returncode, 4, said)
-        self.assertIn("stopped", said)
-
-    def test_watch_shows_one_picture(self):
-        picture = self.done("watch", "--once")
-        for part in ("IN_SYNC", "ARMED", "joint_a6", "round trip", "late replies", "Hz", "policy"):
-            self.assertIn(part, picture)
-
-    def test_every_node_reports_diagnostics(self):
-        nodes = {"tool_marker", "startup", "scene", "planner", "preview", "executor", "pca_monitor", "virtual_robot"}
-        nodes |= {"mqtt_bridge", "mqtt_review", "mqtt_planner", "mock_rsi"}
-        self.client.wait(lambda: self.client.diagnosed_nodes() >= nodes, f"diagnostics of {nodes}", 5.0)
 
 
 if __name__ == "__main__":

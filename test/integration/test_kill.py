@@ -44,7 +44,7 @@ class KillTest(Interruption):
         self.assert_said("silence: no command for")
 
     def test_killed_broker_comes_back_with_everything_that_is_retained(self):
-        # a plan under review is not among it: the new session drops it; test_mqtt_review.py has one that stays
+        # a plan under review is not among it: the new session drops it
         before = retained(self.port)
         self.assertLessEqual({f"twin/kr120/{name}" for name in RETAINED}, set(before))
         self.kill_broker()

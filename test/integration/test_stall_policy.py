@@ -78,29 +78,6 @@ class StallPolicyTest(RobotTest):
         self.client.wait_until_ready()
         self.assertEqual([change.event for change in self.transitions][2:4], ["new_session", "opened"])
 
-    def test_thresholds_change_at_rest_alone_and_nonsense_is_refused(self):
-        self.configure(f"{{thresholds: {{{JOINT}: 0.02}}, agree_time: 0.2}}")
-        self.client.wait(lambda: self.events("configured"), "the transition")
-        self.assertIn("tester changed thresholds", self.events("configured")[0].reason)
-        index = list(self.client.sync.name).index(JOINT)
-        self.client.wait(lambda: self.client.sync.threshold[index] == 0.02, "the threshold of one joint to change")
-        self.assertEqual([limit for i, limit in enumerate(self.client.sync.threshold) if i != index], [0.01] * 5)
-        refused = int(self.client.diagnostics("pca_monitor").get("refused configure_gate", 0))
-        self.assertIn("nothing was changed", self.gate("{policy: hope, agree_time: 0.1}", "tester").message)
-        with Stream("mock_rsi/joint_states") as arm:
-            plan = self.client.start(LEFT, duration=3.0)
-            wait(lambda: arm.moved(5.0), "the arm to move")
-            answer = self.gate("{threshold: 1.0}", "tester")
-            self.assertFalse(answer.success, "thresholds were changed in motion")
-            self.assertIn("PLAYING", answer.message)
-            self.client.wait_for_outcome(plan.plan_id, "finished")
-        self.client.wait(
-            lambda: int(self.client.diagnostics("pca_monitor").get("refused configure_gate", 0)) >= refused + 2,
-            "the refusals to be counted",
-        )
-        self.assertEqual(len(self.events("configured")), 1)
-        self.configure("{thresholds: {}, agree_time: 0.1}")
-
 
 if __name__ == "__main__":
     rostest.rosrun("construction_twin", "stall_policy", StallPolicyTest, sys.argv)

@@ -173,16 +173,6 @@ class StopAndResetTest(RobotTest):
             time.sleep(0.3)
         client.wait_until_ready()
 
-    def test_a_late_last_will_of_another_run_changes_nothing(self):
-        client, session = self.client, self.client.link.session
-        since = len(client.links)
-        for _ in range(10):
-            will = {"state": "offline", "reason": "connection lost", "run": "0" * 16}
-            self.phone.publish(TOPICS.status, json.dumps(will), qos=1, retain=True).wait_for_publish(5.0)
-            time.sleep(0.2)
-        self.assertEqual({link.state for link in client.links[since:]} | {client.link.state}, {Link.ARMED})
-        self.assertEqual(client.link.session, session)
-
 
 if __name__ == "__main__":
     rostest.rosrun("construction_twin", "stop_and_reset", StopAndResetTest, sys.argv)

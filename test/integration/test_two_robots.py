@@ -3,7 +3,6 @@
 
 import json
 import os
-import subprocess
 import sys
 import tempfile
 import unittest
@@ -214,18 +213,6 @@ class TwoRobotsTest(unittest.TestCase):
     @staticmethod
     def sides(arm: Arm) -> tuple[str, ...]:
         return ("twin", "physical") if arm.has_arm else ("twin",)
-
-    def test_0_the_other_arm_is_in_the_scene_that_is_written_for_moveit(self):
-        with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder) / "here.scene"
-            command = ["rosrun", "construction_twin", "twin", "--robot", ONE, "scene", "--moveit", str(file)]
-            run = subprocess.run(command, capture_output=True, text=True, timeout=60.0)
-            self.assertEqual((run.returncode, run.stderr), (0, ""))
-            self.assertRegex(run.stdout, rf"^{file}: 1 objects and \d+ parts of the other arm, in base_link\n$")
-            names = [line[2:] for line in file.read_text().splitlines() if line.startswith("* ")]
-        self.assertEqual(names[0], "floor")
-        links = {name.split()[0] for name in names[1:]}
-        self.assertTrue({f"{TWO}/link_0", f"{TWO}/link_6"} <= links, links)
 
     def test_1_both_move_at_once(self):
         arms = self.one, self.two

@@ -15,7 +15,6 @@ FOLDER = Path(__file__).resolve().parents[2] / "examples" / "grasshopper"
 sys.path.append(str(FOLDER))
 
 import jsonschema  # noqa: E402
-from compas.data import json_dumps  # noqa: E402
 from compas.geometry import Frame  # noqa: E402
 from compas_fab.robots import JointTrajectory, JointTrajectoryPoint  # noqa: E402
 from compas_fab.robots.time_ import Duration  # noqa: E402
@@ -72,7 +71,6 @@ def designer(port, account, urdf, schema):
     said["frames_mm"] = [numbers(frame) for frame in frames]
     said["plan_units_not_said"] = component("plan", twin=twin, urdf=urdf, planes=planes, units="").text
     said["plan_wrong_units"] = component("plan", twin=twin, urdf=urdf, planes=planes, units="m").text
-    said["compas_json"] = json_dumps(planned.trajectory)
 
     first = component("send", twin=twin, trajectory=planned.trajectory, source="Ada", send=True)
     said["sent"] = first.sent
@@ -105,17 +103,6 @@ def designer(port, account, urdf, schema):
     print(json.dumps(said))
 
 
-def stranger(port, account, log):
-    """Try to come in with an account that the broker does not know, until its log says that it has refused somebody."""
-    before = len(Path(log).read_text())
-    where = {"host": "localhost", "port": int(port), "account": account, "robot": "kr120", "prefix": ""}
-    first = component("connect", on=True, **where)
-    broker = until(lambda: Path(log).read_text()[before:], lambda said: "not authorised" in said)
-    text = component("connect", on=True, **where).text
-    sent = component("send", twin=first.twin, trajectory=JointTrajectory([], []), source="", send=True).text
-    print(json.dumps({"connect": text, "send": sent, "broker": broker}))
-
-
 def patient(port, account, urdf):
     """See the view go and come back; a line for each."""
     where = {"host": "localhost", "port": int(port), "account": account, "robot": "kr120", "prefix": ""}
@@ -128,4 +115,4 @@ def patient(port, account, urdf):
 
 
 if __name__ == "__main__":
-    {run.__name__: run for run in (designer, stranger, patient)}[sys.argv[1]](*sys.argv[2:])
+    {run.__name__: run for run in (designer, patient)}[sys.argv[1]](*sys.argv[2:])

@@ -61,7 +61,7 @@ def test_lost_late_repeated_and_reordered_datagrams(tmp_path):
         cell.assert_nobody_restarted()
 
 
-@pytest.mark.parametrize("lost", [1, 2, 5, 10])
+@pytest.mark.parametrize("lost", [1, 5])
 def test_replies_dropped_on_the_network_are_not_made_up_in_a_step(tmp_path, lost):
     with FaultCell(tmp_path, udp=True, fraction=0.6) as cell:
         cell.move()

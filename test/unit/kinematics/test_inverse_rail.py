@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 from dense_search import dense_search
 from hypothesis import given, settings
-from ik_figures import NEARER, Problem, problems
-from inverse_cases import KR120, TRACK, assert_solves, changed, joints, make_inverse
+from ik_figures import NEARER, problems
+from inverse_cases import TRACK, assert_solves, changed, joints, make_inverse
 
 from construction_twin.core.freshness import Moment
 from construction_twin.core.motion_errors import CollisionError
-from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
 from construction_twin.kinematics.inverse import IkSettings
 from construction_twin.kinematics.rail import find_rail
@@ -66,17 +65,6 @@ def test_nothing_is_nearer_in_a_dense_search():
         found, dense = RAIL.nearest(task.pose, task.seed).distance, SEARCH(task)
         # the dense search finds real solutions, so it is not nearer either
         assert found == pytest.approx(dense, abs=NEARER)
-
-
-def test_the_dense_search_finds_what_a_pose_was_made_of():
-    for task in problems(RAIL.chain, 4, 6):
-        q = RAIL.nearest(task.pose, task.seed).q
-        assert SEARCH(Problem(RAIL.chain.forward(q), q)) == pytest.approx(0.0, abs=1e-6)
-
-
-def test_the_dense_search_is_only_for_an_arm_on_a_linear_axis():
-    with pytest.raises(ValueError, match="prismatic"):
-        dense_search(Chain(KR120))
 
 
 @given(joints(TRACK))

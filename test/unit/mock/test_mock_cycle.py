@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
-
 import numpy as np
 import pytest
-from mock_cell import AXES, CONFIG, HOME, ZERO, Cell, assert_stopped, step
+from mock_cell import CONFIG, HOME, ZERO, Cell, assert_stopped, step
 from mock_pc import Pc, running
 from processes import ROOT, wait_until
 
-from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.units import radians
-from construction_twin.mock.config import MockConfig
 from construction_twin.mock.faults import Fault, FaultBoard
-from construction_twin.mock.program import MockSettings, build_controller, build_servo
 from construction_twin.mock.servo import IdealServo, RealisticServo
 from construction_twin.robot.description import read_robot_files
 
@@ -61,12 +55,6 @@ def test_velocity_is_judged_per_second_not_per_cycle():
     quick = cell(12)
     quick.cycle(step(0, 3.0))
     assert_stopped(quick, "command velocity A1: 250 deg/s, limit 246 deg/s (2 times 123 deg/s)")
-
-
-def test_acceleration_is_judged_per_second_too():
-    slow = cell(12, velocity_factor=0.0, acceleration_factor=10.0)
-    slow.cycle(step(0, 0.3))
-    assert_stopped(slow, "command acceleration A1: 2083.33 deg/s², limit 1558 deg/s² (10 times 155.8 deg/s²)")
 
 
 @BOTH
@@ -147,23 +135,6 @@ def test_a_stalled_joint_catches_up_within_the_limits(cycle):
 
 
 @BOTH
-def test_drift_and_the_length_of_a_fault_are_in_seconds(cycle):
-    standing = cell(cycle)
-    faults = FaultBoard(standing.mock, 0)
-    faults.inject(Fault("drift", "A1", (0.01,), duration=1.2))
-    readings = []
-    for _ in range(seconds(cycle, 1.2) - 1):
-        faults.tick()
-        standing.cycle(ZERO)
-        readings.append(standing.mock.reported[0])
-    assert faults.active == ("drift A1",)
-    assert readings[-1] == pytest.approx(0.012, abs=0.01 * 0.03)
-    faults.tick()
-    faults.tick()
-    assert not faults.active
-
-
-@BOTH
 def test_the_realistic_servo_lags_by_the_same_time(cycle):
     servo = RealisticServo(resolution=0.0, period=cycle / 1000)
     servo.reset((0.0,))
@@ -174,47 +145,12 @@ def test_the_realistic_servo_lags_by_the_same_time(cycle):
     assert behind / 0.3 == pytest.approx(2 * 0.8 / 60.0 - cycle / 2000, abs=1e-4)
 
 
-@BOTH
-def test_refused_replies_are_over_after_a_second(cycle):
-    told = cell(cycle)
-    told.cycle(ZERO, ipoc_offset=-cycle)
-    told.cycles(seconds(cycle, 0.95))
-    assert told.mock.refusals.present
-    told.cycles(seconds(cycle, 0.1))
-    assert not told.mock.refusals.present
-
-
-@pytest.mark.parametrize("cycle", [0, 1, 8, 16])
-def test_another_cycle_is_refused(cycle):
-    with pytest.raises(ConfigurationError, match="cycle"):
-        dataclasses.replace(CONFIG, cycle=cycle)
-    with pytest.raises(ValueError, match="cycle"):
-        MockSettings(gateway_host="a", cycle=cycle)
-
-
-def test_4_ms_is_the_default():
-    assert MockConfig(AXES, HOME, CONFIG.lower, CONFIG.upper, CONFIG.velocity, CONFIG.acceleration).cycle == 4
-    assert MockSettings(gateway_host="a").cycle == 4
-
-
 # -- with sockets ------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def robot():
     return read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
-
-
-def test_settings_reach_controller_and_servo(robot):
-    settings = MockSettings(gateway_host="a", gateway_port=9, cycle=12)
-    assert build_controller(settings, robot).config.cycle == 12
-    servo, quick = build_servo(settings, robot), build_servo(settings.model_copy(update={"cycle": 4}), robot)
-    for each, cycles in ((servo, 3), (quick, 9)):
-        each.reset((0.0,))
-        each.limit(0, 1.0, 1e9)
-        for _ in range(cycles):
-            each.step((1.0,))
-    assert max(servo.measured) == pytest.approx(0.012) and math.isfinite(max(quick.measured))
 
 
 def test_packets_leave_every_12_ms_on_an_absolute_grid(robot):

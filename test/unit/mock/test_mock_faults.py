@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import random
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from sentence_checks import expects
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.units import CYCLE, radians
 from construction_twin.mock.faults import KINDS, Fault, FaultBoard
-from construction_twin.mock.impaired_line import ImpairedLine
 from construction_twin.mock.own_motion import EmergencyBrake, Program
 
 FAR = radians((20, -80, 80, 10, 80, -20))
@@ -76,13 +74,6 @@ def test_what_makes_no_sense_is_refused_and_changes_nothing(fault):
     with pytest.raises(ConfigurationError, match=fault.name if fault.name in KINDS else "melt"):
         bench.faults.inject(fault)
     assert (bench.faults.active, bench.faults.changes) == ((), 0)
-
-
-def test_what_is_not_on_cannot_be_switched_off():
-    bench = Bench()
-    bench.faults.inject(Fault("stall", "A1"))
-    with pytest.raises(ConfigurationError, check=expects("expected.fault.on", faults="stall A1")):
-        bench.faults.end(Fault("stall", "A2"))
 
 
 def test_a_fault_ends_by_itself_after_its_duration():
@@ -149,17 +140,6 @@ def test_backlash_holds_the_reading_back_by_half_the_play():
     # the play is crossed before it comes back: 0.4 deg at 5 deg/s are 20 cycles
     assert np.ptp(back[2:20]) == pytest.approx(0.0, abs=1e-6)
     assert back[-1] - np.degrees(bench.mock.measured[0]) == pytest.approx(0.2, abs=1e-5)
-
-
-def test_noise_has_its_deviation_and_comes_again_with_the_same_seed():
-    def run():
-        bench = Bench()
-        bench.faults.inject(Fault("noise", values=(1e-3,)))
-        return np.array([packet.measured for packet in bench.cycles(2000)]) - HOME
-
-    first = run()
-    np.testing.assert_allclose(first.std(axis=0), 1e-3, rtol=0.1)
-    np.testing.assert_array_equal(first, run())
 
 
 def test_an_emergency_stop_brakes_all_axes_together_within_their_limits():
@@ -280,25 +260,3 @@ def test_a_program_stays_within_limits_or_says_how_long_it_needs(goal, duration)
     positions = np.array([start] + [program.advance() for _ in range(program.cycles + 2)])
     limits_kept(positions)
     assert tuple(positions[-1]) == tuple(goal)
-
-
-def test_a_line_keeps_loses_doubles_and_delays():
-    line = ImpairedLine(random.Random(3))
-    assert not line.active
-    line.drop(0.5)
-    for k in range(1000):
-        line.put(b"%d" % k, k)
-    got = line.take(1000)
-    assert line.dropped == pytest.approx(500, abs=80) and len(got) == 1000 - line.dropped
-    line.drop(0.0)
-    line.duplicate(1.0)
-    line.put(b"a", 2000)
-    assert [underway.data for underway in line.take(2000)] == [b"a", b"a"]
-    line.duplicate(0.0)
-    line.delay(0.001, 0.002)
-    line.put(b"b", 3000)
-    assert line.take(3000 + 999_999) == [] and line.next_arrival() >= 3000 + 1_000_000
-    line.delay(0.0, 0.0)
-    # what is on its way still arrives
-    [late] = line.take(3000 + 3_000_000) if line.active else []
-    assert late.data == b"b" and 1_000_000 <= late.due - 3000 <= 3_000_000 and not line.active

@@ -2,20 +2,9 @@
 
 from __future__ import annotations
 
-import pytest
-from mock_cell import Cell
-from processes import ROOT
-from sentence_checks import says
 from tool_cell import GRIPPER, LAYOUT
 
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.mock.faults import Fault, FaultBoard
 from construction_twin.mock.gripper import SimulatedTool
-from construction_twin.mock.program import build_controller, checked_settings, parse_arguments
-from construction_twin.robot.description import read_robot_files
-
-FILES = ["--ethernet-xml", str(ROOT / "krl/ethernet/ctwin_tool_ethernet.xml"), "--gateway", "127.0.0.1:5"]
-FRAME = str(ROOT / "config/tools/vacuum_frame.yaml")
 
 
 def tool():
@@ -50,28 +39,3 @@ def test_inputs_begin_as_an_open_gripper_and_go_on_while_rsi_is_off():
     gripper.take((True, True))
     gripper.begin_session()
     assert steps(gripper, 60) and gripper.outputs == {"vacuum": True}
-
-
-def test_a_mock_without_a_tool_has_no_gripper_to_fail():
-    cell = Cell()
-    assert cell.mock.tool is None
-    for name in ("grip_fails", "grip_lost", "opened_by_hand", "no_read_back"):
-        with pytest.raises(ConstructionTwinError, check=says("reason.no_tool_channels", fault=name)):
-            FaultBoard(cell.mock, 0).inject(Fault(name))
-
-
-def test_the_program_takes_a_tool_file():
-    robot = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
-    for options, closes in ((["--tool", FRAME], True), ([], False)):
-        given = vars(parse_arguments([*FILES, *options]))
-        for name in ("robot_xacro", "robot_config"):
-            del given[name]
-        gripper = build_controller(checked_settings(given), robot).tool
-        gripper.take((True, True))
-        assert steps(gripper, 60) is closes
-
-
-def test_what_is_no_tool_file_is_refused(tmp_path):
-    (tmp_path / "tool.yaml").write_text("name: Frame")
-    with pytest.raises(ConfigurationError, match="tool.yaml"):
-        checked_settings(vars(parse_arguments([*FILES, "--tool", str(tmp_path / "tool.yaml")])))

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 
 import numpy as np
 import pytest
 from processes import ROOT
 
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.mock.faults import Fault, FaultBoard
 from construction_twin.mock.physics_servo import PhysicsServo
 from construction_twin.mock.program import MockSettings, build_controller, build_servo
@@ -71,19 +69,6 @@ def test_a_collision_pushes_its_axis_until_it_ends(controller):
         board.tick()
     assert board.active == ()
     np.testing.assert_allclose(rest(servo, home), before, atol=1e-6)
-
-
-def test_what_has_no_mass_cannot_be_pushed(robot):
-    plain = FaultBoard(build_controller(settings(servo="ideal"), robot), 0)
-    with pytest.raises(ConstructionTwinError, match="start it with servo:=physics"):
-        plain.inject(Fault("collision", "A1", (1.0,)))
-    assert plain.active == () and plain.changes == 0
-
-
-def test_without_the_group_physics_one_sentence_names_it(robot, monkeypatch):
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(ConfigurationError, match="setup/setup.sh physics"):
-        build_controller(settings(), robot)
 
 
 class Turned:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import socket
 import ssl
 import subprocess
@@ -11,8 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from paho.mqtt.packettypes import PacketTypes
-from paho.mqtt.reasoncodes import ReasonCode
 from processes import BrokerProcess, wait_until
 from site_broker import Listener, SiteBroker
 
@@ -80,13 +77,6 @@ def test_an_account_of_the_site_gets_in(site, kind, protocol, host):
     assert attempt.said == []
 
 
-def test_small_packets_are_not_held_back_on_tls_either(site, broker):
-    for where in (site.broker(site.account("one-gateway")), Broker(port=broker)):
-        with Attempt(where) as attempt:
-            wait_until(lambda: attempt.welcome, what="the broker's welcome")
-            assert attempt.client.socket().getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) != 0
-
-
 def test_the_certificates_stand_the_strictest_check(site):
     context = site.account("one-gateway").context()
     context.verify_flags |= ssl.VERIFY_X509_STRICT
@@ -126,12 +116,6 @@ def test_plain_tcp_is_refused_on_the_tls_port(site):
     with Attempt(Broker(port=site.site.port)) as attempt:
         wait_until(lambda: attempt.said, what="a sentence")
         assert not attempt.welcome and "is MQTT 5 without TLS spoken there" in attempt.said[0]
-
-
-def test_tls_to_a_port_without_tls_says_so(site, broker):
-    where = Broker("localhost", broker, account=site.account("one-gateway"))
-    sentence = refusal(where)
-    assert "does not speak TLS" in sentence or "does this port speak TLS" in sentence
 
 
 def test_a_broker_of_another_ca_is_not_believed(site, tmp_path):
@@ -224,14 +208,6 @@ def test_a_failure_that_repeats_is_said_once_until_it_changes():
     ]
 
 
-def test_a_refusal_is_not_talked_over_by_the_hang_up_that_follows():
-    said: list[str] = []
-    report = ConnectionReport(Broker(), said.append)
-    report.refused(ReasonCode(PacketTypes.CONNACK, "Not authorized"))
-    report.lost(ReasonCode(PacketTypes.DISCONNECT, "Unspecified error"))
-    assert len(said) == 1 and "wants an account" in said[0]
-
-
 @pytest.mark.parametrize(
     "error, said",
     [
@@ -297,21 +273,6 @@ def test_the_gateway_s_program_tells_its_status_through_tls_and_ends_with_its_la
         viewer.close()
 
 
-@pytest.mark.parametrize(
-    "name, host, said",
-    [("one-gateway", "127.1", "is not for '127.1'"), ("one-viewer", "localhost", "account of its role")],
-)
-def test_the_gateway_s_program_says_what_is_wrong_with_its_account(site, tmp_path, name, host, said):
-    process = run_gateway(site, tmp_path, name, host)
-    try:
-        lines = iter(process.stderr.readline, "")
-        found = next((line for line in lines if " ERROR " in line), "")
-        assert said in found
-    finally:
-        process.kill()
-        process.communicate()
-
-
 # -- the demo's broker
 
 
@@ -342,18 +303,3 @@ def test_the_demo_s_configuration_alone_opens_nothing_to_a_network(tmp_path):
         assert listening(process.port) <= LOOPBACK
     finally:
         process.kill()
-
-
-@pytest.mark.skipif(shutil.which("mosquitto_sub") is None, reason="mosquitto-clients is not installed")
-def test_debian_s_own_client_gets_in_with_the_files_of_an_account(site):
-    folder = site.folder / "accounts/one-viewer"
-    address = ["-h", "localhost", "-p", str(site.site.port + 1), "--cafile", str(folder / "ca.crt")]
-    identity = ["--cert", str(folder / "client.crt"), "--key", str(folder / "client.key")]
-    gateway = Listener(site.broker(site.account("one-gateway")), "#", "gateway")
-    try:
-        gateway.publish("twin/one/status", b"hello", retain=True)
-        command = ["mosquitto_sub", *address, *identity, "-t", "twin/one/status", "-C", "1", "-W", "10"]
-        done = subprocess.run(command, capture_output=True, timeout=20, check=False)
-        assert (done.returncode, done.stdout) == (0, b"hello\n"), done.stderr
-    finally:
-        gateway.close()

@@ -16,8 +16,6 @@ from pathlib import Path
 
 import pytest
 from paho.mqtt import client as paho
-from paho.mqtt.packettypes import PacketTypes
-from paho.mqtt.reasoncodes import ReasonCode
 from processes import ROOT, listens, wait_until
 from service_cell import CONFIG
 from site_broker import Listener, SiteBroker, free_ports
@@ -125,13 +123,6 @@ def test_the_same_where_there_are_no_accounts(direct, tmp_path):
             other.loop_stop()
 
 
-def test_two_tabs_of_one_account_work_beside_each_other(site):
-    broker = site.broker(site.account("one-viewer-vic"))
-    with Program(broker, "page-1") as first, Program(broker, "page-2") as second:
-        assert first.client.is_connected() and second.client.is_connected()
-        assert (first.welcomes, second.welcomes, first.said, second.said) == (1, 1, [], [])
-
-
 def test_a_connection_that_fell_silent_returns_with_the_id_it_had(tmp_path):
     """So the broker ends what it still holds of the former connection, with its last will, before the new one says anything."""
     with mosquitto((ROOT / "config/mosquitto.conf").read_text(), tmp_path / "log") as port:
@@ -198,14 +189,6 @@ def test_a_connection_that_the_network_has_reset_is_ended_at_the_broker_before_t
         assert program.welcomes == 2
 
 
-def test_a_broker_that_tells_of_a_takeover_is_repeated_in_a_sentence():
-    said = []
-    report = ConnectionReport(Broker(), said.append)
-    report.connected()
-    report.lost(ReasonCode(PacketTypes.DISCONNECT, identifier=142))
-    assert "taken away by a client with the same id" in said[0] and "docs/broker.md" in said[0]
-
-
 class Line:
     """Passes the bytes of connections on to a port, of the first one until it is `cut`: then silently nothing more."""
 
@@ -263,85 +246,3 @@ def mosquitto(config: str, log: Path) -> Iterator[int]:
     finally:
         process.kill()
         process.wait(5.0)
-
-
-def provoke(port: int) -> None:
-    """Do, under the id, what the broker has a line for."""
-    greedy = Rude(port).send(0x82, b"\0\1" + _text(b"a") + b"\1")
-    assert greedy.socket.recv(5)[0] == 0x90
-    other = Rude(port, b"other")
-    for number in range(1, 50):
-        other.send(0x32, _text(b"a") + struct.pack("!H", number) + b"x" * 500)
-    other.send(0xE0, b"").until_closed()
-    greedy.send(0x50, b"\x77\x77").send(0xE0, b"").until_closed()
-    Rude(port, keepalive=1).until_closed()
-    Rude(port).send(0xF0, b"").until_closed()
-    Rude(port).send(0x10, b"").until_closed()
-    Rude(port).send(0x36, _text(b"a") + b"\0\1x").until_closed()
-    Rude(port).send(0x82, b"\0\1" + _text(b"a/#/b") + b"\1").until_closed()
-    first = Rude(port)
-    Rude(port).send(0xE0, b"").until_closed()
-    first.until_closed()
-
-
-def _text(text: bytes) -> bytes:
-    return struct.pack("!H", len(text)) + text
-
-
-def _packet(kind: int, body: bytes) -> bytes:
-    length, digits = len(body), b""
-    while True:
-        length, digit = divmod(length, 128)
-        digits += bytes([digit | (128 if length else 0)])
-        if not length:
-            return bytes([kind]) + digits + body
-
-
-class Rude:
-    """A client of MQTT 3.1.1 that does what a broker may write a line about."""
-
-    def __init__(self, port: int, client_id: bytes = ID.encode(), keepalive: int = 60):
-        body = _text(b"MQTT") + b"\x04\x02" + struct.pack("!H", keepalive) + _text(client_id)
-        self.socket = socket.create_connection(("127.0.0.1", port))
-        self.socket.sendall(_packet(0x10, body))
-        assert self.socket.recv(4)[0] == 0x20
-
-    def send(self, kind: int, body: bytes) -> Rude:
-        self.socket.sendall(_packet(kind, body))
-        return self
-
-    def until_closed(self) -> None:
-        """Wait until the broker has hung up."""
-        self.socket.settimeout(20.0)
-        try:
-            while self.socket.recv(4096):
-                pass
-        except ConnectionResetError:
-            pass
-        self.socket.close()
-
-
-@pytest.mark.parametrize("kind", ["demo", "site"])
-def test_no_log_of_the_broker_has_the_random_part_of_an_id(site, kind, tmp_path):
-    """What mosquitto 2.0.11 writes lines about, one after the other, with what demo and site let it write."""
-    file = ROOT / "config/mosquitto.conf" if kind == "demo" else site.folder / "broker/mosquitto.conf"
-    written = [
-        line for line in file.read_text().splitlines() if line.split(" ")[0] in ("connection_messages", "log_type")
-    ]
-    config = ["allow_anonymous true", "max_queued_messages 10", "max_inflight_messages 1", *written]
-    with mosquitto("\n".join(config), tmp_path / "log") as port:
-        provoke(port)
-    assert SECRET not in (tmp_path / "log").read_text()
-
-
-def test_the_lines_that_are_left_out_would_have_it(tmp_path):
-    """Or the test above would look for nothing."""
-    with mosquitto("allow_anonymous true\nmax_queued_messages 10\nmax_inflight_messages 1", tmp_path / "log") as port:
-        provoke(port)
-    log = (tmp_path / "log").read_text()
-    assert "being dropped for client" in log and "unknown packet identifier" in log and log.count(SECRET) > 10
-
-
-def test_no_thread_is_called_by_the_id_because_a_traceback_names_its_thread(site):
-    with Program(site.broker(site.account("one-bridge")), ID):
-        assert [thread.name for thread in threading.enumerate() if SECRET in thread.name] == []

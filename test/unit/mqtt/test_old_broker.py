@@ -123,13 +123,6 @@ def test_a_broker_without_mqtt_5_is_told_once_with_the_argument_that_helps(kind,
 
 
 @KINDS
-def test_what_is_said_names_the_other_way_round_too(kind):
-    with Answering(REFUSED_VERSION) as server, kind(Broker(port=server.port, protocol="3.1.1")) as attempt:
-        wait_until(lambda: attempt.said, what="a sentence")
-    assert "does not speak MQTT 3.1.1: start with protocol:=5" in attempt.said[0]
-
-
-@KINDS
 @pytest.mark.parametrize(
     "answer", [b"", b"SSH-2.0-OpenSSH_9.2p1 Debian-2\r\n", b"HTTP/1.1 400 Bad Request\r\n\r\n", b"\xf0\0"]
 )
@@ -141,37 +134,3 @@ def test_a_program_that_is_no_broker_is_no_protocol_error(kind, answer):
         "spoken there; a broker that does not know MQTT 5 may do so (RabbitMQ before 3.13): start with protocol:=3.1.1 ("
     )
     assert "rotocol error" not in attempt.said[0]
-
-
-@KINDS
-def test_with_mqtt_3_1_1_a_hang_up_does_not_name_what_is_tried_already(kind):
-    with Answering(b"") as server, kind(Broker(port=server.port, protocol="3.1.1")) as attempt:
-        wait_until(lambda: attempt.said, what="a sentence")
-    assert attempt.said[0].endswith("is MQTT 3.1.1 without TLS spoken there")
-
-
-@KINDS
-def test_a_broker_that_cannot_be_reached_is_no_protocol_error(kind):
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    with kind(Broker(port=port)) as attempt:
-        wait_until(lambda: attempt.said, what="a sentence")
-    assert "nobody listens there" in attempt.said[0]
-
-
-@KINDS
-def test_a_broker_that_goes_is_lost_and_no_error_of_the_protocol_s(kind, broker_process):
-    with kind(Broker(port=broker_process.port)) as attempt:
-        wait_until(attempt_is_welcome(attempt), what="a welcome")
-        broker_process.kill()
-        wait_until(lambda: attempt.said, what="a sentence")
-    assert attempt.said[0] == (
-        f"connection to broker 127.0.0.1:{broker_process.port} lost: the broker or the network has closed it; trying again"
-    )
-
-
-def attempt_is_welcome(attempt):
-    """Return a condition: the client is connected."""
-    client = attempt.client if isinstance(attempt, ThreadClient) else attempt.polled.client
-    return client.is_connected

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from planning_cell import CHAIN, HOME, LEFT, QUICK, REQUEST, RIGHT, ROBOT, ROOT, WALL, planner, world
 from sentence_checks import says
 
-from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import NoPathError, PlanningError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
@@ -266,12 +265,6 @@ def test_a_goal_behind_contact_all_around_is_not_found():
     edges = MotionValidator(Recorder(most=0.3), LEVERS, 0.1)
     with pytest.raises(NoPathError, check=says("motion.no_path", planner="RRTConnect")):
         path_search("RRTConnect").find(PathQuery(HOME, [HOME + np.eye(6)[0]], edges, *BOUNDS, seed=1), 0.05)
-
-
-@pytest.mark.parametrize("name", ["Magic", "PathGeometric", "__doc__", ""])
-def test_what_is_no_planner_of_ompl_s_is_refused_with_a_list(name):
-    with pytest.raises(ConfigurationError, match="BITstar.*RRTConnect.*SORRTstar"):
-        path_search(name)
 
 
 @pytest.mark.parametrize(

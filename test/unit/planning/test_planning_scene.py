@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import time
 
 import numpy as np
@@ -178,15 +176,3 @@ def test_any_plan_in_the_cell_is_free_and_within_the_limits(problem, seed):
 def test_few_waypoints_that_leave_the_path_are_said():
     with pytest.raises(PlanningError, match="waypoints leaves the path"):
         planner().plan_to_joints(RIGHT, LEFT, PlanRequest("p1", 0, waypoints=2), WALLED)
-
-
-def test_nothing_is_printed_while_planning_nor_at_the_end_of_the_process():
-    code = (
-        "from planning_cell import *\n"
-        "planner().plan_to_joints(RIGHT, LEFT, REQUEST, world(WALL))\n"
-        "planner(planner='BITstar', planning_budget=0.2).plan_to_joints(RIGHT, LEFT, REQUEST, world(WALL))\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT / "test/support", capture_output=True, text=True, timeout=60
-    )
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

@@ -67,7 +67,7 @@ def check_motion(motion: Trajectory, start: np.ndarray, goal: np.ndarray, fracti
     assert np.all(np.abs(motion.sample_many(np.arange(0.0, motion.duration + 2 * CYCLE, CYCLE))[3]) <= limit)
 
 
-@settings(max_examples=80, deadline=None, derandomize=True)
+@settings(max_examples=25, deadline=None, derandomize=True)
 @given(start=fractions, goal=fractions, speed_scale=speed_scales)
 def test_straight_motions_stay_within_the_limits(start, goal, speed_scale):
     start, goal = in_range(start), in_range(goal)
@@ -76,7 +76,7 @@ def test_straight_motions_stay_within_the_limits(start, goal, speed_scale):
     check_motion(time_path(np.array([start, goal]), ROBOT, speed_scale=speed_scale), start, goal, speed_scale)
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=20, deadline=None, derandomize=True)
 @given(points=st.lists(inner_fractions, min_size=3, max_size=6), scale=speed_scales)
 def test_curved_motions_stay_within_the_limits(points, scale):
     path = np.array([in_range(point) for point in points])
@@ -85,7 +85,7 @@ def test_curved_motions_stay_within_the_limits(points, scale):
     check_motion(time_path(path, ROBOT, speed_scale=scale), path[0], path[-1], scale)
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=15, deadline=None, derandomize=True)
 @given(points=st.lists(fractions, min_size=3, max_size=8), corner_fraction=st.one_of(st.none(), st.floats(0.05, 1.0)))
 def test_paths_along_the_edge_of_the_range_stay_in_it(points, corner_fraction):
     path = np.array([in_range(point) for point in points])
@@ -94,7 +94,7 @@ def test_paths_along_the_edge_of_the_range_stay_in_it(points, corner_fraction):
     check_motion(time_path(path, ROBOT, corner_fraction=corner_fraction), path[0], path[-1])
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=10, deadline=None, derandomize=True)
 @given(waypoints=st.integers(2, 400), slower=st.floats(1.0, 5.0))
 def test_limits_hold_for_any_number_of_waypoints_and_duration(waypoints, slower):
     path = np.array([HOME, HOME + 0.3, GOAL])
@@ -221,7 +221,7 @@ def test_a_linear_joint_is_timed_like_the_others():
     assert motion.duration >= minimum_duration(start, goal, TRACK)
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=20, deadline=None, derandomize=True)
 @given(start=fractions, goal=fractions)
 def test_no_motion_is_faster_than_the_lower_bound(start, goal):
     start, goal = in_range(start), in_range(goal)

@@ -9,16 +9,11 @@ import numpy as np
 import pytest
 import trimesh
 import yaml
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from model import arm, track
-from model.collada import canonical, corner_normals, from_collada, to_collada
-from model.files import COLOURS, MASSES, all_files, link_meshes, link_parts, triangles
-from model.mass import inertia
-from model.solids import block, bolts, rod, tube
+from model.collada import corner_normals, from_collada
+from model.files import MASSES, all_files
 from urdf_shapes import contains, numbers, placed
 
-from construction_twin.core.errors import ConfigurationError
 from construction_twin.robot.urdf import expand_xacro
 
 ROOT = Path(__file__).parents[3]
@@ -54,12 +49,6 @@ def test_a_mesh_is_closed_its_normals_point_outward_and_it_is_small(path):
     assert (np.einsum("ikj,ij->ik", normals, faces) >= -1e-12).all()
 
 
-@pytest.mark.parametrize("name", ["link_6", "track_carriage"])
-def test_the_script_writes_the_same_bytes_again(name):
-    for file, text in link_meshes(name).items():
-        assert (MESHES / file).read_text() == text, f"{file} is old: run tools/make_meshes.py"
-
-
 def test_the_folder_holds_what_the_script_writes(tmp_path, capsys):
     import make_meshes
 
@@ -69,24 +58,6 @@ def test_the_folder_holds_what_the_script_writes(tmp_path, capsys):
     assert [path.name for path in tmp_path.iterdir()] == ["old.dae"]
     assert make_meshes.main(["--output", str(tmp_path)]) == 0
     assert {path.name for path in tmp_path.iterdir()} == {path.name for path in MESHES.iterdir()} == set(all_files())
-
-
-@pytest.mark.parametrize("name", LINKS)
-def test_the_urdf_shows_every_mesh_of_a_link_in_its_colour(name):
-    shown = {}
-    for visual in link(name).iter("visual"):
-        assert visual.find("origin") is None  # the mesh is in the link's frame
-        shown[visual.find("geometry/mesh").get("filename").rpartition("/")[2]] = visual.find("material").get("name")
-        assert visual.find("geometry/mesh").get("filename").startswith("package://construction_twin/urdf/meshes/")
-    assert shown == {f"{name}_{colour}.dae": f"kuka_{colour}" for colour in link_parts(name)}
-
-
-def test_files_and_urdf_have_the_same_colours():
-    urdf = {}
-    for material in ROBOT.iter("material"):
-        if material.find("color") is not None:
-            urdf[material.get("name").removeprefix("kuka_")] = tuple(numbers(material.find("color"), "rgba")[:3])
-    assert urdf == COLOURS
 
 
 @pytest.mark.parametrize("name", LINKS)
@@ -157,57 +128,3 @@ def test_inertias_are_of_the_size_of_the_sibling_s(name):
     ours = sorted(row[key] for key in ("ixx", "iyy", "izz"))
     for mine, sibling in zip(ours, sorted(SIBLING[name])):
         assert 0.4 < mine / sibling < 2.0
-
-
-def test_inertia_of_a_box_is_the_textbook_s():
-    box = block((1.0, 2.0, 3.0), (1.4, 2.2, 3.1), 0.0001)
-    found = inertia(12.0, [triangles(box)])
-    np.testing.assert_allclose(found.centre, (1.2, 2.1, 3.05), atol=1e-9)
-    expected = [0.2**2 + 0.1**2, 0.4**2 + 0.1**2, 0.4**2 + 0.2**2]
-    np.testing.assert_allclose(found.tensor, np.diag(expected), rtol=2e-3, atol=1e-6)
-
-
-def test_two_meshes_weigh_as_their_union():
-    left, right = block((0, 0, 0), (1, 1, 1), 0.01), block((2, 0, 0), (3, 1, 1), 0.01)
-    apart = inertia(2.0, [triangles(left), triangles(right)])
-    np.testing.assert_allclose(apart.centre, (1.5, 0.5, 0.5), atol=1e-9)
-    assert apart.tensor[1, 1] == pytest.approx(2 * (1 / 6 + 1), rel=0.05)
-
-
-@settings(deadline=None, max_examples=25)
-@given(st.lists(st.floats(0.02, 0.5), min_size=3, max_size=3), st.integers(0, 2**32 - 1))
-def test_a_file_holds_the_mesh_whatever_the_order_of_its_triangles(size, seed):
-    solid = block((0, 0, 0), tuple(size), 0.005) + bolts(
-        5, 0.01, 0.004, "z", 0.002, (size[0] / 2, size[1] / 2, size[2])
-    )
-    vertices, faces = triangles(solid)
-    text = to_collada("part", vertices, faces, (1, 0, 0))
-    generator = np.random.default_rng(seed)
-    shuffle = generator.permutation(len(vertices))
-    moved = np.argsort(shuffle)[faces][generator.permutation(len(faces))]
-    assert to_collada("part", vertices[shuffle], np.roll(moved, int(generator.integers(3)), axis=1), (1, 0, 0)) == text
-    found = trimesh.Trimesh(*from_collada(text), process=False)
-    assert found.is_watertight
-    assert found.volume == pytest.approx(solid.volume(), abs=2e-5 * solid.surface_area())
-
-
-def test_normals_are_smooth_on_a_cylinder_and_sharp_at_its_rim():
-    vertices, faces = canonical(*triangles(rod(0.1, "z", 0.0, 0.2, edge=0.0)))
-    normals = corner_normals(vertices, faces)
-    corners = vertices[faces]
-    side = np.ptp(corners[:, :, 2], axis=1) > 0.1
-    radial = corners[side] * [1, 1, 0] / 0.1
-    assert np.einsum("ikj,ikj->ik", normals[side], radial).min() > 0.99
-    np.testing.assert_allclose(np.abs(normals[~side][:, :, 2]), 1.0)
-
-
-def test_what_is_no_mesh_of_ours_is_refused():
-    for text in ("", "<a/>", "not xml"):
-        with pytest.raises(ConfigurationError):
-            from_collada(text)
-    with pytest.raises(ConfigurationError, match="link_9"):
-        link_parts("link_9")
-
-
-def test_a_hose_is_one_body():
-    assert len(tube([(0, 0, 0), (0.1, 0, 0), (0.1, 0.1, 0)], 0.01).decompose()) == 1

@@ -6,13 +6,13 @@ lists that were taken from moveit 1.1 (moveit_setup_assistant/templates, moveit_
 
 from __future__ import annotations
 
-import ast
 import os
 import subprocess
 from itertools import combinations
 from pathlib import Path
 from xml.etree import ElementTree
 
+import launch_files
 import numpy as np
 import pytest
 import yaml
@@ -45,62 +45,12 @@ STAND_INS = {
     "robot_state_publisher": ("robot_state_publisher",),
 }
 
-#: Arguments of the setup assistant's launch files that a user may give, and those that ours do not have, with the reason.
-ASSISTANT_ARGUMENTS = {
-    "move_group.launch": {
-        "debug", "info", "pipeline", "allow_trajectory_execution", "moveit_controller_manager", "fake_execution_type",
-        "max_safe_path_cost", "publish_monitored_planning_scene", "capabilities", "disable_capabilities", "load_robot_description",
-    },
-    "demo.launch": {
-        "pipeline", "db", "db_path", "debug", "load_robot_description", "moveit_controller_manager", "fake_execution_type",
-        "use_gui", "use_rviz",
-    },
-    "planning_context.launch": {"load_robot_description", "robot_description"},
-    "trajectory_execution.launch.xml": {"moveit_controller_manager", "fake_execution_type", "moveit_manage_controllers"},
-    "moveit_rviz.launch": {"debug", "rviz_config"},
-}  # fmt: skip
-NOT_TAKEN = {
-    "debug": "starts gdb",
-    "db": "the warehouse is no part of this package",
-    "db_path": "the same",
-    "use_gui": "sliders for the joints",
-    "max_safe_path_cost": "for planners with costs of sensors, of which there are none",
-    "moveit_manage_controllers": "the simple manager has nothing to switch",
-    ("demo.launch", "load_robot_description"): "the demo has no bringup that would",
-    ("demo.launch", "moveit_controller_manager"): "the demo is the fake one",
-}
-#: Parameters of move_group's namespace in the assistant's files; without those of sensors.
-ASSISTANT_PARAMETERS = {
-    "allow_trajectory_execution", "sense_for_plan/max_safe_path_cost", "default_planning_pipeline", "capabilities",
-    "disable_capabilities", "monitor_dynamics", "planning_scene_monitor/publish_planning_scene",
-    "planning_scene_monitor/publish_geometry_updates", "planning_scene_monitor/publish_state_updates",
-    "planning_scene_monitor/publish_transforms_updates", "moveit_manage_controllers", "moveit_controller_manager",
-    "trajectory_execution/allowed_execution_duration_scaling", "trajectory_execution/allowed_goal_duration_margin",
-    "trajectory_execution/allowed_start_tolerance", "controller_list", "planning_pipelines/ompl/planning_plugin",
-    "planning_pipelines/ompl/request_adapters", "planning_pipelines/ompl/start_state_max_bounds_error",
-}  # fmt: skip
-#: Of trajectory_execution's settings (moveit_ros_planning, TrajectoryExecutionDynamicReconfigure).
-EXECUTION_SETTINGS = {
-    "execution_duration_monitoring", "allowed_execution_duration_scaling", "allowed_goal_duration_margin",
-    "execution_velocity_scaling", "allowed_start_tolerance", "wait_for_trajectory_completion",
-}  # fmt: skip
 #: Keys of a joint that MoveIt or Pilz reads, of a controller's entry, of a solver, of Cartesian limits.
 LIMIT_KEYS = {
     "has_position_limits", "min_position", "max_position", "has_velocity_limits", "max_velocity", "has_acceleration_limits",
     "max_acceleration",
 }  # fmt: skip
 CONTROLLER_KEYS = {"name", "action_ns", "type", "default", "joints"}
-SOLVER_KEYS = {"kinematics_solver", "kinematics_solver_search_resolution", "kinematics_solver_timeout"}
-CARTESIAN_KEYS = {"max_trans_vel", "max_trans_acc", "max_trans_dec", "max_rot_vel"}
-#: Properties of the panel, as the assistant's moveit.rviz and the plug-in name them.
-PANEL_PROPERTIES = {
-    "Class", "Name", "Enabled", "Value", "Move Group Namespace", "Planned Path", "Planning Request", "Planning Scene Topic",
-    "Robot Description", "Scene Geometry", "Scene Robot", "Velocity_Scaling_Factor", "Acceleration_Scaling_Factor",
-}  # fmt: skip
-#: OMPL's planners by the names that MoveIt's plug-in registers.
-OMPL_PLANNERS = {
-    "RRTConnect", "RRT", "RRTstar", "BiTRRT", "KPIECE", "LBKPIECE", "EST", "PRM", "PRMstar", "BITstar", "TRRT", "SBL", "STRIDE",
-}  # fmt: skip
 
 
 def robot_of(name: str) -> RobotModel:
@@ -172,24 +122,6 @@ def test_joint_limits_are_the_robot_s(name):
 
 
 @pytest.mark.parametrize("name", OURS)
-def test_every_group_of_the_srdf_has_a_solver_and_planners(name):
-    folder = MOVEIT / "config" / name
-    groups = {group.get("name") for group in srdf_of(name).findall("group")}
-    kinematics = yaml.safe_load((folder / "kinematics.yaml").read_text())
-    assert set(kinematics) == groups and all(set(solver) == SOLVER_KEYS for solver in kinematics.values())
-    ompl = yaml.safe_load((folder / "ompl_planning.yaml").read_text())
-    planners = ompl.pop("planner_configs")
-    assert set(planners) <= OMPL_PLANNERS
-    assert all(settings["type"] == f"geometric::{planner}" for planner, settings in planners.items())
-    assert set(ompl) == groups
-    for group, chain in GROUPS[name].items():
-        first, second, *_ = joints_of(robot_of(name), *chain)
-        assert set(ompl[group]["planner_configs"]) == set(planners)
-        assert ompl[group]["default_planner_config"] in planners
-        assert ompl[group]["projection_evaluator"] == f"joints({first},{second})"
-
-
-@pytest.mark.parametrize("name", OURS)
 def test_groups_are_chains_of_the_urdf_and_home_is_the_robot_yaml_s(name):
     robot, root = robot_of(name), srdf_of(name)
     assert root.get("name") == parse_urdf(robot.urdf).name
@@ -255,82 +187,16 @@ def test_moveit_checks_a_motion_in_steps_that_find_what_stands_in_a_cell(name):
 
 def test_the_srdf_is_the_one_of_bringup():
     for name, words in (("kr120", []), ("kr120_track", ["track:=true"])):
-        loaded = parameters(dict(os.environ), "bringup.launch", *words)["/kr120/robot_description_semantic"]
+        loaded = launch_files.parameters("bringup", *words)["/kr120/robot_description_semantic"]
         assert loaded == (MOVEIT / "config" / name / "robot.srdf").read_text()
-
-
-def test_another_arm_is_not_given_the_srdf_of_ours():
-    loaded = parameters(dict(os.environ), "robot.launch", f"robot_xacro:={ROOT / 'test/data/ur_like.urdf'}")
-    assert "/robot_description" in loaded and "/robot_description_semantic" not in loaded
-
-
-def test_cartesian_limits_have_the_keys_of_pilz():
-    limits = yaml.safe_load((MOVEIT / "config/cartesian_limits.yaml").read_text())["cartesian_limits"]
-    assert set(limits) == CARTESIAN_KEYS and limits["max_trans_dec"] < 0 < limits["max_trans_acc"]
 
 
 # -- started beside bringup
 
 
-@pytest.mark.parametrize("path", LAUNCHES, ids=lambda path: path.name)
-def test_every_argument_is_explained(path):
-    assert [name for name, arg in arguments(path).items() if not arg.get("doc")] == []
-
-
-@pytest.mark.parametrize("file", ["move_group.launch", "demo.launch"])
-def test_ros_args_lists_them(file, with_moveit):
-    said = roslaunch(with_moveit | {"COLUMNS": "80"}, "--ros-args", "construction_twin", file)
-    given = [name for name, arg in arguments(MOVEIT / "launch" / file).items() if "value" not in arg.attrib]
-    assert all(name in said for name in given) and "undocumented" not in said
-
-
-@pytest.mark.parametrize("file", sorted(ASSISTANT_ARGUMENTS))
-def test_arguments_of_the_setup_assistant_are_there(file):
-    own = set(arguments(MOVEIT / "launch" / file))
-    missing = ASSISTANT_ARGUMENTS[file] - own
-    assert [name for name in sorted(missing) if name not in NOT_TAKEN and (file, name) not in NOT_TAKEN] == []
-
-
-def test_one_command_starts_move_group_and_rviz_in_the_robot_s_namespace(with_moveit):
-    nodes = roslaunch(with_moveit, "--nodes", "construction_twin", "move_group.launch", "robot:=left").split()
-    assert nodes[:2] == ["/left/move_group", "/left/moveit_frame"] and len(nodes) == 3
-    assert nodes[2].startswith("/left/moveit_rviz")
-    without = roslaunch(with_moveit, "--nodes", "construction_twin", "move_group.launch", "use_rviz:=false").split()
-    assert without == ["/kr120/move_group", "/kr120/moveit_frame"]
-    assert roslaunch(with_moveit, "--args", "/left/move_group", "construction_twin", "move_group.launch", "robot:=left")
-
-
-@pytest.mark.parametrize("track, root", [("false", "base_link"), ("true", "track_base")])
-def test_tf_gets_the_frame_that_moveit_plans_in(track, root, with_moveit):
-    words = ["--args", "/kr120/moveit_frame", "construction_twin", "move_group.launch", f"track:={track}"]
-    assert f"/moveit/scripts/fixed_frame kr120/twin/{root} {root} " in roslaunch(with_moveit, *words)
-    joint = srdf_of("kr120_track" if track == "true" else "kr120").find("virtual_joint")
-    assert joint is not None and joint.get("child_link") == root
-
-
 @pytest.fixture(scope="module")
 def beside_bringup(with_moveit) -> dict:
     return parameters(with_moveit, "move_group.launch")
-
-
-def below(values: dict, prefix: str) -> set[str]:
-    return {name.removeprefix(prefix) for name in values if name.startswith(prefix)}
-
-
-def test_move_group_gets_the_parameters_that_the_setup_assistant_gives(beside_bringup):
-    given = below(beside_bringup, "/kr120/move_group/")
-    assert ASSISTANT_PARAMETERS - given == set()
-    assert "planning_pipelines/ompl/planner_configs/RRTConnect/type" in given
-    execution = {name.split("/")[1] for name in given if name.startswith("trajectory_execution/")}
-    assert execution <= EXECUTION_SETTINGS
-
-
-def test_the_robot_s_description_is_left_to_bringup(beside_bringup):
-    robot = {name.split("/")[2] for name in beside_bringup if name.startswith("/kr120/")}
-    assert robot == {"move_group", "robot_description_planning", "robot_description_kinematics"}
-    planning = below(beside_bringup, "/kr120/robot_description_planning/")
-    assert "joint_limits/joint_a6/max_acceleration" in planning and "cartesian_limits/max_trans_vel" in planning
-    assert "manipulator/kinematics_solver" in below(beside_bringup, "/kr120/robot_description_kinematics/")
 
 
 def test_moveit_waits_for_a_person_and_begins_where_the_planner_takes_it(beside_bringup, with_moveit):
@@ -368,84 +234,7 @@ def test_the_controller_is_the_action_of_the_running_robot(name, words, with_mov
     )
 
 
-def test_pilz_is_a_pipeline_of_its_own(with_moveit):
-    given = parameters(with_moveit, "move_group.launch", "pipeline:=pilz_industrial_motion_planner")
-    prefix = "/kr120/move_group/planning_pipelines/"
-    assert (
-        given[f"{prefix}pilz_industrial_motion_planner/planning_plugin"]
-        == "pilz_industrial_motion_planner::CommandPlanner"
-    )
-    assert given[f"{prefix}ompl/planning_plugin"] == "ompl_interface/OMPLPlanner"
-    assert given["/kr120/move_group/default_planning_pipeline"] == "pilz_industrial_motion_planner"
-
-
-def test_nothing_in_it_needs_this_package_to_be_built():
-    """The other PC's Python is an older one; roslaunch and a checkout are all that it needs."""
-    ours = {
-        node.get("type")
-        for path in LAUNCHES
-        for node in ElementTree.parse(path).iter("node")
-        if node.get("pkg") == "construction_twin"
-    }
-    assert ours == {"fixed_frame"} and all("rosrun" not in path.read_text() for path in LAUNCHES)
-    program = MOVEIT / "scripts/fixed_frame"
-    tree = ast.parse(program.read_text(), feature_version=(3, 8))
-    imported = {name.name for each in ast.walk(tree) if isinstance(each, ast.Import) for name in each.names}
-    imported |= {str(each.module) for each in ast.walk(tree) if isinstance(each, ast.ImportFrom)}
-    assert imported == {"sys", "rospy", "geometry_msgs.msg", "tf2_msgs.msg"} and os.access(program, os.X_OK)
-
-
-@pytest.mark.parametrize("file", ["move_group.launch", "demo.launch"])
-def test_nothing_is_started_that_debian_12_does_not_have(file, with_moveit):
-    """tf2_ros is there as a library; its programs are not."""
-    for path in LAUNCHES:
-        assert {node.get("pkg") for node in ElementTree.parse(path).iter("node")} <= {*STAND_INS, "construction_twin"}
-    for node in roslaunch(with_moveit, "--nodes", "construction_twin", file, "use_rviz:=false").split():
-        assert roslaunch(with_moveit, "--args", node, "construction_twin", file, "use_rviz:=false").split()[0]
-
-
 # -- alone
 
 
-@pytest.mark.parametrize("track", ["false", "true"])
-def test_the_demo_brings_everything_itself(track, with_moveit):
-    given = parameters(with_moveit, "demo.launch", f"track:={track}")
-    name = "kr120_track" if track == "true" else "kr120"
-    robot = robot_of(name)
-    described, semantic = (
-        ElementTree.fromstring(given[f"/kr120/robot_description{part}"]) for part in ("", "_semantic")
-    )
-    assert described.get("name") == semantic.get("name") and described.find("link") is not None
-    assert given["/kr120/robot_description_semantic"] == (MOVEIT / "config" / name / "robot.srdf").read_text()
-    (controller,) = given["/kr120/move_group/controller_list"]
-    assert tuple(controller["joints"]) == robot.joint_names and controller["type"] == "interpolate"
-    assert given["/kr120/move_group/initial"] == [{"group": [*GROUPS[name]][-1], "pose": "home"}]
-    assert given["/kr120/joint_state_publisher/source_list"] == ["move_group/fake_controller_joint_states"]
-    nodes = roslaunch(
-        with_moveit, "--nodes", "construction_twin", "demo.launch", f"track:={track}", "use_rviz:=false"
-    ).split()
-    assert {node.split("/")[2] for node in nodes} == {
-        "move_group", "joint_state_publisher", "robot_state_publisher", "world_joint",
-    }  # fmt: skip
-
-
 # -- the panel
-
-
-def test_rviz_shows_the_panel_with_names_of_the_robot_s_namespace():
-    view = yaml.safe_load((MOVEIT / "launch/moveit.rviz").read_text())["Visualization Manager"]
-    (panel,) = [item for item in view["Displays"] if item["Class"] == "moveit_rviz_plugin/MotionPlanning"]
-    assert set(panel) <= PANEL_PROPERTIES
-    assert panel["Robot Description"] == "robot_description" and panel["Move Group Namespace"] == ""
-    topics = [panel["Planning Scene Topic"], panel["Planned Path"]["Trajectory Topic"]]
-    topics += [item["Marker Topic"] for item in view["Displays"] if "Marker Topic" in item]
-    assert topics and not any(topic.startswith("/") for topic in topics)
-    # with one robot or with two in a cell: tf knows it, and leads to the frame that MoveIt plans in
-    assert view["Global Options"]["Fixed Frame"] == "world"
-
-
-def test_the_folder_is_installed():
-    (line,) = [
-        line for line in (ROOT / "CMakeLists.txt").read_text().splitlines() if line.startswith("install(DIRECTORY")
-    ]
-    assert " moveit " in line

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 from xml.etree import ElementTree
 
 import numpy as np
@@ -15,7 +14,6 @@ from foreign_packages import BOXES, JOINTS, lay_out, robot_yaml
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.share import share_file
 from construction_twin.kinematics.chain import Chain
-from construction_twin.mock import program as mock_program
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.packages import Packages
 from construction_twin.robot.urdf import expand_xacro, xacro_arguments
@@ -53,11 +51,6 @@ def test_macros_of_other_packages_are_found_by_rospack(xacro):
     assert float(robot.find("joint/limit").get("upper")) == pytest.approx(np.radians(185))
 
 
-def test_find_leaves_nothing_behind_for_who_asks_ament(xacro):
-    expand_xacro(xacro)
-    assert "ament_index_python.packages" not in sys.modules
-
-
 def test_a_package_has_the_name_of_its_manifest_whatever_its_folder_is_called(xacro, tmp_path):
     folder = tmp_path / "src" / "kuka_experimental" / "kuka_resources"
     folder.rename(folder.with_name("resources-melodic-devel"))
@@ -81,11 +74,6 @@ def test_this_package_is_found_without_ros_too(monkeypatch):
         Packages().folder("nowhere", "x")
 
 
-def test_a_broken_manifest_on_the_way_is_a_sentence(xacro, tmp_path):
-    (tmp_path / "src" / "kuka_experimental" / "kuka_resources" / "package.xml").write_text("<package>")
-    assert "package.xml that cannot be read" in str(refused(xacro))
-
-
 def test_arguments_reach_the_xacro(xacro, tmp_path):
     urdf = expand_xacro(xacro, xacro_arguments("prefix:=left_ reach=1.5"))
     assert movable(urdf) == [f"left_{name}" for name in JOINTS]
@@ -99,23 +87,6 @@ def test_an_argument_that_the_xacro_does_not_have_is_refused_with_those_it_has(x
     error = refused(xacro, {"prefx": "left_"})
     assert (error.where, error.value) == (f"{xacro} argument", "prefx")
     assert "['prefix', 'reach']" in error.expected
-
-
-def test_what_a_xacro_is_refused_with_has_a_key(tmp_path):
-    path = tmp_path / "arm.xacro"
-    path.write_text('<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro"/>')
-    assert refused(path, {"prefix": "left_"}).expected.key == "expected.robot.no_arguments"
-    path.write_text('<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro"><link name="${nothing}"/></robot>')
-    assert refused(path).expected.key == "expected.robot.xacro"
-    path.write_text('<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro"><link name="$(arg name)"/></robot>')
-    assert refused(path).expected.key == "expected.robot.argument"
-
-
-def test_an_argument_without_a_value_says_how_to_give_one(xacro):
-    text = xacro.read_text().replace('<xacro:arg name="reach" default="1.1"/>', "")
-    xacro.write_text(text)
-    error = refused(xacro)
-    assert str(error) == f"{xacro} $(arg reach): found 'no value', expected one in robot_xacro_args, e.g. reach=..."
 
 
 @pytest.mark.parametrize("text", ["prefix", "=left_", "prefix='left_"])
@@ -180,31 +151,6 @@ def test_meshes_may_be_named_by_absolute_paths(xacro, tmp_path, scheme):
     assert len(RobotBodies(read_robot_files(xacro, robot_yaml(tmp_path))).bodies) == len(BOXES)
 
 
-def test_self_collision_takes_the_arguments(xacro, tmp_path, capsys):
-    output = tmp_path / "pairs.yaml"
-    arguments = [str(xacro), str(robot_yaml(tmp_path, "left_")), str(output), "--samples", "50"]
-    self_collision([*arguments, "--robot-xacro-args", "prefix=left_"])
-    links = {link for pair in yaml.safe_load(output.read_text())["ignored"] for link in pair[:2]}
-    assert links and all(link.startswith("left_") for link in links)
-
-
-def test_other_programs_take_the_arguments(xacro, tmp_path, caplog, capsys):
-    files = ["--robot-xacro", str(xacro), "--robot-config", str(robot_yaml(tmp_path)), "--robot-xacro-args", "prefx=x"]
-    assert mock_program.main(files) == 2
-    assert "argument: found 'prefx', expected one of" in caplog.text
-
-
-def test_the_launch_file_loads_the_arm_with_its_arguments(xacro, tmp_path):
-    description = robot_yaml(tmp_path, "left_")
-    run = subprocess.run(
-        ["roslaunch", "--dump-params", "construction_twin", "robot.launch", f"robot_xacro:={xacro}",
-         f"robot_config:={description}", "robot_xacro_args:=prefix=left_ reach=1.5"],
-        capture_output=True, text=True, timeout=120,
-    )  # fmt: skip
-    assert run.returncode == 0, run.stderr
-    assert movable(yaml.safe_load(run.stdout)["/robot_description"]) == [f"left_{name}" for name in JOINTS]
-
-
 @pytest.mark.parametrize("file", ["bringup", "experiment"])
 def test_bringup_passes_the_arguments_on(xacro, tmp_path, file):
     description, pairs = str(robot_yaml(tmp_path, "left_")), str(tmp_path / "pairs.yaml")
@@ -216,13 +162,3 @@ def test_bringup_passes_the_arguments_on(xacro, tmp_path, file):
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
     assert movable(yaml.safe_load(run.stdout)["/kr210/robot_description"]) == [f"left_{name}" for name in JOINTS]
-
-
-def test_the_launch_says_what_is_wrong_with_the_arm(xacro):
-    run = subprocess.run(
-        ["roslaunch", "--dump-params", "construction_twin", "robot.launch", f"robot_xacro:={xacro}", "robot_xacro_args:=prefx=x"],
-        capture_output=True, text=True, timeout=120,
-    )  # fmt: skip
-    assert run.returncode != 0 or "Invalid" in run.stderr
-    assert f"robot_xacro: {xacro} argument: found 'prefx', expected one of" in run.stderr
-    assert "Traceback" not in run.stderr

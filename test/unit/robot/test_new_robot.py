@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 import yaml
-from scene_samples import ROOT, kr120, ur_like
+from scene_samples import ur_like
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.robot.description import ESTIMATES, load_robot
+from construction_twin.robot.description import load_robot
 from construction_twin.robot.new_robot import (
     ESTIMATED,
     find_ends,
@@ -18,8 +18,6 @@ from construction_twin.robot.new_robot import (
     rsi_axes,
     with_home,
 )
-
-KR120_YAML = yaml.safe_load((ROOT / "config/kr120.yaml").read_text())
 
 
 @pytest.mark.parametrize(
@@ -37,13 +35,6 @@ KR120_YAML = yaml.safe_load((ROOT / "config/kr120.yaml").read_text())
 )
 def test_axes_of_rsi(linear, axes):
     assert rsi_axes(linear) == axes
-
-
-@pytest.mark.parametrize(
-    "given, name", [("kuka_kr210l150", "kuka_kr210l150"), ("UR10 robot", "ur10"), ("6-axis", "arm_6_axis"), ("", "arm")]
-)
-def test_the_urdf_s_name_becomes_one_for_ros_and_mqtt(given, name):
-    assert robot_name(f'<robot name="{given}"><link name="base_link"/></robot>') == name
 
 
 def tree(*joints: str) -> str:
@@ -97,11 +88,3 @@ def test_a_urdf_alone_makes_a_robot_with_estimates(tmp_path):
     assert robot.estimates == (*ESTIMATED, "home")
     with pytest.raises(ConfigurationError, match="tip link: found 'nowhere'"):
         robot_of_urdf(tmp_path / "arm.urdf", tip_link="nowhere")
-
-
-def test_estimates_are_words_that_mean_something():
-    assert kr120().estimates == () and load_robot(kr120().urdf, KR120_YAML | {"estimates": []}).estimates == ()
-    for word in ESTIMATES:
-        assert load_robot(kr120().urdf, KR120_YAML | {"estimates": [word]}).estimates == (word,)
-    with pytest.raises(ConfigurationError, match="robot/estimates"):
-        load_robot(kr120().urdf, KR120_YAML | {"estimates": ["everything"]})

@@ -23,7 +23,7 @@ from construction_twin.ros.nodes import static_frames
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.collision_world import CollisionWorld, Contact
 from construction_twin.scene.objects import Scene, SceneObject
-from construction_twin.scene.self_collision import SelfCollision, geometry_hash, sample_self_collision
+from construction_twin.scene.self_collision import SelfCollision, sample_self_collision
 
 DATA = ROOT / "test" / "data"
 XACRO, YAML = DATA / "ur_like_gripper.urdf.xacro", DATA / "ur_like_gripper.yaml"
@@ -72,14 +72,6 @@ def test_they_stand_where_the_yaml_says_and_the_mimic_follows():
         OtherJoint("hinge", "revolute", pytest.approx(0.4), ""),
     )
     assert robot.joint_names == ur_like().joint_names
-
-
-def test_they_are_said_in_one_sentence():
-    assert text(read_robot_files(XACRO, YAML)) == (
-        "joints outside of the chain from base_link to tool0 stand still: slide_left (prismatic, at 0.03 m), "
-        "slide_right (prismatic, at 0.03 m, follows slide_left), hinge (revolute, at 0.4 rad); `other_joints` of the robot YAML "
-        "says where"
-    )
 
 
 def test_without_a_value_they_stand_at_zero_or_where_that_is_out_of_range_in_the_middle():
@@ -170,13 +162,6 @@ def test_a_follower_of_the_chain_has_no_frame_of_its_own():
     assert text(robot).endswith("; others move with it: hinge (revolute, moves with wrist_3)")
 
 
-def test_a_follower_of_a_follower_of_the_chain_has_the_product_of_their_factors():
-    urdf = changed("slide_left", mimic={"joint": "wrist_3", "multiplier": "0.5", "offset": "0.1"})
-    left, right, _ = gripper(urdf).other_joints
-    assert left.following == Following("wrist_3", 0.5, 0.1)
-    assert (right.follows, right.following) == ("slide_left", Following("wrist_3", 0.5, 0.1))
-
-
 def test_fingers_are_bodies_of_the_last_link_at_their_pose():
     bodies = RobotBodies(read_robot_files(XACRO, YAML))
     named = {body.link: body for body in bodies.bodies}
@@ -214,21 +199,6 @@ def test_fingers_are_among_the_pairs_of_the_arm_with_itself():
 
 def poses(robot: RobotModel, count: int) -> np.ndarray:
     return np.random.default_rng(1).uniform(robot.lower, robot.upper, (count, len(robot.lower)))
-
-
-def test_another_pose_of_the_fingers_is_another_geometry():
-    hashes = {geometry_hash(RobotBodies(gripper(slide_left=value))) for value in (0.0, 0.03, 0.05)}
-    assert len(hashes) == 3
-
-
-def test_a_continuous_joint_turns_what_it_carries():
-    urdf = changed("hinge", type="continuous", limit=None)
-    camera = {
-        value: next(body for body in RobotBodies(gripper(urdf, hinge=value)).bodies if body.link == "camera")
-        for value in (0.0, math.pi / 2)
-    }
-    shift = camera[math.pi / 2].placement.translation - camera[0.0].placement.translation
-    assert np.linalg.norm(shift) == pytest.approx(0.05 * math.sqrt(2), abs=1e-9)
 
 
 def test_a_joint_below_the_base_moves_the_base_in_the_world():

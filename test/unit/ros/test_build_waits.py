@@ -36,13 +36,6 @@ class Clock:
 READING = WorkTasks(model="wall.ifc", reading=True, reason="the model is being read")
 
 
-def test_a_model_that_takes_ten_minutes_is_waited_for_and_said(monkeypatch):
-    clock = Clock(monkeypatch, [READING] * 20 + [WorkTasks(model="wall.ifc", schedule="model")])
-    said = clock.wait()
-    assert clock.now >= 600.0
-    assert "reading the model: 30 s\n" in said and "reading the model: 600 s\n" in said
-
-
 def test_a_model_that_cannot_be_read_ends_it_at_once_with_the_reason(monkeypatch):
     clock = Clock(monkeypatch, [READING, WorkTasks(model="wall.ifc", reason="wall.ifc: no length unit")])
     with pytest.raises(ConstructionTwinError, check=says("view.build.no_model", reason="wall.ifc: no length unit")):
@@ -54,11 +47,3 @@ def test_a_node_that_is_gone_is_not_waited_for_any_longer_than_the_timeout(monke
     clock = Clock(monkeypatch, [READING], is_there=False)
     with pytest.raises(ConstructionTwinError, check=says("view.build.no_reader", seconds=120.0)):
         clock.wait()
-
-
-def test_a_terminal_shows_a_bar():
-    out = io.StringIO()
-    console = Console(file=out, force_terminal=True, width=100)
-    with build.waiting(console, "reading the model", 0.0) as tell:
-        tell()
-    assert "reading the model" in out.getvalue() and "━" in out.getvalue()

@@ -21,12 +21,10 @@ from construction_twin.core.freshness import Moment
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.mqtt.messages import Topics
-from construction_twin.mqtt.requests import IK
 from construction_twin.robot.plan import Clearance
 from construction_twin.ros.messages.plan_services import PLAN_SERVICES
 from construction_twin.ros.shared import console_requests, endpoint
 from construction_twin.ros.shared.console_requests import (
-    IK_ACCOUNTS,
     ConsoleRequests,
     RobotContext,
 )
@@ -147,15 +145,6 @@ def bench(monkeypatch):
     return made
 
 
-def test_who_floods_with_what_cannot_be_read_is_not_always_answered_and_a_wish_is(bench):
-    for _ in range(100):
-        bench.deliver(f"plan_request/{ADA}", b"{")
-    answered = len(bench.published)
-    assert 10 <= answered < 100 and len(bench.refused) == 100
-    assert bench.desk.counts == {"plan_requests malformed, not answered": 100 - answered}
-    assert bench.ask(kind="joints", joints={"track": 1.5, "joint_a1": 0.25})["ok"]
-
-
 def test_joint_values_become_a_plan_that_a_stop_before_its_turn_voids(bench):
     arrived = str(bench.moment())
     answer = bench.ask(kind="joints", joints={"track": 1.5, "joint_a1": 0.25}, speed_scale=0.5)
@@ -224,16 +213,6 @@ def test_what_is_refused_is_counted_and_answered_with_its_id(bench, account, doc
     assert bench.refused == [reason] and (answer["ok"], answer["id"]) == (False, name)
 
 
-def test_nobody_asks_more_than_once_a_second_and_the_same_message_is_one_wish(bench):
-    payload = json.dumps({"id": "7", "kind": "way_back", "moment": str(bench.moment())}).encode()
-    bench.deliver(f"plan_request/{ADA}", payload)
-    bench.deliver(f"plan_request/{ADA}", payload)
-    bench.deliver(f"plan_request/{ADA}", payload.replace(b'"7"', b'"8"'))
-    bench.queue.run()
-    assert bench.refused == ["repeated", "busy"] and len(bench.services["way_back"].asked) == 1
-    assert [(answer["id"], answer["ok"]) for _, answer in bench.published] == [("8", False), ("7", True)]
-
-
 def test_a_wish_that_came_too_late_is_void_and_says_so(bench):
     shown = str(bench.moment())
     bench.steady += 6.0
@@ -241,17 +220,6 @@ def test_a_wish_that_came_too_late_is_void_and_says_so(bench):
     assert (answer["ok"], answer["expired"], answer["kind"]) == (False, True, "way_back")
     assert "too old: it is of 6.0 s ago" in answer["reason"] and bench.refused == ["too_old"]
     assert bench.services["way_back"].asked == [] and bench.ask(kind="way_back", id="8")["ok"]
-
-
-def test_a_wish_that_waited_too_long_for_its_turn_is_void_and_says_so(bench):
-    document = {"id": "7", "kind": "way_back", "moment": str(bench.moment())}
-    bench.deliver(f"plan_request/{ADA}", json.dumps(document).encode())
-    bench.steady += 3.5
-    bench.queue.run()
-    ((_, answer),) = bench.published
-    assert (answer["ok"], answer["expired"]) == (False, True) and "look again" in answer["reason"]
-    assert bench.services["way_back"].asked == [] and bench.refused == ["too_old"]
-    assert bench.desk.counts == {"plan_requests no plan": 1}
 
 
 # -- poses that are dragged
@@ -275,31 +243,6 @@ def test_a_pose_is_solved_near_the_twin_or_near_a_seed(bench):
     )
 
 
-def test_only_the_newest_pose_of_an_account_is_solved(bench):
-    for number in range(3):
-        bench.drag(id=str(number))
-    bench.drag("other", id="9")
-    bench.desk.poses.run()
-    assert [answer["id"] for _, answer in bench.published] == ["2", "9"]
-    assert bench.desk.counts == {"ik free": 2, "ik overtaken": 2}
-
-
-def test_no_account_has_more_poses_taken_than_its_rate(bench):
-    for number in range(100):
-        bench.drag(id=str(number))
-        bench.desk.poses.run()
-        bench.steady += 0.01
-    assert len(bench.published) == IK.pace.most == 15 and bench.refused == ["ik_rate"] * 85
-
-
-def test_no_more_accounts_wait_than_are_solved_at_once(bench):
-    for number in range(IK_ACCOUNTS + 1):
-        bench.drag(f"account-{number}")
-    assert bench.refused == ["busy"] and bench.published[0][1]["reach"] == "unknown"
-    bench.desk.poses.run()
-    assert len(bench.published) == IK_ACCOUNTS + 1
-
-
 def test_what_cannot_be_solved_is_a_sentence(bench):
     bench.judge.verdict = PoseVerdict(
         Reach.CONTACT, "link_3 would touch wall", np.array([0.0, 1.0]), ("link_3", "wall")
@@ -319,30 +262,3 @@ def test_what_cannot_be_solved_is_a_sentence(bench):
     assert [answer["reach"] for answer in answers] == ["contact", "out", "unknown", "unknown"]
     assert answers[0]["between"] == ["link_3", "wall"] and answers[1]["joints"] is None
     assert "twin's pose is not known" in answers[3]["sentence"] and bench.refused == ["ik"]
-
-
-def test_a_pose_that_cannot_be_read_is_answered_where_the_account_is_one(bench):
-    bench.drag(position=[0.0])
-    bench.drag("no account")
-    assert bench.refused == ["values", "sender"]
-    assert [(topic, answer["id"]) for topic, answer in bench.published] == [(f"twin/kr120/ik/ack/{ADA}", "3")]
-
-
-def test_the_closest_two_bodies_are_shown_with_their_age(bench):
-    assert bench.desk.closest() is None
-    bench.desk.look_around()
-    bench.steady += 0.5
-    closest = bench.desk.closest()
-    assert (closest.distance, closest.between, closest.point, closest.age) == (
-        0.25,
-        ("link_3", "wall"),
-        (1.0, 2.0, 3.0),
-        0.5,
-    )
-    bench.judge.error = SceneError("scene", "x", "y")
-    bench.desk.look_around()
-    bench.desk.look_around()
-    assert bench.desk.closest() is None and bench.refused == ["closest"], "said once"
-    bench.judge.error, bench.twin = None, ()
-    bench.desk.look_around()
-    assert bench.desk.closest() is None

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 
 import pydantic
 import pytest
 import yaml
-from rich.console import Console
 
 from construction_twin.core.units import radians
 from construction_twin.robot.description import read_robot_files
-from construction_twin.ros.commands.experiment import ProgressView, RestDetector, point_latest
+from construction_twin.ros.commands.experiment import RestDetector
 from construction_twin.ros.commands.experiment_settings import ExperimentSettings
 
 CONFIG = yaml.safe_load(Path("config/experiment.yaml").read_text())
@@ -48,20 +46,3 @@ def test_shipped_configuration_is_valid_and_its_goals_are_in_range():
 def test_settings_that_make_no_sense_are_refused(change):
     with pytest.raises(pydantic.ValidationError):
         ExperimentSettings(**{"results_dir": "/tmp", **CONFIG, **change})
-
-
-def test_latest_points_at_the_newest_results(tmp_path):
-    for name in ("first", "second"):
-        (tmp_path / name).mkdir()
-        point_latest(tmp_path, tmp_path / name)
-        assert (tmp_path / "latest").resolve() == tmp_path / name
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["first", "latest", "second"]
-
-
-def test_progress_without_a_terminal_is_a_line_every_ten_percent():
-    console = Console(file=io.StringIO())
-    with ProgressView(console, "plan") as show:
-        for step in range(1001):
-            show(step / 1000)
-    lines = console.file.getvalue().splitlines()
-    assert lines == [f"plan: {percent:3d} %" for percent in range(0, 101, 10)]

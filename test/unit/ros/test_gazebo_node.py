@@ -15,11 +15,11 @@ import rospy
 from executor_bench import ROBOT
 from unplugged import Unplugged
 
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.physics.gazebo_world import GazeboWorld
 from construction_twin.ros.messages.scene_convert import scene_to_msg
 from construction_twin.ros.nodes import gazebo as module
-from construction_twin.ros.nodes.gazebo import GazeboNode, Settings, find_gzserver
+from construction_twin.ros.nodes.gazebo import GazeboNode, Settings
 from construction_twin.scene.objects import Scene, SceneObject
 
 SCENE = Scene((SceneObject("cube", "box", (0.1,) * 3, (1.0, 1.0, 1.0)),))
@@ -97,21 +97,6 @@ def test_nothing_starts_before_the_scene_is_known(bench):
     assert bench.node.report().sentence == "Gazebo is started when the scene is known"
 
 
-def test_the_server_gets_the_world_of_the_scene_and_its_meshes(bench):
-    bench.tell(SCENE)
-    seen = []
-
-    def look(server: Server) -> None:
-        seen.append(bench.node.report())
-        server.code = 0
-
-    bench.at_wait = look
-    bench.node.work(0.0)
-    (server,) = bench.servers
-    assert server.text == f"<sdf>{SCENE.hash}</sdf>" and server.files == ["0_mesh.stl", "twin.world"]
-    assert seen[0].level == module.OK and seen[0].values["simulated scene"] == SCENE.hash
-
-
 def test_a_server_that_ends_is_told_and_started_again_in_the_present_scene(bench):
     def crash(server: Server) -> None:
         bench.tell(Scene())
@@ -142,39 +127,6 @@ def test_a_shutdown_ends_the_server(bench, obeys):
     assert len(bench.servers) == 1
     assert bench.servers[0].code == (0 if obeys else -9)
     assert bench.node.report().values["ended"] == 0
-
-
-def test_a_scene_that_is_no_world_is_told_and_the_next_one_starts_it(bench):
-    bench.problem = "no inertia"
-    bench.tell(SCENE)
-    bench.node.work(0.0)
-    report = bench.node.report()
-    assert (report.level, report.sentence) == (module.ERROR, "no inertia") and bench.servers == []
-    assert bench.refused == [("world", "no inertia")]
-    bench.problem = ""
-    bench.at_wait = lambda server: setattr(server, "code", 0)
-    bench.tell(Scene())
-    bench.node.work(0.0)
-    assert len(bench.servers) == 1
-
-
-def test_a_broken_scene_is_refused(bench):
-    message = scene_to_msg(SCENE, rospy.Time(1), "base_link")
-    message.objects[0].shape = "cone"
-    bench.node.on_scene(message)
-    assert bench.refused[0][0] == "scene"
-    bench.node.work(0.0)
-    assert bench.servers == []
-
-
-@pytest.mark.parametrize("words", ["", "no_such_gzserver --verbose", "'unclosed"])
-def test_where_there_is_no_gazebo_the_sentence_says_how_to_get_it(words):
-    with pytest.raises(ConfigurationError, match=r"scripts/gazebo_chroot.sh make"):
-        find_gzserver(words)
-
-
-def test_its_words_may_be_several():
-    assert find_gzserver(f"'{sys.executable}' run gzserver") == [sys.executable, "run", "gzserver"]
 
 
 def test_the_started_node_simulates_its_robot_with_the_program_that_it_was_told(monkeypatch, tmp_path):

@@ -131,34 +131,10 @@ def test_feedback_is_these_bytes_in_the_order_of_the_goal_s_joints():
     assert written(feedback) == expected
 
 
-def test_before_the_plan_begins_its_time_is_zero():
-    feedback = MESSAGES.FollowJointTrajectoryFeedback()
-    fill_feedback(feedback, Sample(5, *(Motion((0.0,), (0.0,), (0.0,)),) * 2), 0, (0,))
-    assert feedback.desired.time_from_start == genpy.Duration(0)
-    fill_feedback(feedback, Sample(5, *(Motion((0.0,), (0.0,), (0.0,)),) * 2), 10, (0,))
-    assert feedback.desired.time_from_start == genpy.Duration(0)
-
-
-def test_the_result_codes_are_the_official_ones():
-    for code in ResultCode:
-        assert getattr(MESSAGES.FollowJointTrajectoryResult, code.name) == code
-
-
 def goal_of(names=ROBOT.joint_names, **fields):
     goal = MESSAGES.FollowJointTrajectoryGoal(**fields)
     goal.trajectory.joint_names = list(names)
     return goal
-
-
-def test_tolerances_are_read_by_joint_and_a_time_of_zero_is_the_default():
-    tolerance = [MESSAGES.JointTolerance("joint_a2", 0.1, -1.0, 0.0)]
-    taken = trajectory_goal(goal_of(goal_tolerance=tolerance), "g", "/client", ROBOT, DEFAULTS)
-    assert (taken.id, taken.client, taken.time_tolerance) == ("g", "/client", 2.0)
-    assert taken.goal.position == (0.01, 0.1, 0.01, 0.01, 0.01, 0.01) and taken.goal.velocity == (math.inf,) * 6
-    later = trajectory_goal(
-        goal_of(goal_time_tolerance=genpy.Duration(0, 500_000_000)), "g", "/client", ROBOT, DEFAULTS
-    )
-    assert later.time_tolerance == 0.5
 
 
 def test_foreign_joints_and_tolerances_that_are_no_numbers_are_refused():

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import shutil
 import signal
 import socket
 import subprocess
@@ -62,23 +61,6 @@ leave_behind(os.getppid())
 print("left", flush=True)
 """
 
-#: Before that: a thread, and a kernel that makes no processes but the first.
-THREADS = """
-import threading
-threading.Thread(target=threading.Event().wait, daemon=True).start()
-"""
-NO_FORK = """
-import os
-fork, left = os.fork, [1]
-
-def fork_once():
-    if not left:
-        raise BlockingIOError("Resource temporarily unavailable")
-    left.pop()
-    return fork()
-
-os.fork = fork_once
-"""
 
 PROGRAM = """
 from construction_twin.ros.shared.loaded_process import run_program
@@ -214,13 +196,6 @@ def test_a_copy_has_the_programs_words_environment_folder_and_pipes_and_its_exit
     assert said["loaded_by"] not in (program, said["pid"], loaded) and said["pid"] != program
 
 
-def test_a_refusal_is_said_where_the_program_would_say_it(roslaunch):
-    roslaunch.load()
-    program = roslaunch.start("program", "refuse", "")
-    assert roslaunch.end_of(program) == 1
-    assert (roslaunch.folder / "program.output").read_text() == "a sentence\n"
-
-
 def test_without_a_loaded_process_the_program_is_the_node(roslaunch):
     program, said = roslaunch.node("stay")
     assert said["pid"] == said["loaded_by"] == program
@@ -240,14 +215,6 @@ def test_signals_reach_the_node_which_may_end_as_it_likes(roslaunch, number):
     assert told(note)["signal"] == number
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_a_program_ends_by_the_signal_that_ended_its_node(roslaunch, number):
-    roslaunch.load()
-    program, said = roslaunch.node("stay")
-    os.kill(said["pid"], number)
-    assert roslaunch.end_of(program) == -number
-
-
 def test_a_killed_program_takes_its_node_and_what_that_started_along(roslaunch):
     roslaunch.load()
     program, said = roslaunch.node("parent")
@@ -256,89 +223,6 @@ def test_a_killed_program_takes_its_node_and_what_that_started_along(roslaunch):
     assert roslaunch.end_of(program) == -signal.SIGKILL
     wait_until(lambda: not runs(said["pid"]) and not runs(said["child"]), what="the end of the node and its child")
     assert runs(other["pid"])
-
-
-def test_a_killed_program_takes_a_node_along_that_hangs_with_python_locked(roslaunch):
-    roslaunch.load()
-    program, said = roslaunch.node("hang")
-    assert said["pid"] != program
-    os.killpg(program, signal.SIGKILL)
-    assert roslaunch.end_of(program) == -signal.SIGKILL
-    wait_until(lambda: not runs(said["pid"]), what="the end of the node")
-
-
-def test_programs_that_are_killed_all_at_once_take_their_nodes_along_and_the_loaded_process_goes_on(roslaunch):
-    loaded = roslaunch.load()
-    pairs = [roslaunch.node("stay") for _ in range(6)]
-    # what has happened meanwhile is heard in one go
-    os.kill(loaded, signal.SIGSTOP)
-    for program, said in pairs:
-        os.killpg(program, signal.SIGKILL)
-        roslaunch.end_of(program)
-        wait_until(lambda said=said: not runs(said["pid"]), what="the end of the node")
-    os.kill(loaded, signal.SIGCONT)
-    program, said = roslaunch.node("stay")
-    assert said["pid"] != program and runs(loaded)
-
-
-@pytest.mark.parametrize(
-    "prefix",
-    [
-        ("nice", "-n", "5"),
-        ("taskset", "1"),
-        ("chrt", "--batch", "0"),
-        ("prlimit", "--nofile=512:512"),
-        ("choom", "-n", "500", "--"),
-        ("setarch", "-R"),
-        ("sh", "-c", 'umask 027; exec "$0" "$@"'),
-        ("env", "OMP_NUM_THREADS=3"),
-        ("nohup",),
-    ],
-    ids=lambda prefix: prefix[0],
-)
-def test_what_a_launch_prefix_gives_a_program_its_node_has(roslaunch, prefix):
-    if shutil.which(prefix[0]) is None:
-        pytest.skip(f"there is no {prefix[0]} here")
-    roslaunch.load()
-    program, said = roslaunch.node("stay", prefix)
-    assert said["pid"] == said["loaded_by"] == program
-
-
-def test_what_is_for_ros_alone_is_no_other_circumstance(roslaunch):
-    roslaunch.load()
-    program, said = roslaunch.node("stay", ROS_NAMESPACE="/kr120", ROSCONSOLE_FORMAT="", OPENBLAS_NUM_THREADS="1")
-    assert said["pid"] != program
-
-
-def test_a_program_and_its_node_ignore_what_roslaunch_was_told_to(tmp_path):
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        roslaunch = Roslaunch(tmp_path)
-    finally:
-        signal.signal(signal.SIGHUP, before)
-    with ended(roslaunch):
-        roslaunch.load()
-        program, said = roslaunch.node("stay")
-        assert said["pid"] != program
-        os.killpg(program, signal.SIGHUP)
-        os.kill(said["pid"], signal.SIGHUP)
-        os.killpg(program, signal.SIGTERM)
-        assert roslaunch.end_of(program) == -signal.SIGTERM
-
-
-def test_a_process_of_several_threads_is_not_left_behind(roslaunch):
-    (roslaunch.folder / "preflight.py").write_text(THREADS + PREFLIGHT)
-    assert roslaunch.end_of(roslaunch.start("preflight")) == 0
-    program, said = roslaunch.node("stay")
-    assert said["pid"] == program
-
-
-def test_where_no_copy_can_be_made_the_program_is_the_node(roslaunch):
-    (roslaunch.folder / "preflight.py").write_text(NO_FORK + PREFLIGHT)
-    roslaunch.load()
-    for _ in range(2):
-        program, said = roslaunch.node("stay")
-        assert said["pid"] == program
 
 
 def test_a_node_outlives_the_loaded_process_and_the_next_loads_its_module_itself(roslaunch):
@@ -364,55 +248,8 @@ def test_it_ends_with_roslaunch_and_the_last_copy(roslaunch):
     wait_until(lambda: not runs(loaded), what="the end of the loaded process")
 
 
-def test_a_second_robot_of_the_same_roslaunch_uses_the_same(roslaunch):
-    first = roslaunch.load()
-    assert roslaunch.load() == first
-
-
 def name_for(pid: int) -> str:
     return f"\0construction_twin/{os.getuid()}/{pid}"
-
-
-@pytest.mark.parametrize("sent", [b"", b"\xff\xff\xff\x7f", b"\0\0\0\0", b"\x02\0\0\0{}", b"\x05\0\0\0{{{{{"])
-def test_what_is_no_request_gets_no_copy_and_does_no_harm(roslaunch, sent):
-    roslaunch.load()
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
-        connection.connect(name_for(roslaunch.process.pid))
-        connection.sendall(sent)
-        connection.shutdown(socket.SHUT_WR)
-        connection.settimeout(60.0)
-        assert connection.recv(1) == b""
-    program, said = roslaunch.node("stay")
-    assert said["pid"] != program
-
-
-@pytest.mark.skipif(os.getuid() != 0, reason="only root can be somebody else")
-def test_another_users_process_is_asked_for_nothing(roslaunch):
-    ready, told_ready = os.pipe()
-    stranger = os.fork()
-    if not stranger:
-        try:
-            listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-            name = name_for(roslaunch.process.pid)
-            os.setuid(65534)
-            listener.bind(name)
-            listener.listen()
-            os.write(told_ready, b".")
-            connection, _ = listener.accept()
-            os._exit(0 if connection.recv(1) == b"" else 1)
-        finally:
-            os._exit(2)
-    try:
-        os.read(ready, 1)
-        program, said = roslaunch.node("stay")
-        assert said["pid"] == program
-        # it was told nothing
-        assert os.waitpid(stranger, 0)[1] == 0
-        stranger = 0
-    finally:
-        if stranger:
-            os.kill(stranger, signal.SIGKILL)
-            os.waitpid(stranger, 0)
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can be somebody else")

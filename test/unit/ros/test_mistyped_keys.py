@@ -17,7 +17,6 @@ from construction_twin.core.validation import configuration_error
 from construction_twin.robot.description import load_robot
 from construction_twin.robot.tool import read_tool
 from construction_twin.robot.urdf import expand_xacro
-from construction_twin.ros.commands import preflight
 from construction_twin.ros.commands.experiment_settings import ExperimentSettings
 from construction_twin.ros.commands.node_files import NODE_FILES, node_files_problem
 from construction_twin.scenario.definition import read_scenario
@@ -32,6 +31,7 @@ CONFIG = Path(__file__).resolve().parents[3] / "config"
 NAMES = ("objects", "shapes", "racks", "recipes", "materials")
 #: A file whose uppermost keys are such names: of robots.
 NAMED_AT_THE_TOP = "cell_two_robots.yaml"
+URDF = expand_xacro(str(CONFIG.parent / "urdf" / "kr120r2500.urdf.xacro"), {})
 Place = tuple[str | int, ...]
 
 
@@ -59,8 +59,7 @@ def mistyped(document: dict, place: Place, keep: bool) -> tuple[dict, str]:
 
 
 def robot_yaml(path: Path) -> None:
-    urdf = expand_xacro(str(CONFIG.parent / "urdf" / "kr120r2500.urdf.xacro"), {})
-    load_robot(urdf, yaml.safe_load(path.read_text()) | {"name": "kr120"})
+    load_robot(URDF, yaml.safe_load(path.read_text()) | {"name": "kr120"})
 
 
 def experiment(path: Path) -> None:
@@ -125,15 +124,3 @@ def test_a_scenario_that_changes_a_node_which_is_none_is_refused(tmp_path):
     assert said == (
         f"scenario:={file}: pca_monitr: expected `scenario`, or the name of a node that it changes; did you mean pca_monitor?"
     )
-
-
-def test_the_file_is_not_said_twice_before_the_key(tmp_path):
-    file = tmp_path / "tool.yaml"
-    file.write_text((CONFIG / "tools" / "vacuum_frame.yaml").read_text().replace("payload:", "payloadd:"))
-    arm = {
-        "robot": "kr120",
-        "robot_xacro": str(CONFIG.parent / "urdf" / "kr120r2500.urdf.xacro"),
-        "robot_config": str(CONFIG / "kr120.yaml"),
-    }
-    said = preflight.contents_problem(arm | {"tool": str(file)})
-    assert said.startswith(f"tool:={file}: payloadd: found ") and "did you mean payload?" in said

@@ -16,7 +16,6 @@ from construction_twin.msg import Execution, Link, Sync
 from construction_twin.srv import PlanTrajectoryRequest, PlanTrajectoryResponse
 from diagnostic_msgs.msg import KeyValue
 from paho.mqtt.client import topic_matches_sub
-from rospy.exceptions import TransportTerminated
 
 from construction_twin.core.errors import PayloadError, PoseUnknownError
 from construction_twin.core.reports import HoldReport
@@ -33,7 +32,6 @@ from construction_twin.ros.nodes.mqtt_planner import (
     MqttPlanner,
     Poses,
     Settings,
-    source_of,
 )
 from construction_twin.ros.shared.endpoint import REPEATED, Endpoint, Incoming, Outlets
 from construction_twin.ros.shared.message_board import MessageBoard
@@ -148,27 +146,6 @@ def test_who_floods_with_what_cannot_be_read_is_not_always_answered_and_a_motion
     assert bench.answers[-1]["ok"] and len(bench.answers) == answered + 1
 
 
-@pytest.mark.parametrize(
-    "sender, says, proven, shown",
-    [
-        ("", "", True, "MQTT, sender not known"),
-        ("", "Ada", False, "MQTT, sender not known, which says it is 'Ada'"),
-        ("kr120-planner-ada", "", True, "MQTT account kr120-planner-ada"),
-        ("kr120-planner-ada", "", False, "MQTT, on the topic of kr120-planner-ada"),
-    ],
-)
-def test_a_reviewer_reads_what_is_known_of_the_sender_and_no_more(sender, says, proven, shown):
-    assert source_of(says, sender, proven) == shown
-
-
-def test_what_the_planner_refuses_is_told_with_its_sentence(bench):
-    bench.success = False
-    bench.send()
-    bench.check()
-    assert [(answer["ok"], answer["plan_id"]) for answer in bench.answers] == [(False, "")]
-    assert bench.node.report().values["trajectories no plan"] == 1
-
-
 def test_a_planner_that_is_gone_is_told_and_the_node_goes_on(bench):
     bench.error = rospy.ServiceException("connection refused")
     bench.send()
@@ -179,14 +156,6 @@ def test_a_planner_that_is_gone_is_told_and_the_node_goes_on(bench):
     bench.send(id="8")
     bench.check()
     assert bench.answers[1]["ok"]
-
-
-@pytest.mark.parametrize("error", [TransportTerminated("x"), ConnectionResetError("x"), rospy.ROSException("x")])
-def test_a_planner_that_goes_away_during_the_call_is_told_too(bench, error):
-    bench.error = error
-    bench.send()
-    bench.check()
-    assert "/kr120/plan_trajectory does not answer: x" in bench.answers[0]["reason"]
 
 
 def test_what_nobody_foresaw_ends_the_node_because_a_motion_is_no_safety_act(bench, monkeypatch):
@@ -206,12 +175,6 @@ def test_times_that_were_replaced_are_told_with_both_durations_and_the_reason(be
     bench.send(points=points)
     bench.check()
     assert bench.answers[0]["notes"] == [f"timed anew: 2.750 s instead of 2.500 s, because {bench.retimed}"]
-
-
-def test_a_motion_without_times_keeps_the_scales_that_were_asked_for(bench):
-    bench.send(points=[{"positions": [0.0, 0.0]}, {"positions": [1.0, 1.0]}], speed_scale=0.5, acceleration_scale=0.25)
-    bench.check()
-    assert (bench.asked[0].speed_scale, bench.asked[0].acceleration_scale) == (0.5, 0.25)
 
 
 @pytest.mark.parametrize(
@@ -273,13 +236,6 @@ def test_the_same_message_twice_makes_one_plan_and_gets_one_answer_twice(bench):
     assert len(bench.asked) == 2, "later it is meant"
 
 
-def test_the_same_motion_from_another_account_is_another_message(bench):
-    bench.send("kr120-planner-ada")
-    bench.send("kr120-planner-ben")
-    bench.check()
-    assert [answer["sender"] for answer in bench.answers] == ["kr120-planner-ada", "kr120-planner-ben"]
-
-
 # -- view
 
 
@@ -330,27 +286,6 @@ def test_what_is_old_is_shown_as_not_known(bench):
     assert view(bench)["link"] is None and view(bench)["execution"]["state"] == "PLAYING"
     bench.node.listen(Poses(Stream(None), Stream(None)), lambda: False)
     assert view(bench)["execution"] is None, "its node is gone"
-
-
-def test_without_a_connection_nothing_is_kept_for_later(bench):
-    bench.client.connected = False
-    view(bench)
-    assert bench.client.published == []
-    bench.client.connected = True
-    assert view(bench)["seq"] == 2 and len(bench.client.published) == 1
-
-
-def test_trajectories_can_be_switched_off(bench, monkeypatch):
-    heard = []
-    monkeypatch.setattr(Client, "subscribe", lambda self, topics: heard.extend(topics))
-    welcome = SimpleNamespace(is_failure=False)
-    for trajectories in (True, False):
-        made = Bench(trajectories=trajectories)
-        monkeypatch.setattr(mqtt_planner, "now_ns", lambda: 0)
-        made.node.on_connect(made.client, None, None, welcome, None)
-        said = made.node.report().sentence
-        assert said == ("trajectories are taken" if trajectories else "no trajectories are taken (trajectories: false)")
-    assert [topic for topic, _ in heard] == ["twin/kr120/trajectory", "twin/kr120/trajectory/from/+"]
 
 
 # -- consoles
@@ -467,13 +402,6 @@ def test_wishes_and_poses_reach_the_desk_with_their_account_and_our_own_answers_
     client.deliver("twin/kr120/ik/ada", b"[]")
     client.deliver("twin/kr120/ik/ack/ada", b"[]")
     assert desk.heard == [("plan_request", "ada", b"{}", False), ("ik", "ada", b"[]", False)]
-
-
-def test_where_no_trajectories_are_taken_no_wishes_are_either(consoles):
-    _, client, _, desk = consoles(trajectories=False)
-    assert client.topics == ["twin/kr120/ik/+", "twin/kr120/acknowledge/+"]
-    client.deliver("twin/kr120/plan_request/ada", b"{}")
-    assert desk.heard == []
 
 
 def test_the_view_has_what_feed_and_desk_know(bench, consoles):

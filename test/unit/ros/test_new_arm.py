@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import shlex
-import subprocess
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 import yaml
-from mesh_arm import write_mesh_arm
 from new_arms import ARMS, write_arm
 from roslaunch.substitution_args import resolve_args
 
-from construction_twin.controller import makes
 from construction_twin.core.freshness import Moment
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
@@ -29,7 +25,6 @@ from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.scene.self_collision import read_self_collision
 
-DATA = Path(__file__).parents[2] / "data"
 QUICK = ("--samples", "400")
 
 
@@ -82,42 +77,8 @@ def test_one_command_per_arm(arm, tmp_path, capsys):
         assert key in said[said.index("a person must still fill in") :]
 
 
-def test_an_arm_of_another_make_gets_no_file_that_this_one_has_not(tmp_path, capsys, monkeypatch):
-    monkeypatch.setitem(makes.MODULES, "frames", "frames_make")
-    folder, arm = tmp_path / "made", ARMS[0]
-    given = made(folder, write_arm(tmp_path, arm), "--tip", arm.tip, "--controller-make", "frames")
-    assert (given["controller_make"], given["rsi_cycle"], given.get("ethernet_xml")) == ("frames", "8", None)
-    assert not list(folder.glob("*_ethernet.xml")) and "IP_NUMBER" not in capsys.readouterr().out
-
-
 def robot_estimates(given: dict[str, str]) -> tuple[str, ...]:
     return read_robot_files(given["robot_xacro"], given["robot_config"]).estimates
-
-
-def test_an_arm_with_a_counterbalance_that_mimic_joints_move(tmp_path, capsys):
-    given = made(tmp_path / "made", DATA / "balanced_like.urdf")
-    robot = read_robot_files(given["robot_xacro"], given["robot_config"])
-    pairs = read_self_collision(given["self_collision"], robot)
-    assert {"cylinder", "piston"} <= {link for pair in pairs.ignored for link in pair}
-    said = capsys.readouterr().out
-    assert "move with it: balance_cylinder (continuous, moves with shoulder), balance_piston" in said
-    check_home(robot, given)
-    check_start(given)
-    check_planning(robot, given)
-
-
-def test_an_arm_whose_joints_turn_without_end(tmp_path, capsys):
-    given = made(tmp_path / "made", DATA / "endless_like.urdf")
-    robot = read_robot_files(given["robot_xacro"], given["robot_config"])
-    assert robot.estimates == ("accelerations", "jerks", "ranges", "axes", "couplings")
-    turn = 2 * np.pi
-    assert robot.lower == pytest.approx([-turn, -2.2, -turn, -2.5, -turn, -2.0, -turn])
-    assert robot.upper == pytest.approx([turn, 2.2, turn, 2.5, turn, 2.0, turn])
-    said = capsys.readouterr().out
-    assert "range_deg of the joints that the URDF lets turn without end: from the maker" in said
-    check_home(robot, given)
-    check_start(given)
-    check_planning(robot, given)
 
 
 def check_home(robot: RobotModel, given: dict[str, str]) -> None:
@@ -167,22 +128,6 @@ def check_planning(robot: RobotModel, given: dict[str, str]) -> None:
     assert plan.trajectory.positions[-1] == pytest.approx(goal, abs=1e-9)
 
 
-def test_roslaunch_loads_the_whole_start(tmp_path):
-    """With all that bringup.launch includes, and the commands that run while it is read: preflight, the URDF's expansion."""
-    (arm,) = (arm for arm in ARMS if arm.name == "ten_kilos")
-    made(tmp_path / "made", write_arm(tmp_path, arm), "--tip", arm.tip)
-    run = subprocess.run(
-        ["roslaunch", "--dump-params", str(tmp_path / "made/ten_kilos.launch"), "broker_port:=18977"],
-        capture_output=True, text=True, timeout=120,
-    )  # fmt: skip
-    assert run.returncode == 0, run.stderr
-    loaded = yaml.safe_load(run.stdout)
-    assert loaded["/preflight"] is True
-    assert loaded["/ten_kilos/robot/estimates"] == list(ESTIMATED)
-    assert loaded["/ten_kilos/scene/self_collision"] == f"{tmp_path}/made/ten_kilos_self_collision.yaml"
-    assert "AK.A6" in loaded["/ten_kilos/gateway/ethernet_xml"]
-
-
 def test_the_folder_can_be_moved_and_the_rest_of_bringup_given(tmp_path):
     arm = ARMS[0]
     made(tmp_path / "made", write_arm(tmp_path, arm), "--tip", arm.tip, "--name", "renamed")
@@ -218,22 +163,6 @@ def test_what_a_person_has_filled_in_is_not_written_over(tmp_path, capsys):
     assert "estimates" in config.read_text()
 
 
-def test_a_floor_in_which_the_arm_cannot_stand_is_left_out_and_said(tmp_path, capsys):
-    urdf = write_arm(tmp_path, ARMS[0])
-    sunk = urdf.read_text().replace("<link", '<link name="plinth"/>\n<joint name="sunk" type="fixed"><parent link="plinth"/>'
-        '<child link="base_link"/><origin xyz="0 0 -0.5"/></joint>\n<link', 1)  # fmt: skip
-    urdf.write_text(sunk)
-    given = made(tmp_path / "made", urdf, "--tip", ARMS[0].tip, "--base", "plinth")
-    assert given["scene"] == "none"
-    assert "scene: no pose is free with a floor at the height of plinth" in capsys.readouterr().out
-
-
-def test_a_mesh_arm_comes_with_its_hulls(tmp_path, capsys):
-    made(tmp_path / "made", write_mesh_arm(tmp_path))
-    assert (tmp_path / "made/mesh_arm_hulls/robot.urdf").is_file()
-    assert "a proposal, convex hulls in place of 5 meshes" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(
     "options, change, sentence",
     [
@@ -259,25 +188,3 @@ def test_what_is_wrong_is_one_sentence_and_nothing_is_written(tmp_path, capsys, 
     said = capsys.readouterr().err
     assert said.startswith("new_arm: ") and sentence in said and len(said.splitlines()) == 1
     assert not list(tmp_path.glob("made/*"))
-
-
-def test_a_file_that_is_not_there(capsys):
-    assert main(["/nowhere.urdf"]) == 1
-    assert capsys.readouterr().err.startswith("new_arm: /nowhere.urdf: ")
-
-
-def test_the_command_that_it_prints_works_in_a_folder_with_a_space(tmp_path, capsys):
-    urdf = write_arm(tmp_path, ARMS[0])
-    folder = tmp_path / "my arms"
-    made(folder, urdf, "--tip", ARMS[0].tip)
-    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  roslaunch ")]
-    assert shlex.split(line) == ["roslaunch", str(folder / f"{ARMS[0].name}.launch")]
-
-
-def test_a_folder_that_takes_no_files_is_found_before_anything_is_computed(tmp_path, capsys):
-    urdf = write_arm(tmp_path, ARMS[0])
-    (tmp_path / "file").write_text("")
-    assert main([str(urdf), "--tip", ARMS[0].tip, "--output", str(tmp_path / "file" / "made")]) == 1
-    said = capsys.readouterr()
-    assert said.out == "" and "expected a folder that files can be written into" in said.err
-    assert said.err.count("\n") == 1

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
-import pytest
 import rospy
 from construction_twin.srv import PlanToPose, PlanToPoseRequest, ReviewFromScreen, ReviewPlan
-from executor_bench import ROBOT
 
 from construction_twin.link.goal_request import KINDS, GoalRequest
 from construction_twin.link.remote_review import ReviewRequest
-from construction_twin.ros.commands import twin
 from construction_twin.ros.messages.plan_services import PLAN_SERVICES, request_fields
 from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.views.arguments import parser
 
 
 def test_every_kind_of_request_has_a_service_that_takes_its_fields():
@@ -51,39 +45,3 @@ def test_an_answer_is_read_with_every_field_that_it_has():
     plan = {"plan_id": "p", "plan_hash": "h", "duration": 2.5}
     assert Outcome.of(Outcome(True, "done", fields=plan).response(PlanToPose)) == Outcome(True, "done", fields=plan)
     assert Outcome.of(Outcome(False, "late", expired=True).response(ReviewFromScreen)) == Outcome(False, "late", True)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "kind", "fields"),
-    [
-        (["--joints", "0", "-90", "90", "0", "90", "180"], "joints", {
-            "joints": pytest.approx((0.0, -math.pi / 2, math.pi / 2, 0.0, math.pi / 2, math.pi)), "duration": 3.0,
-        }),
-        (["--pose", "1500", "0", "2000", "0", "0", "0", "--configuration", "front", "--frame", "stock"], "pose", {
-            "position": (1.5, 0.0, 2.0), "orientation": (0.0, 0.0, 0.0, 1.0), "configuration": "front", "frame": "stock",
-        }),
-        (["--pose", "1500", "0", "2000", "0", "0", "0", "--line", "--tool-speed", "250"], "line", {"speed": 0.25}),
-        (["--csv", "/tmp/path.csv", "--columns", "deg"], "csv", {"path": "/tmp/path.csv", "columns": "deg"}),
-    ],
-)  # fmt: skip
-def test_the_command_line_asks_for_what_its_options_say(monkeypatch, capsys, arguments, kind, fields):
-    asked = []
-
-    class Client:
-        def __init__(self, *_):
-            pass
-
-        def plan(self, request: GoalRequest) -> Outcome:
-            asked.append(request)
-            return Outcome(True, "waiting for review")
-
-    monkeypatch.setattr(twin, "OperatorClient", Client)
-    monkeypatch.setattr(twin, "robot_from_parameters", lambda _: ROBOT)
-    options = parser("kr120").parse_args(
-        ["plan", *arguments, "--speed", "50", *(["--duration", "3"] * (kind == "joints"))]
-    )
-    assert twin.Command(options).run() == 0 and capsys.readouterr().out == "waiting for review\n"
-    (request,) = asked
-    assert (request.kind, request.speed_scale) == (kind, 0.5)
-    for name, value in fields.items():
-        assert getattr(request, name) == value

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections import Counter
 from types import SimpleNamespace
@@ -24,14 +23,12 @@ from construction_twin.srv import (
 )
 from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
 from launch_files import poses_in_tf
-from planning_cell import HOME, LEFT, RIGHT, ROBOT, ROOT, WALL, standing
+from planning_cell import HOME, LEFT, RIGHT, ROBOT, ROOT, standing
 from std_srvs.srv import TriggerRequest
 from tf2_msgs.msg import TFMessage
-from trajectory_msgs.msg import JointTrajectory
 from unplugged import Unplugged, over_the_wire
 
 from construction_twin.kinematics.chain import Chain, Pose
-from construction_twin.planning import work_plan
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.ros.messages import convert
@@ -150,98 +147,6 @@ def test_a_task_is_published_as_one_plan_for_review_with_its_segments_and_what_t
     assert bench.published["plan_outcome"][-1].plan_id == plan.id
 
 
-def nan_in_the_trajectory(segments):
-    segments[1].trajectory.points[4].positions = [math.nan] * 6
-
-
-def nan_in_an_object(segments):
-    segments[0].put[0].size = [0.3, math.nan, 0.3]
-
-
-def put_twice(segments):
-    segments[0].put *= 2
-
-
-def too_fast(segments):
-    for point in segments[1].trajectory.points:
-        point.time_from_start /= 4
-        point.velocities = [4 * value for value in point.velocities]
-        point.accelerations = [16 * value for value in point.accelerations]
-
-
-def gap(segments):
-    segments[2] = segment("leave", LEFT + 0.01, HOME)
-
-
-def not_at_rest(segments):
-    segments[1].trajectory.points[-1].velocities = [0.0, 0.0, 0.01, 0.0, 0.0, 0.0]
-
-
-def no_accelerations(segments):
-    for point in segments[1].trajectory.points:
-        point.accelerations = []
-
-
-def wall_before_the_third(segments):
-    segments[1].put = [object_to_msg(WALL)]
-    segments[2] = segment("leave", LEFT, RIGHT)
-
-
-def unknown_object(segments):
-    segments[2].remove = ["nobody"]
-
-
-def dense(segments):
-    segments[1] = WorkSegment(
-        name="carry", trajectory=convert.trajectory_to_msg(time_path(np.array([RIGHT, LEFT]), ROBOT, waypoints=700))
-    )
-
-
-def far_from_the_arm(segments):
-    segments[0] = segment("fetch", HOME + 0.01, RIGHT)
-
-
-@pytest.mark.parametrize(
-    "spoil,words",
-    [
-        (wall_before_the_third, "segment 2 .'leave'.*touches wall .at"),
-        (too_fast, "segment 1 .'carry'.*its limit is"),
-        (gap, "segment 2 .'leave'.*away from where the segment before it ends"),
-        (not_at_rest, "segment 1 .'carry'.*it ends with a velocity of .* of joint_a3"),
-        (no_accelerations, "segment 1 .'carry'.*accelerations"),
-        (unknown_object, "segment 2 .'leave'.*'nobody'"),
-        (nan_in_the_trajectory, "segment 1 .'carry'.*nan"),
-        (nan_in_an_object, "segment 0 .'fetch'.*nan"),
-        (put_twice, "segment 0 .'fetch'.*'block'.*each name once"),
-        (far_from_the_arm, "segment 0 .'fetch'.*away from where the arm is"),
-        (dense, "waypoints would be"),
-        (list.clear, "0 segments"),
-    ],
-)
-def test_plan_work_refuses_with_one_sentence_and_publishes_nothing(bench, spoil, words):
-    segments = task()
-    spoil(segments)
-    answer = bench.work(segments)
-    assert not answer.success and "\n" not in answer.message
-    assert re.search(words, answer.message), answer.message
-    assert not bench.published["plan"] and not bench.published["plan_outcome"][-1].success
-    assert sum(bench.refused.values()) == 1
-    assert bench.work(task()).success
-
-
-def test_a_scene_that_changes_while_a_task_is_checked_drops_its_plan(bench, monkeypatch):
-    recheck = work_plan.recheck
-
-    def edited(*arguments):
-        bench.show(Scene((), 0.01))
-        return recheck(*arguments)
-
-    monkeypatch.setattr(work_plan, "recheck", edited)
-    answer = bench.work(task())
-    assert not answer.success and "the scene changed while planning" in answer.message
-    assert not bench.published["plan"]
-
-
 def test_while_engaged_only_the_way_back_is_planned(bench):
     path = motion(HOME, RIGHT)
     bench.engage(0.8 * path.duration)
@@ -271,16 +176,6 @@ def test_while_engaged_only_the_way_back_is_planned(bench):
     np.testing.assert_array_equal(plan.trajectory.positions[[0, -1]], [bench.pose, HOME])
 
 
-def test_there_is_no_way_back_in_a_scene_that_does_not_know_what_hangs_on_the_tool(bench):
-    path = motion(HOME, RIGHT)
-    bench.engage(path.duration)
-    bench.pose = tuple(RIGHT)
-    bench.show(Scene((), 0.01))
-    answer = bench.services["plan_way_back"](TriggerRequest())
-    assert not answer.success and not bench.published["plan"]
-    assert f"the scene must become {SCENE.hash[:12]} first" in answer.message
-
-
 def test_once_it_is_free_any_motion_is_planned_and_there_is_no_way_back(bench):
     answer = bench.services["plan_way_back"](TriggerRequest())
     assert not answer.success and "not left inside an engaged segment" in answer.message
@@ -288,15 +183,6 @@ def test_once_it_is_free_any_motion_is_planned_and_there_is_no_way_back(bench):
     bench.callbacks["engagement"](Engagement())
     assert bench.work(task()).success
     assert not bench.services["plan_way_back"](TriggerRequest()).success
-
-
-def test_an_engagement_whose_path_makes_no_sense_is_an_answer(bench):
-    bench.engage(1.0)
-    bench.callbacks["engagement"](
-        Engagement(engaged=True, task="t", segment="s", trajectory=JointTrajectory(), end=1.0)
-    )
-    answer = bench.services["plan_way_back"](TriggerRequest())
-    assert not answer.success and not bench.published["plan"]
 
 
 #: The arm with mass hangs lower than it is told to [rad].

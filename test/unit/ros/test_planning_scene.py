@@ -17,7 +17,7 @@ from planning_cell import ROBOT
 from scene_samples import box_triangles, kr120, kr120_pairs, write_stl
 
 from construction_twin.kinematics.chain import Pose
-from construction_twin.ros.messages.planning_scene import MoveitTypes, moveit_types
+from construction_twin.ros.messages.planning_scene import MoveitTypes
 from construction_twin.ros.shared import ports
 from construction_twin.ros.shared.planning_scene import PLANNING_SCENE, OtherArmPublisher, PlanningScenePublisher
 from construction_twin.scene.collision_bodies import RobotBodies
@@ -66,25 +66,6 @@ def test_the_types_are_the_official_ones():
     assert {name: sums[name] for name in PART_MD5} == PART_MD5
 
 
-@pytest.fixture
-def install(monkeypatch, tmp_path):
-    """Return what installs moveit_msgs, whose messages import those of another package, as genpy's do."""
-    names = [name for package in ("moveit_msgs", "shape_msgs") for name in (package, f"{package}.msg")]
-    # noted now, so that what the test imports is forgotten after it
-    for name in names:
-        monkeypatch.setitem(sys.modules, name, None)
-        del sys.modules[name]
-
-    def made(needs: str) -> None:
-        for package, text in (("moveit_msgs", f"import {needs}.msg\nclass PlanningScene: pass\n"), ("shape_msgs", "")):
-            (tmp_path / package / "msg").mkdir(parents=True)
-            (tmp_path / package / "__init__.py").touch()
-            (tmp_path / package / "msg" / "__init__.py").write_text(text)
-        monkeypatch.syspath_prepend(tmp_path)
-
-    return made
-
-
 def opened(monkeypatch) -> tuple[object, list[str]]:
     """Return the topic that MoveIt reads, None without it, and what the node warned of."""
     warned: list[str] = []
@@ -93,26 +74,9 @@ def opened(monkeypatch) -> tuple[object, list[str]]:
     return PLANNING_SCENE.open(ROBOT), warned
 
 
-def test_installed_types_are_taken(monkeypatch, install):
-    install("shape_msgs")
-    assert opened(monkeypatch) == ("PlanningScene", [])
-    types = moveit_types()
-    assert (types.moveit.__name__, types.shapes.__name__) == ("moveit_msgs.msg", "shape_msgs.msg")
-
-
 def test_without_moveit_s_messages_nothing_is_published_and_nothing_is_wrong(monkeypatch):
     monkeypatch.setitem(sys.modules, "moveit_msgs", None)
     assert opened(monkeypatch) == (None, [])
-
-
-@pytest.mark.parametrize("package", ["object_recognition_msgs", "octomap_msgs", "shape_msgs"])
-def test_a_package_that_moveit_s_messages_need_is_missed_in_one_warning(package, monkeypatch, install):
-    install(package)
-    monkeypatch.setitem(sys.modules, package, None)
-    assert opened(monkeypatch) == (
-        None,
-        [f"planning_scene is not published: moveit_msgs needs {package}, which is not installed"],
-    )
 
 
 def test_objects_have_their_shape_pose_and_frame(tmp_path):
@@ -171,38 +135,11 @@ def test_moveit_follows_an_object_that_is_lifted_put_down_and_removed():
         assert seen.printed == []
 
 
-def test_a_planner_that_comes_late_knows_as_much_from_the_latched_message_alone():
-    standing = Scene((TABLE, PART))
-    carried = standing.attach("part", "tool0", IN_HAND)
-    for scenes in ((standing, carried), (carried, standing), (carried, standing.remove("part")), (carried, Scene())):
-        messages = told(*scenes)
-        early, late = taken(messages), taken(messages[-1:])
-        assert early.printed == late.printed == []
-        assert (early.world.keys(), early.attached.keys()) == (late.world.keys(), late.attached.keys())
-
-
-def test_what_was_removed_is_named_once_and_never_to_a_planner_that_comes_later():
-    """move_group prints an error for each object that it does not know and is to detach, and a warning where it is to remove."""
-    carried = Scene((TABLE, PART)).attach("part", "tool0", IN_HAND)
-    removed = carried.remove("part")
-    first, change, latched, later = told(carried, removed, removed)
-    seen = taken([first, change])
-    assert set(seen.world) == {"table"} and not seen.attached and seen.printed == []
-    for message in (latched, later):
-        alone = taken([message])
-        assert set(alone.world) == {"table"} and alone.printed == []
-
-
 def test_objects_that_only_the_planner_knows_stay():
     seen = MoveitScene(world={"theirs": object()})
     for message in told(Scene((TABLE,)), Scene()):
         seen.take(message)
     assert set(seen.world) == {"theirs"}
-
-
-def test_the_robot_is_named_as_moveit_names_it():
-    """Another name is a warning of MoveIt's in every message."""
-    assert told(Scene())[0].robot_model_name == "kr120r2500"
 
 
 # -- the other arm
@@ -234,18 +171,6 @@ def test_the_other_arm_is_told_of_where_it_rests_and_only_then():
     assert {thing.header.frame_id for thing in first.world.collision_objects} == {"base_link"}
     seen = taken([*told(Scene((TABLE,))), first, second])
     assert "table" in seen.world and seen.printed == [] and seen.matrix is not None
-
-
-def test_what_the_other_arm_no_longer_carries_is_taken_away_once():
-    load = SceneObject("load", "box", (0.2, 0.2, 0.2), link="tool0")
-    loaded = other().carrying([load]).between(AWAY, AWAY)
-    first, change, latched = beside(loaded, loaded, HERE, HERE)
-    seen = taken([first, change, latched])
-    assert "other/load" not in seen.world and len(seen.world) == len(HERE_PARTS) and seen.printed == []
-    assert taken([latched]).printed == []
-
-
-HERE_PARTS = neighbour_objects(HERE, "base_link", 0.12)
 
 
 def inside(item, point: np.ndarray) -> bool:

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import os
-import shutil
 import socket
-import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import pytest
 import rosgraph
 import yaml
-from processes import listens, wait_until
 from ros_master import Node, ros_master
 
-from construction_twin.controller import makes
 from construction_twin.core.sentences import Sentence
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.commands import preflight
-from construction_twin.ros.commands.node_files import NODE_FILES, ROBOT_NODES, node_files_problem
+from construction_twin.ros.commands.node_files import NODE_FILES, node_files_problem
 from construction_twin.views.roslaunch_call import RoslaunchCall
 
 
@@ -68,22 +63,6 @@ SCENARIO = (ROOT / "config" / "scenarios" / "nominal.yaml").read_text()
 )
 def test_files_that_fit_pass(given):
     assert preflight.contents_problem(given) == ""
-
-
-def test_another_make_is_asked_for_its_cycle_its_file_and_its_port(monkeypatch):
-    """Instead of `rsi`; the second make has no file, and its own port."""
-    monkeypatch.setitem(makes.MODULES, "frames", "frames_make")
-    given = KR120 | {"controller_make": "frames", "rsi_cycle": "8", "ethernet_xml": "none", "servo": "ideal"}
-    assert preflight.refusal(given, None, "") == ""
-    assert preflight.make_problem(given | {"rsi_cycle": "4"}) == wrong("rsi_cycle", "4", "8")
-    assert preflight.make_problem(given | {"controller_make": "fanuc"}) == wrong(
-        "controller_make", "fanuc", "rsi or frames"
-    )
-    said = preflight.contents_problem(given | {"ethernet_xml": KR120["ethernet_xml"]})
-    assert said.startswith("ethernet_xml:=") and said.endswith("expected none: frames has no file for its telegrams")
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
-        taken.bind(("127.0.0.1", 50_000))
-        assert preflight.port_problem(given) == in_use("rsi", "0", 50000)
 
 
 def test_an_action_without_its_messages_is_refused_with_what_to_do(monkeypatch):
@@ -135,62 +114,6 @@ def test_broken_contents_are_one_sentence_with_the_file_and_what_was_expected(tm
     said = preflight.contents_problem(KR120 | {name: str(file)})
     assert f"{name}:={file}" in said and "expected" in said
     assert "\n" not in said and "Traceback" not in said
-
-
-SERVOS = ROOT / "test/data/realistic_servos.yaml"
-
-
-@pytest.mark.parametrize(
-    "more", [{"servo_model": ""}, {"servo_model": str(SERVOS)}, {"servo_model": str(SERVOS), "arm": "none"}]
-)
-def test_servos_of_this_arm_and_its_cycle_may_be_given(more):
-    assert preflight.contents_problem(KR120 | more) == ""
-
-
-@pytest.mark.parametrize(
-    "given, change, said",
-    [
-        (KR120, ("joint_a1", "joint_a1"), ""),
-        (
-            KR120,
-            ("  joint_a6: {omega: 60.0, zeta: 0.8}\n", ""),
-            "found 'joint_a1, joint_a2, joint_a3, joint_a4, joint_a5', "
-            "expected those of this arm: joint_a1, joint_a2, joint_a3, joint_a4, joint_a5, joint_a6",
-        ),
-        (
-            TRACK,
-            ("joint_a1", "joint_a1"),
-            "found 'joint_a1, joint_a2, joint_a3, joint_a4, joint_a5, joint_a6', "
-            "expected those of this arm: track, joint_a1",
-        ),
-        (KR120, ("cycle_ms: 4", "cycle_ms: 12"), "cycle_ms: found 12, expected 4 as the controller has: identify"),
-        (KR120 | {"rsi_cycle": "12"}, ("joint_a1", "joint_a1"), "cycle_ms: found 4, expected 12 as the controller has"),
-        (KR120, ("omega: 60.0", "omega: .nan"), "joints/joint_a1/omega: found nan"),
-        (KR120, ("cycle_ms: 4", "cycle_ms: [4"), "expected "),
-    ],
-)
-def test_servos_that_the_gate_could_not_judge_by_are_refused(tmp_path, given, change, said):
-    file = tmp_path / "servos.yaml"
-    file.write_text(SERVOS.read_text().replace(*change, 1))
-    found = preflight.contents_problem(given | {"servo_model": str(file)})
-    assert (found == "") == (said == "") and said in found and "\n" not in found
-    assert not found or found.startswith(f"servo_model:={file}: ")
-
-
-def test_a_file_of_servos_that_is_not_there_is_refused(tmp_path):
-    file = tmp_path / "servos.yaml"
-    assert preflight.refusal(KR120 | {"servo_model": str(file)}, None, "") == wrong(
-        "servo_model", str(file), Sentence("preflight.expected.file")
-    )
-    assert preflight.refusal(KR120 | {"servo_model": "servos.yaml"}, None, "").startswith("servo_model:=servos.yaml")
-
-
-def test_a_mesh_of_the_scene_that_cannot_be_used_is_refused(tmp_path):
-    scene, mesh = tmp_path / "scene.yaml", tmp_path / "pipe.stl"
-    scene.write_text("{padding: 0.0, objects: {pipe: {shape: mesh, size: [1, 1, 1], mesh: pipe.stl}}}")
-    mesh.write_text("solid pipe\nendsolid pipe\n")
-    said = preflight.contents_problem(KR120 | {"scene": str(scene)})
-    assert said.startswith(f"scene:={scene}: object 'pipe' mesh: found '{mesh} with 0 triangles', expected 1 to")
 
 
 @pytest.mark.parametrize("words", [["accelerations"], ["accelerations", "axes"]])
@@ -266,17 +189,6 @@ def test_a_trace_that_the_gateway_could_not_write_is_refused(tmp_path):
     assert check is not None and "gateway_trace:=$(arg gateway_trace)" in check.attrib["value"]
 
 
-def test_a_trace_without_room_on_its_disk_is_refused(tmp_path, monkeypatch):
-    """Otherwise all but the gateway would run, and that would be started again and again."""
-    given = KR120 | {"gateway": "true", "gateway_trace": f"{tmp_path}/a.trace"}
-    monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=64_000_000))
-    said = preflight.contents_problem(given)
-    assert said.startswith(f"gateway_trace:={tmp_path}/a.trace: ") and "64.0 MB of room" in said and "64.8 MB" in said
-    # what the file holds already it may hold again
-    (tmp_path / "a.trace").write_bytes(bytes(2_000_000))
-    assert preflight.contents_problem(given) == ""
-
-
 def test_what_the_package_ships_is_fine(tmp_path):
     for file in sorted((ROOT / "config" / "scenarios").glob("*.yaml")):
         assert preflight.contents_problem(KR120 | {"scenario": str(file)}) == ""
@@ -330,17 +242,6 @@ def test_a_node_that_does_not_answer_may_live(master):
     assert "/kr120/executor on 127.0.0.1 (does not answer; if it has ended, `rosnode cleanup` removes it)" in said
 
 
-def test_a_second_rviz_would_end_the_first(master):
-    node = Node(master, "/view")
-    assert preflight.running_problem({"robot": "kr120", "gui": "true"}, master).key == "preflight.rviz_runs"
-    assert preflight.running_problem({"robot": "kr120", "gui": "false"}, master) == ""
-    node.end()
-
-
-def test_no_master_is_nothing_that_runs():
-    assert preflight.running_problem({"robot": "kr120"}, "http://127.0.0.1:1/") == ""
-
-
 @pytest.mark.parametrize("simulated", [True, False])
 def test_a_master_with_simulated_time_is_refused_before_anything_starts(master, monkeypatch, simulated):
     monkeypatch.setattr(preflight, "address_problem", lambda environ: "")
@@ -348,16 +249,6 @@ def test_a_master_with_simulated_time_is_refused_before_anything_starts(master, 
     said = preflight.refusal(KR120, None, master)
     assert (said == "") is not simulated
     assert said == "" or said.startswith("/use_sim_time: found True, expected false: ")
-
-
-def test_every_node_of_a_robot_is_looked_for():
-    """Those of bringup.launch in its group, and of the files it includes there."""
-    trees = [
-        ElementTree.parse(ROOT / "launch" / f"{name}.launch").getroot()
-        for name in ("bringup", "twin", "link", "gate", "work")
-    ]
-    names = {node.get("name") for tree in trees for node in tree.iter("node")} - {"broker", "view", "console"}
-    assert set(ROBOT_NODES) == names
 
 
 # -- ports
@@ -378,21 +269,6 @@ def test_a_taken_port_is_refused_before_anything_starts():
     assert preflight.port_problem(here) == ""
 
 
-def test_a_console_without_its_package_or_its_page_is_refused_with_what_to_do(monkeypatch, tmp_path):
-    given = KR120 | {"console": "true", "console_page": "none", "console_files": "false"}
-    assert preflight.contents_problem(given) == ""
-    page = str(tmp_path)
-    assert preflight.contents_problem(given | {"console_page": page}).startswith("console:=true: console_page: found ")
-    (tmp_path / "index.html").write_text("<!doctype html>")
-    assert preflight.contents_problem(given | {"console_page": page}) == ""
-    monkeypatch.setattr(preflight.importlib.util, "find_spec", lambda name: None)
-    said = preflight.contents_problem(given)
-    assert said == (
-        "console:=true: the Python package websockets: found 'missing', expected installed; run setup/setup.sh console"
-    )
-    assert preflight.contents_problem(given | {"console": "false"}) == ""
-
-
 @pytest.mark.parametrize(
     ("names", "sentence"),
     (
@@ -409,16 +285,6 @@ def test_a_file_that_the_console_could_not_use_is_refused_by_the_name_of_its_opt
     said = preflight.contents_problem(given)
     assert said.startswith(sentence) and "expected " in said
     assert preflight.contents_problem(given | {"console": "false"}) == ""
-
-
-@pytest.mark.parametrize(
-    ("text", "is_one"), (('{"robots": {}}', True), ("[]", False), ("{}", False), ('{"robots": []}', False))
-)
-def test_a_list_of_rights_is_what_make_site_writes(tmp_path, text, is_one):
-    (tmp_path / "rights.json").write_text(text)
-    given = {"console": "true", "console_page": "none", "console_files": "false"}
-    said = preflight.contents_problem(KR120 | given | {"console_rights": str(tmp_path / "rights.json")})
-    assert (said == "") == is_one and (is_one or "as make_site writes it" in said)
 
 
 def test_a_taken_port_of_the_console_is_refused():
@@ -474,18 +340,6 @@ def test_a_broker_that_can_never_start_is_refused_before_anything_starts(tmp_pat
     assert preflight.port_problem(given | {"broker": "false"}) == ""
 
 
-def test_the_broker_on_trial_leaves_nothing_behind():
-    port = free_port()
-    given = {
-        "broker": "true",
-        "broker_port": str(port),
-        "broker_config": f"{ROOT}/config/mosquitto.conf",
-        "arm": "none",
-    }
-    assert preflight.port_problem(given) == "" and not listens(port)
-    assert preflight.port_problem(given) == ""
-
-
 # -- the address that nodes give to each other
 
 
@@ -506,71 +360,6 @@ def test_a_name_without_an_address_is_refused(monkeypatch):
     monkeypatch.setenv("ROS_HOSTNAME", "nobody.invalid")
     said = preflight.address_problem(os.environ)
     assert said.startswith("ROS_HOSTNAME=nobody.invalid: it has no IPv4 address (")
-
-
-def resolving(monkeypatch, *, without: str):
-    """Resolve names as a machine does whose /etc/hosts lacks IPv4 for a name."""
-    ask = socket.getaddrinfo
-
-    def answer(host, *arguments):
-        if host == without:
-            raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
-        return ask(host, *arguments)
-
-    monkeypatch.setattr(socket, "getaddrinfo", answer)
-
-
-def test_a_localhost_without_ipv4_is_refused(monkeypatch):
-    monkeypatch.setenv("ROS_MASTER_URI", "http://localhost:11311")
-    monkeypatch.setenv("ROS_IP", "127.0.0.1")
-    assert preflight.address_problem(os.environ) == ""
-    resolving(monkeypatch, without="localhost")
-    no_address = "it has no IPv4 address (Name or service not known)"
-    assert preflight.address_problem(os.environ) == Sentence("preflight.localhost", why=no_address)
-    monkeypatch.setenv("ROS_IPV6", "on")
-    assert preflight.address_problem(os.environ) == ""
-
-
-def only_ipv6(monkeypatch, name: str):
-    """Resolve a name as glibc does where /etc/hosts has `::1` for it, and nothing else."""
-    ask = socket.getaddrinfo
-
-    def answer(host, port, family=0, *arguments, **named):
-        if host == name and family == socket.AF_UNSPEC:
-            return ask("::1", port, family, *arguments, **named)
-        # whoever asks for IPv4 gets the loopback of IPv4 for the one of IPv6
-        return ask("127.0.0.1" if host == name else host, port, family, *arguments, **named)
-
-    monkeypatch.setattr(socket, "getaddrinfo", answer)
-
-
-def test_a_localhost_that_is_the_loopback_of_ipv6_alone_is_refused(monkeypatch):
-    monkeypatch.setenv("ROS_MASTER_URI", "http://localhost:11311")
-    monkeypatch.setenv("ROS_IP", "127.0.0.1")
-    only_ipv6(monkeypatch, "localhost")
-    said = preflight.address_problem(os.environ)
-    assert said.key == "preflight.localhost"
-    assert said.values["why"].startswith("it has an address of IPv6 alone, at which no program of ROS listens (")
-
-
-def test_and_so_is_a_name_of_this_machine_that_is(monkeypatch):
-    for variable in ("ROS_IP", "ROS_HOSTNAME"):
-        monkeypatch.delenv(variable, raising=False)
-    own = rosgraph.network.get_host_name()
-    only_ipv6(monkeypatch, own)
-    said = preflight.address_problem(os.environ)
-    assert (said.key, said.values["own"]) == ("preflight.machine", repr(own))
-    assert said.values["why"].startswith("it has an address of IPv6 alone")
-
-
-def test_a_machine_that_does_not_know_its_own_name_is_refused(monkeypatch):
-    for variable in ("ROS_IP", "ROS_HOSTNAME"):
-        monkeypatch.delenv(variable, raising=False)
-    own = rosgraph.network.get_host_name()
-    assert preflight.address_problem(os.environ) == ""
-    resolving(monkeypatch, without=own)
-    said = preflight.address_problem(os.environ)
-    assert said.key == "preflight.machine" and said.values["why"].startswith("it has no IPv4 address (")
 
 
 # -- arguments that nothing reads
@@ -607,57 +396,12 @@ def test_whether_a_broker_lets_in_everybody_is_read_from_its_configuration(tmp_p
     assert ("broker_config" in capsys.readouterr().err) is said
 
 
-def test_preflight_by_hand(capsys, tmp_path):
-    assert preflight.check([f"{name}:={value}" for name, value in KR120.items() if name != "robot"]) == 0
-    few = ("robot", "robot_xacro", "robot_config", "ethernet_xml")
-    assert preflight.check([f"{name}:={KR120[name]}" for name in few]) == 0
-    assert capsys.readouterr().out == "ok\nok\n"
-    assert preflight.check([f"robot_config:={tmp_path}"]) == 1
-    assert preflight.check(["robot_config:=test_startup.py"]) == 1
-    assert capsys.readouterr().err.count("preflight: robot_config:=") == 2
-
-
 def test_for_roslaunch_the_result_is_on_standard_output(capsys):
     assert preflight.check(["--for-roslaunch", "arm:=foo"]) == 0
     said = capsys.readouterr()
     assert said.out == "refused\n" and said.err == "preflight: arm:=foo: expected mock, real or none\n"
     assert preflight.check(["--for-roslaunch", "arm:=mock"]) == 0
     assert capsys.readouterr().out == "true\n"
-
-
-def test_the_sentence_stands_below_the_last_line_of_the_process_that_is_waited_for():
-    """As with roslaunch: it starts the one that refuses, reads its output, and then prints lines of its own."""
-    child = (
-        "import os; from construction_twin.ros.shared.roslaunch_parent import print_after; "
-        "print_after('the sentence', os.getppid()); print('refused')"
-    )
-    parent = (
-        f"import subprocess, sys; run = subprocess.run([sys.executable, '-c', {child!r}], stdout=subprocess.PIPE); "
-        "print(run.stdout.decode(), 'and much more', file=sys.stderr)"
-    )
-    run = subprocess.run([sys.executable, "-c", parent], capture_output=True, text=True, timeout=60, env=os.environ)
-    lines = run.stderr.splitlines()
-    assert lines == ["refused", " and much more", "the sentence"]
-
-
-def test_what_waits_to_say_a_sentence_holds_no_socket_of_the_process_that_ended(tmp_path):
-    """A node's peers would connect to it, and wait for an answer."""
-    code = (
-        "import socket, sys; from construction_twin.ros.shared.roslaunch_parent import print_after; "
-        "server = socket.create_server(('127.0.0.1', 0)); print(server.getsockname()[1]); "
-        "print_after('the sentence', int(sys.argv[1]))"
-    )
-    said = tmp_path / "said"
-    awaited = subprocess.Popen(["cat"], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
-    try:
-        with said.open("w") as file:
-            command = [sys.executable, "-c", code, str(awaited.pid)]
-            run = subprocess.run(command, stdout=subprocess.PIPE, stderr=file, text=True, timeout=60, check=True)
-        wait_until(lambda: not listens(int(run.stdout)), what="the port to be closed")
-        assert said.read_text() == ""
-    finally:
-        awaited.communicate()
-    wait_until(lambda: said.read_text() == "the sentence\n", what="the sentence")
 
 
 # -- the nodes' own files
@@ -683,16 +427,6 @@ def changed(folder, name, **values):
     content = yaml.safe_load(file.read_text()) | values
     file.write_text(yaml.safe_dump({key: value for key, value in content.items() if value is not None}))
     return file
-
-
-def test_every_file_that_the_launch_files_load_for_a_node_is_checked():
-    trees = [
-        ElementTree.parse(ROOT / "launch" / f"{name}.launch").getroot()
-        for name in ("bringup", "twin", "link", "gate", "work")
-    ]
-    loaded = {Path(tag.get("file", "")).stem for tree in trees for tag in tree.iter("rosparam") if tag.get("file")}
-    # the cell is an argument, and checked as one
-    assert {file.name for file in NODE_FILES} == {name for name in loaded if "$(" not in name}
 
 
 def test_the_shipped_files_are_fine(config_folder, kr120):
@@ -734,36 +468,3 @@ def test_a_file_with_which_a_node_would_not_start_is_refused_before_it(config_fo
     assert said.startswith(f"{file}: ") and sentence in said
     assert "expected" in said or "outside its range" in said
     assert "\n" not in said and said.count(str(file)) == 1
-
-
-@pytest.mark.parametrize("name", [file.name for file in NODE_FILES])
-def test_a_file_that_is_no_mapping_is_refused_only_where_it_is_loaded(config_folder, kr120, name):
-    file = config_folder / f"{name}.yaml"
-    file.write_text("[1, 2")
-    assert node_files_problem(PAIR, kr120, config_folder).startswith(f"{file}: found ")
-    file.write_text("- 1")
-    assert (
-        node_files_problem(PAIR, kr120, config_folder)
-        == f"{file}: found [1], expected a mapping: the settings of {name}"
-    )
-    bare = {"robot": "kr120", "arm": "none"}
-    # what bringup starts without an arm, too
-    always = (
-        "planner",
-        "follow_joint_trajectory",
-        "joint_velocities",
-        "joint_state_publisher",
-        "executor",
-        "rehearsal",
-        "speed_limits",
-        "pca_monitor",
-    )
-    assert bool(node_files_problem(bare, kr120, config_folder)) is (name in always)
-
-
-def test_the_start_is_refused_for_them_too(monkeypatch, config_folder):
-    changed(config_folder, "executor", speed_limit_silent=2.0)
-    monkeypatch.setattr(
-        preflight, "node_files_problem", lambda given, robot, _: node_files_problem(given, robot, config_folder)
-    )
-    assert "speed_limit_silent: found 2.0" in preflight.contents_problem(KR120)

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 import rospy
-from construction_twin.msg import Rehearsal, Review
+from construction_twin.msg import Rehearsal
 from construction_twin.srv import PreviewPlanRequest
 from plan_samples import make_plan
 from planning_cell import HOME, LEFT, RIGHT, ROBOT
@@ -121,37 +121,6 @@ def test_the_ghost_has_the_element_in_its_grip_while_it_carries_it(bench):
     assert bench.shown("plan_grip") == []
 
 
-def test_once_it_is_approved_the_twin_shows_what_is_carried(bench):
-    bench.services["preview_plan"](PreviewPlanRequest(speed=1.0, loop=True))
-    bench.at(100.0 + work_plan().segments[0].end + 0.01)
-    assert bench.shown("plan_grip")
-    bench.callbacks["review"](Review(plan_id="w1", approved=True))
-    bench.at(bench.now)
-    assert bench.shown("plan_grip") == [] and len(bench.shown("plan_path")) == 3
-
-
-def test_a_scene_that_comes_after_the_plan_completes_the_picture(monkeypatch):
-    bench = Bench(monkeypatch)
-    bench.hear_plan(work_plan())
-    assert "LOOK TWICE: the scene that the plan begins in is not known here" in bench.shown("plan")[0].text
-    bench.hear_scene(SCENES[0])
-    assert "LOOK TWICE" not in bench.shown("plan")[0].text
-    count = len(bench.messages)
-    bench.hear_scene(SCENES[1])
-    assert len(bench.messages) == count
-
-
-def test_a_plan_of_one_motion_is_drawn_as_before(bench):
-    bench.hear_plan(make_plan(time_path(np.array([HOME, RIGHT]), ROBOT), "p2", SCENES[0].hash))
-    assert {marker.ns for marker in bench.messages[-1].markers[1:]} == {"plan"}
-    assert [marker.type for marker in bench.shown("plan")] == [Marker.LINE_STRIP, Marker.TEXT_VIEW_FACING]
-
-
-def test_a_rejected_work_plan_disappears(bench):
-    bench.callbacks["review"](Review(plan_id="w1", approved=False))
-    assert len(bench.messages[-1].markers) == 1
-
-
 def test_a_plan_with_an_object_that_makes_no_sense_is_refused(bench):
     path = np.zeros((len(work_plan().trajectory.times), 3))
     message = plan_to_msg(dataclasses.replace(work_plan(), id="w2"), "base", path, CHANGES)
@@ -225,25 +194,6 @@ def test_the_rehearsal_of_the_plan_under_review_is_drawn_whichever_comes_first(r
     assert np.linalg.norm(np.array([arm[-1].pose.position.x, arm[-1].pose.position.z]) - tip[[0, 2]]) < 0.5
 
 
-@pytest.mark.parametrize("approved", [True, False])
-def test_it_goes_with_the_plan(rehearsed, approved):
-    plan = plain_plan()
-    rehearsed.hear_plan(plan)
-    rehearsed.hear_rehearsal(rehearsal(plan))
-    rehearsed.callbacks["review"](Review(plan_id=plan.id, approved=approved))
-    assert rehearsed.namespaces() == []
-    count = len(rehearsed.rehearsals)
-    rehearsed.hear_rehearsal(rehearsal(plan))
-    assert len(rehearsed.rehearsals) == count
-
-
-@pytest.mark.parametrize("changes", [{"plan_hash": "other"}, {"scene": "other"}, {"plan_id": "other"}])
-def test_that_of_another_plan_hash_or_scene_is_not_drawn(rehearsed, changes):
-    rehearsed.hear_plan(plain_plan())
-    rehearsed.hear_rehearsal(rehearsal(plain_plan(), **changes))
-    assert rehearsed.rehearsals == [] and rehearsed.refused == []
-
-
 def test_one_that_is_not_what_its_hash_says_or_is_of_another_arm_is_refused(rehearsed):
     plan = plain_plan()
     rehearsed.hear_plan(plan)
@@ -262,18 +212,3 @@ def test_the_ghost_of_a_rehearsal_carries_what_the_arm_carries_then(rehearsed):
     assert "rehearsal_carried" not in rehearsed.namespaces()
     rehearsed.hear_rehearsal(rehearsal(plan, worst_time=plan.segments[0].end + 0.01))
     assert "rehearsal_carried" in rehearsed.namespaces()
-
-
-def test_the_ghost_is_told_at_each_moment_while_it_moves_and_now_and_then_while_it_rests(bench):
-    assert bench.services["preview_plan"](PreviewPlanRequest(speed=1.0)).success
-    bench.at(bench.now)
-    bench.ghosts.clear()
-    begun = bench.now
-    for cycle in range(1, 11):
-        bench.at(begun + 0.04 * cycle)
-    assert len(bench.ghosts) == 10
-    bench.at(begun + 1e6)
-    bench.ghosts.clear()
-    for cycle in range(1, 51):
-        bench.at(begun + 1e6 + 0.04 * cycle)
-    assert 8 <= len(bench.ghosts) <= 10

@@ -16,7 +16,6 @@ from unplugged import Unplugged
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.extras import check_extras
-from construction_twin.core.sentences import Sentence
 from construction_twin.physics.report import BROKEN, FAILED, PASSED, RehearsalReport, finished
 from construction_twin.planning.timing import time_path
 from construction_twin.planning.work_plan import joined
@@ -28,7 +27,6 @@ from construction_twin.ros.messages.records import from_msg, to_msg
 from construction_twin.ros.messages.scene_convert import scene_to_msg
 from construction_twin.ros.nodes import rehearsal as module
 from construction_twin.ros.nodes.rehearsal import NODE, Settings
-from construction_twin.ros.shared.diagnostics import OK, WARN
 from construction_twin.ros.shared.rehearsal_process import PROGRAM, Question
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
@@ -182,21 +180,6 @@ class TestWhatIsRehearsed:
         assert bench.newest.state == BROKEN and SCENES[1].hash in bench.newest.reasons[0]
         assert bench.process.questions == []
 
-    def test_the_process_is_prepared_once(self, bench):
-        bench.hear_scene()
-        for name in ("p1", "p2"):
-            bench.hear_plan(plain_plan(name))
-            bench.node.work(0.0)
-        assert (bench.process.prepared, len(bench.published)) == (1, 2)
-
-    def test_a_plan_that_is_replaced_before_its_turn_is_left_out(self, bench):
-        bench.hear_scene()
-        bench.hear_plan(plain_plan("p1"))
-        bench.hear_plan(plain_plan("p2"))
-        bench.node.work(0.0)
-        bench.node.work(0.0)
-        assert [question.plan.id for question in bench.process.questions] == ["p2"]
-
 
 class TestAPlanThatTheExecutorRefuses:
     """It has superseded the one under review, which is taken up again."""
@@ -217,46 +200,6 @@ class TestAPlanThatTheExecutorRefuses:
         running.join(SOON)
         assert not running.is_alive()
         assert bench.rehearsed == ["p1"]
-
-    def test_before_it_is_heard_of_here(self, bench):
-        bench.hear_scene()
-        bench.hear_verdict("p2")
-        bench.hear_plan(plain_plan("p1"))
-        bench.hear_plan(plain_plan("p2"))
-        assert bench.rehearsed == ["p1"]
-
-    def test_after_another_one_that_is_refused_too(self, bench):
-        bench.hear_scene()
-        for name in ("p1", "p2", "p3"):
-            bench.hear_plan(plain_plan(name))
-        bench.hear_verdict("p2")
-        bench.hear_verdict("p3")
-        assert bench.rehearsed == ["p1"]
-
-    def test_the_one_that_the_executor_has_replaced_is_not_taken_up(self, bench):
-        bench.hear_scene()
-        for name in ("p1", "p2"):
-            bench.hear_plan(plain_plan(name))
-        bench.hear_verdict("p1")
-        bench.hear_verdict("p2")
-        # nothing is under review: the plan that waits is rehearsed all the same
-        assert bench.rehearsed == ["p2"]
-
-    def test_an_approval_takes_nothing_up(self, bench):
-        bench.hear_scene()
-        for name in ("p1", "p2"):
-            bench.hear_plan(plain_plan(name))
-        bench.hear_verdict("p2", approved=True)
-        assert bench.rehearsed == ["p2"]
-
-    def test_only_the_newest_are_remembered(self, bench):
-        bench.hear_scene()
-        for number in range(20):
-            bench.hear_plan(plain_plan(f"p{number}"))
-        for number in reversed(range(1, 20)):
-            bench.hear_verdict(f"p{number}")
-        # p19 waits; of the 12 before it the last is p7, which nothing replaces
-        assert bench.rehearsed == ["p7"]
 
 
 class TestMasses:
@@ -279,13 +222,6 @@ class TestMasses:
         assert bench.process.questions[1].masses == {"tool": 18.0}
         assert bench.newest.tool == tool_hash(bench.settings.tool) != ""
 
-    def test_a_mass_that_nobody_says_is_left_to_the_estimate(self, bench):
-        bench.plug.callbacks["work/tasks"](WorkTasks(tasks=[WorkTask(id="t", element="beam", mass_kg=math.nan)]))
-        bench.hear_scene()
-        bench.hear_plan(work_plan())
-        bench.node.work(0.0)
-        assert bench.process.questions[0].masses == {}
-
     def test_of_what_earlier_tasks_have_placed_and_who_says_none_is_named(self, bench):
         stands = [dataclasses.replace(STOCK, name=f"{name}/0") for name in ("laid", "guessed", "waits")]
         scene = Scene((*SCENES[0].objects, *stands), 0.01)
@@ -307,24 +243,6 @@ class TestMasses:
         assert (laid.masses, laid.standing, laid.unweighed) == ({"laid": 3.5}, ("laid",), ("guessed",))
         assert (ready.masses, ready.standing, ready.unweighed) == ({}, (), ("guessed",))
         assert hashes[0] != hashes[1]
-
-    def test_what_a_plan_carries_does_not_stand(self, bench):
-        bench.plug.callbacks["work/tasks"](
-            WorkTasks(tasks=[WorkTask(id="t", element="beam", mass_kg=42.0, state="done")])
-        )
-        bench.hear_scene()
-        bench.hear_plan(work_plan())
-        bench.node.work(0.0)
-        question = bench.process.questions[0]
-        assert (question.masses, question.standing, question.unweighed) == ({"beam": 42.0}, (), ())
-
-    def test_another_mass_is_another_hash(self, bench):
-        bench.hear_scene()
-        for mass in (42.0, 43.0):
-            bench.plug.callbacks["work/tasks"](WorkTasks(tasks=[WorkTask(id="t", element="beam", mass_kg=mass)]))
-            bench.hear_plan(work_plan())
-            bench.node.work(0.0)
-        assert bench.published[0].inputs != bench.published[1].inputs
 
 
 class TestBroken:
@@ -384,28 +302,6 @@ class TestBroken:
         message.hash = "0" * 64
         bench.plug.callbacks["plan"](message)
         assert [reason for reason, _ in bench.plug.refused] == ["plan"]
-
-
-def test_its_state_is_a_sentence_that_every_language_has(bench):
-    assert bench.node.report().sentence.key == "rehearsal.node.none"
-    bench.hear_scene()
-    running = bench.begin("p1")
-    assert bench.node.report().sentence.key == "rehearsal.node.running"
-    bench.process.interrupt()
-    running.join(SOON)
-    broken = bench.node.report()
-    assert (broken.level, broken.sentence.key, broken.sentence.values["plan"]) == (WARN, "rehearsal.node.broken", "p1")
-    assert "signal 9" in broken.sentence
-    bench.process.answers = True
-    bench.hear_plan(plain_plan("p2"))
-    bench.node.work(0.0)
-    assert (bench.node.report().level, bench.node.report().sentence) == (OK, "plan p2: passed")
-    found = RehearsalReport("p3", state=FAILED, reasons=(Sentence("rehearsal.mass", mass=2.0, rated=1.0), "more"))
-    bench.process.ask = lambda *_, **__: found
-    bench.hear_plan(plain_plan("p3"))
-    bench.node.work(0.0)
-    failed = bench.node.report()
-    assert (failed.level, failed.sentence.key) == (OK, "rehearsal.node.failed") and "2.0 kg" in failed.sentence
 
 
 def test_without_mujoco_it_rests_where_nobody_asked_for_it_and_else_does_not_start(monkeypatch):

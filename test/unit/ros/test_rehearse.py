@@ -15,13 +15,11 @@ import rosbag
 import rospy
 from matplotlib.image import imread
 from physics_samples import ROOT, between
-from PIL import Image
 from plan_samples import make_plan
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.physics import film
 from construction_twin.robot.plan import Plan
-from construction_twin.robot.tool import tool_hash
 from construction_twin.ros.commands.evaluate import package_file
 from construction_twin.ros.commands.rehearse import BROKEN, FAILED, PASSED, main
 from construction_twin.ros.messages.convert import plan_to_msg
@@ -74,19 +72,6 @@ def test_a_wall_in_the_way_ends_with_1_and_is_named(plan, wall, capsys):
     assert "touches wall after" in said
 
 
-def test_a_load_beyond_the_rating_ends_with_1(plan, capsys):
-    assert main([str(plan), "--payload", "140"]) == FAILED
-    assert "140.0 kg" in capsys.readouterr().out
-
-
-def test_json_is_the_whole_report(plan, wall, capsys):
-    assert main([str(plan), "--scene", str(wall), "--json"]) == FAILED
-    report = json.loads(capsys.readouterr().out)
-    assert report["state"] == "failed"
-    assert report["contacts"][0]["second"] == "wall"
-    assert [axis["joint"] for axis in report["axes"]] == [f"joint_a{number}" for number in range(1, 7)]
-
-
 @pytest.mark.parametrize(
     "options",
     [
@@ -107,17 +92,6 @@ def test_what_cannot_be_rehearsed_ends_with_2_and_one_sentence(plan, options, ca
     assert said.out == ""
     assert said.err.startswith("rehearse: ")
     assert said.err.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [("none.csv", "is not there; check the name"), ("none.bag", "is not there; check the name"), ("", "is a folder; name a file"),
-     ("bytes.csv", "is no text in UTF-8 from byte 3 on")],
-)  # fmt: skip
-def test_a_file_that_cannot_be_read_is_named_without_the_numbers_of_the_system(tmp_path, capsys, name, said):
-    (tmp_path / "bytes.csv").write_bytes(b"t,a\xff\n")
-    assert main([str(tmp_path / name)]) == BROKEN
-    assert capsys.readouterr().err.startswith(f"rehearse: {tmp_path / name} {said}")
 
 
 @pytest.mark.parametrize("text", ["", "1,2,3\n", f"{NAMES}\n0,0,0,0,0,0,9999\n1,0,0,0,0,0,0\n"])
@@ -143,40 +117,6 @@ def test_what_means_nothing_here_is_refused_before_the_rehearsal(plan, wall, opt
     assert words in said.err and said.out == ""
 
 
-def test_the_mass_of_a_body_is_divided_among_its_objects_and_part_of_the_report_s_inputs(plan, tmp_path, capsys):
-    scene = tmp_path / "stock.yaml"
-    pieces = "".join(
-        f"  stock/{number}: {{shape: box, size: [0.2, 0.2, 0.2], position: [{number}, 3.0, 0.1]}}\n"
-        for number in (1, 2)
-    )
-    scene.write_text(f"padding: 0.0\nobjects:\n{pieces}")
-    inputs = []
-    for options in (["--mass", "stock=8"], ["--mass", "stock/1=4", "--mass", "stock/2=4"], ["--mass", "stock=9"]):
-        main([str(plan), "--scene", str(scene), *options, "--json"])
-        inputs.append(json.loads(capsys.readouterr().out)["inputs"])
-    assert inputs[0] == inputs[1] != inputs[2]
-
-
-def test_a_tool_is_at_the_flange_with_its_mass(plan, capsys):
-    tool = str(package_file("config/tools/vacuum_frame.yaml"))
-    assert main([str(plan), "--tool", tool, "--json"]) == PASSED
-    report = json.loads(capsys.readouterr().out)
-    assert report["payload"]["mass"] == pytest.approx(18.0) and not report["payload"]["estimated"]
-    assert report["tool"] == tool_hash(tool)
-
-
-def test_an_object_with_a_mass_can_be_pushed(plan, wall, capsys):
-    wall.write_text(f"{WALL}  floor: {{shape: box, size: [9.0, 9.0, 1.0], position: [0.0, 0.0, -0.5]}}\n")
-    assert main([str(plan), "--scene", str(wall), "--mass", "wall=30"]) == FAILED
-    assert "object wall: stands, moved" in capsys.readouterr().out
-
-
-def test_an_object_that_would_fall_by_itself_is_told_and_not_blamed_on_the_plan(plan, wall, capsys):
-    assert main([str(plan), "--scene", str(wall), "--mass", "wall=30"]) == FAILED
-    told = capsys.readouterr().out
-    assert "object wall" not in told and "without any plan these would move" in told
-
-
 def test_the_picture_shows_the_arm_and_in_red_what_touches(plan, wall, tmp_path, with_graphics):
     picture = tmp_path / "out.png"
     assert main([str(plan), "--scene", str(wall), "--picture", str(picture)]) == FAILED
@@ -199,17 +139,6 @@ def test_the_video_lasts_as_long_as_the_rehearsal(plan, tmp_path, with_graphics,
     assert seconds == pytest.approx(frames / 5.0, abs=0.3)
 
 
-def test_without_graphics_everything_but_the_picture_is_there(plan, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(film, "WAYS", ("no_such_way",))
-    monkeypatch.delenv("MUJOCO_GL", raising=False)
-    picture = tmp_path / "out.png"
-    assert main([str(plan), "--picture", str(picture)]) == PASSED
-    said = capsys.readouterr()
-    assert re.match(r"rehearsal of plan \w+: passed", said.out)
-    assert said.err.startswith("rehearse: no picture can be drawn here: no_such_way")
-    assert not picture.exists()
-
-
 def as_a_process(plan, **changed: str) -> subprocess.CompletedProcess:
     environment = {name: value for name, value in os.environ.items() if name != "ROS_MASTER_URI"} | changed
     program = "import sys; from construction_twin.ros.commands.rehearse import main; sys.exit(main(sys.argv[1:]))"
@@ -222,35 +151,6 @@ def test_it_needs_no_ros_master(plan):
     done = as_a_process(plan)
     assert done.returncode == PASSED, done.stderr
     assert re.match(r"rehearsal of plan \w+: passed", done.stdout)
-
-
-def test_a_way_to_draw_that_mujoco_does_not_know_is_no_failed_rehearsal(plan):
-    done = as_a_process(plan, MUJOCO_GL="bogus")
-    assert done.returncode == BROKEN
-    assert done.stderr.startswith("rehearse: MuJoCo cannot be loaded: ") and "bogus" in done.stderr
-    assert done.stderr.count("\n") == 1
-
-
-def test_picture_and_video_carry_of_which_result_they_are_and_what_simulated(plan, tmp_path, with_graphics, capsys):
-    picture, video = tmp_path / "out.png", tmp_path / "out.mp4"
-    report = said_of([str(plan), "--picture", str(picture), "--video", str(video), "--rate", "2"], capsys)
-    words = [report["engine"], report["hash"], f"plan {report['plan_id']}: passed"]
-    assert report["engine"].startswith("MuJoCo 4.")
-    with Image.open(picture) as opened:
-        described = opened.info["Description"]
-    # what a player of videos shows
-    read = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", str(video), "-f", "ffmetadata", "-"]
-    commented = subprocess.run(read, capture_output=True, text=True, check=True, timeout=60).stdout
-    assert all(word in described and word in commented for word in words)
-
-
-def test_an_ffmpeg_that_ends_early_is_a_sentence_and_changes_nothing_of_the_result(
-    plan, tmp_path, monkeypatch, with_graphics, capsys
-):
-    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "/bin/false")
-    assert main([str(plan), "--video", str(tmp_path / "out.mp4"), "--rate", "2"]) == PASSED
-    said = capsys.readouterr()
-    assert said.err == "rehearse: the video could not be encoded: the program ffmpeg ended early\n"
 
 
 def test_the_drives_of_another_arm_are_those_beside_its_file_or_none(tmp_path, capsys):
@@ -302,37 +202,11 @@ def test_of_a_bag_the_newest_plan_is_rehearsed_or_the_one_that_is_named(bag, wal
     assert (newest["plan_id"], newest["plan_hash"]) == ("p2", planned("p2", 0.7).hash)
 
 
-def test_of_a_bag_payload_mass_and_robot_count_as_for_a_file(bag, capsys):
-    alone = said_of([str(bag)], capsys)
-    loaded = said_of([str(bag), "--payload", "100,0,0,0.2", "--robot", "/kr120"], capsys)
-    assert loaded["payload"]["mass"] == 100.0 and loaded["payload"]["along"] == pytest.approx(0.2)
-    assert loaded["axes"][1]["peak"] > 1.2 * alone["axes"][1]["peak"]
-    assert main([str(bag), "--payload", "140"]) == FAILED
-
-
-def test_of_a_bag_picture_and_video_are_drawn(bag, wall, tmp_path, with_graphics, capsys):
-    picture, video = tmp_path / "out.png", tmp_path / "out.mp4"
-    drawn = ["--picture", str(picture), "--video", str(video), "--rate", "4"]
-    assert main([str(bag), "--plan-id", "p1", "--scene", str(wall), *drawn]) == FAILED
-    said = capsys.readouterr().out
-    assert re.search(r"rehearsal of plan p1: failed", said) and f"{picture}: after" in said
-    assert imread(picture).shape[:2] == (film.HEIGHT, film.WIDTH)
-    frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(video))
-    assert frames >= 8 and seconds == pytest.approx(frames / 4.0, abs=0.3)
-
-
 @pytest.mark.parametrize("arguments", [("--plan-id", "p9"), ("--robot", "/ur")])
 def test_a_plan_or_robot_that_the_bag_does_not_have_ends_with_2(bag, arguments, capsys):
     assert main([str(bag), *arguments]) == BROKEN
     said = capsys.readouterr().err
     assert said.startswith("rehearse: ") and said.count("\n") == 1
-
-
-@pytest.mark.parametrize("content", [b"", b"no bag at all", None])
-def test_a_bag_that_is_none_or_is_cut_off_ends_with_2(bag, content, capsys):
-    bag.write_bytes(bag.read_bytes()[:-200] if content is None else content)
-    assert main([str(bag)]) == BROKEN
-    assert capsys.readouterr().err.startswith("rehearse: ")
 
 
 def test_a_plan_of_another_arm_ends_with_2(bag, capsys):

@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import pytest
@@ -14,7 +13,7 @@ import rosgraph
 from ros_master import ros_master
 
 from construction_twin.ros.commands import preflight
-from construction_twin.ros.shared.start_claim import PARAMETERS, REMOTE, claim
+from construction_twin.ros.shared.start_claim import PARAMETERS, claim
 
 NO_MASTER = "http://127.0.0.1:1/"
 
@@ -63,48 +62,6 @@ def test_the_master_tells_those_who_share_no_folder(tmp_path, starts, master):
     assert claim("kr120", master, second.pid, tmp_path / "b") == ""
     (text,) = server.getParam(f"{PARAMETERS}/kr120").values()
     assert json.loads(text)["pid"] == second.pid
-
-
-def test_another_machine_s_claim_counts_for_half_a_minute(tmp_path, starts, master):
-    other = {"host": "elsewhere", "pid": 77, "began": 5, "at": 1000.0}
-    rosgraph.Master("/test", master).setParam(f"{PARAMETERS}/kr120/p77", json.dumps(other))
-    said = claim("kr120", master, starts[0].pid, tmp_path, lambda: 1000.0 + REMOTE - 1.0)
-    assert said == f"process 77 on elsewhere has begun to start it on {master}"
-    assert claim("kr120", master, starts[0].pid, tmp_path, lambda: 1000.0 + REMOTE + 1.0) == ""
-
-
-def test_what_is_no_claim_is_in_nobody_s_way(tmp_path, starts, master):
-    rosgraph.Master("/test", master).setParam(f"{PARAMETERS}/kr120/x", "rubbish")
-    claim("kr120", master, starts[0].pid, tmp_path)
-    for file in tmp_path.iterdir():
-        file.write_text("{")
-    assert claim("kr120", master, starts[0].pid, tmp_path) == ""
-
-
-@pytest.mark.parametrize("shared", [True, False])
-def test_of_many_at_the_same_moment_never_two_are_let_through(tmp_path, master, shared):
-    starts = [subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) for _ in range(6)]
-    try:
-        for round_ in range(8):
-            robot, answers, gate = f"arm_{round_}", [], threading.Barrier(len(starts))
-
-            def ask(number, pid, robot=robot, answers=answers, gate=gate):
-                folder = tmp_path if shared else tmp_path / str(number)
-                gate.wait(10.0)
-                answers.append(claim(robot, master, pid, folder))
-
-            threads = [threading.Thread(target=ask, args=(k, start.pid)) for k, start in enumerate(starts)]
-            for thread in threads:
-                thread.start()
-            for thread in threads:
-                thread.join(20.0)
-            # with a file one wins; over the master alone both may be refused
-            assert len(answers) == len(starts) and answers.count("") in ((1,) if shared else (0, 1))
-    finally:
-        for start in starts:
-            start.kill()
-            start.wait(10.0)
-            start.stdin.close()
 
 
 def test_preflight_refuses_it_in_one_sentence(tmp_path, monkeypatch, starts):

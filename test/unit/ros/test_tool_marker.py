@@ -6,7 +6,6 @@ from types import SimpleNamespace
 
 import pytest
 from executor_bench import ROBOT, make_plan
-from geometry_msgs.msg import Pose
 from visualization_msgs.msg import InteractiveMarkerFeedback
 
 from construction_twin.kinematics.chain import Chain
@@ -15,9 +14,7 @@ from construction_twin.link.remote_review import ReviewRequest
 from construction_twin.ros.shared import tool_marker_menu as module
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.tool_marker_menu import SHOWN, ToolMarkerMenu
-from construction_twin.ros.shared.tool_marker_shapes import tool_marker, verdict_markers
 from construction_twin.views.marker_goal import MarkerGoal
-from construction_twin.views.reachability import Reach
 
 
 class Client:
@@ -140,28 +137,3 @@ def test_one_plan_at_a_time(world):
     world.client.plan = second
     world.menu.choose("Plan")
     assert [line for line in world.said if "being made already" in line] and world.said[-1] == "Plan: planned"
-
-
-def test_the_handle_lies_outside_of_the_verdict():
-    """rviz gives a click to what it meets first: a sphere over the handle would swallow the menu."""
-    (menu,) = [control for control in tool_marker("base", Pose(), 0.6).controls if control.name == "menu"]
-    sphere = verdict_markers("base", Pose(), 0.6, Reach.FREE, ["free"]).markers[0]
-    assert menu.markers[0].scale.x > sphere.scale.x > 0.0
-    assert menu.markers[0].color.a < 0.5
-
-
-def test_a_longer_text_ends_further_below_and_begins_where_a_short_one_does():
-    short, longer = (verdict_markers("base", Pose(), 1.0, None, ["a line"] * n).markers[1] for n in (1, 4))
-    assert longer.pose.position.z < short.pose.position.z < -0.5
-    half = 0.5 * 1.2 * short.scale.z
-    assert longer.pose.position.z + 4 * half == pytest.approx(short.pose.position.z + half)
-
-
-@pytest.mark.parametrize("reach", [*Reach, None])
-def test_the_tool_path_is_seen_through_the_marker(reach):
-    """Through the shell around the sphere and the sphere itself, one behind the other: the near and the far side of each."""
-    pose = Pose()
-    handle = tool_marker("base_link", pose, 0.4).controls[0].markers[0]
-    sphere, _text = verdict_markers("base_link", pose, 0.4, reach, ["free"]).markers
-    assert 0.0 < handle.color.a <= 0.6 and 0.0 < sphere.color.a <= 0.6
-    assert (1.0 - handle.color.a) * (1.0 - sphere.color.a) > 0.3

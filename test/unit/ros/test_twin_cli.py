@@ -22,7 +22,7 @@ from construction_twin.core.errors import ConfigurationError, SilenceError
 from construction_twin.physics.report import FAILED, RehearsalReport, finished
 from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.commands import twin as twin_cli
-from construction_twin.ros.commands import twin_line, twin_rehearsal
+from construction_twin.ros.commands import twin_rehearsal
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.views.arguments import Exit, parser
@@ -50,15 +50,6 @@ def test_a_port_without_anybody_is_no_master(monkeypatch):
         port = free.getsockname()[1]
     with pytest.raises(SilenceError, check=holds("problem", "view.silent.no_master")):
         connect(monkeypatch, f"http://127.0.0.1:{port}")
-
-
-def test_somebody_who_takes_the_call_and_says_nothing_is_no_master(monkeypatch):
-    with socket.socket() as mute:
-        mute.bind(("127.0.0.1", 0))
-        mute.listen()
-        with pytest.raises(SilenceError, check=holds("problem", "view.silent.no_master")):
-            connect(monkeypatch, f"http://127.0.0.1:{mute.getsockname()[1]}")
-    assert socket.getdefaulttimeout() is None
 
 
 @pytest.mark.parametrize(
@@ -110,39 +101,6 @@ def test_a_command_gives_up_on_a_master_that_keeps_silent(program):
         )
     assert run.returncode != 0 and run.stdout == ""
     assert run.stderr == (f"{name}: {uri}: no ROS master answers (timed out); start bringup, or set ROS_MASTER_URI\n")
-
-
-@pytest.mark.parametrize("error", [KeyError, OSError])
-def test_an_account_without_a_name_has_a_number(monkeypatch, error):
-    def nameless() -> str:
-        raise error("uid not found")
-
-    monkeypatch.setattr(twin_cli.getpass, "getuser", nameless)
-    assert twin_cli.account_name() == f"uid {os.getuid()}"
-
-
-def test_who_stops_a_robot_waits_for_no_library_that_plans_or_draws():
-    code = "import sys, construction_twin.ros.commands.twin; print(*sorted({name.partition('.')[0] for name in sys.modules}))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert not {"scipy", "coal", "ompl", "toppra", "matplotlib", "ifcopenshell"} & set(done.stdout.split())
-
-
-@pytest.mark.parametrize(
-    "arguments", [["--help"], ["plan", "--help"], ["plan", "--joints", "no numbers"], ["nonsense"]]
-)
-def test_help_and_a_refused_option_wait_for_no_ros(arguments):
-    loaded = "import atexit, sys; atexit.register(lambda: print(*sys.modules, file=sys.stderr))"
-    code = f"{loaded}; from construction_twin.ros.commands.twin_line import main; main()"
-    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True)
-    assert done.returncode == (0 if "--help" in arguments else 2)
-    assert not {"rospy", "rosgraph", "numpy", "pydantic"} & set(done.stderr.splitlines()[-1].split())
-
-
-def test_remappings_are_no_options(capsys, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["twin", "__name:=x", "--help"])
-    with pytest.raises(SystemExit) as ended:
-        twin_line.main()
-    assert ended.value.code == 0 and "usage: twin" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

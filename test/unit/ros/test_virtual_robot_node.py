@@ -15,10 +15,9 @@ from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.executor import TWIN_TIMEOUT
-from construction_twin.ros.messages.scene_convert import scene_to_msg
 from construction_twin.ros.nodes import virtual_robot as module
 from construction_twin.ros.transport import cycle
-from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.scene.objects import Scene
 from construction_twin.twin.virtual_robot import SILENCE, VirtualRobot
 
 HOME = ROBOT.home
@@ -116,11 +115,6 @@ def world(monkeypatch):
     return World(monkeypatch)
 
 
-def test_while_commands_come_the_clock_hardly_runs(world):
-    began = world.play(2 * NANOSECONDS, [(0, 2000)])
-    assert len(world.between(began, world.steady)) == 500 and world.cycles < 20
-
-
 @pytest.mark.parametrize("phase", range(0, 260, 20))
 def test_after_a_silence_the_pose_is_repeated_at_once_and_in_time(world, phase):
     last = 1000 + phase
@@ -195,18 +189,6 @@ def test_commands_of_an_executor_that_began_on_a_clock_that_was_set_back_are_pub
     assert all(abs(at + world.offset - stamp) <= CYCLE_NS for at, stamp in after)
     times = [at for at, _ in second + after]
     assert max(later - earlier for earlier, later in zip(times, times[1:])) < SILENCE + 3 * CYCLE_NS < TWIN_TIMEOUT
-
-
-def test_so_are_those_of_one_that_begins_behind_a_silence_without_a_session(world):
-    """With arm:=none there are no sessions; nothing is executed that is not at the twin's pose."""
-
-    def restart() -> None:
-        world.wall -= 600 * NANOSECONDS
-        world.offset -= 600 * NANOSECONDS
-
-    began = world.play(6 * NANOSECONDS, [(0, 2000), (4000, 5000)], t3000=restart)
-    second = world.between(began + 4000 * MS + 1, began + 5000 * MS)
-    assert len(second) >= 250 and all(abs(at + world.offset - stamp) <= CYCLE_NS for at, stamp in second)
 
 
 def test_commands_that_were_held_up_are_of_the_same_clock(world):
@@ -300,12 +282,6 @@ def test_a_simulated_arm_that_falls_changes_nothing_of_what_is_commanded(massive
     assert massive.refused == []
 
 
-def test_efforts_are_told_at_50_hz(massive):
-    for stamp in STAMPS:
-        massive.node.on_command(stamp, HOME)
-    assert [stamp for stamp, _ in massive.of("effort")] == STAMPS[::5]
-
-
 def test_a_new_session_begins_the_simulation_anew(massive):
     massive.node.on_command(STAMPS[0], HOME)
     massive.node.on_link(Link(session="s2", state=Link.ARMED))
@@ -313,28 +289,6 @@ def test_a_new_session_begins_the_simulation_anew(massive):
     # and a command of the stream before is neither executed nor simulated
     massive.node.on_command(STAMPS[1], HOME)
     assert massive.live.fallen == 0
-
-
-def test_each_scene_is_built_once_and_one_that_cannot_be_built_leaves_the_one_before(massive):
-    scene = Scene((SceneObject("cube", "box", (0.1,) * 3, (1.0, 1.0, 1.0)),))
-    massive.node.on_scene(scene_to_msg(scene, rospy.Time(1), "base_link"))
-    massive.node.on_scene(scene_to_msg(scene, rospy.Time(2), "base_link"))
-    assert massive.built == [scene] and len(massive.live.models) == 1
-    massive.failure = "no inertia"
-    massive.node.on_scene(scene_to_msg(Scene(), rospy.Time(3), "base_link"))
-    assert len(massive.live.models) == 1 and massive.refused == [("scene", "no inertia")]
-    assert massive.node.report().sentence == "no inertia"
-    massive.failure = ""
-    massive.node.on_scene(scene_to_msg(Scene(), rospy.Time(4), "base_link"))
-    report = massive.node.report()
-    assert len(massive.live.models) == 2 and report.sentence == "executing"
-    assert report.values["simulated scene"] == Scene().hash
-
-
-def test_contacts_of_the_simulated_arm_are_a_warning(massive):
-    massive.live.contacts = (("link_3", "wall"),)
-    report = massive.node.report()
-    assert report.sentence == "the simulated arm touches: link_3 + wall"
 
 
 def test_the_simulation_goes_on_while_no_commands_come(world):
@@ -355,16 +309,6 @@ def test_the_simulation_goes_on_while_no_commands_come(world):
     silent = world.between(began + 400 * MS, began + NANOSECONDS)
     assert len(silent) >= 148 and live.fallen == len(world.published)
     assert set(commanded) == {HOME}
-
-
-def test_only_a_twin_with_mass_has_its_topics(monkeypatch):
-    def topics(twin: str) -> set[str]:
-        settings = module.Settings(arm="none", twin=twin, self_collision="", drives="")
-        return {name for _, name in Unplugged(monkeypatch, module.NODE, settings, ROBOT).opened}
-
-    assert topics("mujoco") - topics("kinematic") == {"twin/commanded", "twin/effort", "scene", "work/tasks"}
-    # efforts are told by Gazebo itself
-    assert topics("gazebo") - topics("kinematic") == {"twin/commanded", "gazebo/joint_states"}
 
 
 # -- a twin in Gazebo
@@ -390,15 +334,6 @@ def test_what_gazebo_answers_is_the_twin_s_pose_with_the_stamp_of_the_command(mo
     assert bench.published["twin/joint_states"] == [(stamp, sagged) for stamp in STAMPS[:3]]
     assert bench.published["twin/commanded"] == [(stamp, HOME) for stamp in STAMPS[:3]]
     assert bench.refused == [] and bench.report().sentence == "executing"
-
-
-def test_an_answer_to_no_command_is_refused_and_counted(monkeypatch):
-    bench = in_gazebo(monkeypatch)
-    bench.node.on_command(STAMPS[0], HOME)
-    for stamp in (STAMPS[1], STAMPS[0], STAMPS[0]):
-        bench.callbacks["gazebo/joint_states"](stamp, HOME)
-    assert bench.published["twin/joint_states"] == [(STAMPS[0], HOME)]
-    assert [reason for reason, _ in bench.refused] == ["answer", "answer"]
 
 
 def test_a_silent_gazebo_is_told_and_what_is_commanded_goes_on(monkeypatch):

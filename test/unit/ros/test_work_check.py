@@ -1,7 +1,5 @@
 """The command `work check`: exit codes, one sentence for what cannot be checked, the files that it leaves."""
 
-import importlib.util
-import json
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +8,7 @@ import make_models
 import pytest
 import yaml
 
-from construction_twin.ros.commands.work_check import ALL, NOT_CHECKED, SOME, main
+from construction_twin.ros.commands.work_check import NOT_CHECKED, SOME, main
 
 ROOT = Path(__file__).resolve().parents[3]
 CELL = ROOT / "config/work/timber_panel.yaml"
@@ -39,16 +37,6 @@ def cell(tmp_path, **changes):
     path = tmp_path / "cell.yaml"
     path.write_text(yaml.safe_dump(content | changes))
     return path
-
-
-def test_a_model_without_schedule_is_checked_in_a_proposed_order(small, tmp_path, capsys):
-    out = tmp_path / "out"
-    status = main([str(small), "--cell", str(cell(tmp_path)), "--track", "--processes", "1", "--output", str(out)])
-    printed = capsys.readouterr().out
-    assert status == ALL and "1 of 1 tasks are possible" in printed
-    assert "a person must accept it" in " ".join(printed.split())
-    content = json.loads((out / "check.json").read_text())
-    assert content["proposed"] and content["possible"] == 1 and (out / "check.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_task_that_is_not_possible_ends_with_another_code_and_its_reason(small, tmp_path, capsys):
@@ -92,18 +80,6 @@ def test_what_cannot_be_checked_is_one_sentence_and_code_2(small, tmp_path, mode
     error = capsys.readouterr().err
     assert error.startswith("work check: ") and message in error and error.count("\n") == 1
     assert "Traceback" not in error
-
-
-def test_a_missing_package_is_named_with_what_installs_it(tmp_path, monkeypatch, capsys):
-    find = importlib.util.find_spec
-    monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name, *rest: None if name == "shapely" else find(name, *rest)
-    )
-    assert main([str(tmp_path / "m.ifc"), "--cell", str(CELL)]) == NOT_CHECKED
-    assert (
-        capsys.readouterr().err
-        == "work check: shapely: found nothing, expected that it is installed; run setup/setup.sh work\n"
-    )
 
 
 def test_the_installed_program_takes_check_as_its_first_word_without_a_master(tmp_path):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import pytest
@@ -73,12 +72,6 @@ def test_at_least_ten_are_shipped_and_those_that_run_live_are_among_them():
     assert len(FILES) >= 10
     live = [path.stem.removeprefix("scenario_") for path in (ROOT / "test/integration").glob("scenario_*.test")]
     assert live and set(live) <= {path.stem for path in FILES}
-
-
-def test_the_launch_tests_of_scenarios_use_ports_of_their_own():
-    files = sorted((ROOT / "test/integration").glob("scenario_*.test"))
-    ports = [port for path in files for port in re.findall(r"(?:broker|rsi)_port:=(\d+)", path.read_text())]
-    assert len(ports) == 2 * len(files) == len(set(ports))
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)

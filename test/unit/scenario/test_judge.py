@@ -17,8 +17,7 @@ from construction_twin.gateway.trace import TraceEntry
 from construction_twin.robot.description import read_robot_files
 from construction_twin.scenario.definition import make_scenario
 from construction_twin.scenario.judge import judge, matches
-from construction_twin.scenario.motion import distance_after, limit_usage, trace_arrays
-from construction_twin.scenario.table import BEGIN, END, markdown_table, put_into, read_verdicts
+from construction_twin.scenario.motion import limit_usage, trace_arrays
 from construction_twin.scenario.timeline import Change, GatewayStop, Run, SyncMoment
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -278,13 +277,6 @@ def test_a_controller_at_12_ms_is_judged_by_its_own_cycle():
     assert verdict.measured["acceleration_fraction"] == pytest.approx(most, rel=1e-3)
 
 
-def test_at_12_ms_too_the_arm_rests_after_a_missed_telegram():
-    for missed, begins in ((0, [0]), (1, [0, 10]), (2, [0, 10])):
-        entries = make_trace(np.cumsum(np.full((20, 6), 1e-4), axis=0), 12)
-        entries = [dataclasses.replace(e, ipoc=e.ipoc + (12 * missed if k >= 10 else 0)) for k, e in enumerate(entries)]
-        assert np.flatnonzero(trace_arrays(entries, 0.012)[1]).tolist() == begins
-
-
 def test_what_leaves_the_limits_at_12_ms_fails():
     jump = profile()[::3].copy()
     # more than at 12 ms, less than a third of it would be at 4 ms
@@ -334,25 +326,3 @@ def test_a_trace_with_missed_telegrams_goes_on_from_rest():
     velocity, acceleration = limit_usage(rows, breaks, LIMITS, 6, CYCLE)
     np.testing.assert_allclose(velocity, 1e-4 / CYCLE / np.array(LIMITS.velocity), rtol=1e-3)
     assert (acceleration > 0).all()
-
-
-def test_distance_after_an_event():
-    stamps = T0 + CYCLE_NS * np.arange(100)
-    q = np.minimum(np.arange(100), 40)[:, None] * 0.01
-    distance, rest = distance_after(stamps, q, int(stamps[20]), int(stamps[99]))
-    assert distance[0] == pytest.approx(0.21, abs=0.011)
-    assert rest == pytest.approx(20 * CYCLE)
-
-
-def test_tables_span_the_runs(tmp_path):
-    import json
-
-    for number, run in enumerate((stalled_run(), stalled_run())):
-        folder = tmp_path / f"run_{number}" / "test"
-        folder.mkdir(parents=True)
-        (folder / "verdict.json").write_text(json.dumps(verdict_of(stall_expectation(), run).to_dict()))
-    table = markdown_table(read_verdicts(tmp_path))
-    row = table.splitlines()[2]
-    assert row.startswith("| `test` | IN_SYNC → HOLDING; plan held | 0.120 |") and row.endswith("| 2 of 2 |")
-    text = put_into(f"a\n{BEGIN}\nold\n{END}\nb\n", table, "here")
-    assert text == f"a\n{BEGIN}\n{table}{END}\nb\n"

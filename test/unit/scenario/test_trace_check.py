@@ -92,14 +92,6 @@ def test_velocity_and_range_are_checked():
     assert kinds(trace([0.0], start=LIMITS.upper[0] + 1e-6)) == [(0, "A1", "range"), (1, "A1", "range")]
 
 
-@pytest.mark.parametrize("kind", ["range", "acceleration"])
-def test_what_is_found_says_where_and_how_much(kind):
-    entries = trace([0.0], start=1.0) if kind == "range" else trace([WIDE * 3])
-    found = trace_excesses(entries, LIMITS, 3)[0]
-    assert found.kind == kind
-    assert f"A1 {kind} {found.value:.6g}; limit {found.limit:.6g}" in str(found)
-
-
 @pytest.mark.parametrize("state", [State.READY, State.ARMED])
 def test_where_the_pose_follows_the_controller_only_its_range_is_judged(state):
     """And the first cycle of a stream is judged as one from rest."""

@@ -204,7 +204,7 @@ def test_all_free_names_the_first_row_in_contact():
 
 
 @pytest.mark.parametrize("robot, pairs", [(kr120, kr120_pairs), (ur_like, ur_like_pairs), (track7, track7_pairs)])
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=3, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_smallest_distance_of_many_rows_is_that_of_all_rows_and_of_what_lies_between_them(robot, pairs, seed):
     checked = CollisionWorld(robot(), clutter(seed % 7), pairs())

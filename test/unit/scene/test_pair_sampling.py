@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import io
 import itertools
-import os
-import pty
-import select
-import sys
 from functools import cache
 from pathlib import Path
 
@@ -19,7 +14,7 @@ from scene_samples import ROOT, kr120, random_poses, track7, ur_like
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.pair_sampling import OpenPairs, PairSampler, sample_pairs
-from construction_twin.scene.self_collision_command import main, progress
+from construction_twin.scene.self_collision_command import main
 
 SAMPLES, SEED, NEAR = 600, 3, 0.05
 
@@ -88,12 +83,6 @@ def test_a_pair_is_not_asked_again_when_its_answer_is_known():
     assert first & sampler.ask(300, SAMPLES, everything) == sampler.ask(300, SAMPLES, first)
 
 
-def test_other_processes_are_not_started_for_what_this_one_does_at_once():
-    """A clock that stands still: no work seems left, so that a wrong number of processes would not matter."""
-    found = sample_pairs(ur_like(), pairs(ur_like()), NEAR, SAMPLES, SEED, 1000, clock=lambda: 0.0)
-    assert found == sample_pairs(ur_like(), pairs(ur_like()), NEAR, SAMPLES, SEED)
-
-
 def write_robot_yaml(folder: Path) -> Path:
     path = folder / "mesh_arm.yaml"
     path.write_text((ROOT / "test/data/ur_like.yaml").read_text().replace("name: ur_like", "name: mesh_arm"))
@@ -119,51 +108,3 @@ def test_an_arm_of_simple_shapes_gets_no_proposal(tmp_path, capsys):
     output = tmp_path / "pairs.yaml"
     main([str(ROOT / "test/data/ur_like.urdf"), str(ROOT / "test/data/ur_like.yaml"), str(output), "--samples", "300"])
     assert len(capsys.readouterr().out.splitlines()) == 1 and list(tmp_path.iterdir()) == [output]
-
-
-def test_hulls_can_be_left_out(tmp_path, capsys):
-    urdf, robot_yaml = write_mesh_arm(tmp_path), write_robot_yaml(tmp_path)
-    main([str(urdf), str(robot_yaml), str(tmp_path / "pairs.yaml"), "--samples", "300", "--no-hulls"])
-    assert len(capsys.readouterr().out.splitlines()) == 1 and not (tmp_path / "pairs_hulls").exists()
-
-
-def test_an_output_that_cannot_be_written_is_refused_before_anything_is_computed(tmp_path, capsys):
-    with pytest.raises(SystemExit) as caught:
-        main(["/nowhere.urdf", "/nowhere.yaml", str(tmp_path / "none" / "pairs.yaml")])
-    assert "none/pairs.yaml: found 'not writable', expected a file in a folder that exists" in caught.value.code
-
-
-def test_without_a_terminal_a_line_per_quarter():
-    error = io.StringIO()
-    before, sys.stderr = sys.stderr, error
-    try:
-        with progress(1000) as report:
-            for done in range(0, 1001, 50):
-                report(done, 7)
-            report(1000, 7)
-    finally:
-        sys.stderr = before
-    assert error.getvalue().splitlines() == [
-        f"sampling: {done} of 1000 poses, 7 pairs not decided" for done in (250, 500, 750, 1000)
-    ]
-
-
-def read_terminal(reader: int, until: str) -> str:
-    """Return what a terminal shows up to a text: the kernel hands on what was written in parts, each when it likes."""
-    shown = b""
-    while until not in shown.decode(errors="ignore"):
-        assert select.select([reader], [], [], 10.0)[0], f"the terminal shows no {until!r}: {shown!r}"
-        shown += os.read(reader, 65536)
-    return shown.decode(errors="ignore")
-
-
-def test_on_a_terminal_a_bar(monkeypatch):
-    monkeypatch.setenv("TERM", "xterm")
-    reader, writer = pty.openpty()
-    with os.fdopen(writer, "w") as terminal:
-        monkeypatch.setattr(sys, "stderr", terminal)
-        with progress(1000) as report:
-            report(500, 7)
-        shown = read_terminal(reader, until="50%")
-    os.close(reader)
-    assert "7 pairs not decided" in shown and "━" in shown

@@ -53,20 +53,6 @@ def test_other_samples_give_another_file_and_the_same_one_twice(capsys):
     assert yaml.safe_load(texts[0])["samples"] == 300
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["/nowhere.urdf", str(ROBOT_YAML)],
-        [str(XACRO), "/nowhere.yaml"],
-        [str(XACRO), str(ROBOT_YAML), "--samples", "0"],
-    ],
-)
-def test_the_command_says_what_is_wrong(arguments, capsys):
-    with pytest.raises(SystemExit) as caught:
-        main([*arguments[:2], "-", *arguments[2:]])
-    assert str(caught.value.code).startswith("self_collision: ") and "expected" in caught.value.code
-
-
 def test_neighbours_and_the_wrist_are_adjacent():
     reasons = {tuple(sorted(pair)): reason for pair, reason in kr120_pairs().ignored.items()}
     adjacent = {pair for pair, reason in reasons.items() if reason == "adjacent"}
@@ -123,17 +109,6 @@ def test_a_file_of_another_geometry_is_refused_with_a_command_that_writes_over_n
     assert caught.value.value == kr120_pairs().geometry_hash
     assert str(caught.value).startswith(str(SHIPPED)) and str(caught.value).count(str(SHIPPED)) == 1
     assert "`rosrun construction_twin self_collision <urdf or xacro> <robot.yaml> <new file>`" in str(caught.value)
-
-
-def test_the_command_does_not_write_over_another_arm_s_file(tmp_path):
-    theirs = tmp_path / "kr120_self_collision.yaml"
-    theirs.write_bytes(SHIPPED.read_bytes())
-    urdf, files = ROOT / "test/data/ur_like.urdf", ROOT / "test/data/ur_like.yaml"
-    with pytest.raises(
-        SystemExit, match="the file of robot kr120', expected a new file for ur_like, or one of its own"
-    ):
-        main([str(urdf), str(files), str(theirs), "--samples", "1"])
-    assert theirs.read_bytes() == SHIPPED.read_bytes()
 
 
 @pytest.mark.parametrize(

@@ -5,13 +5,11 @@ from __future__ import annotations
 import itertools
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from construction_twin.core.errors import ConfigurationError, RequestRefused
 from construction_twin.core.reports import SpeedChange
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.views.message_history import DRAGGED, MOST, ORDINARY, RESET, MessageHistory
+from construction_twin.views.message_history import MOST, ORDINARY, RESET, MessageHistory
 from construction_twin.views.startup import Word
 from construction_twin.views.status_line import TABLE, Level, ReportsNow, status_lines
 
@@ -119,20 +117,6 @@ def test_a_file_of_something_else_is_refused_and_says_where(text):
         history(text)
 
 
-@given(st.lists(st.tuples(st.floats(0.0, 3.0), st.booleans(), st.booleans()), max_size=30))
-def test_whatever_comes_each_message_stood_for_a_second_and_at_most_one_of_a_kind_lasts(steps):
-    made, now = history(), 0.0
-    for pause, stopped, silent in steps:
-        now += pause
-        made.on_lines(
-            lines(**({"link": Word("NEEDS_RESET", "x")} if stopped else {}), **({"sync": None} if silent else {})), now
-        )
-        lasting = [each.line.words for each in made.messages if each.until is None]
-        assert len(lasting) == len(set(lasting))
-        assert all(each.until is None or each.until >= each.at + 1.0 for each in made.messages)
-        assert history(made.text).text is not None
-
-
 def speed(made: MessageHistory, person: str, before: float, limit: float, at: float) -> None:
     made.on_speed(SpeedChange(person, limit, before, "bob", round(at * NANOSECONDS)))
 
@@ -150,22 +134,3 @@ def test_who_has_raised_or_lowered_the_speed_limit_is_a_message_that_needs_nobod
     ]  # fmt: skip
     assert made.messages[1].line.sentence == "ada raised the speed limit of people from 30% to 55.5%."
     assert history(made.text).messages == made.messages
-
-
-def test_what_one_person_drags_the_limit_down_is_one_message():
-    made = history()
-    for k, at in enumerate((5.0, 5.2, 5.4)):
-        speed(made, "dora", 1.0 - 0.1 * k, 0.9 - 0.1 * k, at)
-    assert told(made) == [("person.lowered", "dora", "70", "100", 5.4, 5.4)]
-    (first,) = made.messages
-    speed(made, "bob", 0.7, 0.6, 5.6)
-    speed(made, "bob", 0.6, 0.5, 5.6 + DRAGGED)
-    speed(made, "bob", 0.5, 0.6, 16.0)
-    speed(made, "bob", 0.6, 0.7, 16.1)
-    assert told(made)[1:] == [
-        ("person.lowered", "bob", "60", "70", 5.6, 5.6),
-        ("person.lowered", "bob", "50", "60", 15.6, 15.6),
-        ("person.raised", "bob", "60", "50", 16.0, 16.0),
-        ("person.raised", "bob", "70", "60", 16.1, 16.1),
-    ]
-    assert made.messages[0] == first and len({each.id for each in made.messages}) == 5

@@ -11,17 +11,11 @@ from plan_samples import make_plan
 from sentence_checks import says
 
 from construction_twin.core.errors import ReviewError
-from construction_twin.core.sentences import Sentence
 from construction_twin.robot.plan import Clearance, Plan
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.views.preview import (
-    HEADLINE_ROOM,
     LOOP_REST,
-    PATH_POINTS,
-    TEXT_ROOM,
-    TEXT_SIZE,
     Preview,
-    describe,
     picture,
 )
 
@@ -175,39 +169,7 @@ class TestPicture:
         np.testing.assert_allclose(drawing.path[-1], tool(np.array([1.0, 2.0])))
         np.testing.assert_allclose(drawing.path[:, 1], 2.0 * drawing.path[:, 0], atol=1e-12)
 
-    @pytest.mark.parametrize("duration, points", [(0.001, 2), (3600.0, PATH_POINTS)])
-    def test_the_number_of_points_is_bounded(self, duration, points):
-        assert len(picture(plan(duration=duration), skeleton, HEADLINE).path) == points
-
-    def test_the_text_begins_above_everything_that_moves(self):
-        drawing = picture(plan(), skeleton, HEADLINE)
-        # the elbow at the goal, the room over it, and half of the text, which rviz centres
-        lines = drawing.text.count("\n") + 1
-        assert drawing.text_at == pytest.approx((0.1, 0.2, 1.6 + TEXT_ROOM + lines * TEXT_SIZE / 2))
-
-    @pytest.mark.parametrize("headline", [2.0, 2.3, 2.6])
-    def test_the_text_keeps_clear_of_the_text_of_the_sync_state(self, headline):
-        drawing = picture(plan(), skeleton, headline)
-        half = (drawing.text.count("\n") + 1) * TEXT_SIZE / 2
-        height = drawing.text_at[2]
-        assert abs(height - headline) >= HEADLINE_ROOM + half - 1e-9
-        assert height - half >= 1.6 + TEXT_ROOM - 1e-9
-
     def test_the_closest_point_is_marked_only_where_there_is_something_to_touch(self):
         assert picture(plan(), skeleton, HEADLINE).closest is None
         clearance = Clearance(0.0312, ("link_5", "wall"), (1.2, -0.4, 0.9), 0.752)
         assert picture(plan(clearance=clearance), skeleton, HEADLINE).closest == (1.2, -0.4, 0.9)
-
-    def test_the_text_tells_duration_clearance_and_shares(self):
-        clearance = Clearance(0.0312, ("link_5", "wall"), (1.2, -0.4, 0.9), 0.752)
-        lines = describe(plan(clearance=clearance)).splitlines()
-        assert lines == [
-            "2.00 s, none for test",
-            "closest 0.031 m, link_5 to wall, after 0.75 s at (1.20, -0.40, 0.90) m",
-            "largest fraction of velocity / acceleration / jerk:",
-            "joint_a1: 25% / 30% / 35%",
-            "joint_a2: 50% / 60% / 70%",
-        ]
-
-    def test_the_text_says_when_there_is_nothing_to_touch(self):
-        assert Sentence("view.nothing_near") in describe(plan())

@@ -9,9 +9,9 @@ import pytest
 
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Pose
-from construction_twin.physics.report import BROKEN, FAILED, PASSED, AxisLoad, RehearsalReport, RehearsedContact
+from construction_twin.physics.report import BROKEN, PASSED, AxisLoad, RehearsalReport, RehearsedContact
 from construction_twin.scene.objects import SceneObject
-from construction_twin.views.rehearsal_picture import COLUMNS, GHOSTS, TALLEST, UNKNOWN_LIMIT, rehearsal_picture
+from construction_twin.views.rehearsal_picture import GHOSTS, rehearsal_picture
 from construction_twin.views.sync_picture import Shape
 
 SHAPES = (
@@ -54,25 +54,6 @@ def test_the_ghost_stands_at_the_worst_moment_with_what_it_carries():
     assert picture.ghost_colour == GHOSTS[PASSED]
 
 
-def test_a_column_per_axis_is_as_high_as_the_fraction_of_its_limit():
-    first, second = drawn().columns
-    assert (first.text, second.text) == ("A1 10 %", "A2 87 %~")
-    assert first.height == pytest.approx(0.1 * first.limit) and second.height == pytest.approx(0.87 * second.limit)
-    assert first.foot[1] != second.foot[1] and first.foot[2] == 0.0
-
-
-@pytest.mark.parametrize(("peak", "colour"), [(0.0, 2), (800.0, 2), (801.0, 1), (1000.0, 1), (1001.0, 0), (9e9, 0)])
-def test_the_colour_says_how_near_the_limit_is(peak, colour):
-    (column,) = drawn(replace(REPORT, axes=(load("joint_a1", peak),))).columns
-    assert column.colour == COLUMNS[colour][1]
-    assert column.height <= TALLEST * column.limit
-
-
-def test_without_a_limit_the_torque_itself_is_written():
-    (column,) = drawn(replace(REPORT, axes=(load("joint_a1", 640.0, 0.0),))).columns
-    assert (column.text, column.height, column.limit, column.colour) == ("A1 640 Nm", 0.0, 0.0, UNKNOWN_LIMIT)
-
-
 def test_a_contact_is_marked_where_it_is():
     hit = RehearsedContact("link_5", "wall", 1.5, (0.9, 0.2, 1.1), 230.0, 0.1)
     ((point, said),) = drawn(replace(REPORT, contacts=(hit,))).contacts
@@ -85,9 +66,3 @@ def test_one_that_broke_off_has_its_reasons_and_no_arm():
     picture = drawn(report)
     assert picture.ghost == picture.columns == picture.contacts == ()
     assert picture.text.split("\n")[1:4] == ["a", "b", "c"] and "2 reasons more" in picture.text
-
-
-def test_the_text_is_in_another_colour_where_it_failed():
-    failed = drawn(replace(REPORT, state=FAILED, reasons=("x" * 200,)))
-    assert failed.text_colour != drawn().text_colour and failed.ghost_colour != drawn().ghost_colour
-    assert max(map(len, failed.text.split("\n"))) <= 70

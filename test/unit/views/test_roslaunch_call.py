@@ -41,19 +41,6 @@ def test_a_call_that_only_prints_starts_nothing(option):
     assert call is not None and not call.starts and call.files == ("a.launch",)
 
 
-@pytest.mark.parametrize(
-    "words", [["rostest", "x.test"], ["/usr/bin/python3", "-m", "pytest"], ["roslaunch-check", "a"], []]
-)
-def test_another_program_is_none(words):
-    assert roslaunch_call(words) is None
-
-
-@pytest.mark.parametrize("port", [["-p", "5"], ["-p5"], ["--port", "5"], ["--port=5"]])
-def test_the_port_in_every_spelling(port):
-    call = roslaunch_call(["roslaunch", *port, "a.launch"])
-    assert call is not None and call.port == "5" and call.files == ("a.launch",)
-
-
 def test_a_misspelt_argument_is_named_with_the_one_that_was_probably_meant():
     meant = Sentence(
         "preflight.argument.near", name="auto_aprove", value="true", file="bringup.launch", near="auto_approve"
@@ -81,23 +68,3 @@ def test_a_second_sign_in_a_value_is_told_because_roslaunch_drops_the_argument()
     values = {"name": "robot_xacro_args", "value": "prefix:=left_ a:=b", "meant": "'prefix=left_ a=b'"}
     assert problem("bringup.launch", **call.given) == Sentence("preflight.argument.second", **values)
     assert problem("bringup.launch", robot_xacro_args="prefix=left_") == ""
-
-
-def test_a_file_of_the_user_with_its_own_arguments(tmp_path):
-    file = tmp_path / "my.launch"
-    file.write_text(
-        '<launch><arg name="mine" default="1"/><group><arg name="inner" default="2"/></group><arg name="fixed" value="3"/>'
-        '<include file="$(find construction_twin)/launch/bringup.launch" pass_all_args="true">'
-        '<arg name="arm" value="none"/></include>'
-        '<include file="$(dirname)/other.launch"><arg name="theirs" value="1"/></include></launch>'
-    )
-    known = known_arguments(file, find)
-    assert known is not None
-    assert {"mine", "inner", "robot"} <= set(known) and not {"fixed", "arm", "theirs"} & set(known)
-
-
-@pytest.mark.parametrize("name", ["$(arg which)", "$(find no_such_package)/a.launch", "/no/such.launch", ""])
-def test_what_cannot_be_told_in_advance_is_not_guessed(tmp_path, name):
-    file = tmp_path / "my.launch"
-    file.write_text(f'<launch><include file="{name}" pass_all_args="true"/></launch>')
-    assert known_arguments(file, find) is None

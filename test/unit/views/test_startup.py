@@ -11,7 +11,6 @@ from construction_twin.views import preflight
 from construction_twin.views.startup import PATIENCE, Deployment, Seen, StartUp, Word, first_missing
 
 CELL = Deployment("/kr120", "real", "10.0.0.5:8883", "10.0.0.6:49152", gateway=False)
-HERE = replace(CELL, arm="mock", gateway=True)
 GOOD = Seen(
     link=Word("ARMED", "commands flow"),
     sync=Word("IN_SYNC", "the poses agree"),
@@ -60,88 +59,10 @@ def test_the_first_missing_thing_is_named():
     assert first_missing(GOOD, CELL) is None
 
 
-def test_advice_fits_what_was_started_here():
-    here = first_missing(replace(GOOD, link=Word("GATEWAY_OFFLINE", "")), HERE)
-    assert here.kind == "gateway_here" and here.action.values["rsi"] == "10.0.0.6:49152"
-    assert first_missing(replace(GOOD, link=Word("NO_CONTROLLER", "")), HERE).kind == "controller_mock"
-
-
-@pytest.mark.parametrize(
-    "gateway, real, mock",
-    [
-        ("no_controller", "controller", "controller_mock"),
-        ("measuring", "measuring", "measuring"),
-        ("other_cycle", "cycle", "cycle_mock"),
-        ("joined_running", "running", "running_mock"),
-    ],
-)
-def test_without_a_session_the_advice_fits_what_the_gateway_says(gateway, real, mock):
-    why = "the controller's cycle is 12 ms"
-    seen = replace(GOOD, link=Word("NO_CONTROLLER", why, gateway))
-    for deployment, kind in ((CELL, real), (HERE, mock)):
-        missing = first_missing(seen, deployment)
-        assert (missing.kind, missing.reason) == (kind, why)
-
-
-def test_what_the_controller_says_against_a_motion_is_told_once_it_stands_and_when_it_is_gone():
-    startup, stopped = StartUp(CELL), replace(GOOD, controller="the controller's program is stopped (STOP)")
-    assert startup.update(GOOD, 1.0) == [READY]
-    assert startup.update(stopped, 2.0) == []
-    assert startup.update(stopped, 2.0 + PATIENCE) == ["the controller's program is stopped (STOP)"]
-    assert startup.update(stopped, 9.0) == []
-    # a word of one moment is none
-    assert startup.update(GOOD, 9.1) == startup.update(stopped, 9.2) == startup.update(stopped, 30.0) == []
-    assert startup.update(GOOD, 31.0) == []
-    assert startup.update(GOOD, 31.0 + PATIENCE) == [Sentence("startup.controller_well")]
-
-
 def off(percent):
     return replace(
         GOOD, clock=f"the controller's clock is {percent:.2f} % slow against this PC's: the arm is as much slower"
     )
-
-
-def test_a_clock_that_is_off_is_told_once_though_its_figure_wavers_and_when_it_is_right_again():
-    startup = StartUp(CELL)
-    said = lines_over(startup, lambda now: off(1.2 + 0.01 * (int(4 * now) % 3)), 1.0)
-    assert len(said) == 2 and said[0] == READY and said[1].startswith("the controller's clock is 1.2")
-    assert lines_over(startup, lambda now: GOOD, 20.0) == [Sentence("startup.clock_well")]
-
-
-def refused(count, why="xml: telegram is not well-formed: line 1, column 19"):
-    reason = f"gateway has no RSI session: no telegram yet; datagrams refused: {count}, the last one for {why}"
-    return replace(GOOD, link=Word("NO_CONTROLLER", reason, "no_controller"))
-
-
-def lines_over(startup, seen, begin=0.0):
-    """What is said in ten seconds, asked four times a second as the node does."""
-    return [line for k in range(40) for line in startup.update(seen(k / 4.0), begin + k / 4.0)]
-
-
-def test_a_count_that_grows_neither_keeps_a_line_back_nor_makes_another():
-    said = lines_over(StartUp(CELL), lambda now: refused(1 + 250 * int(now)), 1.0)
-    assert len(said) == 1 and said[0] == str(first_missing(refused(251), CELL))
-
-
-def test_reasons_that_alternate_do_not_keep_a_line_back_either():
-    garbage = "xml: no element found", "root: the telegram's root is 'Sen'"
-    said = lines_over(StartUp(CELL), lambda now: refused(int(4 * now), garbage[int(2 * now) % 2]), 1.0)
-    assert len(said) == 1
-
-
-def test_another_reason_that_stays_is_told():
-    startup = StartUp(CELL)
-    assert len(lines_over(startup, lambda now: refused(int(now)), 1.0)) == 1
-    (line,) = lines_over(startup, lambda now: refused(int(now), "element: the telegram lacks 'AIPos'"), 20.0)
-    assert "lacks 'AIPos'" in line
-
-
-def test_the_port_is_named_where_it_is_known():
-    of_the_xml = replace(HERE, rsi="127.0.0.1:0")
-    taken = first_missing(replace(GOOD, link=Word("GATEWAY_OFFLINE", "")), of_the_xml).action
-    assert taken.values["rsi"] == Sentence("startup.rsi_of_xml", host="127.0.0.1")
-    elsewhere = first_missing(replace(GOOD, link=Word("NO_CONTROLLER", "")), CELL).action
-    assert elsewhere.values["rsi"] == Sentence("startup.rsi_elsewhere")
 
 
 @pytest.mark.parametrize(
@@ -185,57 +106,6 @@ def test_each_line_is_said_once_and_ready_at_the_end():
         line == Sentence("startup.not_ready", waiting=str(startup.missing)) and startup.missing.reason == "RSI stopped"
     )
     assert len(startup.update(GOOD, 102.0)) == 1
-
-
-@pytest.mark.parametrize(
-    "state, reason, line",
-    [
-        (
-            "DISCONNECTED",
-            "not connected to the broker: broker 10.0.0.5:8883: nobody listens there; start the broker, or check host and port",
-            "waiting for the MQTT broker 10.0.0.5:8883: nobody listens there; start the broker, or check host and port",
-        ),
-        (
-            "DISCONNECTED",
-            "not connected to the broker yet",
-            "waiting for the MQTT broker 10.0.0.5:8883: start it, or give broker_host and broker_port",
-        ),
-        (
-            "GATEWAY_OFFLINE",
-            "no gateway answers on the broker; start rsi_gateway on the cell PC",
-            "waiting for the gateway: start rsi_gateway on the cell PC with --broker 10.0.0.5:8883",
-        ),
-        (
-            "NEEDS_RESET",
-            "gateway was stopped and is holding: stop: ada stopped it; call reset",
-            "waiting for a reset: holding: stop: ada stopped it; remove the cause, then reset: on the console with the right to, "
-            "or on the robot's PC: rosrun construction_twin twin --robot kr120 reset",
-        ),
-    ],
-)
-def test_nothing_is_said_twice_in_a_line(state, reason, line):
-    startup = StartUp(CELL)
-    assert startup.update(Seen(link=Word(state, reason), feedback=True, twin=True, scene=True), 10.0) == []
-    assert startup.update(Seen(link=Word(state, reason), feedback=True, twin=True, scene=True), 10.0 + PATIENCE) == [
-        line
-    ]
-
-
-def test_a_clock_that_is_no_controller_s_is_not_mended_in_the_program():
-    reason = "the controller's clock runs 0.25 times as fast as real time: what sends is no controller in real time"
-    missing = first_missing(replace(GOOD, link=Word("NO_CONTROLLER", reason, "other_cycle")), CELL)
-    assert missing.kind == "no_clock"
-    reason = "the controller's cycle is 12 ms (IPOC steps of 12); expected 4"
-    missing = first_missing(replace(GOOD, link=Word("NO_CONTROLLER", reason, "other_cycle")), CELL)
-    assert missing.kind == "cycle"
-
-
-def test_what_comes_up_by_itself_is_no_news():
-    startup = StartUp(CELL)
-    assert startup.update(Seen(), 1.0) == []
-    assert startup.update(Seen(link=Word("DISCONNECTED", "")), 1.0 + 0.6 * PATIENCE) == []
-    assert startup.update(Seen(link=Word("RESYNC", "")), 1.0 + 1.2 * PATIENCE) == []
-    assert len(startup.update(GOOD, 1.0 + 1.5 * PATIENCE)) == 1
 
 
 FINE = {
@@ -296,27 +166,6 @@ A_FILE = Sentence("preflight.expected.file")
 )
 def test_an_argument_that_cannot_work_is_one_sentence(change, sentence):
     assert preflight.problem(FINE | change, "/a".__eq__) == sentence
-
-
-def test_none_is_no_file_of_a_scene_but_of_nothing_else():
-    assert preflight.problem(FINE | {"scene": "none"}, "/a".__eq__) == ""
-    assert preflight.problem(FINE | {"robot_config": "none"}, "/a".__eq__) == wrong("robot_config", "none", A_FILE)
-
-
-def test_arguments_that_can_work_pass():
-    assert preflight.problem(FINE, "/a".__eq__) == ""
-    network = {"rsi_listen": "192.168.1.10", "rsi_controller": ""}
-    for fine in ({"rsi_controller": "krc4"}, {"rsi_listen": "127.0.0.2"}, {"gateway": "false"}, {"arm": "none"}):
-        assert preflight.problem(FINE | network | fine, "/a".__eq__) == ""
-    assert preflight.problem(FINE | {"broker": "false", "broker_config": "/nope"}, "/a".__eq__) == ""
-
-
-def test_a_console_on_a_site_and_one_on_this_machine_can_work():
-    site = {"bridge_account": "/a", "broker_host": "b.cell", "console_broker_ca": "/a", "console_listen": "0.0.0.0"}
-    assert preflight.problem(FINE | {"console": "true"}, "/a".__eq__) == ""
-    tls = {"console_certificate": "/a", "console_key": "/a"}
-    assert preflight.problem(FINE | {"console": "true"} | site | tls, "/a".__eq__) == ""
-    assert preflight.problem(FINE | {"console": "false", "console_listen": "0.0.0.0"}, "/a".__eq__) == "", "not started"
 
 
 def anonymous(what: str) -> Sentence:

@@ -9,19 +9,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plan_samples import make_plan
 from scene_samples import kr120, track7
 from sentence_checks import expects
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
-from construction_twin.planning.timing import time_path
 from construction_twin.robot.frames import rotation_to_abc
-from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.views.arguments import Exit, check, parser, split_lists
 from construction_twin.views.goals import joint_goal, pose_goal
-from construction_twin.views.snapshot import NodeFacts, Snapshot
-from construction_twin.views.texts import joint_value, plan_lines, range_sentence, scene_lines, status_lines
+from construction_twin.views.snapshot import Snapshot
 
 ANGLES = st.floats(-89.0, 89.0)
 
@@ -46,14 +42,6 @@ def snapshot(**changes) -> Snapshot:
 def test_options_go_before_and_after_the_command():
     assert parsed("--robot a stop").robot == parsed("stop --robot a").robot == "a"
     assert parsed("stop").robot == "kr120" and parsed("--timeout 2 stop").timeout == 2.0
-
-
-def test_a_plan_s_options():
-    options = parsed("plan --joints -30 -75.5 70 20 70 -40 --speed 30 --duration 4")
-    assert options.joints == [-30.0, -75.5, 70.0, 20.0, 70.0, -40.0]
-    assert options.speed == pytest.approx(0.3) and options.duration == 4.0 and check(options) == ""
-    assert check(parsed("plan --pose 1 2 3 -4 5 6 --line --tool-speed 50")) == ""
-    assert check(parsed("plan --csv a --columns time_s,joints_rad")) == ""
 
 
 @pytest.mark.parametrize(
@@ -89,13 +77,6 @@ def test_an_empty_field_of_a_list_is_refused(option, values, field, capsys):
         parsed(f"plan {option}{values}")
     assert ending.value.code == Exit.USAGE
     assert f"'{field}' has an empty field at a comma" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    "values", ["30,-75,70,", "30, -75, 70,", "30 , -75 , 70", "30,-75,70", "'30, -75, 70'", "30 -75 70"]
-)
-def test_commas_that_separate_numbers_are_no_empty_fields(values):
-    assert parsed(f"plan --joints {values}").joints == [30.0, -75.0, 70.0]
 
 
 @pytest.mark.parametrize(
@@ -148,58 +129,7 @@ def test_a_pose_inside_of_the_robot_s_foot_is_refused_as_probably_metres_and_nev
     assert said.endswith("probably in metres. If so, give 1300 -300 1400")
 
 
-def test_few_millimetres_are_a_pose_in_a_frame_that_moves_or_where_one_coordinate_is_large():
-    assert pose_goal([1.3, -0.3, 1.4, 0.0, 0.0, 0.0], "tool0").position.tolist() == [1.3e-3, -0.3e-3, 1.4e-3]
-    assert pose_goal([1.3, -0.3, 1400.0, 0.0, 0.0, 0.0]).position[2] == 1.4
-    assert pose_goal([0.0] * 6).position.tolist() == [0.0] * 3
-
-
 # -- texts
-
-
-def test_a_plan_for_its_reviewer():
-    robot = kr120()
-    sample = make_plan(time_path(np.array([robot.home, np.array(robot.home) + 0.1]), robot, None, 0.5, None, 20))
-    text = "\n".join(plan_lines(sample, [False] * len(sample.trajectory.joint_names)))
-    assert sample.id in text and sample.hash in text
-    assert f"duration   {sample.trajectory.duration:.3f} s" in text
-    assert "clearance" in text and "largest fractions: velocity" in text
-    first = sample.trajectory.joint_names[0]
-    assert f"{first} {math.degrees(sample.trajectory.positions[-1][0]):.3f} deg" in text
-
-
-def test_values_for_people():
-    assert joint_value(math.pi, False) == "180.000 deg" and joint_value(1.5, True, 1) == "1500.0 mm"
-    assert range_sentence("joint_a5", math.radians(131.0), kr120()).values["needed"] == "131.0 deg"
-
-
-def test_status_tells_states_reasons_and_troubled_nodes():
-    lines = status_lines(snapshot(nodes=(NodeFacts("planner", 0, "fine"), NodeFacts("scene", 2, "no file"))))
-    text = "\n".join(lines)
-    assert "link       ARMED: commands flow" in text and "no plan waits" in text
-    assert "scene: no file" in text and "fine" not in text
-    assert "link       no report" in "\n".join(status_lines(snapshot(link=None)))
-
-
-def test_status_tells_what_the_controller_says_where_it_says_something():
-    told = {"controller_mode": "T1", "controller_program": "STOP", "controller_override_percent": "30"}
-    lines = status_lines(snapshot(link=LinkReport("ARMED", "session 1", gateway_counters=told)))
-    assert "controller T1, program STOP, override 30 %" in lines
-    lines = status_lines(
-        snapshot(link=LinkReport("ARMED", "session 1", gateway_counters={"controller_program": "ACTIVE"}))
-    )
-    assert "controller program ACTIVE" in lines
-    assert not any(line.startswith("controller") for line in status_lines(snapshot()))
-
-
-def test_status_tells_what_is_not_checked_with_a_bare_plc_and_who_is_responsible():
-    bare = LinkReport("ARMED", "bare PLC", responsible="Ada", not_checked=("session: any", "age: none"))
-    lines = status_lines(snapshot(link=bare))
-    at = lines.index("bare PLC   Ada is responsible; not checked:")
-    assert lines[at + 1 : at + 3] == ["           session: any", "           age: none"]
-    lines = status_lines(snapshot(link=LinkReport("NEEDS_RESET", "", not_checked=("session: any",))))
-    assert "bare PLC   no person is responsible; not checked:" in lines
-    assert check(parsed("arm --responsible Ada")) == ""
 
 
 def test_ready_only_when_a_plan_could_be_approved():
@@ -221,28 +151,6 @@ def test_not_ready_when_the_monitor_fell_silent():
     assert snapshot.not_ready() == []
     silent = Snapshot("kr120", 0.0, robot.joint_names, robot.linear, **facts, silent={"sync": 3.0})
     assert silent.not_ready() == ["sync has been silent for 3 s; expected IN_SYNC"]
-
-
-def test_progress_is_known_while_playing():
-    playing = ExecutionReport("PLAYING", "", plan_start=90_000_000_000, duration=20.0)
-    assert playing.progress(100.0) == 0.5 and playing.progress(0.0) == 0.0 and playing.progress(1e3) == 1.0
-    assert ExecutionReport("PAUSED", "", plan_start=90_000_000_000, duration=20.0).progress(100.0) is None
-
-
-def test_a_scene_is_listed_in_mm_with_what_carries_and_what_may_touch():
-    wall = SceneObject("wall", "box", (0.2, 2.0, 1.5), (2.0, 0.5, 0.75), padding=0.01)
-    tool = SceneObject("tool", "cylinder", (0.05, 0.2), link="tool0", touch=("link_6",))
-    lines = scene_lines(Scene((wall, tool), padding=0.02))
-    assert lines[1:3] == ["padding    20 mm", "objects    2"]
-    assert lines[3:] == [
-        "  wall: box 200 x 2000 x 1500 mm, at 2000 500 750 mm, padding 10 mm more",
-        "  tool: cylinder 50 x 200 mm, at 0 0 0 mm, carried by tool0, may touch link_6",
-    ]
-    assert scene_lines(Scene())[2] == "objects    none"
-
-
-def test_the_scene_s_options():
-    assert parsed("scene").moveit is None and parsed("scene --moveit a.scene").moveit == "a.scene"
 
 
 @pytest.mark.parametrize(
@@ -270,11 +178,3 @@ def test_a_decimal_comma_is_refused_and_not_taken_for_two_values(capsys):
         with pytest.raises(SystemExit):
             parsed(f"plan --joints {words}")
         assert "'30,5' holds a comma: write decimals with a point" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("words", ["plan --joints 30;-75;70", "plan --pose far 0 0 0 0 0", "home --duration soon"])
-def test_what_is_no_number_is_named_in_words_for_people(words, capsys):
-    with pytest.raises(SystemExit) as ending:
-        parsed(words)
-    assert ending.value.code == Exit.USAGE
-    assert capsys.readouterr().err.rstrip().endswith("' is no number")

@@ -22,13 +22,6 @@ def drawn(key: str, state: str, x: float = 0.0, link: str = "") -> DrawnElement:
     )
 
 
-def test_every_state_has_a_colour_of_its_own_and_an_unknown_one_is_refused():
-    assert len(set(COLOURS.values())) == len(COLOURS)
-    assert {"todo", "next", "stock", "carried", "placed", "off", "skipped"} == set(COLOURS)
-    with pytest.raises(ValueError, match="state 'done', expected one of"):
-        drawn("a", "done")
-
-
 def test_the_next_element_is_named_above_itself():
     picture = work_picture([drawn("a", "placed"), drawn("b", "next", 3.0), drawn("c", "todo", 5.0)])
     assert picture.text == "next: stud b"

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from plan_samples import make_plan
 
-from construction_twin.core.reports import ExecutionReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.plan import Plan, content_hash
@@ -16,9 +15,8 @@ from construction_twin.robot.segments import Segment, Signal, Switch
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.views.preview import MOST_ROWS, Preview, WorkContext, picture
-from construction_twin.views.texts import plan_lines, segment_lines, under_review, work_lines
-from construction_twin.views.work_picture import change_words, segment_words, work_path, work_states
+from construction_twin.views.preview import WorkContext, picture
+from construction_twin.views.work_picture import work_path, work_states
 
 TOOL = SceneObject("tool/frame", "box", (0.6, 0.1, 0.1), (0.0, 0.0, 0.05), link="tool0")
 STOCK = [SceneObject(f"beam/{k}", "box", (0.1, 0.1, 1.0), (0.0, float(k), 0.5)) for k in range(2)]
@@ -124,92 +122,3 @@ def test_what_is_carried_is_drawn_where_one_segment_carries_it_into_the_next():
 
 def skeleton(q: np.ndarray) -> np.ndarray:
     return np.array([(0.0, 0.0, 0.0), (q[0], q[1], 1.0)])
-
-
-def test_the_text_lists_the_segments_and_what_happens_in_them():
-    told = WorkContext(CHANGES, work_states(plan(), CHANGES, START), forward, "tool0")
-    assert picture(plan(), skeleton, 9.0, told).text.splitlines() == [
-        "12.00 s, none for test",
-        "task task-1: 6 segments, blue: engaged",
-        "1 to the stock 2.00 s",
-        "2 approach 2.00 s, then vacuum on, carries beam",
-        "3 lift 2.00 s, engaged, needs held on",
-        "4 carry 2.00 s, needs held on",
-        "5 set down 2.00 s, engaged, needs held on, then vacuum off, puts beam",
-        "6 home 2.00 s",
-        "nothing to touch",
-        "largest fraction of velocity / acceleration / jerk: 50% / 60% / 70%",
-    ]
-
-
-def test_of_many_segments_the_text_lists_the_first():
-    rest, count = np.zeros((31, 1)), 30
-    motion = Trajectory(("joint_a1",), np.arange(31.0), np.arange(31.0)[:, None], rest, rest)
-    segments = tuple(Segment(f"s{k}", k + 1.0, False, (), (), "a", "a") for k in range(count))
-    long = dataclasses.replace(
-        make_plan(motion, scene="a"), hash=content_hash(motion, "t", segments), task="t", segments=segments
-    )
-    told = WorkContext((), work_states(long, (), None), lambda q: Pose(np.zeros(3), np.eye(3)), "tool0")
-    lines = picture(long, lambda q: np.zeros((2, 3)), 9.0, told).text.splitlines()
-    assert (
-        f"{MOST_ROWS} s{MOST_ROWS - 1} 1.00 s" in lines
-        and Sentence("view.picture.more", count=count - MOST_ROWS) in lines
-    )
-    assert len(segment_lines(long)) == count + 1
-
-
-def test_the_ghost_tells_which_segment_it_plays():
-    preview = Preview()
-    preview.on_plan(plan())
-    assert preview.segment(0.0) is None
-    preview.play(2.0, False, 100.0)
-    assert [preview.segment(100.0 + elapsed) for elapsed in (0.0, 0.99, 1.0, 5.99, 6.0, 60.0)] == [
-        0,
-        0,
-        1,
-        5,
-        None,
-        None,
-    ]
-    preview.play(2.0, True, 0.0)
-    assert preview.segment(6.5 + 1.2) == 1
-
-
-def test_the_terminal_shows_a_table_of_the_segments():
-    lines = plan_lines(plan(), (False, False), CHANGES)
-    assert lines[-7:] == [
-        "segments   6, each from rest to rest and in the scene that the one before leaves",
-        "   1 to the stock    0.00 to    2.00 s",
-        "   2 approach        2.00 to    4.00 s  then vacuum on; carries beam",
-        "   3 lift            4.00 to    6.00 s  engaged; needs held on",
-        "   4 carry           6.00 to    8.00 s  needs held on",
-        "   5 set down        8.00 to   10.00 s  engaged; needs held on; then vacuum off; puts beam",
-        "   6 home           10.00 to   12.00 s",
-    ]
-    # without the changes, that there is one
-    assert segment_lines(plan())[2].endswith("then vacuum on; the scene changes")
-    assert under_review(plan()).key == "view.review.work" and under_review(plan()).values["count"] == 6
-
-
-def test_another_plan_has_no_table():
-    motion = plan().trajectory
-    assert segment_lines(make_plan(motion)) == [] and under_review(make_plan(motion)).key == "view.review.plan"
-
-
-def test_changes_are_told_by_whole_things():
-    assert change_words(CHANGES[1]) == "carries beam"
-    both = SceneChange((HELD[0], BUILT[1], TABLE), ("rack/0", "old/1", "old/2"))
-    assert change_words(both) == "carries beam, puts beam and 1 more, removes rack, old"
-    assert change_words(SceneChange((), ("a" * 40,))) == f"removes {'a' * 40}"
-    unchanged = Segment("x", 1.0, False, (), (), "a", "a")
-    assert segment_words(unchanged, CHANGES[1]) == []
-
-
-def test_the_status_says_where_a_work_plan_is_and_that_the_arm_is_engaged():
-    facts = ExecutionReport("PLAYING", "", "p", segment=3, segment_name="carry")
-    assert work_lines(facts) == ["segment    4 carry"]
-    waits = dataclasses.replace(facts, at_boundary=True, wants_scene=True)
-    assert work_lines(waits) == ["segment    4 carry, at its end, waits for the scene to change as planned"]
-    stopped = dataclasses.replace(facts, text="IDLE", outcome="stopped", engaged=True)
-    assert work_lines(stopped) == ["engaged    only the way back along the executed path can be planned: twin back"]
-    assert work_lines(ExecutionReport("IDLE", "")) == work_lines(None) == []
