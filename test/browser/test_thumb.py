@@ -41,8 +41,7 @@ def open_checks(thumb: Thumb) -> None:
     thumb.tap(thumb.page.locator(".verdict-checks summary"), "checks")
 
 
-@pytest.mark.parametrize("language", ("en", "de"))
-@pytest.mark.parametrize("size", (UPRIGHT, SIDEWAYS), ids=("upright", "sideways"))
+@pytest.mark.parametrize(("size", "language"), ((UPRIGHT, "de"), (SIDEWAYS, "en")), ids=("upright", "sideways"))
 def test_from_the_login_to_an_approved_plan_a_thumb_needs_less_than_fifteen_seconds(phone_of, robot, size, language):
     console = phone_of(size, language)
     page = console.page
@@ -82,31 +81,6 @@ def test_a_finger_that_slides_off_approves_nothing(phone_of, robot):
     thumb.slide((x, 120), (x, y))
     expect(console.approve_button).to_have_class("verdict-approve")
     thumb.up()
-    assert not robot.payloads("review") and robot.plan is not None
-
-
-def test_a_hold_of_less_than_a_second_approves_nothing(phone_of, robot):
-    console = phone_of(UPRIGHT, picture=False)
-    page, thumb = console.page, Thumb(console.page)
-    robot.show_plan()
-    open_checks(thumb)
-    page.evaluate(
-        """() => { for (const kind of ["pointerdown", "pointerup"]) {
-          document.addEventListener(kind, () => { window[kind] = performance.now(); }, {capture: true}); } }"""
-    )
-    # again, with another plan, where this machine was too busy to lift the finger in time
-    for _ in range(5):
-        thumb.down(console.approve_button, "approve", LARGE)
-        console.wait_for(
-            "() => Number(document.querySelector('.verdict-approve').style.getPropertyValue('--held')) >= 0.5"
-        )
-        thumb.up()
-        if page.evaluate("window.pointerup - window.pointerdown") < 990:
-            break
-        robot.show_plan()
-        open_checks(thumb)
-    expect(console.notice).to_contain_text("released before the second was over")
-    expect(console.notice).to_be_in_viewport()
     assert not robot.payloads("review") and robot.plan is not None
 
 
