@@ -8,7 +8,6 @@ from building_models import box, building, element
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import ScheduleError
 from construction_twin.work.building import Sequence, Task
 from construction_twin.work.schedule import Schedule
@@ -30,15 +29,6 @@ def leaves(*names, parent=""):
 
 def ids(jobs):
     return [job.id for job in jobs]
-
-
-def test_a_finish_start_sequence_keeps_the_second_waiting_and_names_the_first():
-    schedule = Schedule.of(model(leaves("a", "b"), [Sequence("a", "b")]))
-    assert ids(schedule.allowed({}, {}, 0.0)) == ["a"]
-    assert ids(schedule.allowed({"a": 0.0}, {}, 1.0)) == []
-    assert ids(schedule.allowed({"a": 0.0}, {"a": 2.0}, 2.0)) == ["b"]
-    (blocker,) = schedule.blockers("b", {}, {}, 0.0)
-    assert blocker.job.id == "a" and blocker.text == Sentence("work.lag.finished", job="'A' (a)")
 
 
 @pytest.mark.parametrize(("kind", "needs_finish"), [*zip(KINDS, (True, False, True, False), strict=True)])
@@ -81,12 +71,6 @@ def test_a_sequence_between_nesting_tasks_holds_for_all_that_they_nest():
     assert ids(schedule.allowed({}, {"a": 0.0}, 1.0)) == ["b"]
     assert ids(schedule.allowed({}, {"a": 0.0, "b": 1.0}, 1.0)) == ["c", "d"]
     assert {wait.job for wait in schedule.job("d").after} == {"a", "b"}
-
-
-def test_order_passes_through_an_empty_nesting_task():
-    tasks = [Task("A", "A"), Task("n", "n", parent="A", milestone=True), *leaves("a", "b")]
-    schedule = Schedule.of(model(tasks, [Sequence("a", "A"), Sequence("A", "b")]))
-    assert [wait.job for wait in schedule.job("b").after] == ["a"]
 
 
 def test_jobs_that_share_a_name_have_their_elements_behind_it():
@@ -169,18 +153,6 @@ def test_what_makes_no_sense_is_one_sentence_with_the_ids(tasks, sequences, mess
     with pytest.raises(ScheduleError, match=message) as caught:
         Schedule.of(model(tasks, sequences))
     assert "\n" not in str(caught.value)
-
-
-def test_a_circle_through_nesting_tasks_is_found():
-    tasks = [Task("A", "A"), Task("B", "B"), *leaves("a", parent="A"), *leaves("b", parent="B")]
-    with pytest.raises(ScheduleError, match="circle") as caught:
-        Schedule.of(model(tasks, [Sequence("A", "B"), Sequence("b", "a")]))
-    assert {"a", "b"} <= set(caught.value.ids)
-
-
-def test_an_unknown_job_is_refused_by_its_id():
-    with pytest.raises(ScheduleError, match="'zz'"):
-        Schedule.of(model(leaves("a"))).blockers("zz", {}, {}, 0.0)
 
 
 # -- random graphs -----------------------------------------------------------------------------------------------------

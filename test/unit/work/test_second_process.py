@@ -13,16 +13,12 @@ import touch_process
 import work_bench
 import yaml
 from construction_twin.msg import Execution
-from ifc_models import IfcModel
 from sentence_checks import key_of
 from touch_process import TOP, recipes_file
 from work_bench import Bench
 from work_samples import (
-    BRICK,
-    CELL,
     RECIPES,
     ROOT,
-    SCENE,
     building,
     element,
     job,
@@ -35,7 +31,6 @@ from work_samples import (
 )
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.reports import WorkReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import LedgerError, TaskPlanningError
 from construction_twin.kinematics.chain import Chain, Pose
@@ -43,23 +38,20 @@ from construction_twin.planning.planner import PlannerSettings, PlanRequest
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.work_plan import plan_work
 from construction_twin.review.record import Fate
-from construction_twin.ros.messages.records import from_msg
 from construction_twin.scene.collision_world import CollisionWorld
-from construction_twin.scene.objects import Scene, product
+from construction_twin.scene.objects import product
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.views.work_texts import list_lines, show_lines
-from construction_twin.work import processes, worker_functions
+from construction_twin.work import processes
 from construction_twin.work.check import Checker
 from construction_twin.work.check_report import cell_picture, row
 from construction_twin.work.events import Entry
 from construction_twin.work.following import GripReading, after_restart, question
 from construction_twin.work.ledger import Ledger
-from construction_twin.work.motions import TaskLimits
 from construction_twin.work.racks import StockPlan
 from construction_twin.work.recipes import read_recipes
 from construction_twin.work.schedule import Job, Schedule
 from construction_twin.work.site import pose_of
-from construction_twin.work.task_board import Prepared, TaskBoard
+from construction_twin.work.task_board import Prepared
 from construction_twin.work.task_memory import NotNow, TaskMemory
 from construction_twin.work.task_states import TaskState
 
@@ -90,13 +82,6 @@ def test_a_recipe_names_the_process_and_a_file_of_before_places(work):
     assert {recipe.process for recipe in read_recipes(RECIPES).recipes.values()} == {"place"}
 
 
-def test_the_model_chooses_it_for_one_element_by_the_recipes_name(work):
-    one = element("b", properties={"CTwin_RobotTask": {"Recipe": "probe", "Point": "0 0 0.071"}})
-    name, recipe = work.site.recipes.of(job(one))
-    assert (name, recipe.process, recipe.points) == ("probe", "touch", ((0.0, 0.0, 0.071),))
-    assert work.site.recipes.process(one) == "touch"
-
-
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
@@ -110,11 +95,6 @@ def test_the_model_chooses_it_for_one_element_by_the_recipes_name(work):
 def test_a_wrong_key_of_its_recipe_is_named(tmp_path, change, sentence):
     with pytest.raises(ConfigurationError, match=sentence):
         read_recipes(recipes_file(tmp_path, **change))
-
-
-def test_it_says_itself_what_of_a_recipe_the_tool_cannot_do(tmp_path):
-    with pytest.raises(ConfigurationError, match="recipes/probe/gap"):
-        read_recipes(recipes_file(tmp_path, gap=0.01)).check_tool(tool().tool)
 
 
 def test_properties_of_another_process_are_none_of_its_own(work):
@@ -168,20 +148,6 @@ def test_what_it_needs_and_cannot_have_is_told(work):
         touching.plan(there, HOME, scene, held=Pose(np.zeros(3), np.eye(3)))
 
 
-def test_where_the_arm_does_not_reach_the_point_is_told(tmp_path):
-    table = {"shape": "box", "size": [2.0, 0.8, 0.6], "position": [0, 9.0, 0.3]}
-    cell = {
-        "recipes": str(recipes_file(tmp_path)), "model_T_base": {"xyz": [0.0, -9.0, -0.6]}, "racks": CELL["racks"],
-    }  # fmt: skip
-    scene = {**SCENE, "objects": {**SCENE["objects"], "table": table}}
-    found = layout(site(tmp_path, cell, scene), building(element("brick0")))
-    there = found.job_for("brick0", found.scene())
-    touching = planner(found.site.recipes, limits=TaskLimits(budget=0.5, solutions=4, pairs=2, free_budget=1.0))
-    with pytest.raises(TaskPlanningError, match="at the point") as caught:
-        touching.plan(there, HOME, found.scene())
-    assert (caught.value.stage, caught.value.method) == ("reach", "point 50 0 71 mm")
-
-
 def test_the_check_before_the_work_plans_it_too(work):
     settings = PlannerSettings(**{name: PLANNER[name] for name in PlannerSettings.model_fields})
     jobs = [Job("T1", "T1", "Probe brick", "brick0", (), (), "touch")]
@@ -189,29 +155,6 @@ def test_the_check_before_the_work_plans_it_too(work):
     found = checker.check(0)
     assert found.possible and found.grip == "point 50 0 71 mm" and found.track is not None and found.path
     assert row(found)[3] == "point 50 0 71 mm" and cell_picture((found,), work).startswith(b"\x89PNG")
-
-
-def test_the_works_child_process_reads_a_model_with_it_and_plans_it(tmp_path, work):
-    """As the node asks: from an IFC file to the plan, the other elements placed as ever."""
-    model = IfcModel()
-    bricks = [model.box(f"brick{number}", BRICK, (0.25 * number, 0.0, 0.0), "IfcBeam") for number in range(2)]
-    asked = [model.task(f"do {brick.Name}", [brick]) for brick in bricks]
-    site(tmp_path, {"recipes": str(recipes_file(tmp_path))})
-    made = worker_functions.FUNCTIONS["prepare"](
-        model=str(model.save(tmp_path / "m.ifc")), cell=str(tmp_path / "cell.yaml"), robot=robot(),
-        self_collision=str(ROOT / "config/kr120_track_self_collision.yaml"), planner={**PLANNER, "seed": 1}, cache=str(tmp_path),
-    )  # fmt: skip
-    task, element_id = asked[0].GlobalId, bricks[0].GlobalId
-    assert [job.process for job in made.schedule.jobs] == ["touch", "place"] and list(made.stock.slots) == [
-        bricks[1].GlobalId
-    ]
-    board = TaskBoard(made, Ledger(tmp_path / "l", made.after, made.digest, lambda: 1), "kr120", robot().tip_link)
-    wanted, alone = board.wanted_scene()
-    assert not alone and f"{element_id}/0" in wanted and not wanted[f"{element_id}/0"].link
-    scene = Scene((*work.site.scene.objects, *wanted.values()), work.site.scene.padding)
-    plan = worker_functions.FUNCTIONS["plan"](task=task, element=element_id, start=robot().home, scene=scene)
-    assert [part.name for part in plan.segments] == ["to point", "touch", "back"]
-    board.ledger.close()
 
 
 # -- its ledger
@@ -262,32 +205,6 @@ def test_the_node_follows_it_to_its_end_and_the_scene_stays(bench):
     assert (bench.row.state, bench.row.reason) == ("done", Sentence("work.task.done")) and bench.scene.hash == before
     offered = json.loads(bench.ledger_lines[1])
     assert offered["process"] == "touch" and offered["grip"] == "point 0 0 0 mm" and "pose" not in offered
-
-
-def test_a_line_of_place_is_written_as_before_there_were_processes(bench):
-    bench.start()
-    bench.planned()
-    (offered,) = (json.loads(line) for line in bench.ledger_lines if '"offered"' in line)
-    of_element = {"element", "name", "body", "goal", "seen"}
-    assert set(offered) == {"time", "time_ns", "event", "task", "offer", "grip", "pose"} | of_element
-
-
-def test_people_read_of_it_in_the_list_and_can_have_it_done_again(bench):
-    test_the_node_follows_it_to_its_end_and_the_scene_stays(bench)
-    facts = from_msg(WorkReport, bench.tasks[-1])
-    assert any("Place stud" in line and "done" in line for line in list_lines(facts))
-    assert "state      done: done" in show_lines(facts, facts.tasks[0])
-    board = bench.board
-    assert [one.word for one in board.appearances(0)] == ["placed"]
-    assert board.redo(work_bench.TASK, "eva", "") == "'Place stud' is to be done again"
-    assert [one.word for one in board.appearances(0)] == ["next"]
-    assert board.skip(work_bench.TASK, "eva", "").endswith("no longer waits")
-
-
-def test_a_stop_before_anything_was_done_has_it_planned_again(bench):
-    bench.planned().play(0)
-    bench.execution(Execution.IDLE, 0, plan_id=bench.plan.id, outcome="stopped")
-    assert bench.run().row.state == "ready"
 
 
 @pytest.mark.parametrize(("answer", "state"), [("done", "done"), ("not_done", "ready")])
