@@ -70,7 +70,7 @@ def work(tmp_path_factory):
 @pytest.fixture(scope="module")
 def plan(work):
     scene = work.scene()
-    return planner(work.site.recipes).plan(work.job_for("brick0", scene, "T1"), HOME, scene, end=HOME)
+    return planner(work.site.recipes).plan(work.job_for("brick0", scene, "T1"), HOME, scene)
 
 
 # -- its recipe
@@ -118,8 +118,8 @@ def test_what_is_not_moved_has_no_slot_and_stands_at_its_place_from_the_beginnin
 
 
 def test_it_is_planned_as_every_task_and_changes_no_scene(plan, work):
-    assert [part.name for part in plan.segments] == ["to point", "touch", "back", "home"]
-    assert [part.engaged for part in plan.segments] == [False, True, True, False]
+    assert [part.name for part in plan.segments] == ["to point", "touch", "back"]
+    assert [part.engaged for part in plan.segments] == [False, True, True]
     assert all(part.change == SceneChange() for part in plan.segments)
     assert {scene.hash for scene in plan.scenes} == {work.scene().hash}
     assert plan.method == "point 50 0 71 mm" and plan.tool0_T_element is None and plan.clearance > 0.02
@@ -135,7 +135,7 @@ def test_the_tool_comes_to_the_point_but_for_the_gap(plan, work):
 def test_whoever_checks_it_for_review_takes_it(plan, work):
     world = CollisionWorld(robot(), work.scene(), pairs())
     checked = plan_work("T1", plan.segments, HOME, PlanRequest("test", 0), world, PlanBounds(), lambda: 0.0)
-    assert [part.scene_after for part in checked.segments] == [work.scene().hash] * 4
+    assert [part.scene_after for part in checked.segments] == [work.scene().hash] * 3
 
 
 def test_what_it_needs_and_cannot_have_is_told(work):
