@@ -68,25 +68,6 @@ def test_a_plan_that_waits_is_heard_felt_and_seen_and_the_screen_stays_on(device
     page.wait_for("() => window.noted.badges.at(-1) === 0 && window.lock.released")
 
 
-def test_off_and_volume_are_kept_on_this_device_and_a_test_tells_what_it_does(device_of, site, robot):
-    page = device_of("reviewer-ada")
-    opener, panel = page.page.locator(".calls-open"), page.page.locator(".calls-panel")
-    opener.click()
-    panel.get_by_role("button", name="Plan waits").click()
-    expect(panel.get_by_text("It sounds.")).to_be_visible()
-    panel.get_by_label("Volume").fill("20")
-    panel.get_by_label("Call when the arm holds").uncheck()
-    expect(panel.get_by_text("A locked phone is not called")).to_be_visible()
-    panel.get_by_role("button", name="Close").click()
-    expect(panel).to_be_hidden()
-    page.page.reload()
-    page.login("one-reviewer-ada", site.password("one-reviewer-ada"))
-    expect(opener).to_have_text("Calls off")
-    opener.click()
-    expect(panel.locator(".calls-percent")).to_have_text("20 %")
-    expect(panel.get_by_label("Call when the arm holds")).not_to_be_checked()
-
-
 def test_the_settings_can_be_used_by_everybody_and_cover_no_stop(device_of, robot):
     page = device_of("reviewer-ada", size=PHONE, color_scheme="light")
     robot.show_plan()

@@ -11,10 +11,7 @@ import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import expect
-from processes import wait_until
 
-#: Longest wait for what a robot shall have done [s].
-PATIENCE_S = 60.0
 UPRIGHT, PHONE = (800, 1280), (390, 844)
 
 
@@ -143,18 +140,3 @@ def test_everybody_can_use_them_and_nothing_is_wider_than_the_screen(page_of, ro
             box = each.bounding_box()
             assert box is not None and box["height"] >= 44
         assert page.page.evaluate("document.documentElement.scrollWidth") <= PHONE[0]
-
-
-def test_progress_is_told_to_everybody(page_of, robot):
-    page = page_of("reviewer-ada", size=PHONE)
-    robot.show_plan(duration=60.0)
-    page.look()
-    page.hold_approve()
-    wait_until(lambda: robot.state == "PLAYING", PATIENCE_S, "the motion")
-    expect(page.page.locator(".progress")).to_be_visible()
-    for scheme in ("light", "dark"):
-        page.page.emulate_media(color_scheme=scheme)
-        assert not Axe().run(page.page, context=".progress").response["violations"]
-    # numbers that change ten times a second are spoken by nobody
-    assert page.page.locator("#motion [role=status], #motion [aria-live], .progress [aria-live]").count() == 0
-    page.intervene("stop")

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import io
 import json
-import re
 from collections.abc import Iterator
 
 import numpy as np
@@ -297,68 +296,6 @@ def coloured(picture: np.ndarray, colour: int) -> int:
     """Return how many pixels have a colour to within what smooth edges change."""
     wanted = np.array([colour >> 16, colour >> 8 & 255, colour & 255])
     return int((np.abs(picture - wanted).max(axis=2) <= 6).sum())
-
-
-def test_while_the_arm_moves_its_path_is_drawn_travelled_apart_from_ahead_and_goes_at_the_end(seen, page_of, robot):
-    goal = robot.twin + np.array([1.2, 0.2, -0.3, 0.0, 0.3, 0.0])
-    plan = robot.show_plan(goal, duration=600.0)
-    desk = np.round([robot.tool(row) for row in plan.trajectory["positions"]], 4)
-    robot.play()
-    seen.wait_drawn("one", "it.played !== null && it.path === null")
-    # half of the plan's time is over: the time that is left stands at the path's end, as in the panel
-    robot.seek(300.0)
-    seen.wait_drawn("one", "it.words.some((text) => /^(4:[0-5][0-9]|5:00)$/.test(text))")
-    expect(seen.page.locator(".progress-left")).to_have_text(re.compile("(4:[0-5][0-9]|5:00) left"))
-    # where the tool is, by the desk's kinematics, the two parts meet
-    robot.pause()
-    drawn = seen.wait_drawn("one", "it.played.remaining === null")
-    travelled, ahead = np.array(drawn["played"]["travelled"]), np.array(drawn["played"]["ahead"])
-    assert np.allclose(travelled[:12], desk[:12], atol=_FINE) and np.allclose(ahead[-6:], desk[-6:], atol=_FINE)
-    assert np.allclose(travelled[-1], ahead[0]) and np.linalg.norm(travelled[-1] - drawn["twin"]["tool"]) < 0.01
-    seen.wait_uploaded(pieces(ahead), _FINE)
-    legend = {name: seen.page.locator(f".legend-{name}") for name in ("ahead", "travelled", "path")}
-    expect(legend["ahead"]).to_have_text("path of the tool, still to go")
-    expect(legend["travelled"]).to_have_text("path of the tool, travelled")
-    expect(legend["path"]).to_have_count(0)
-    # in the picture each has the colour of its entry
-    colour = "(it) => getComputedStyle(it).getPropertyValue('--drawn').trim()"
-    seen.wait_frame()
-    shown = pixels(seen)
-    for name in ("ahead", "travelled"):
-        drawn_in = int(legend[name].locator(".swatch").evaluate(colour).removeprefix("#"), 16)
-        assert coloured(shown, drawn_in) > 30, name
-    # whoever comes now sees it as well
-    late = page_of("viewer-vic", "?language=de", picture=True, size=SMALL)
-    late.wait_drawn("one", "it.played?.travelled.length > 12")
-    expect(late.page.locator(".legend-ahead")).to_have_text("Bahn des Werkzeugs, noch zu fahren")
-    robot.seek(600.0)
-    robot.resume()
-    for page in (seen, late):
-        page.wait_drawn("one", "it.played === null")
-        expect(page.page.locator(".legend-ahead, .legend-travelled")).to_have_count(0)
-
-
-def test_the_camera_is_fitted_until_a_person_turns_it_and_again_by_the_button(seen, robot):
-    fit = seen.page.get_by_role("button", name="Fit: show the whole cell")
-    fit.click()
-    close = seen.wait_drawn("one", "it.camera.chosen === 'home'")["camera"]
-    robot.show_scene([FLOOR, box("wall", [0.1, 3.0, 2.0], [-3.0, 0.0, 1.0])])
-    seen.wait_drawn("one", "it.objects.includes('wall')")
-    moved = f"Math.hypot(...it.camera.position.map((value, k) => value - {close['position']}[k])) > 0.1"
-    far = seen.wait_drawn("one", moved)["camera"]
-    area = seen.page.locator("#picture canvas").bounding_box()
-    assert area is not None
-    seen.page.mouse.move(area["x"] + 300, area["y"] + 150)
-    seen.page.mouse.down()
-    seen.page.mouse.move(area["x"] + 360, area["y"] + 160, steps=4)
-    seen.page.mouse.up()
-    turned = seen.wait_drawn("one", "it.camera.chosen === ''")["camera"]
-    assert turned["position"] != far["position"]
-    robot.show_scene([])
-    assert seen.wait_drawn("one", "it.objects.length === 0")["camera"] == turned
-    fit.click()
-    again = seen.wait_drawn("one", "it.camera.chosen === 'home'")["camera"]
-    assert np.allclose(again["position"], close["position"], atol=1e-6)
 
 
 def test_in_a_small_picture_everything_has_its_place(page_of, robot):

@@ -76,12 +76,3 @@ def test_every_target_is_large_enough_and_nothing_is_cut_off(page_of, site, robo
         box = target.bounding_box()
         assert box["height"] >= 44 and box["width"] >= 44
         assert box["x"] >= 0 and box["x"] + box["width"] <= size[0]
-
-
-def test_an_account_without_the_right_sets_nothing_and_is_told_so(page_of, robot):
-    page = page_of("reviewer-ada").page
-    # by the list of rights, and without trying
-    expect(page.locator(".speed-hint")).to_contain_text("does not have the right")
-    expect(page.locator(".speed-slider")).to_be_disabled()
-    expect(page.locator(".speed-step").first).to_be_disabled()
-    assert not robot.payloads("speed/")

@@ -11,7 +11,7 @@ from playwright.sync_api import expect
 from processes import wait_until
 
 from construction_twin.core.sentences import Sentence
-from construction_twin.physics.report import FAILED, PASSED, AxisLoad, RehearsalReport
+from construction_twin.physics.report import FAILED, AxisLoad, RehearsalReport
 
 #: Longest wait for what a robot shall have done [s]; the machine may be busy with other tests.
 PATIENCE_S = 60.0
@@ -170,25 +170,6 @@ def test_who_has_the_right_approves_in_spite_of_the_rehearsal_with_a_reason(page
     assert said["rehearsal_hash"] == "f00d"
     assert not robot.payloads("review")
     expect(button).to_be_hidden()
-
-
-def test_a_press_in_spite_of_a_rehearsal_that_has_passed_meanwhile_sends_nothing(page_of, robot, site):
-    plan = robot.show_plan()
-    _overloaded(robot, plan)
-    page = page_of()
-    page.login("dora", site.password("dora"))
-    panel = page.tab("verdict")
-    panel.locator(".verdict-checks summary").click()
-    panel.locator(".override select").select_option("estimate")
-    button = panel.locator(".override-approve")
-    expect(button).to_be_enabled()
-    page.press(button)
-    robot.show_rehearsal(RehearsalReport(state=PASSED, hash="600d"))
-    expect(page.notice).to_contain_text("has changed while")
-    page.page.mouse.up()
-    expect(button).to_be_hidden()
-    expect(page.approve_button).to_be_enabled()
-    assert not robot.payloads("override_rehearsal")
 
 
 @pytest.mark.parametrize(

@@ -524,19 +524,6 @@ def test_a_login_that_comes_byte_by_byte_has_no_more_time(broker, tmp_path):
     asyncio.run(scene())
 
 
-def test_what_is_no_broker_is_told(tmp_path):
-    async def scene() -> None:
-        async def answer(_, writer: asyncio.StreamWriter) -> None:
-            writer.write(b"\x20\xff\xff\xff\xff\xff")
-
-        server = await asyncio.start_server(answer, "127.0.0.1", 28483)
-        async with server, running(settings(tmp_path, broker=BrokerAddress("127.0.0.1", 28483))), browser() as client:
-            code, reason = await closed(client)
-            assert (code, reason[:37]) == (BROKER_AWAY, "what answers there is no MQTT broker:")
-
-    asyncio.run(scene())
-
-
 def test_a_connection_that_asks_for_nothing_is_closed(tmp_path):
     async def scene() -> None:
         async with running(settings(tmp_path, limits=PipeLimits(login_s=0.5))):

@@ -69,7 +69,7 @@ def test_sdformat_refuses_what_is_none(tmp_path):
     assert not accepted(good.replace('name="joint_a2" type="revolute"', 'name="joint_a1" type="revolute"'), tmp_path)
 
 
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=10)
 @given(names=st.lists(st.text(min_size=1, max_size=8).filter(str.strip), min_size=1, max_size=4, unique=True))
 def test_objects_of_any_name_are_accepted(tmp_path_factory, names):
     scene = [dataclasses.replace(BOX, name=name) for name in names if name not in bodies_of("kr120").link_joints]

@@ -4,7 +4,7 @@ import pinocchio
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from physics_samples import OTHERS, READY, bodies_of, drives, dynamics_of, model_of, pairs_of, robot_of
+from physics_samples import OTHERS, READY, bodies_of, dynamics_of, model_of, pairs_of, robot_of
 from scene_samples import FLOOR, clutter, random_poses, write_stl
 
 from construction_twin.kinematics.chain import Chain
@@ -70,14 +70,6 @@ def test_a_link_without_a_mass_is_named_as_an_estimate():
     keys = [remark.key for remark in model_of("panda_like").remarks]
     assert keys.count("physics.remark.link_mass") == 7
     assert "physics.remark.link_mass" not in [remark.key for remark in model_of("kr120").remarks]
-
-
-def test_estimates_of_the_drives_are_named():
-    (remark,) = [one for one in model_of("kr120").remarks if one.key == "physics.remark.drives"]
-    assert remark.values["keys"] == "torque, armature, friction"
-    physics = build_model(bodies_of("kr120"), Scene(), pairs_of("kr120"), drives())
-    (remark,) = [one for one in physics.remarks if one.key == "physics.remark.drives"]
-    assert remark.values["keys"] == "torque, armature, damping, link masses"
 
 
 def test_a_block_at_rest_presses_with_its_weight():

@@ -13,7 +13,7 @@ from scene_samples import FLOOR
 from construction_twin.kinematics.chain import Chain
 from construction_twin.physics import rehearsal as module
 from construction_twin.physics.arm import SimulatedArm
-from construction_twin.physics.drive import PayloadRating, drives_of
+from construction_twin.physics.drive import PayloadRating
 from construction_twin.physics.judgement import Limits
 from construction_twin.physics.mass import of_shape
 from construction_twin.physics.rehearsal import Rehearsal
@@ -104,17 +104,6 @@ def test_a_motion_that_is_too_fast_for_a_drive_names_axis_and_time():
     assert report.worst_time == report.axes[5].time
 
 
-def test_a_force_of_a_linear_axis_is_said_in_newtons():
-    robot = robot_of("kr120_track")
-    assert robot.linear[0]
-    home = np.array(robot.home)
-    goal = home + np.array((1.0, 0, 0, 0, 0, 0, 0))
-    weak = replace(drives_of(robot), torque=(10.0, *[None] * 6))
-    report = rehearse(between(home, goal, 2.0, "kr120_track"), name="kr120_track", drives=weak)
-    (torque,) = [one for one in report.reasons if one.key == "rehearsal.torque"]
-    assert (torque.values["joint"], torque.values["peak"].unit) == (robot.joint_names[0], "N")
-
-
 def test_a_tile_that_is_let_go_in_mid_air_falls():
     report = rehearse(between(READY, ASIDE, 2.0), Scene((FLOOR, tile(True))), Scene((FLOOR, tile(False, ASIDE))))
     assert "rehearsal.fell" in reasons(report)
@@ -122,14 +111,6 @@ def test_a_tile_that_is_let_go_in_mid_air_falls():
     assert found.name == "tile"
     assert found.released == 2.0
     assert found.fell == pytest.approx(tile(False, ASIDE).position[2] - 0.02, abs=0.01)
-
-
-def test_a_tile_that_is_let_go_inside_the_plan_is_followed_on():
-    other = Scene((FLOOR, tile(False, 0.5 * (READY + ASIDE))))
-    report = rehearse(between(READY, ASIDE, 2.0), Scene((FLOOR, tile(True))), other, other)
-    (found,) = report.objects
-    assert found.released == 1.0
-    assert found.fell > 0.5
 
 
 def test_a_tile_that_is_let_go_on_a_table_stays():
@@ -190,12 +171,6 @@ def test_a_scene_that_is_not_known_breaks_the_rehearsal():
     report = rehearsal.of_plan(plan_of(SMALL, scene, (segment,)), {scene.hash: scene}, lambda: 0.0)
     assert report.state == BROKEN
     assert report.reasons[0].values["scene"] == after.hash[:12]
-
-
-def test_a_scene_of_another_arm_breaks_the_rehearsal_with_the_reason():
-    report = rehearse(SMALL, Scene((SceneObject("tool", "sphere", (0.1,), link="no_such_link"),)))
-    assert (report.state, reasons(report)) == (BROKEN, ["rehearsal.engine"])
-    assert "no_such_link" in report.reasons[0]
 
 
 def test_a_simulation_that_comes_apart_has_failed():
@@ -262,21 +237,6 @@ def test_what_stands_in_the_way_does_not_shorten_the_way_of_braking():
     assert narrow.contacts
     assert narrow.contacts[0].time > narrow.braking.time
     assert narrow.braking == alone.braking
-
-
-def test_who_watches_sees_every_cycle_of_the_plan():
-    seen: list[tuple[float, np.ndarray]] = []
-
-    def watch(time: float, arm: SimulatedArm) -> None:
-        seen.append((time, arm.q))
-
-    rehearsal = Rehearsal(bodies_of("kr120"), pairs_of("kr120"), drives())
-    report = rehearsal.of_plan(plan_of(SMALL, Scene()), {Scene().hash: Scene()}, lambda: 0.0, watch)
-    times = [time for time, _ in seen]
-    assert times == sorted(times)
-    assert times[250] == pytest.approx(1.0)
-    at = min(range(len(times)), key=lambda row: abs(times[row] - report.worst_time))
-    np.testing.assert_allclose(seen[at][1], report.worst_pose)
 
 
 def test_the_pieces_of_an_element_fall_as_one_body():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import coal
@@ -178,14 +177,6 @@ def test_a_damaged_file_is_made_anew(tmp_path):
 def test_what_cannot_be_used_is_said_with_the_element(bodies, sentence, tmp_path):
     with pytest.raises(BodyError, match=f"element 2O2Fr.*{sentence}"):
         element_shape(element(*bodies), tmp_path)
-
-
-def test_many_elements_in_other_processes_with_the_failures_beside_them(tmp_path):
-    good = [element(body_of(triangles_of((0.1, 0.2, 0.3 + 0.1 * number))), name=f"e{number}") for number in range(6)]
-    with ProcessPoolExecutor(2) as pool:
-        shapes, failures = element_shapes([*good, element(name="empty")], tmp_path, pool=pool)
-    assert list(shapes) == [f"e{number}" for number in range(6)] and list(failures) == ["empty"]
-    assert shapes == element_shapes(good, tmp_path / "other")[0]
 
 
 @settings(max_examples=12, deadline=None)

@@ -177,15 +177,6 @@ def test_what_is_cut_away_whole_is_a_box_and_doubted(read):
     assert holds(found["eaten"], (-0.1, -0.1, 0.0), (0.1, 0.1, 1.0)) and found["ok"].id == ok.GlobalId
 
 
-def test_an_opening_that_the_kernel_cannot_make_is_doubted(read):
-    model = IfcModel()
-    wall = model.box("wall", (1.0, 0.2, 1.0))
-    hole = model.opening(wall, (0.2, 0.4, 0.2))
-    hole.Representation.Representations[0].Items = [cylinder(model)]
-    found = read(model)["wall"]
-    assert found.doubt and whole(found) > 0.2
-
-
 def test_an_opening_of_a_whole_is_cut_from_the_parts_that_it_meets(read):
     model = IfcModel()
     wall = model.element("IfcWall", "wall")

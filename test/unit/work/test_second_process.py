@@ -20,8 +20,6 @@ from work_samples import (
     RECIPES,
     ROOT,
     building,
-    element,
-    job,
     layout,
     pairs,
     planner,
@@ -32,8 +30,8 @@ from work_samples import (
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.sentences import Sentence
-from construction_twin.core.work_errors import LedgerError, TaskPlanningError
-from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.core.work_errors import LedgerError
+from construction_twin.kinematics.chain import Chain
 from construction_twin.planning.planner import PlannerSettings, PlanRequest
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.work_plan import plan_work
@@ -97,12 +95,6 @@ def test_a_wrong_key_of_its_recipe_is_named(tmp_path, change, sentence):
         read_recipes(recipes_file(tmp_path, **change))
 
 
-def test_properties_of_another_process_are_none_of_its_own(work):
-    one = job(element("b", properties={"CTwin_RobotTask": {"Recipe": "probe", "MinCups": 3}}))
-    with pytest.raises(TaskPlanningError, match="MinCups: found 3, expected no such property"):
-        work.site.recipes.of(one)
-
-
 # -- where its element is
 
 
@@ -136,16 +128,6 @@ def test_whoever_checks_it_for_review_takes_it(plan, work):
     world = CollisionWorld(robot(), work.scene(), pairs())
     checked = plan_work("T1", plan.segments, HOME, PlanRequest("test", 0), world, PlanBounds(), lambda: 0.0)
     assert [part.scene_after for part in checked.segments] == [work.scene().hash] * 3
-
-
-def test_what_it_needs_and_cannot_have_is_told(work):
-    scene = work.scene()
-    there = work.job_for("brick0", scene)
-    touching = planner(work.site.recipes)
-    with pytest.raises(TaskPlanningError, match="brick0/0 is not at its place"):
-        touching.plan(there, HOME, scene.remove("brick0/0"))
-    with pytest.raises(TaskPlanningError, match="is in the grip"):
-        touching.plan(there, HOME, scene, held=Pose(np.zeros(3), np.eye(3)))
 
 
 def test_the_check_before_the_work_plans_it_too(work):

@@ -102,19 +102,6 @@ def test_a_file_that_has_it_worked_on_before_it_is_placed_is_refused_with_both()
     assert set(caught.value.ids) == {"place", "drill"}
 
 
-def test_what_exists_is_not_placed_but_can_be_worked_on():
-    there = replace(of_box("e", box((0, 0, 0), (1, 1, 1))), status="existing")
-    made = schedule(placing("place", "e"), touching("drill", "e"), elements=[there])
-    assert [one.id for one in made.jobs] == ["drill"] and made.placing == {} and made.job("drill").after == ()
-    assert any("not placed" in note for note in made.notes)
-
-
-def test_what_is_to_go_can_be_worked_on_until_it_is_gone():
-    there = replace(of_box("e", box((0, 0, 0), (1, 1, 1))), status="demolish")
-    made = schedule(touching("drill", "e"), elements=[there])
-    assert [one.id for one in made.jobs] == ["drill"] and [one.id for one in made.removals] == ["e/removal"]
-
-
 def test_a_part_that_another_task_works_on_is_still_placed_with_its_assembly():
     cube = box((0, 0, 0), (1, 1, 1))
     whole, part = of_box("whole"), replace(of_box("part", cube), assembly="whole")
