@@ -736,6 +736,7 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
         : {position: handle.position.toArray(), screen: onScreen(handle.position), axis: screenAxis(), mode: gizmo.mode};
       result.camera = {position: camera.position.toArray(), target: controls.target.toArray(), chosen};
       result.closest = closest.visible ? near : null;
+      result.floor = ground.userData;
       result.frame = toolFrame();
       result.reach = reach.visible ? reach.material.color.getHex() : null;
       result.reachAt = reach.position.toArray();

@@ -85,7 +85,7 @@ function written(document, text, colour) {
  * Make the floor.
  *
  * @param {Document} document
- * @returns {Group} with `theme`, `cover`, `look` and `shadows`
+ * @returns {Group} with `theme`, `cover`, `look`, `shadows`, and `userData` of what is drawn: `height`, `extent`, `numbers`
  */
 export function makeFloor(document) {
   const group = new Group();
@@ -133,6 +133,7 @@ export function makeFloor(document) {
       numbers.add(sprite);
     }
     size();
+    group.userData.numbers = found.map(({text}) => text);
   }
 
   function size() {
@@ -147,6 +148,7 @@ export function makeFloor(document) {
     }
   }
 
+  Object.assign(group.userData, {height: 0, extent: uniforms.extent.value.toArray(), numbers: []});
   return Object.assign(group, {
     /** Take the theme's colours, as the style sheet writes them. */
     theme({plain, line, text}) {
@@ -163,6 +165,7 @@ export function makeFloor(document) {
       uniforms.extent.value.fromArray(extent);
       uniforms.clear.value = Math.min(FAR, 3.2 * Math.max(...extent.map(Math.abs)));
       group.position.z = height;
+      Object.assign(group.userData, {height, extent});
       key = "";
     },
     /** Be looked at: `eye` and `target` as positions, by a picture so many pixels high whose height is seen at `fov` [deg]. */
