@@ -7,14 +7,6 @@ from console_page import ConsolePage
 from playwright.sync_api import expect
 
 
-def test_the_page_asks_for_an_account_and_lets_in_who_has_one(page_of, site, robot):
-    page = page_of()
-    expect(page.page.locator(".login")).to_be_visible()
-    page.login("one-reviewer-ada", site.password("one-reviewer-ada"))
-    expect(page.page.locator(".robots")).to_contain_text("one")
-    assert "logged in as 'one-reviewer-ada'" in site.log.read_text()
-
-
 @pytest.mark.parametrize("file", ["main.*.js", "sentences.*.json"])
 def test_where_the_page_s_script_or_its_words_do_not_arrive_a_line_says_what_to_do(browser, site, file):
     """As when the tablet changes from one network to another while it loads."""

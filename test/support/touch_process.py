@@ -29,7 +29,7 @@ from construction_twin.work.recipe import SHARED, Finite, Length, Override, Reci
 from construction_twin.work.site import inverse, pose_of
 
 NAME = "touch"
-TO_POINT, TOUCH, BACK, HOME = "to point", "touch", "back", "home"
+TO_POINT, TOUCH, BACK = "to point", "touch", "back"
 #: In the frame of a brick of `work_samples`.
 TOP = (0.05, 0.0, 0.071)
 RECIPE = {
@@ -116,9 +116,6 @@ def _planned(search: Search, before: np.ndarray, at: Pose, above: Pose, name: st
     made.add(TO_POINT, free.trajectory, False, empty, (), scene, free.clearance)
     made.add(TOUCH, down, True, empty, (), scene)
     made.add(BACK, back, True, empty, (), scene)
-    if search.end is not None:
-        home = search.free(back.positions[-1], search.end, scale, scene, HOME, name)
-        made.add(HOME, home.trajectory, False, empty, (), scene, home.clearance)
     return made.plan(name)
 
 

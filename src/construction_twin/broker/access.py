@@ -5,7 +5,7 @@ config/mosquitto/.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from string import Template
 
@@ -91,21 +91,6 @@ class Person:
         given = {right for grant in self.grants if robot in (grant.robots or (robot,)) for right in grant.rights}
         seeing = _seeing(*given - {"view", "stop"}, *given & {"stop"}) if given else ()
         return tuple(right for right in RIGHTS if right in seeing)
-
-
-def migrated(named: Mapping[str, Iterable[str]], known: Collection[str] = ()) -> tuple[Person, ...]:
-    """Return the people of the roles as people with one account each, with the same rights at every robot.
-
-    Args:
-        named: Names of people, by role.
-        known: Who has one account already, and is left out.
-    """
-    rights: dict[str, list[str]] = {}
-    for role, names in named.items():
-        for name in names:
-            if name not in known:
-                rights.setdefault(name, []).extend(ROLES[role])
-    return tuple(Person(name, (Grant(merged((), given)),)) for name, given in rights.items())
 
 
 @dataclass(frozen=True)

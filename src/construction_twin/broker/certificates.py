@@ -55,22 +55,13 @@ class Authority:
         extensions = (*_CA, f"nameConstraints=critical,{permitted}")
         write_private(self.certificate, _sign(self._name, self._key, CA_DAYS, extensions))
 
-    def is_limited(self) -> bool:
-        """Return whether the CA may vouch for some names only; one from before they were limited may for any."""
-        return bool(self._permitted())
-
     def not_permitted(self, hosts: Iterable[str]) -> list[str]:
         """Return those of the hosts that this CA may not vouch for."""
-        permitted = self._permitted()
-        if not permitted:
-            return []
-        return [host for host in hosts if not permitted.intersection(_permitting(host))]
-
-    def _permitted(self) -> set[str]:
         text = openssl("x509", "-in", self.certificate, "-noout", "-text")
         _, _, constraints = text.partition("X509v3 Name Constraints")
         names = re.findall(r"^ +(DNS|IP):([^/\s]+)", constraints, re.MULTILINE)
-        return _constraints(name for _, name in names) if names else set()
+        permitted = _constraints(name for _, name in names)
+        return [host for host in hosts if not permitted.intersection(_permitting(host))]
 
     def issue(self, name: str, key: Path, certificate: Path, days: int, hosts: Iterable[str] = ()) -> None:
         """Sign a certificate for the key in `key`, which is made when it is not there.

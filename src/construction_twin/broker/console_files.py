@@ -1,4 +1,4 @@
-"""What a site's console needs: its certificate, its addresses, and who has which right. No password stands in any of them."""
+"""What a site's console needs: its certificate, and who has which right. No password stands in any of them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _NAME = "construction_twin console"
 
 
 class ConsoleFiles:
-    """The folder `console/` of a site: `console.crt`, `console.key`, `ca.crt`, `rights.json`, `addresses.txt`."""
+    """The folder `console/` of a site: `console.crt`, `console.key`, `ca.crt`, `rights.json`."""
 
     def __init__(self, folder: Path):
         self._folder = folder
@@ -39,6 +39,4 @@ class ConsoleFiles:
             lines.append(f"signed the console's certificate for {', '.join(site.consoles)}")
         write_private(self._folder / "ca.crt", authority.certificate.read_text(encoding="utf-8"))
         write_private(self._folder / "rights.json", json.dumps({"robots": people_of(site)}, indent=1) + "\n")
-        addresses = site.console_addresses()
-        write_private(self._folder / "addresses.txt", "".join(f"{address}\n" for address in addresses))
         return lines

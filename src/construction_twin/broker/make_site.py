@@ -11,7 +11,7 @@ import json
 import re
 import secrets
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from datetime import UTC
 from pathlib import Path
 
@@ -25,7 +25,6 @@ from construction_twin.broker.access import (
     access_rules,
     broker_configuration,
     merged,
-    migrated,
 )
 from construction_twin.broker.certificates import Authority, expiry, make_folder, run_tool, write_private
 from construction_twin.broker.console_files import ConsoleFiles
@@ -47,13 +46,11 @@ class SiteFolder:
 
     Args:
         templates: Folder of mosquitto's templates.
-        new_password: Returns a password that cannot be guessed.
     """
 
-    def __init__(self, folder: Path, templates: Path = _TEMPLATES, new_password: Callable[[], str] | None = None):
+    def __init__(self, folder: Path, templates: Path = _TEMPLATES):
         self._folder = folder
         self._templates = templates
-        self._new_password = new_password or (lambda: secrets.token_urlsafe(24))
         self._broker = folder / "broker"
         self._console = ConsoleFiles(folder / "console")
         self._settings = folder / "site.json"
@@ -131,12 +128,7 @@ class SiteFolder:
             ]
         if missing := authority.not_permitted(names):
             raise ConstructionTwinError(Sentence("view.site.not_permitted", names=", ".join(missing)))
-        if authority.is_limited():
-            return authority, []
-        return authority, [
-            "kept the CA, which may vouch for any name; --renew-ca limits it to this site's, and then every tablet needs the new "
-            "ca.crt"
-        ]
+        return authority, []
 
     def expiries(self) -> list[str]:
         """Return a line per certificate with the day of its end, and a warning when the CA's comes first."""
@@ -169,7 +161,7 @@ class SiteFolder:
         lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
         hashed = {line.partition(":")[0]: line for line in lines}
         new = {
-            account: self._new_password()
+            account: secrets.token_urlsafe(24)
             for account in site.accounts()
             if account.name in replace or account.name not in hashed
         }
@@ -283,17 +275,6 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
         action="store_true",
         help="sign the CA's certificate anew, for the same key and the site's names of now; then every tablet and client needs it",
     )
-    add(
-        "--migrate",
-        action="store_true",
-        help="give everybody who has accounts of roles, one at each robot, one account with the same rights in their place; the "
-        "old ones stay until --drop-roles",
-    )
-    add(
-        "--drop-roles",
-        action="store_true",
-        help="take the accounts of roles away from everybody who has one account instead",
-    )
     add("--replace", action="append", default=[], metavar="ACCOUNT", help="give this account a new password and key")
     add("--templates", type=Path, default=_TEMPLATES, help="folder of the templates for mosquitto [%(default)s]")
     return parser.parse_args(argv)
@@ -302,17 +283,8 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
 def _site(arguments: argparse.Namespace, before: dict) -> Site:
     if not 1 <= arguments.days <= 36500:
         raise ConfigurationError("--days", arguments.days, Sentence("expected.range", lowest=1, largest=36500))
-    # version 0.1.0 writes both into every site.json
-    if before.get("people") or before.get("shared_role", "reviewer") != "reviewer":
-        found = {name: before[name] for name in ("people", "shared_role") if name in before}
-        expected = Sentence("expected.site.no_tablet")
-        raise ConfigurationError("people and shared_role of site.json", found, expected)
     named = {role: merged(before.get(field, ()), getattr(arguments, role)) for role, field in _FIELDS.items()}
     persons = _persons(arguments.person, before.get("persons", ()))
-    if arguments.migrate:
-        persons = (*persons, *migrated(named, {person.name for person in persons}))
-    one_account = {person.name for person in persons} if arguments.drop_roles else set()
-    named = {role: tuple(name for name in names if name not in one_account) for role, names in named.items()}
     # without reviewers by name every robot has an account that they share, which may be in use
     shared = before.get("shared", ()) if _names_reviewers(before) else before.get("robots", ())
     reviewed = named["reviewer"] or any("review" in grant.rights for person in persons for grant in person.grants)

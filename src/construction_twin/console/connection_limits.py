@@ -1,4 +1,4 @@
-"""Limits of open connections: unauthenticated ones never displace authenticated ones, and no account fills an address alone.
+"""Limits of open connections: unauthenticated ones never displace authenticated ones.
 
 Many people may share an address: behind a router, or behind a proxy. Pure: connections are numbers.
 """
@@ -19,8 +19,6 @@ class ConnectionLimits:
             about to log in.
         logins, logins_per_address, logins_per_account: Of WebSockets on which the broker has accepted a login. A broker without
             accounts has no limit per account.
-        logins_per_account_and_address: Of one account at one address: half of the address's.
-        kept_per_address: The last places of an address are for accounts that have none there.
     """
 
     anonymous: int = 256
@@ -28,18 +26,6 @@ class ConnectionLimits:
     logins: int = 64
     logins_per_address: int = 16
     logins_per_account: int = 16
-    logins_per_account_and_address: int = 8
-    kept_per_address: int = 4
-
-
-@dataclass(frozen=True)
-class _Login:
-    address: str
-    account: str
-
-
-def _of(some: Iterable[_Login], address: str, account: str) -> int:
-    return sum(each == _Login(address, account) for each in some)
 
 
 class OpenConnections:
@@ -52,7 +38,8 @@ class OpenConnections:
     def __init__(self, limits: ConnectionLimits):
         self._limits = limits
         self._anonymous: dict[int, str] = {}
-        self._logins: dict[int, _Login] = {}
+        #: Address and account.
+        self._logins: dict[int, tuple[str, str]] = {}
 
     def enter(self, connection: int, address: str) -> int | None:
         """Note a new connection; return the one that is to be closed for it, and is counted no more, or None."""
@@ -79,18 +66,12 @@ class OpenConnections:
         limits, logins = self._limits, self._logins.values()
         if len(logins) >= limits.logins:
             return "too many connections are logged in"
-        if sum(each.address == address for each in logins) >= limits.logins_per_address:
+        if sum(at == address for at, _ in logins) >= limits.logins_per_address:
             return "too many connections from this address are logged in"
-        if account and sum(each.account == account for each in logins) >= limits.logins_per_account:
+        if account and sum(of == account for _, of in logins) >= limits.logins_per_account:
             return "too many connections are logged in to this account"
-        here = _of(logins, address, account)
-        if account and here >= limits.logins_per_account_and_address:
-            return "too many connections from this address are logged in to this account"
-        of_address = sum(each.address == address for each in logins)
-        if account and here and of_address >= limits.logins_per_address - limits.kept_per_address:
-            return "the last places of this address are kept for other accounts"
         del self._anonymous[connection]
-        self._logins[connection] = _Login(address, account)
+        self._logins[connection] = address, account
         return ""
 
     def leave(self, connection: int) -> None:

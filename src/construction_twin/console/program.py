@@ -6,9 +6,8 @@ import argparse
 import asyncio
 import logging
 import signal
-from collections.abc import Iterable
+import socket
 
-from construction_twin.console.addresses import addresses
 from construction_twin.console.given_files import broker_tls, check_rights, own_tls
 from construction_twin.console.pipe import BrokerAddress
 from construction_twin.console.server import SOCKET, ConsoleServer, ServerSettings
@@ -44,7 +43,7 @@ def settings_of(arguments: argparse.Namespace) -> ServerSettings:
     )
 
 
-async def _serve(server: ConsoleServer, host: str, port: int, opened_at: Iterable[str]) -> None:
+async def _serve(server: ConsoleServer, host: str, port: int, address: str) -> None:
     task = asyncio.current_task()
     assert task is not None
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -55,7 +54,7 @@ async def _serve(server: ConsoleServer, host: str, port: int, opened_at: Iterabl
     try:
         await asyncio.wait((serving, opened), return_when=asyncio.FIRST_COMPLETED)
         if ready.is_set():
-            print("\n".join(f"console: {address}" for address in opened_at), flush=True)
+            print(f"console: {address}", flush=True)
         await serving
     finally:
         opened.cancel()
@@ -73,9 +72,11 @@ def run(arguments: argparse.Namespace) -> int:
         return 1
     scheme = ("http" if arguments.page else "ws") + ("s" if arguments.certificate else "")
     path = "/" if arguments.page else SOCKET
-    opened_at = addresses(arguments.listen, arguments.port, arguments.certificate, arguments.key, scheme, path)
+    # which nothing can open: this machine's name
+    host = socket.gethostname() if arguments.listen in ("", "0.0.0.0", "::") else arguments.listen
+    address = f"{scheme}://{f'[{host}]' if ':' in host else host}:{arguments.port}{path}"
     try:
-        asyncio.run(_serve(server, arguments.listen, arguments.port, opened_at))
+        asyncio.run(_serve(server, arguments.listen, arguments.port, address))
     except asyncio.CancelledError:
         return 0
     except OSError as error:

@@ -63,11 +63,8 @@ class StaticFile:
         return cls(kind, body, compressed, f'"{hashlib.sha256(body).hexdigest()}"', bool(_HASHED.search(name)))
 
 
-def read_folder(folder: Path, prefix: str = "/") -> Mapping[str, StaticFile]:
+def read_folder(folder: Path) -> Mapping[str, StaticFile]:
     """Return the files of a folder and its folders, by the path of the request that gets them.
-
-    Args:
-        prefix: What stands before their names.
 
     Raises:
         ConfigurationError: When there is no such folder, or a file is too large.
@@ -84,7 +81,7 @@ def read_folder(folder: Path, prefix: str = "/") -> Mapping[str, StaticFile]:
         total += size
         if size > LARGEST or total > LARGEST_SUM:
             raise ConfigurationError(str(path), size, Sentence("expected.size_of_all", most=LARGEST, sum=LARGEST_SUM))
-        files[prefix + name.as_posix()] = StaticFile.of(name.name, path.read_bytes())
+        files["/" + name.as_posix()] = StaticFile.of(name.name, path.read_bytes())
     return files
 
 
@@ -101,14 +98,9 @@ def names(folder: Path) -> Mapping[str, Path]:
 
 
 class FileCache:
-    """Files that may change while the console runs, kept as long as they stay what they were. Used by several threads.
+    """Files that may change while the console runs, kept as long as they stay what they were. Used by several threads."""
 
-    Args:
-        most: How much is kept [bytes].
-    """
-
-    def __init__(self, most: int = LARGEST_SUM):
-        self._most = most
+    def __init__(self) -> None:
         self._kept: dict[Path, tuple[tuple[int, int], StaticFile]] = {}
         self._lock = threading.Lock()
 
@@ -132,6 +124,6 @@ class FileCache:
             return None
         with self._lock:
             self._kept[path] = seen, file
-            while sum(len(each.body) for _, each in self._kept.values()) > self._most:
+            while sum(len(each.body) for _, each in self._kept.values()) > LARGEST_SUM:
                 del self._kept[next(iter(self._kept))]
         return file

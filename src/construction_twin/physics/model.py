@@ -135,27 +135,25 @@ def build_model(
     drives: ArmDrives,
     load: Load = Load(),
     gravity: Sequence[float] = (0.0, 0.0, -GRAVITY),
-    step: float = STEP,
     contacts: bool = True,
 ) -> PhysicsModel:
     """Compile the model.
 
     Args:
         gravity: Length 3. In the root of the URDF [m/s^2].
-        step: Of the simulation [s].
         contacts: Whether bodies touch each other; if not, they have masses and no shapes.
 
     Raises:
         SceneError: If the scene names links or objects that do not exist, or a mesh cannot be used.
         ConfigurationError: If an inertia of the URDF is none.
     """
-    return _Builder(bodies, scene, self_collision, drives, load, gravity, step, contacts).build()
+    return _Builder(bodies, scene, self_collision, drives, load, gravity, contacts).build()
 
 
 class _Builder:
     """Builds one model; the order of its steps is that of `build`."""
 
-    def __init__(self, bodies, scene, self_collision, drives, load, gravity, step, contacts):
+    def __init__(self, bodies, scene, self_collision, drives, load, gravity, contacts):
         self._robot_bodies: RobotBodies = bodies
         self._scene: Scene = scene
         self._self_collision: SelfCollision = self_collision
@@ -169,7 +167,7 @@ class _Builder:
         self._loose: dict[str, tuple[mujoco.MjsBody, pinocchio.SE3]] = {}
         self._spec = spec = mujoco.MjSpec()
         spec.modelname = bodies.robot.name
-        spec.option.timestep = step
+        spec.option.timestep = STEP
         spec.option.gravity = list(gravity)
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC

@@ -6,8 +6,7 @@ event.
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -219,17 +218,9 @@ def placed_elsewhere(event: str, task: str, memory: TaskMemory, reason: str = ""
     )  # fmt: skip
 
 
-def fold(after: Mapping[str, tuple[str, ...]], entries: Iterable[Entry] = ()) -> Book:
-    """Return what is known after these events.
-
-    Args:
-        after: See `Book`.
-
-    Raises:
-        NotNow: If one does not fit the states that those before it left.
-    """
-    book = Book(dict(after), _settled(after, {task: TaskMemory(task) for task in after}))
-    return functools.reduce(Book.then, entries, book)
+def fold(after: Mapping[str, tuple[str, ...]]) -> Book:
+    """Return what is known before any event; `after`: see `Book`."""
+    return Book(dict(after), _settled(after, {task: TaskMemory(task) for task in after}))
 
 
 def _taken(memory: TaskMemory, entry: Entry) -> TaskMemory:

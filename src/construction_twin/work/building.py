@@ -101,7 +101,7 @@ class Task:
         products: GlobalIds of the elements it makes (outputs), in the file's order.
         inputs: GlobalIds of what it works on.
         robots: Names of the resources assigned to it; empty: any robot.
-        start, finish: Scheduled, ISO 8601; empty: not said.
+        start: Scheduled, ISO 8601; empty: not said.
         duration: [s]
         kind: ``makes``: places its products, or works on them; ``takes_down``: removes its products and inputs; ``other``: neither
             (maintenance, moving).
@@ -118,7 +118,6 @@ class Task:
     robots: tuple[str, ...] = ()
     milestone: bool = False
     start: str = ""
-    finish: str = ""
     duration: float | None = None
     kind: str = "makes"
     completed: bool = False

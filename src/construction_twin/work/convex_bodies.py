@@ -97,16 +97,12 @@ class Pieces:
             inside |= (points @ hull.planes[:, :3].T + hull.planes[:, 3] <= slack).all(axis=1)
         return inside
 
-    def same_turned(self, turn: Pose, tolerance: float = 1e-4) -> bool:
-        """Return whether a motion maps the pieces onto themselves: every piece's corners onto those of one of them.
-
-        Args:
-            tolerance: [m]
-        """
+    def same_turned(self, turn: Pose) -> bool:
+        """Return whether a motion maps the pieces onto themselves: every piece's corners onto those of one of them."""
         left = list(self.hulls)
         for hull in self.hulls:
             moved = hull.points @ turn.rotation.T + turn.position
-            match = next((other for other in left if same_points(moved, other.points, tolerance)), None)
+            match = next((other for other in left if same_points(moved, other.points, 1e-4)), None)
             if match is None:
                 return False
             left.remove(match)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Sequence
-from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -87,22 +86,16 @@ class ElementShape:
 
 
 def element_shapes(
-    elements: Iterable[Element], folder: Path, settings: BodySettings | None = None, pool: Executor | None = None
+    elements: Iterable[Element], folder: Path, settings: BodySettings | None = None
 ) -> tuple[dict[str, ElementShape], dict[str, BodyError]]:
-    """Return many elements as objects of the scene, and those for which that is not possible; both by GlobalId.
-
-    Args:
-        pool: Where they are made; None: here, one after the other.
-    """
-    tasks = [(element.id, element.bodies, folder, settings or BodySettings()) for element in elements]
-    found = map(_shape_or_error, tasks) if pool is None else pool.map(_shape_or_error, tasks, chunksize=4)
+    """Return many elements as objects of the scene, and those for which that is not possible; both by GlobalId."""
     shapes: dict[str, ElementShape] = {}
     failures: dict[str, BodyError] = {}
-    for (name, *_), one in zip(tasks, found):
-        if isinstance(one, BodyError):
-            failures[name] = one
-        else:
-            shapes[name] = one
+    for element in elements:
+        try:
+            shapes[element.id] = _shape(element.id, element.bodies, folder, settings or BodySettings())
+        except BodyError as error:
+            failures[element.id] = error
     return shapes, failures
 
 
@@ -114,13 +107,6 @@ def box_of(element: Element) -> SceneObject:
     return SceneObject(
         f"{element.id}/0", "box", tuple(size.tolist()), tuple((0.5 * (low + high)).tolist()), (0.0, 0.0, 0.0, 1.0)
     )
-
-
-def _shape_or_error(task: tuple[str, tuple[Body, ...], Path, BodySettings]) -> ElementShape | BodyError:
-    try:
-        return _shape(*task)
-    except BodyError as error:
-        return error
 
 
 def _shape(element: str, bodies: tuple[Body, ...], folder: Path, settings: BodySettings) -> ElementShape:

@@ -102,7 +102,6 @@ class Search:
         job: What is to be done.
         name, recipe: Of its recipe, the process's own kind.
         start: Shape (n,). Where the arm stands.
-        end: Shape (n,). Where the arm goes afterwards; None: it stays where the process leaves it.
         scene: The present one.
         held: ``tool0_T_element`` of an element that is in the grip already; None: it is where the job has it.
         began: By the clock [s].
@@ -114,7 +113,6 @@ class Search:
     name: str
     recipe: Any
     start: np.ndarray
-    end: np.ndarray | None
     scene: Scene
     held: Pose | None
     began: float

@@ -100,9 +100,6 @@ def plan_stock(
         ConfigurationError: If an element has no rack, or a rack more elements than slots.
         BuildingError: If the model does not say where an element is delivered.
     """
-    if len(set(order)) != len(order):
-        twice = next(element for element in order if list(order).count(element) > 1)
-        raise ConfigurationError(f"{site.path}/racks", f"element {twice} needed twice", Sentence("expected.work.once"))
     base_T_model = inverse(site.model_T_base(building))
     members: dict[str, list[Element]] = {name: [] for name in site.file.racks}
     for element in map(building.element, order):

@@ -198,25 +198,6 @@ class Schedule:
                 found.append(Blocker(self._by_id[wait.job], wait.finished, since + wait.lag - now))
         return tuple(found)
 
-    def allowed(
-        self, started: Mapping[str, float], finished: Mapping[str, float], now: float, robot: str = ""
-    ) -> tuple[Job, ...]:
-        """Return the jobs that may start now, in order.
-
-        Args:
-            started, finished: When [s], by job id; both are over.
-            now: [s]
-            robot: Only jobs that this robot may do; empty: all.
-        """
-        return tuple(
-            job
-            for job in self.jobs
-            if job.id not in started
-            and job.id not in finished
-            and (not robot or not job.robots or robot in job.robots)
-            and not self.blockers(job.id, started, finished, now)
-        )
-
 
 # -- from tasks to jobs ------------------------------------------------------------------------------------------------
 

@@ -133,14 +133,6 @@ class CellFile(_Strict):
     supports: tuple[str, ...] = ()
     racks: Annotated[dict[_RackName, Rack], pydantic.Field(min_length=1)]
 
-    @pydantic.field_validator("model_T_base", mode="before")
-    @classmethod
-    def _near_the_origin(cls, given: object) -> object:
-        xyz = given.get("xyz") if isinstance(given, dict) else None
-        if isinstance(xyz, list) and any(isinstance(one, (int, float)) and FARTHEST < abs(one) < np.inf for one in xyz):
-            raise ValueError(Sentence("expected.work.near_origin", farthest=FARTHEST))
-        return given
-
     @pydantic.model_validator(mode="after")
     def _one_place(self) -> CellFile:
         if (self.model_T_base is None) == (not self.base_element):

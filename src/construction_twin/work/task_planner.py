@@ -62,7 +62,6 @@ class TaskPlanner:
         job: WorkJob,
         start: JointValues,
         scene: Scene,
-        end: JointValues | None = None,
         held: Pose | None = None,
     ) -> TaskMotions:
         """Plan a task.
@@ -70,7 +69,6 @@ class TaskPlanner:
         Args:
             start: Length n. Where the arm stands.
             scene: The present one: with the tool (`contacts.tool_objects`), and the element where the job has it or in the grip.
-            end: Length n. Where the arm goes afterwards. Default: it stays where the process leaves it.
             held: ``tool0_T_element`` of an element that is in the grip already, as `TaskMotions.tool0_T_element` of the plan that
                 gripped it: the rest of the task is planned.
 
@@ -80,9 +78,9 @@ class TaskPlanner:
         began = self._clock()
         name, recipe = self._recipes.of(job)
         process = process_of(recipe.process)
-        q, away = np.array(start, dtype=float), None if end is None else np.array(end, dtype=float)
+        q = np.array(start, dtype=float)
         search = Search(
-            job, name, recipe, q, away, scene, held, began, self._robot, self._solver, self._planner, self._settings,
+            job, name, recipe, q, scene, held, began, self._robot, self._solver, self._planner, self._settings,
             self._tool, self._limits, self._clock, Worlds(self._world_of), self._shapes,
         )  # fmt: skip
         process.check(search)

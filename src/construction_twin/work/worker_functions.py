@@ -29,7 +29,6 @@ from construction_twin.work.jobs import TaskMotions, bare_job
 from construction_twin.work.placement import check_placement
 from construction_twin.work.processes import process_of
 from construction_twin.work.proposed_schedule import propose
-from construction_twin.work.recipe import DEFAULT
 from construction_twin.work.schedule import Schedule
 from construction_twin.work.site import Site, pose_of, read_site
 from construction_twin.work.site_scene import Layout
@@ -102,7 +101,7 @@ def prepare(
         )  # fmt: skip
     notes = [
         *building.notes,
-        *(remark.text for remark in placement.remarks),
+        *placement,
         *(failure.sentence for failure in failures.values()),
         *stands.notes,
     ]
@@ -138,12 +137,8 @@ def prepare(
 
 
 def schedule_digest(schedule: Schedule) -> str:
-    """Return the SHA-256 of what a person accepts; of jobs that place it is the same as before there were other processes."""
-    jobs = [
-        {key: value for key, value in asdict(job).items() if value != DEFAULT or key != "process"}
-        for job in schedule.jobs
-    ]
-    return hashlib.sha256(json.dumps(jobs).encode()).hexdigest()
+    """Return the SHA-256 of what a person accepts."""
+    return hashlib.sha256(json.dumps([asdict(job) for job in schedule.jobs]).encode()).hexdigest()
 
 
 def _mass(site: Site, building: BuildingModel, schedule: Schedule, element: Element) -> float | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import ssl
 import stat
 import subprocess
@@ -20,7 +21,6 @@ from construction_twin.broker.make_site import main
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.mqtt.account import load_account
 
-ROOT = Path(__file__).resolve().parents[3]
 ROBOT = ["--robot", "kr120"]
 HOST = ["--host", "broker.example"]
 
@@ -29,11 +29,18 @@ def make(folder: Path, *arguments: str) -> None:
     assert main([str(folder), *arguments]) == 0
 
 
-@pytest.fixture
-def folder(tmp_path) -> Path:
-    folder = tmp_path / "site"
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Path:
+    """A site as its first run leaves it."""
+    folder = tmp_path_factory.mktemp("made") / "site"
     make(folder, *HOST, "--host", "192.168.7.10", *ROBOT, "--certificates")
     return folder
+
+
+@pytest.fixture
+def folder(made, tmp_path) -> Path:
+    """A copy of that site, with the modes of its files."""
+    return shutil.copytree(made, tmp_path / "site")
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -159,25 +166,6 @@ def test_an_account_handed_out_and_deleted_here_keeps_its_password(folder, capsy
     assert capsys.readouterr().out.count("not renewed: kr120-viewer") == 1
 
 
-def test_reviewers_get_accounts_of_their_own(tmp_path):
-    make(tmp_path / "site", *HOST, *ROBOT, "--reviewer", "anna", "--reviewer", "ben")
-    assert {name for name in names_of(tmp_path / "site") if "reviewer" in name} == {
-        "kr120-reviewer-anna",
-        "kr120-reviewer-ben",
-    }
-
-
-def test_planners_get_accounts_of_their_own_only_when_asked_for(folder):
-    make(folder, "--planner", "ada", "--planner", "studio")
-    assert names_of(folder) == {
-        "kr120-bridge", "kr120-gateway", "kr120-reviewer", "kr120-viewer", "kr120-planner-ada", "kr120-planner-studio"
-    }  # fmt: skip
-    for name in ("account", "certificate"):
-        assert load_account(folder / f"accounts/kr120-planner-ada/{name}.json").context().check_hostname
-    make(folder)
-    assert "kr120-planner-ada" in (folder / "broker/access.acl").read_text()
-
-
 def test_a_person_has_one_account_with_rights_of_its_own_at_each_robot(folder):
     make(
         folder,
@@ -228,39 +216,6 @@ def test_a_person_who_cannot_be_is_refused(words, key, found):
     with pytest.raises(ConfigurationError, check=expects(key, "--person")) as caught:
         Site(("broker.example",), ("kr120",), folder="/site", persons=(Person.parse(words),))
     assert found in str(caught.value)
-
-
-def test_people_of_roles_become_people_with_one_account_and_the_old_ones_stay_until_they_are_dropped(folder, capsys):
-    make(
-        folder,
-        "--robot",
-        "two",
-        "--reviewer",
-        "ada",
-        "--planner",
-        "ada",
-        "--stopper",
-        "bob",
-        "--person",
-        "cora:view@two",
-    )
-    before = (folder / "broker/passwords").read_text()
-    make(folder, "--migrate")
-    persons = {person["name"]: person["grants"] for person in json.loads((folder / "site.json").read_text())["persons"]}
-    assert set(persons) == {"ada", "bob", "cora"} and persons["cora"] == [{"rights": ["view"], "robots": ["two"]}]
-    rights = ["view", "stop", "pause", "review", "plan_request", "trajectory"]
-    assert [sorted(grant["rights"]) for grant in persons["ada"]] == [sorted(rights)]
-    assert {"ada", "bob", "kr120-reviewer-ada", "two-planner-ada", "kr120-stopper-bob"} <= names_of(folder)
-    assert set(before.splitlines()) <= set((folder / "broker/passwords").read_text().splitlines()), "those in use stay"
-    rules = (folder / "broker/access.acl").read_text()
-    assert rules.count("user ada\n") == 1 and "topic write twin/two/review/ada" in rules
-    capsys.readouterr()
-    make(folder, "--drop-roles")
-    told = capsys.readouterr().out
-    assert "took the password of kr120-reviewer-ada away" in told
-    hashed = {line.partition(":")[0] for line in (folder / "broker/passwords").read_text().splitlines()}
-    assert {"ada", "bob", "cora"} <= hashed and not {name for name in hashed if name.endswith(("-ada", "-bob"))}
-    assert "two-reviewer" not in hashed, "ada and bob review by name: nobody shares an account"
 
 
 def test_the_page_gets_who_has_which_right_and_no_program(tmp_path):
@@ -329,17 +284,6 @@ def test_the_account_that_nobody_owns_by_name_outlives_the_first_person(folder, 
     assert "kept " not in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    "settings", [{"people": ["eve"], "shared_role": "reviewer"}, {"people": [], "shared_role": "tablet"}]
-)
-def test_a_site_with_accounts_in_the_role_tablet_is_refused_and_left_as_it_is(folder, capsys, settings):
-    document = json.loads((folder / "site.json").read_text())
-    (folder / "site.json").write_text(json.dumps(document | settings))
-    before = contents(folder)
-    assert main([str(folder)]) == 1
-    assert "--reviewer" in capsys.readouterr().out and contents(folder) == before
-
-
 def test_what_is_taken_out_of_the_settings_is_taken_away_and_named(folder, capsys):
     make(folder, "--reviewer", "ada")
     settings = json.loads((folder / "site.json").read_text())
@@ -373,7 +317,6 @@ def test_the_console_gets_a_certificate_for_its_own_names(folder, capsys):
         "verify", "-CAfile", folder / "console/ca.crt", "-purpose", "sslserver", folder / "console/console.crt"
     )
     said = capsys.readouterr().out
-    assert (folder / "console/addresses.txt").read_text().split() == ADDRESSES
     assert all(f"console: {address} with" in said for address in ADDRESSES)
     assert "console/console.crt expires" in said
 
@@ -386,14 +329,10 @@ def test_a_second_run_leaves_the_console_alone_and_a_new_name_signs_it_anew(fold
     make(folder, "--console", "hall7.twin.example")
     after = contents(folder)
     changed = {name for name in before if after[name] != before[name]}
-    assert changed == {"console/console.crt", "console/addresses.txt", "site.json"}
+    assert changed == {"console/console.crt", "site.json"}
     make(folder, "--renew")
     assert contents(folder)["console/console.crt"] != after["console/console.crt"]
     assert contents(folder)["console/console.key"] == before["console/console.key"]
-
-
-def test_a_site_without_a_console_has_no_files_for_one(folder):
-    assert not (folder / "console").exists()
 
 
 def test_the_configuration_names_the_folder_on_the_broker(tmp_path):
@@ -412,13 +351,6 @@ def test_the_configuration_names_the_folder_on_the_broker(tmp_path):
     assert "password_file /etc/mosquitto/site/passwords" in text and "\nlistener 9000 10.0.0.1\n" in text
     assert "allow_anonymous false" in text and "set_tcp_nodelay true" in text and "$" not in text
     assert "listener 9001" not in text and str(tmp_path) not in text
-
-
-def test_when_everything_ends_is_told(folder, capsys):
-    make(folder)
-    said = capsys.readouterr().out
-    for name in ("ca/ca.crt", "broker/server.crt", "accounts/kr120-reviewer/client.crt"):
-        assert f"{name} expires 20" in said
 
 
 def test_a_ca_that_ends_before_what_it_signs_is_warned_of(folder, capsys):
@@ -467,27 +399,18 @@ def verdict(folder: Path, host: str, *more: str) -> tuple[str, str]:
     return (done.stderr if done.returncode else ""), said
 
 
-@pytest.mark.parametrize(
-    "host", ["broker.example", "BROKER.example", "a.broker.example", "192.168.7.10", "localhost", "127.0.0.1", "::1"]
-)
+@pytest.mark.parametrize("host", ["BROKER.example", "a.broker.example", "192.168.7.10", "localhost", "::1"])
 def test_the_ca_vouches_for_the_site_s_names(folder, host):
     assert verdict(folder, host) == ("", "")
 
 
 @pytest.mark.parametrize(
     "hosts",
-    [("evil.example",), ("notbroker.example",), ("example",), ("192.168.7.11",), ("fd00::1",),
-     ("broker.example", "bank.example"), ("broker.example", "192.168.7.11")],
+    [("notbroker.example",), ("example",), ("192.168.7.11",), ("fd00::1",), ("broker.example", "bank.example")],
 )  # fmt: skip
 def test_nobody_believes_the_ca_about_other_names(folder, hosts):
     openssl, python = verdict(folder, *hosts)
     assert "permitted subtree violation" in openssl and python == "permitted subtree violation"
-
-
-def test_a_ca_for_addresses_alone_vouches_for_no_name(tmp_path):
-    make(tmp_path / "site", "--host", "192.168.7.10", *ROBOT)
-    assert verdict(tmp_path / "site", "192.168.7.10") == ("", "")
-    assert verdict(tmp_path / "site", "broker.example")[1] == "permitted subtree violation"
 
 
 def test_a_name_that_the_ca_may_not_vouch_for_changes_nothing_unless_the_ca_is_renewed(folder, capsys):
@@ -507,35 +430,6 @@ def test_a_name_that_the_ca_may_not_vouch_for_changes_nothing_unless_the_ca_is_r
     # who has a certificate of before is still believed
     for path in (folder / "accounts").glob("*/client.crt"):
         certificates.openssl("verify", "-CAfile", folder / "ca/ca.crt", "-purpose", "sslclient", path)
-
-
-def test_a_ca_of_before_there_were_limits_is_kept_and_told_how_to_limit(folder, capsys):
-    key, ca = folder / "ca/ca.key", folder / "ca/ca.crt"
-    request = [
-        "req",
-        "-x509",
-        "-config",
-        "/dev/null",
-        "-subj",
-        "/CN=construction_twin site",
-        "-key",
-        key,
-        "-days",
-        "3650",
-    ]
-    extensions = ["basicConstraints=critical,CA:true,pathlen:0", "keyUsage=critical,keyCertSign,cRLSign"]
-    made = certificates.openssl(
-        *request, *(word for each in (*extensions, "subjectKeyIdentifier=hash") for word in ("-addext", each))
-    )
-    certificates.write_private(ca, made)
-    capsys.readouterr()
-    make(folder, "--host", "new.example")
-    assert "kept the CA, which may vouch for any name; --renew-ca limits it" in capsys.readouterr().out
-    assert ca.read_text() == made and verdict(folder, "evil.example") == ("", "")
-    make(folder, "--renew-ca")
-    make(folder)
-    assert "may vouch for any name" not in capsys.readouterr().out
-    assert verdict(folder, "new.example") == ("", "") and verdict(folder, "evil.example")[1]
 
 
 @pytest.mark.parametrize(
@@ -563,13 +457,6 @@ def test_a_program_that_is_missing_is_named(tmp_path, monkeypatch, capsys, progr
     monkeypatch.setattr(certificates.shutil, "which", lambda name: None if name == program else which(name))
     assert main([str(tmp_path / "site"), *HOST, *ROBOT]) == 1
     assert f"{program} is not installed; on Debian: apt-get install {package}" in capsys.readouterr().out
-
-
-def test_a_tool_that_fails_is_told_with_its_last_words(tmp_path):
-    with pytest.raises(
-        ConstructionTwinError, check=says("view.site.program_failed", program="openssl", step="x509", status=1)
-    ):
-        expiry(tmp_path / "missing")
 
 
 def test_half_a_ca_is_not_mended_by_making_another(folder):
@@ -627,7 +514,7 @@ def test_files_that_are_missing_or_not_what_they_should_be_are_named(tmp_path):
         account.context()
 
 
-@pytest.mark.parametrize("mode", [0o644, 0o640, 0o604])
+@pytest.mark.parametrize("mode", [0o640, 0o604])
 def test_a_secret_that_others_may_read_is_refused(folder, mode):
     account = load_account(folder / "accounts/kr120-bridge/account.json")
     Path(account.password_file).chmod(mode)

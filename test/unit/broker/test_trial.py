@@ -63,15 +63,3 @@ def test_a_broker_whose_files_are_hidden_is_seen_to_listen(configuration, monkey
     hide(monkeypatch)
     monkeypatch.setattr(start, "TRIAL_TIME", 10.0)
     assert start.trial(configuration, free_port()) == ""
-
-
-def test_a_port_is_a_hidden_process_s_only_when_that_is_asked_for(monkeypatch):
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port = server.getsockname()[1]
-        assert port in network.listening_ports(os.getpid())
-        assert port not in network.listening_ports(os.getppid(), or_any=True)
-        hide(monkeypatch)
-        assert network.listening_ports(os.getppid()) == set()
-        assert port in network.listening_ports(os.getppid(), or_any=True)
-    # one that has ended
-    assert network.listening_ports(2**22 + 1, or_any=True) == set()

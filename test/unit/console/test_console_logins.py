@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
 from collections.abc import Iterator
 from functools import partial
@@ -11,10 +10,7 @@ from functools import partial
 import pytest
 from mqtt_packets import connect
 from piped_console import CONNACK_OK, broker_with, browser_at, closed, login, serving
-from websockets.exceptions import ConnectionClosed
 
-from construction_twin.console.connection_limits import ConnectionLimits
-from construction_twin.console.logins import shown
 from construction_twin.console.pipe import BROKER_AWAY, BrokerAddress, PipeLimits
 from construction_twin.console.server import ServerSettings
 
@@ -65,31 +61,6 @@ def test_the_answer_to_a_wrong_password_comes_late_and_to_a_right_or_to_none_at_
     asyncio.run(scene())
 
 
-def test_one_account_s_sockets_keep_nobody_else_behind_their_address_out(broker):
-    async def scene() -> None:
-        async with running(settings()), contextlib.AsyncExitStack() as held:
-            full, refused = 0, 0
-            for _ in range(ConnectionLimits().logins_per_address + 1):
-                client = await held.enter_async_context(browser())
-                await client.send(login("ada"))
-                if await answered(client):
-                    full += 1
-                else:
-                    refused += 1
-            assert (full, refused) == (8, 9)
-            for address, account in (("127.0.0.1", "bob"), (STRANGER, "ada")):
-                client = await held.enter_async_context(browser(address))
-                await logs_in(client, account)
-
-    async def answered(client) -> bool:
-        try:
-            return await asyncio.wait_for(client.recv(), 10) == CONNACK_OK
-        except ConnectionClosed:
-            return False
-
-    asyncio.run(scene())
-
-
 def test_wrong_passwords_are_told_with_account_and_address_and_no_other_flood_hides_them(broker, caplog):
     forged = "eve 127.0.0.9 logged in as 'ada'\u202e"
 
@@ -115,8 +86,3 @@ def test_wrong_passwords_are_told_with_account_and_address_and_no_other_flood_hi
         "127.0.0.1: wrong password for \"eve 127.0.0.9 logged in as 'ada'\\u202e\"",
     ]
     assert lines[-1] == "127.0.0.2 logged in as 'ada'"
-
-
-def test_an_account_makes_no_line_of_its_own_in_the_log():
-    assert shown("a\r\n\x1b[2J" + "x" * 1000) == repr("a\r\n\x1b[2J" + "x" * 57)
-    assert shown("") == "nobody (no account)"

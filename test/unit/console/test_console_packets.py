@@ -9,13 +9,9 @@ from mqtt_packets import connect, packet, text
 
 from construction_twin.console.origin import refusal
 from construction_twin.console.packets import (
-    WRONG_PASSWORD,
     ClientStream,
-    PacketReader,
-    reason_code,
 )
 from construction_twin.console.static_files import StaticFile
-from construction_twin.console.tickets import Tickets
 from construction_twin.core.errors import PayloadError
 
 
@@ -35,17 +31,6 @@ def test_packets_come_out_as_they_went_in_wherever_the_stream_is_cut(bodies, ste
     for at in range(0, len(data), step):
         found += stream.feed(data[at : at + step])
     assert [item.data for item in found] == packets
-
-
-@given(st.binary(max_size=200))
-def test_junk_is_refused_or_waits_for_more_and_never_passes_before_a_login(data):
-    stream = ClientStream(1000)
-    try:
-        passed = stream.feed(data)
-    except PayloadError as error:
-        assert error.reason in ("mqtt", "size")
-    else:
-        assert not passed or passed[0].kind == 1
 
 
 @pytest.mark.parametrize(
@@ -68,13 +53,6 @@ def test_what_no_client_sends_is_refused(data, reason):
     with pytest.raises(PayloadError) as caught:
         ClientStream(1000).feed(data)
     assert caught.value.reason == reason
-
-
-def test_a_login_that_the_broker_accepts_is_told_from_one_that_it_refuses():
-    reader = PacketReader(100)
-    packets = reader.feed(packet(2, b"\0\0\0") + packet(2, b"\0\x87\0") + packet(2, b"\0\x88\0") + packet(15, b"\0\0"))
-    assert [reason_code(each) for each in packets] == [0, 0x87, 0x88, None]
-    assert [reason_code(each) in WRONG_PASSWORD for each in packets] == [False, True, False, False]
 
 
 @pytest.mark.parametrize("version", (4, 5))
@@ -114,34 +92,6 @@ def test_a_login_without_user_name_and_password_is_anonymous(version, flags, ano
 )
 def test_only_the_server_s_own_page_and_named_origins_may_connect(origin, host, secure, fits):
     assert bool(refusal(origin, host, secure, frozenset({"https://other.cell"}))) is not fits
-
-
-def test_a_ticket_counts_from_the_login_to_the_end_of_its_account_s_last_connection():
-    tickets = Tickets(iter(["one", "two"]).__next__, 8480)
-    first, second = tickets.give(None), tickets.give("other=1; console_ticket_8480=guess")
-    header = tickets.cookie(first, True).partition(";")[0]
-    assert (first, second, header) == ("one", "two", "console_ticket_8480=one")
-    assert not tickets.is_known(header)
-    tickets.login(first, "ada")
-    # also beside a cookie of another program that is no proper one
-    assert tickets.is_known(header) and tickets.is_known(f'a b=[,"; {header}')
-    assert not tickets.is_known(tickets.cookie(second, False).partition(";")[0])
-    for other in (None, "", "console_ticket_8480=; \x00=", "console_ticket_8481=one", "console_ticket_8480"):
-        assert not tickets.is_known(other), other
-    tickets.logout(first, "ada")
-    assert not tickets.is_known(header)
-
-
-def test_a_second_tab_does_not_end_the_login_of_the_first():
-    tickets = Tickets(iter(["one", "two"]).__next__, 8480)
-    tickets.login(tickets.give(None), "ada")
-    again = tickets.give("console_ticket_8480=one")
-    assert again == "one"
-    tickets.login(again, "ada")
-    tickets.logout(again, "ada")
-    assert tickets.is_known("console_ticket_8480=one")
-    tickets.logout("one", "ada")
-    assert not tickets.is_known("console_ticket_8480=one")
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import functools
 import http.client
-import importlib.util
 import logging
 import re
 import signal
@@ -21,19 +20,15 @@ from pathlib import Path
 import pytest
 from mqtt_packets import connect, packet, text
 from piped_console import CONNACK_OK, MOSQUITTO, PING, PONG, broker_with, browser_at, closed, login, serving, started
-from sentence_checks import expects
 from websockets.asyncio.client import connect as websocket
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from construction_twin.broker import make_site
-from construction_twin.console import command_line
 from construction_twin.console.command_line import main
-from construction_twin.console.connection_limits import ConnectionLimits, OpenConnections
-from construction_twin.console.listener import listeners
+from construction_twin.console.connection_limits import ConnectionLimits
 from construction_twin.console.pipe import BROKER_AWAY, NOT_MQTT, TOO_MUCH, BrokerAddress, PipeLimits
 from construction_twin.console.server import ServerSettings
 from construction_twin.console.static_files import read_folder
-from construction_twin.core.errors import ConfigurationError
 
 PORT, BROKER_PORT = 28480, 28481
 ORIGIN = f"http://127.0.0.1:{PORT}"
@@ -340,18 +335,7 @@ def test_a_client_that_subscribes_with_its_login_gets_a_long_message_with_the_an
     ("limits", "why"),
     (
         (ConnectionLimits(logins=2), "too many connections are logged in"),
-        (
-            ConnectionLimits(logins_per_address=2, kept_per_address=0),
-            "too many connections from this address are logged in",
-        ),
-        (
-            ConnectionLimits(logins_per_account_and_address=2),
-            "too many connections from this address are logged in to this account",
-        ),
-        (
-            ConnectionLimits(logins_per_address=3, kept_per_address=1),
-            "the last places of this address are kept for other accounts",
-        ),
+        (ConnectionLimits(logins_per_address=2), "too many connections from this address are logged in"),
         (ConnectionLimits(logins_per_account=2), "too many connections are logged in to this account"),
     ),
 )
@@ -516,19 +500,6 @@ def test_what_would_send_passwords_in_the_clear_is_refused(tmp_path, capsys, arg
     assert words in capsys.readouterr().out
 
 
-def test_a_page_that_is_not_there_is_told(tmp_path):
-    with pytest.raises(ConfigurationError, check=expects("expected.folder", "console files")):
-        read_folder(tmp_path / "nothing")
-
-
-def test_without_the_package_one_sentence_says_what_to_do(monkeypatch, capsys):
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    assert command_line.main([]) == 1
-    assert capsys.readouterr().out == (
-        "console: the Python package websockets is not installed; run setup/setup.sh console\n"
-    )
-
-
 def test_without_a_page_it_only_pipes(broker, tmp_path):
     async def scene() -> None:
         served = ServerSettings({}, None, BrokerAddress("127.0.0.1", BROKER_PORT))
@@ -549,35 +520,6 @@ def test_a_login_that_comes_byte_by_byte_has_no_more_time(broker, tmp_path):
                     await client.send(bytes([byte]))
                     await asyncio.sleep(0.1)
             assert await closed(client) == (NOT_MQTT, "no CONNECT within 0.5 s")
-
-    asyncio.run(scene())
-
-
-def test_what_is_no_broker_is_told(tmp_path):
-    async def scene() -> None:
-        async def answer(_, writer: asyncio.StreamWriter) -> None:
-            writer.write(b"\x20\xff\xff\xff\xff\xff")
-
-        server = await asyncio.start_server(answer, "127.0.0.1", 28483)
-        async with server, running(settings(tmp_path, broker=BrokerAddress("127.0.0.1", 28483))), browser() as client:
-            code, reason = await closed(client)
-            assert (code, reason[:37]) == (BROKER_AWAY, "what answers there is no MQTT broker:")
-
-    asyncio.run(scene())
-
-
-def test_a_name_of_several_addresses_is_listened_to_on_each_and_a_port_that_is_taken_is_told():
-    async def scene() -> None:
-        connections = OpenConnections(ConnectionLimits())
-        made = await listeners("localhost", PORT, connections, print)
-        try:
-            found = {each[4][0] for each in socket.getaddrinfo("localhost", PORT, type=socket.SOCK_STREAM)}
-            assert {each.getsockname()[0] for each in made} == found
-            with pytest.raises(OSError, match="in use"):
-                await listeners("127.0.0.1", PORT, connections, print)
-        finally:
-            for each in made:
-                each.close()
 
     asyncio.run(scene())
 

@@ -145,13 +145,6 @@ def test_the_arm_holds_every_load_that_it_is_rated_for_where_it_stands(seed):
     np.testing.assert_allclose(arm.q, q, atol=1e-6)
 
 
-def test_without_a_lag_the_arm_is_where_it_is_told_to_be():
-    arm = SimulatedArm(model_of(), READY, Servo(omega=0.0))
-    for setpoint in between(READY, FAR, 2.0).sample_many(cycles(2.0))[0]:
-        arm.cycle(setpoint)
-        np.testing.assert_allclose(arm.q, setpoint, atol=1e-3)
-
-
 def test_an_arm_that_rests_for_long_goes_on_when_it_is_told_to():
     physics = model_of(scene=Scene((SceneObject("b", "box", (0.1, 0.1, 0.1), (2.0, 0.0, 0.05)),)))
     physics.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP

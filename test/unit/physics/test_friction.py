@@ -44,22 +44,12 @@ def slid(angle: float, change: Callable[[PhysicsModel], None], steps: int = 800)
     return (positions - begin) @ rotation[:, 0]
 
 
-@pytest.mark.parametrize("degrees", [25.0, 30.0])
 @pytest.mark.parametrize(("change", "same"), [(as_it_is, True), (with_less_friction, False)])
-def test_a_brick_slides_down_a_ramp_as_in_closed_form(degrees, change, same):
+def test_a_brick_slides_down_a_ramp_as_in_closed_form(change, same):
     """Measured: 0.13 % of the way in 0.8 s; with a friction of 0.39 instead of 0.40 5 to 15 %."""
-    angle = math.radians(degrees)
+    angle = math.radians(25.0)
     way = slid(angle, change)
     closed = 0.5 * GRAVITY * (math.sin(angle) - FRICTION * math.cos(angle)) * (0.001 * np.arange(1, len(way) + 1)) ** 2
     assert closed[-1] > 0.18
     # the first steps press the brick into the ramp
     assert bool(np.abs(way - closed)[200:].max() < 0.005 * closed[-1]) is same
-
-
-def test_a_brick_stays_on_a_ramp_that_friction_holds_it_on():
-    angle = math.radians(21.0)
-    assert 0.0 < math.atan(FRICTION) - angle < math.radians(1.0)
-    # soft contacts creep, 0.2 mm/s as measured
-    assert abs(slid(angle, as_it_is)[-1]) < 3e-4
-    # and does not where friction is less than the slope
-    assert slid(angle, lambda physics: physics.model.geom_friction.__imul__(0.9))[-1] > 0.02

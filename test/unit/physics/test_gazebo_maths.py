@@ -14,7 +14,7 @@ import pinocchio
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from physics_samples import OTHERS, READY, ROOT, between, bodies_of, drives, dynamics_of, model_of, robot_of
+from physics_samples import OTHERS, READY, ROOT, between, bodies_of, drives, dynamics_of, model_of
 
 from construction_twin.core.servo_lag import transition_matrix
 from construction_twin.core.units import CYCLE
@@ -171,24 +171,3 @@ def test_an_arm_that_is_put_elsewhere_begins_there_at_rest(maths):
     model, order = dynamics_of("kr120")
     standing = pinocchio.computeGeneralizedGravity(model, model.createData(), FAR)
     np.testing.assert_allclose(arm.maths.ask("torques", FAR, np.zeros(6)), standing[order], rtol=1e-6, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    "text, said",
-    [
-        ("0 0 -9.8\n", "a chain without joints"),
-        ("0 0\n", "a number of the chain: found ''"),
-        ("0 0 -9.8\njoint 0 1 2 x", "a number of the chain: found 'x'"),
-        ("0 0 -9.8\njoint 0 1 2 3e", "a number of the chain: found '3e'"),
-    ],
-)
-def test_a_chain_that_is_none_is_refused(program, tmp_path, text, said):
-    (tmp_path / "chain").write_text(text)
-    run = subprocess.run([program, tmp_path / "chain"], capture_output=True, text=True, stdin=subprocess.DEVNULL)
-    assert run.returncode == 1 and run.stderr.startswith(said)
-
-
-def test_every_arm_has_as_many_joints_as_its_chain():
-    for name in ARMS:
-        lines = chain_of(name).split("\n")[1:-1]
-        assert [line.split()[0] for line in lines[1:]] == list(robot_of(name).joint_names)

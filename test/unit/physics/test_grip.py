@@ -5,8 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from physics_samples import READY, between, bodies_of, drives, pairs_of, plan_of, robot_of
 
 from construction_twin.physics.grip import FRICTION, SuctionGrip
@@ -57,17 +55,6 @@ def test_one_row_of_cups_resists_a_moment_about_itself_by_their_lips():
 def test_turning_about_the_normal_is_shear():
     arm = math.hypot(0.1, 0.1)
     assert usage(moment=(0.0, 0.0, 4 * WEIGHT * FRICTION * arm)) == pytest.approx(1.0, rel=0.15)
-
-
-_FORCES = st.tuples(*[st.floats(-1e4, 1e4)] * 3)
-
-
-@given(_FORCES, _FORCES, st.floats(0.1, 10.0))
-def test_twice_the_load_is_twice_the_usage(force, moment, factor):
-    once = usage(force, moment)
-    assert once >= 0.0
-    scaled = usage(tuple(factor * each for each in force), tuple(factor * each for each in moment))
-    assert scaled == pytest.approx(factor * once, rel=1e-9, abs=1e-9)
 
 
 def test_only_the_cups_that_lie_on_the_workpiece_hold():

@@ -10,9 +10,6 @@ from chain_samples import REACH, ROBOT
 from live_twin_samples import FLOOR, carrying, model_in
 
 from construction_twin.core.sentences import Sentence
-from construction_twin.core.servo_lag import transition_matrix
-from construction_twin.core.units import CYCLE
-from construction_twin.physics.arm import OMEGA, ZETA
 from construction_twin.physics.drive import drives_of
 from construction_twin.physics.live_twin import LiveTwin
 from construction_twin.physics.model import PhysicsModel
@@ -59,15 +56,6 @@ def test_it_begins_at_rest_where_it_is_commanded_to_be_and_stays():
     assert np.abs(poses - REACH).max() < 1e-6
     # and holds itself up: the second axis carries the arm
     assert abs(twin.effort[1]) > 1000.0
-
-
-def test_it_answers_as_the_realistic_servo_of_the_mock():
-    twin, (xx, xv), (vx, vv) = twin_in(model_in()), *transition_matrix(OMEGA, ZETA, CYCLE)
-    answer, speed = np.array(HOME), np.zeros(6)
-    for commanded in PATH:
-        error, goal = answer - commanded, np.array(commanded)
-        answer, speed = goal + xx * error + xv * speed, vx * error + vv * speed
-        assert np.abs(twin.cycle(commanded) - answer).max() < 2e-4
 
 
 def test_another_scene_takes_pose_speed_and_servo_over():

@@ -1,12 +1,10 @@
-import math
-
 import mujoco
 import numpy as np
 import pinocchio
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from physics_samples import OTHERS, READY, bodies_of, drives, dynamics_of, model_of, pairs_of, robot_of
+from physics_samples import OTHERS, READY, bodies_of, dynamics_of, model_of, pairs_of, robot_of
 from scene_samples import FLOOR, clutter, random_poses, write_stl
 
 from construction_twin.kinematics.chain import Chain
@@ -72,69 +70,6 @@ def test_a_link_without_a_mass_is_named_as_an_estimate():
     keys = [remark.key for remark in model_of("panda_like").remarks]
     assert keys.count("physics.remark.link_mass") == 7
     assert "physics.remark.link_mass" not in [remark.key for remark in model_of("kr120").remarks]
-
-
-def test_estimates_of_the_drives_are_named():
-    (remark,) = [one for one in model_of("kr120").remarks if one.key == "physics.remark.drives"]
-    assert remark.values["keys"] == "torque, armature, friction"
-    physics = build_model(bodies_of("kr120"), Scene(), pairs_of("kr120"), drives())
-    (remark,) = [one for one in physics.remarks if one.key == "physics.remark.drives"]
-    assert remark.values["keys"] == "torque, armature, damping, link masses"
-
-
-def test_a_body_falls_as_galilei_says():
-    scene = Scene((SceneObject("ball", "sphere", (0.05,), (1.5, 0.0, 3.0)),))
-    physics = model_of(scene=scene, load=Load({"ball": 2.0}, {"ball": "ball"}))
-    data = physics.at_rest(READY)
-    for _ in range(500):
-        mujoco.mj_step(physics.model, data)
-    fallen = 3.0 - data.qpos[physics.loose["ball"] + 2] + bodies_of("kr120").root_T_base.translation[2]
-    # a step of the semi-implicit Euler method falls g dt^2 too far each time, half of it on average
-    assert fallen == pytest.approx(GRAVITY * 0.5**2 / 2.0, abs=GRAVITY * 0.5 * 0.001)
-
-
-def test_an_axis_that_swings_freely_has_the_period_of_a_pendulum():
-    scene = Scene((SceneObject("bob", "sphere", (0.05,), (0.5, 0.0, 0.0), link=robot_of("kr120").tip_link),))
-    physics = model_of(scene=scene, load=Load({"bob": 40.0}))
-    data = physics.at_rest(READY)
-    *held, last = np.arange(physics.model.nv)[physics.joints]
-    upright, product = np.zeros(physics.model.nv), np.zeros(physics.model.nv)
-    upright[last] = 1.0
-    mujoco.mj_mulM(physics.model, data, product, upright)
-    # torque and pull of the bob, a sine of the angle: 90 deg apart they say where it hangs
-    torques = []
-    for angle in (0.0, math.pi / 2.0):
-        data.qpos[last] = angle
-        mujoco.mj_forward(physics.model, data)
-        torques.append(data.qfrc_bias[last])
-    strength, hanging = math.hypot(*torques), -math.atan2(torques[0], torques[1])
-    # the other axes are so heavy that they stand still
-    physics.model.dof_armature[held] = 1e9
-    data.qpos[last], data.qvel[:] = hanging + 0.02, 0.0
-    crossings, before = [], 0.02
-    for step in range(4000):
-        mujoco.mj_step(physics.model, data)
-        now = data.qpos[last] - hanging
-        if before < 0.0 <= now:
-            crossings.append(step * physics.model.opt.timestep)
-        before = now
-    assert len(crossings) > 1
-    assert np.diff(crossings).mean() == pytest.approx(2.0 * math.pi * math.sqrt(product[last] / strength), rel=2e-3)
-
-
-def test_an_arm_that_nothing_drives_keeps_its_energy():
-    physics = model_of()
-    physics.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
-    physics.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-    data = physics.at_rest(READY)
-    mujoco.mj_step(physics.model, data)
-    begin, largest, moving = sum(data.energy), 0.0, 0.0
-    for _ in range(1000):
-        mujoco.mj_step(physics.model, data)
-        largest = max(largest, abs(sum(data.energy) - begin))
-        moving = max(moving, data.energy[1])
-    assert moving > 1000.0
-    assert largest < 0.02 * moving
 
 
 def test_a_block_at_rest_presses_with_its_weight():
@@ -241,23 +176,3 @@ def test_a_link_that_is_not_convex_is_pieces_in_the_simulation_and_says_so(tmp_p
         owners = [{physics.owners[geom] for geom in geoms} for geoms in physics.at_rest([0.0]).contact.geom]
         assert ({"arm", "probe"} not in owners) is free
         assert CollisionWorld(robot, scene, none).is_free([0.0]) is free
-
-
-def test_a_convex_mesh_has_no_remark(tmp_path):
-    corners = np.array([(x, y, z) for x in (0.0, 0.2) for y in (0.0, 0.2) for z in (0.0, 0.2)])
-    faces = [
-        (0, 1, 3),
-        (0, 3, 2),
-        (4, 6, 7),
-        (4, 7, 5),
-        (0, 4, 5),
-        (0, 5, 1),
-        (2, 3, 7),
-        (2, 7, 6),
-        (0, 2, 6),
-        (0, 6, 4),
-    ]
-    faces += [(1, 5, 7), (1, 7, 3)]
-    mesh = write_stl(tmp_path / "cube.stl", corners[np.array(faces)])
-    physics = model_of(scene=Scene((SceneObject("cube", "mesh", (), (1.5, 0.0, 1.0), mesh=mesh),)))
-    assert "physics.remark.hull" not in [remark.key for remark in physics.remarks]

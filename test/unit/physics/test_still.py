@@ -6,12 +6,10 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.physics import film
-from construction_twin.physics.still import StandingBody, edges_of, still
+from construction_twin.physics.still import StandingBody, still
 
 CUBE = np.array(list(itertools.product((0.0, 1.0), repeat=3)))
 
@@ -28,17 +26,6 @@ def of_colour(pixels: np.ndarray, channel: int) -> np.ndarray:
     """Return which pixels are of one of the three colours, in some light."""
     others = [each for each in range(3) if each != channel]
     return (pixels[..., channel] > 60) & (pixels[..., others].max(axis=-1) < 0.5 * pixels[..., channel])
-
-
-@given(st.lists(st.floats(0.01, 30.0), min_size=3, max_size=3), st.floats(-3.0, 3.0))
-@settings(max_examples=40, deadline=None)
-def test_a_box_has_twelve_edges_whatever_its_size_and_turn(size, turn):
-    c, s = np.cos(turn), np.sin(turn)
-    points = (CUBE * size) @ np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0))).T
-    edges = edges_of(points)
-    assert edges.shape == (12, 2, 3)
-    lengths = np.sort(np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1))
-    assert lengths == pytest.approx(np.sort(np.repeat(size, 4)))
 
 
 def test_what_stands_in_front_is_what_is_seen(with_graphics):

@@ -62,7 +62,7 @@ def test_a_task_that_is_not_possible_ends_with_another_code_and_its_reason(small
     ("model", "changes", "message"),
     [
         ("missing.ifc", {}, "missing.ifc"),
-        ("one.ifc", {"model_T_base": {"xyz": [1245.0, -1500.0, -400.0]}}, "looks like millimetres"),
+        ("one.ifc", {"model_T_base": {"xyz": [1245.0, -1500.0, -400.0]}}, "out of the robot's reach"),
         ("one.ifc", {"racks": {"none": {"kind": "delivered", "holds": {"ifc_class": ["IfcBeam"]}}}}, "racks"),
         ("one.ifc", {"unknown": 1}, "unknown"),
     ],

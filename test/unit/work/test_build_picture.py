@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from matplotlib.image import imread
 
 from construction_twin.core import extras
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
@@ -41,17 +40,6 @@ def test_in_space_what_was_built_is_green_and_what_is_in_stock_yellow(with_graph
     assert green > 0.02 and yellow > 0.02 and green + yellow < 0.6
     assert shares({})[0] == 0.0
     assert shares({"board": "Board", "brick": "Brick"})[1] == 0.0
-
-
-def test_a_scene_without_elements_has_no_picture_in_space():
-    assert in_space(Scene((FLOOR,)), {}) is None
-
-
-def test_the_report_has_both_pictures_beside_each_other(tmp_path, with_graphics):
-    _, picture, page = write_report(tmp_path, "one of two", [BUILT], 0, SCENE)
-    both = imread(picture).shape
-    assert both[1] > 1.8 * both[0]
-    assert "no picture in space" not in page.read_text()
 
 
 @pytest.mark.parametrize("missing", ["the group physics", "a way to draw"])

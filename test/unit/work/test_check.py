@@ -1,6 +1,5 @@
 """What is found out about each task before anything starts, and how it is told."""
 
-import json
 import os
 import signal
 import subprocess
@@ -18,8 +17,7 @@ from work_samples import box_pieces
 from construction_twin.ros.commands import work_check_pool
 from construction_twin.ros.commands.work_check_pool import Arm, Setup, check_all
 from construction_twin.work.building import Task
-from construction_twin.work.check import CheckedTask
-from construction_twin.work.check_report import as_json, cell_picture, row, why
+from construction_twin.work.check_report import cell_picture
 from construction_twin.work.schedule import Schedule
 from construction_twin.work.site import read_site
 from construction_twin.work.site_scene import Layout
@@ -33,8 +31,6 @@ ARM = Arm(
     ROOT / "config/planner.yaml",
 )
 CELL = ROOT / "config/work/timber_panel.yaml"
-DONE = CheckedTask(0, "t", "Lay e", "e", "E", "IfcMember", True, "up", 0.5, 0.021, 9.5, 1.0)
-FAILED = CheckedTask(1, "u", "Lay u", "f", "F", "IfcMember", False, stage="reach", reason="too far")
 
 
 @pytest.fixture(scope="module")
@@ -153,19 +149,3 @@ def test_a_process_that_is_ended_ends_the_check_and_the_others(monkeypatch, foun
         check_all(jobs, 2, seen.append)
     assert caught.value.kind == ""
     wait_until(lambda: not any(alive(task.name) for task in seen), 20.0, "the processes to end")
-
-
-def test_rows_and_reasons_read_well():
-    assert row(DONE) == ("1", "Lay e", "yes", "up", "0.50", "21", "9.5", "")
-    assert row(FAILED)[2:] == ("no", "", "", "", "", "reach")
-    assert why(DONE) == "" and why(FAILED) == "reach: too far"
-
-
-def test_the_json_counts_what_is_possible():
-    content = json.loads(as_json({"model": "m.ifc"}, (DONE, FAILED)))
-    assert (
-        content["model"] == "m.ifc"
-        and content["tasks"] == 2
-        and content["possible"] == 1
-        and content["checked"][1]["reason"] == "too far"
-    )

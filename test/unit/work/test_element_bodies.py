@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import coal
@@ -72,14 +71,6 @@ def test_hollow_things_stay_hollow(name, tmp_path):
     vertices, triangles = mesh_of(solid)
     assert pieces.contain(points_on(vertices, triangles), 1e-6).all()
     assert sum(hull.volume for hull in pieces.hulls) == pytest.approx(solid.volume(), rel=1e-6)
-
-
-@pytest.mark.parametrize("name", ["tube", "closed box", "hall", "room with a door", "pipe"])
-def test_an_arm_in_a_hollow_is_not_swallowed(name, tmp_path):
-    solid = HOLLOW[name][0]()
-    shape = element_shape(element(body_of(solid)), tmp_path)
-    middle = 0.5 * np.add(solid.bounding_box()[:3], solid.bounding_box()[3:])
-    assert not Pieces(shape.objects).contain(middle[None], 0.0).any()
 
 
 def test_objects_are_named_after_the_element_and_boxes_are_boxes(tmp_path):
@@ -186,14 +177,6 @@ def test_a_damaged_file_is_made_anew(tmp_path):
 def test_what_cannot_be_used_is_said_with_the_element(bodies, sentence, tmp_path):
     with pytest.raises(BodyError, match=f"element 2O2Fr.*{sentence}"):
         element_shape(element(*bodies), tmp_path)
-
-
-def test_many_elements_in_other_processes_with_the_failures_beside_them(tmp_path):
-    good = [element(body_of(triangles_of((0.1, 0.2, 0.3 + 0.1 * number))), name=f"e{number}") for number in range(6)]
-    with ProcessPoolExecutor(2) as pool:
-        shapes, failures = element_shapes([*good, element(name="empty")], tmp_path, pool=pool)
-    assert list(shapes) == [f"e{number}" for number in range(6)] and list(failures) == ["empty"]
-    assert shapes == element_shapes(good, tmp_path / "other")[0]
 
 
 @settings(max_examples=12, deadline=None)

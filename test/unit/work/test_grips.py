@@ -98,13 +98,6 @@ def test_only_a_symmetric_element_may_be_turned():
     assert len(grips(*lopsided, turns_deg=(0.0, 180.0)).grips) == 1
 
 
-def test_a_turned_element_is_the_same_body():
-    turned = grips(BEAM, turns_deg=(180.0,)).grips[0].element_T_turned
-    points = Pieces(pieces_of(BEAM)).points
-    moved = points @ turned.rotation.T + turned.position
-    assert np.allclose(np.sort(moved, axis=0), np.sort(points, axis=0), atol=1e-12)
-
-
 @given(
     length=st.floats(0.1, 3.0), width=st.floats(0.03, 1.0), height=st.floats(0.01, 0.5), along=st.floats(-0.3, 0.3),
     yaw=st.sampled_from([0.0, 37.0, 90.0]),
@@ -121,16 +114,6 @@ def test_every_cup_that_counts_lies_on_the_face_whole(length, width, height, alo
         assert grip.cups <= inside.sum()
         surely = (np.abs(at[:, longer_first]) + cups.radius + 0.003 <= sides / 2).all(axis=1)
         assert grip.cups >= surely.sum()
-
-
-@pytest.mark.parametrize("turn", [0.3, 1.1])
-def test_an_element_turned_in_its_own_frame_has_the_same_grips(turn):
-    c, s = np.cos(turn), np.sin(turn)
-    (item,) = pieces_of(BEAM)
-    turned = item.moved(Pose(np.array([0.1, 0.2, 0.3]), np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])))
-    recipe = recipes().recipes["timber"]
-    one, other = (find_grips(Pieces([body]), UP, 3.0, recipe, tool().tool).grips for body in (item, turned))
-    assert [grip.cups for grip in one] == [grip.cups for grip in other]
 
 
 def test_a_body_that_is_not_closed_or_not_convex_has_no_grip(tmp_path):

@@ -177,33 +177,6 @@ def test_what_is_cut_away_whole_is_a_box_and_doubted(read):
     assert holds(found["eaten"], (-0.1, -0.1, 0.0), (0.1, 0.1, 1.0)) and found["ok"].id == ok.GlobalId
 
 
-def test_an_opening_that_takes_nothing_is_doubted(read):
-    model = IfcModel()
-    model.opening(model.box("missed", (1.0, 0.2, 1.0)), (0.2, 0.2, 0.2), at=(5.0, 0.0, 0.0))
-    assert key_of(read(model)["missed"].doubt) == "ifc.doubt.uncut"
-
-
-def test_an_opening_that_the_kernel_cannot_make_is_doubted(read):
-    model = IfcModel()
-    wall = model.box("wall", (1.0, 0.2, 1.0))
-    hole = model.opening(wall, (0.2, 0.4, 0.2))
-    hole.Representation.Representations[0].Items = [cylinder(model)]
-    found = read(model)["wall"]
-    assert found.doubt and whole(found) > 0.2
-
-
-def test_what_the_kernel_says_of_a_globalid_holds_for_all_that_have_it(read):
-    model = IfcModel()
-    names = ("first", "second")
-    for name in names:
-        body = model.make(
-            "IfcBooleanResult", "UNION", model.extrusion(model.rectangle(0.2, 0.02), 1.0), cylinder(model)
-        )
-        model.element("IfcMember", name, model.representation(body, kind="CSG")).GlobalId = "0" * 22
-    found = read(model)
-    assert all(found[name].doubt for name in names)
-
-
 def test_an_opening_of_a_whole_is_cut_from_the_parts_that_it_meets(read):
     model = IfcModel()
     wall = model.element("IfcWall", "wall")

@@ -129,15 +129,6 @@ def test_a_quantity_and_a_property_have_units_of_their_own(read):
     assert found.elements[panel.GlobalId].properties["Own"]["Width"] == pytest.approx(1.2)
 
 
-def test_a_weight_in_a_unit_of_length_is_left_out_and_told(read):
-    model = IfcModel()
-    plate = board(model)
-    weigh(model, plate, 28.8, length_unit(model))
-    found = read(model)
-    assert found.elements[plate.GlobalId].mass is None
-    assert remarked(found, plate, "ifc.note.own_unit")
-
-
 def test_a_density_that_can_be_of_two_units_is_not_guessed(read):
     model = IfcModel(unit="foot")
     add_units(model, pound(model))
@@ -148,10 +139,9 @@ def test_a_density_that_can_be_of_two_units_is_not_guessed(read):
     assert remarked(found, plate, "ifc.note.density_unit")
 
 
-@pytest.mark.parametrize("unit", ["foot", "inch"])
 @pytest.mark.parametrize("cubic_foot", [False, True])
-def test_a_density_or_weight_of_feet_without_a_unit_of_mass_is_not_guessed(read, unit, cubic_foot):
-    model = IfcModel(unit=unit)
+def test_a_density_or_weight_of_feet_without_a_unit_of_mass_is_not_guessed(read, cubic_foot):
+    model = IfcModel(unit="foot")
     if cubic_foot:
         metre = model.make("IfcSIUnit", UnitType="VOLUMEUNIT", Name="CUBIC_METRE")
         factor = model.make("IfcMeasureWithUnit", model.make("IfcVolumeMeasure", CUBIC_FOOT), metre)
@@ -170,15 +160,6 @@ def test_a_density_or_weight_of_feet_without_a_unit_of_mass_is_not_guessed(read,
     assert found.elements[both.GlobalId].mass == pytest.approx(2.4 * LITRES)
 
 
-def test_what_a_unit_was_taken_for_is_told(read):
-    model = IfcModel(unit="foot")
-    plate = board(model)
-    of_material(model, plate, "Concrete", 2400.0)
-    found = read(model)
-    assert found.elements[plate.GlobalId].mass == pytest.approx(2.4 * LITRES)
-    assert said(found, "ifc.note.density", "2400")
-
-
 def test_a_weight_of_a_metric_project_without_a_unit_of_mass_is_taken_as_kilograms_and_told(read):
     model = IfcModel()
     plate = board(model)
@@ -191,33 +172,6 @@ def test_a_weight_of_a_metric_project_without_a_unit_of_mass_is_taken_as_kilogra
     weigh(model, own, 63.5, pound(model))
     found = read(model)
     assert found.elements[own.GlobalId].mass == pytest.approx(63.5 * POUND) and found.notes == ()
-
-
-@pytest.mark.parametrize(
-    ("weight", "material", "density", "doubt"),
-    [
-        (0.0288, "Gyp", 800.0, ("ifc.note.mass_by_density", "0.0288", "28.8")),
-        (63.5, "Gypsum board", None, ("ifc.note.mass_of", "400", "1700")),
-        (None, "Gypsum", 50.0, ("ifc.note.mass_of", "400", "1700")),
-        (63.5, "Gyp", None, ("ifc.note.mass_of", "400", "1700")),
-        (2.0e6, "unobtainium", None, ("ifc.note.mass_of", "5", "23000")),
-        (28.8, "Gypsum board", 800.0, ()),
-        (None, "unobtainium", 800.0, ()),
-    ],
-)
-def test_a_mass_that_volume_and_material_do_not_bear_out_is_doubted(read, weight, material, density, doubt):
-    model = IfcModel()
-    add_units(model, model.make("IfcSIUnit", UnitType="MASSUNIT", Prefix="KILO", Name="GRAM"))
-    plate = board(model)
-    of_material(model, plate, material, density)
-    if weight is not None:
-        weigh(model, plate, weight)
-    found = read(model)
-    assert found.elements[plate.GlobalId].mass is not None
-    if doubt:
-        assert remarked(found, plate, *doubt)
-    else:
-        assert found.notes == ()
 
 
 # -- what is done, what stands, what goes
@@ -316,43 +270,11 @@ def test_what_is_cancelled_is_no_job_and_nobody_waits_for_it(read, status, neste
     assert schedule.removals == ()
 
 
-def test_a_task_that_its_times_alone_complete_has_no_note_on_its_status(read):
-    model, _, (first, second) = two_studs()
-    completed_by_finish(model, first)
-    completed_by_finish(model, second)
-    second.Status = "STARTED"
-    found = read(model)
-    assert not said(found, "None") and remarked(found, second, "ifc.note.completed_by_times", "'STARTED'")
-
-
 @pytest.mark.parametrize("name", ["PSet_MemberCommon", "pset_membercommon", "PSET_MEMBERCOMMON"])
 def test_a_status_is_read_of_a_common_set_in_any_case(read, name):
     model, studs, _ = two_studs()
     model.properties(studs[0], name, Status="Existing")
     assert read(model).elements[studs[0].GlobalId].status == "existing"
-
-
-@pytest.mark.parametrize("status", ["Existing", "DEMOLISHED", "Remove"])
-def test_a_status_of_an_authors_own_set_is_told(read, status):
-    model, studs, _ = two_studs()
-    model.properties(studs[0], "PSet_Revit_Phasing", Status=status)
-    model.properties(studs[1], "PSet_Revit_Phasing", Status="New")
-    found = read(model)
-    assert found.elements[studs[0].GlobalId].status == ""
-    assert (
-        remarked(found, studs[0], "ifc.note.status_elsewhere", repr(status), "PSet_Revit_Phasing")
-        and len(found.notes) == 1
-    )
-
-
-def test_a_lag_after_what_is_completed_is_not_waited_for_and_told(read):
-    model = IfcModel()
-    studs = [model.box(name, (0.1, 0.1, 1.0), at=(k, 0, 0)) for k, name in enumerate(("a", "b"))]
-    tasks = [model.task(f"place {stud.Name}", [stud]) for stud in studs]
-    tasks[0].Status = "COMPLETED"
-    model.sequence(*tasks, lag="P1D")
-    schedule = Schedule.of(read(model))
-    assert any(has_parts(note, "work.order.lag_over") for note in schedule.notes)
 
 
 @pytest.mark.parametrize(
@@ -397,19 +319,6 @@ def test_what_exists_or_goes_is_not_proposed(read):
     assert [job.element for job in schedule.jobs] == [new.GlobalId]
     assert [(job.id, job.element) for job in schedule.removals] == [(f"{gone.GlobalId}/removal", gone.GlobalId)]
     assert remarked(found, kept, "ifc.note.existing") and remarked(found, gone, "ifc.note.demolish")
-
-
-def test_parts_of_what_exists_exist_and_a_task_does_not_place_them(read):
-    model = IfcModel()
-    panel = model.element("IfcElementAssembly", "panel")
-    stud = model.box("stud", (0.1, 0.1, 1.0), within=panel)
-    model.aggregate(panel, [stud])
-    model.properties(panel, "Pset_ElementAssemblyCommon", Status="EXISTING")
-    task = model.task("place", [stud])
-    found = read(model)
-    schedule = Schedule.of(found)
-    assert found.elements[stud.GlobalId].status == "existing"
-    assert schedule.jobs == () and any(has_parts(note, task.GlobalId, "work.order.stands") for note in schedule.notes)
 
 
 def test_what_is_to_go_and_is_given_to_a_task_without_a_kind_is_taken_down_by_it(read):
@@ -470,25 +379,12 @@ def test_half_a_file_is_refused(read, change, words):
         read(change(text_of_two()))
 
 
-def test_a_file_cut_between_two_lines_is_a_whole_file(read):
-    text = text_of_two()
-    cut = text[: text.index("IFCTASK")].rpartition(";")[0] + ";\nENDSEC;\nEND-ISO-10303-21;\n"
-    assert read(cut).tasks == {}
-
-
 def test_a_file_with_comments_is_read(read):
     commented = (
         text_of_two().replace("DATA;", "DATA;\n/* it's a 'stud' */ /**/ /* ** / */").replace("#12=", "/* #1 */#12=")
     )
     found = read("/* a */ /* b */\n" + commented)
     assert doubts(found) == ["", ""] and found.notes == () and len(found.sequences) == 1
-
-
-def test_a_line_that_others_need_is_missed(read):
-    lines = text_of_two().splitlines(keepends=True)
-    without = "".join(line for line in lines if "IFCTASK" not in line)
-    with pytest.raises(BuildingError, match="refers to #\\d+, which is not there: the file is not whole"):
-        read(without)
 
 
 _TEXT = text_of_two()
@@ -523,13 +419,6 @@ def test_letters_that_are_not_ascii_are_kept_and_told(read, code, called):
     found = read(model.text().replace("'a'", "'Brücke Süd'").encode(code))
     assert "Brücke Süd" in [element.name for element in found.elements.values()]
     assert said(found, "ifc.note.letters", called)
-
-
-def test_letters_as_ifc_writes_them_need_no_note(read):
-    model, studs, _ = two_studs()
-    studs[0].Name = "Brücke 😀"
-    found = read(model)
-    assert found.elements[studs[0].GlobalId].name == "Brücke 😀" and found.notes == ()
 
 
 # -- shapes
@@ -594,22 +483,6 @@ def test_pieces_that_another_item_holds_together_are_one(read):
     assert read(model).elements[bar.GlobalId].doubt == ""
 
 
-def test_a_note_that_has_an_id_has_the_name_too(read):
-    model = IfcModel()
-    far, nameless = (model.box(name, (0.1, 0.1, 0.1), at=(2.0e4, 0.0, 0.0)) for name in ("far", None))
-    found = read(model)
-    (note,) = found.notes
-    assert key_of(note) == "ifc.note.of" and note.values["names"] == f"far ({far.GlobalId}), {nameless.GlobalId}"
-    assert remarked(found, far, "ifc.note.far")
-
-
-def test_an_element_without_a_body_is_told(read):
-    model = IfcModel()
-    stud, pipe = model.box("stud", (0.1, 0.1, 1.0)), model.element("IfcPipeSegment", "pipe")
-    found = read(model)
-    assert remarked(found, pipe, "ifc.note.no_body") and stud.GlobalId not in found.remarks
-
-
 # -- assemblies, calendars, what is not read
 
 
@@ -626,24 +499,6 @@ def test_a_task_that_makes_an_assembly_places_its_parts_once_a_person_accepts_th
         (task.GlobalId, lower.GlobalId), (task.GlobalId, upper.GlobalId), (own.GlobalId, other.GlobalId),
     ]  # fmt: skip
     assert schedule.proposed and any(has_parts(note, "work.order.assembly") for note in schedule.notes)
-
-
-def test_calendars_and_lags_in_working_time_are_told(read):
-    model, _, (first, second) = two_studs()
-    calendar = model.root("IfcWorkCalendar", Name="Five days")
-    model.root("IfcRelAssignsToControl", RelatedObjects=[first], RelatingControl=calendar)
-    model.sequence(first, second, lag="P1D")
-    found = read(model)
-    assert remarked(found, first, "ifc.note.calendar")
-    assert not remarked(found, second, "ifc.note.calendar")
-    assert said(found, "ifc.note.unread", "1", "IfcWorkCalendar")
-
-
-def test_what_no_task_waits_for_is_told(read):
-    model, _, (first, _) = two_studs()
-    model.sequence(model.root("IfcEvent", Name="approval"), first)
-    found = read(model)
-    assert said(found, "ifc.note.unread", "1", "IfcEvent") and remarked(found, first, "ifc.note.between", "IfcEvent")
 
 
 # -- schemas and contexts

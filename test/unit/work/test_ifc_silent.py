@@ -99,15 +99,6 @@ def test_words_of_ifc2x3_are_kinds(read, word, down):
     assert (jobs(found), removals(found)) == (["b"], down)
 
 
-@pytest.mark.parametrize("name", ["Abbruch Stütze", "Remove old stud"])
-def test_a_name_that_says_that_something_is_taken_down_is_doubted(read, name):
-    model, _, (first, second) = two_studs()
-    first.Name = name
-    found = read(model)
-    assert len(jobs(found)) == 2 and remarked(found, first, "ifc.note.may_take_down")
-    assert second.GlobalId not in found.remarks
-
-
 # -- what is done
 
 
@@ -136,16 +127,6 @@ def test_what_a_record_of_what_was_done_has_as_completed_is_not_placed_again(rea
     found = read(model)
     assert jobs(found) == ["b", "c", "d"]
     assert remarked(found, first, "ifc.note.recorded") and remarked(found, second, "ifc.note.recorded_part")
-
-
-def test_a_baseline_of_ifc2x3_is_left_out(read):
-    model = IfcModel("IFC2X3")
-    studs = [model.box(name, STUD, at=(k, 0, 0)) for k, name in enumerate(("a", "b"))]
-    plan, base = model.schedule("plan"), model.schedule("base")
-    base.WorkControlType = "BASELINE"
-    for stud, schedule in zip(studs, (plan, base)):
-        model.task("place", [stud], schedule=schedule)
-    assert jobs(read(model)) == ["a"]
 
 
 def test_a_new_part_of_what_exists_is_placed(read):
@@ -178,13 +159,6 @@ def test_a_phase_of_an_authors_own_that_is_not_that_of_a_new_element_is_told(rea
     assert remarked(found, stud, "ifc.note.status_elsewhere", *parts) if parts else found.notes == ()
 
 
-@pytest.mark.parametrize(("status", "means"), [("Bestand", "existing"), ("ABBRUCH", "demolish")])
-def test_a_status_is_read_in_german(read, status, means):
-    model, (stud, _), _ = two_studs()
-    model.properties(stud, "Pset_MemberCommon", Status=status)
-    assert read(model).elements[stud.GlobalId].status == means
-
-
 def test_an_assembly_within_another_has_a_task_of_its_own(read):
     model = IfcModel()
     outer = model.element("IfcElementAssembly", "outer")
@@ -202,46 +176,6 @@ def test_an_assembly_within_another_has_a_task_of_its_own(read):
 # -- orders
 
 
-def test_an_order_of_tasks_that_are_aggregated_holds_for_their_parts(read):
-    model, _, (first, second) = two_studs()
-    model.file.remove(model.file.by_type("IfcRelSequence")[0])
-    wholes = [model.task(f"floor {task.Name}") for task in (first, second)]
-    for whole, task in zip(wholes, (first, second)):
-        model.aggregate(whole, [task])
-    model.sequence(*reversed(wholes))
-    assert jobs(read(model)) == ["b", "a"]
-
-
-def test_a_lag_of_a_project_without_a_unit_of_time_is_told(read):
-    model, _, tasks = two_studs("IFC2X3")
-    model.file.by_type("IfcRelSequence")[0].TimeLag = 7.0
-    found = read(model)
-    assert all(remarked(found, task, "ifc.note.no_time_unit") for task in tasks)
-    second = model.make("IfcSIUnit", UnitType="TIMEUNIT", Name="SECOND")
-    model.project.UnitsInContext.Units = [*model.project.UnitsInContext.Units, second]
-    assert read(model).notes == ()
-
-
-@pytest.mark.parametrize(
-    ("change", "part"),
-    [
-        (
-            lambda model: setattr(model.file.by_type("IfcLagTime")[0], "LagValue", model.make("IfcDuration", "P1M")),
-            "P1M",
-        ),
-        (lambda model: setattr(model.file.by_type("IfcRelSequence")[0], "SequenceType", None), "ifc.note.order_kind"),
-    ],
-)
-def test_what_of_an_order_is_left_out_is_said_at_both_tasks(read, change, part):
-    model = IfcModel()
-    studs = [model.box(name, STUD, at=(k, 0, 0)) for k, name in enumerate(("a", "b"))]
-    tasks = [model.task(stud.Name, [stud]) for stud in studs]
-    model.sequence(*tasks, lag="P1D")
-    change(model)
-    found = read(model)
-    assert all(remarked(found, task, part) for task in tasks)
-
-
 @pytest.mark.parametrize("dated", [0, 1, 2])
 def test_dates_that_are_not_used_and_an_order_that_nobody_says_are_told(read, dated):
     model = IfcModel()
@@ -256,15 +190,6 @@ def test_dates_that_are_not_used_and_an_order_that_nobody_says_are_told(read, da
     else:
         key = ("work.order.unsaid", "work.order.no_dates")[dated]
         assert len(notes) == 1 and has_parts(notes[0], key)
-
-
-def test_dates_of_which_some_have_a_time_zone_are_told_as_not_used(read):
-    model = IfcModel()
-    for k, start in enumerate(("2027-01-02T08:00:00Z", "2027-01-01T08:00:00")):
-        task = model.task(f"{k}", [model.box(f"{k}", STUD, at=(k, 0, 0))])
-        task.TaskTime = model.make("IfcTaskTime", ScheduleStart=start)
-    (note,) = Schedule.of(read(model)).notes
-    assert has_parts(note, "work.order.zones")
 
 
 @pytest.mark.parametrize("at", ["summary", "schedule"])
@@ -329,26 +254,6 @@ def test_a_dropped_opening_is_doubted_at_its_wall(read):
     model, (stud, _), _ = two_studs()
     opening = model.opening(stud, (0.05, 0.05, 0.3), (0, 0, 0.2))
     assert read(renamed(model, opening)).elements[stud.GlobalId].doubt
-
-
-def test_a_schedule_of_an_unknown_kind_makes_its_tasks_elements_doubtful(read):
-    model = IfcModel()
-    studs = [model.box(name, STUD, at=(k, 0, 0)) for k, name in enumerate(("a", "b"))]
-    plan = model.schedule("plan")
-    model.task("place a", [studs[0]], schedule=plan)
-    found = read(renamed(model, plan))
-    assert len(found.tasks) == 1
-    assert [bool(element.doubt) for element in found.elements.values()] == [True, False]
-
-
-def test_parts_of_what_a_task_makes_whose_order_was_lost_are_doubted(read):
-    model = IfcModel()
-    panel = model.element("IfcElementAssembly", "panel")
-    stud = model.box("stud", STUD, within=panel)
-    model.aggregate(panel, [stud])
-    model.sequence(model.task("first", [model.box("other", STUD, at=(1, 0, 0))]), model.task("panel", [panel]))
-    found = read(renamed(model, model.file.by_type("IfcRelSequence")[0]))
-    assert all(element.doubt for element in found.elements.values())
 
 
 def test_a_value_of_an_unknown_kind_is_doubted_at_its_element(read):
@@ -474,16 +379,6 @@ def test_bodies_that_overlap_are_doubted(read):
     assert has_parts(found.elements[double.GlobalId].doubt, "ifc.doubt.more") and pair.GlobalId not in found.remarks
 
 
-def test_what_is_doubted_of_a_double_of_a_globalid_is_said_at_the_double(read):
-    model, (stud, double), _ = two_studs()
-    kilograms(model)
-    double.GlobalId = stud.GlobalId
-    weigh(model, double, 0.001)
-    found = read(model)
-    assert stud.GlobalId not in found.remarks
-    assert any(has_parts(remark, "ifc.note.mass") for remark in found.remarks[f"#{double.id()}"])
-
-
 def test_a_body_without_a_placement_and_a_context_that_is_elsewhere_are_told(read):
     model, (stud, _), _ = two_studs()
     stud.ObjectPlacement = None
@@ -510,10 +405,3 @@ def test_a_file_that_the_parser_refuses_is_told_with_its_reason(read):
     text = two_studs()[0].text().replace("'a'", "'a\\X\\ZZ'")
     with pytest.raises(BuildingError, match="the file: found Unexpected 'Z'"):
         read(text)
-
-
-def test_a_reason_calls_elements_by_their_names(read):
-    model, (stud, other), _ = two_studs()
-    found = read(model)
-    said = f"{stud.GlobalId}/0 would touch {other.GlobalId}/12 and tool/cups and floor/1"
-    assert found.called(said, stud.GlobalId) == "the element would touch 'b' and tool/cups and floor/1"

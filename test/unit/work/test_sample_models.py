@@ -64,17 +64,6 @@ def test_the_schedule_makes_every_element_once_supports_first(name):
         assert place[element_of[one.before]] < place[element_of[one.after]]
 
 
-def test_the_sheathing_waits_for_the_whole_frame():
-    model = as_building(make_models.timber_panel())
-    schedule = Schedule.of(model)
-    first, *_ = (job for job in schedule.jobs if "board" in job.name)
-    assert len(first.after) == 10 and all(wait.finished for wait in first.after)
-    (start,) = schedule.allowed({}, {}, 0.0)
-    assert start.name == "Place bottom plate"
-    named = {job.name for job in schedule.allowed({start.id: 0.0}, {}, 1.0)}
-    assert named == {"Place top plate"}
-
-
 @pytest.mark.parametrize("name", make_models.DESIGNS)
 @pytest.mark.parametrize("schema", make_models.SCHEMAS)
 def test_both_are_written_in_every_schema_with_weights_types_and_robot(name, schema):

@@ -8,7 +8,6 @@ from building_models import box, building, element
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import ScheduleError
 from construction_twin.work.building import Sequence, Task
 from construction_twin.work.schedule import Schedule
@@ -28,36 +27,37 @@ def leaves(*names, parent=""):
     return [Task(name, name.upper(), parent=parent, products=(f"e{name}",)) for name in names]
 
 
+def allowed(schedule, started, finished, now, robot=""):
+    """The jobs that may start now, in order."""
+    mine = [
+        job
+        for job in schedule.jobs
+        if job.id not in {**started, **finished} and robot in ("", *(job.robots or (robot,)))
+    ]
+    return tuple(job for job in mine if not schedule.blockers(job.id, started, finished, now))
+
+
 def ids(jobs):
     return [job.id for job in jobs]
-
-
-def test_a_finish_start_sequence_keeps_the_second_waiting_and_names_the_first():
-    schedule = Schedule.of(model(leaves("a", "b"), [Sequence("a", "b")]))
-    assert ids(schedule.allowed({}, {}, 0.0)) == ["a"]
-    assert ids(schedule.allowed({"a": 0.0}, {}, 1.0)) == []
-    assert ids(schedule.allowed({"a": 0.0}, {"a": 2.0}, 2.0)) == ["b"]
-    (blocker,) = schedule.blockers("b", {}, {}, 0.0)
-    assert blocker.job.id == "a" and blocker.text == Sentence("work.lag.finished", job="'A' (a)")
 
 
 @pytest.mark.parametrize(("kind", "needs_finish"), [*zip(KINDS, (True, False, True, False), strict=True)])
 def test_each_kind_waits_for_the_start_or_the_finish_of_the_first(kind, needs_finish):
     schedule = Schedule.of(model(leaves("a", "b"), [Sequence("a", "b", kind)]))
-    assert ids(schedule.allowed({"a": 0.0}, {}, 1.0)) == ([] if needs_finish else ["b"])
-    assert ids(schedule.allowed({"a": 0.0}, {"a": 1.0}, 1.0)) == ["b"]
+    assert ids(allowed(schedule, {"a": 0.0}, {}, 1.0)) == ([] if needs_finish else ["b"])
+    assert ids(allowed(schedule, {"a": 0.0}, {"a": 1.0}, 1.0)) == ["b"]
 
 
 def test_a_lag_is_waited_for_and_its_rest_is_told():
     schedule = Schedule.of(model(leaves("a", "b"), [Sequence("a", "b", lag=60.0)]))
-    assert schedule.allowed({}, {"a": 100.0}, 159.0) == ()
+    assert allowed(schedule, {}, {"a": 100.0}, 159.0) == ()
     assert schedule.blockers("b", {}, {"a": 100.0}, 130.0)[0].remaining == pytest.approx(30.0)
-    assert ids(schedule.allowed({}, {"a": 100.0}, 160.0)) == ["b"]
+    assert ids(allowed(schedule, {}, {"a": 100.0}, 160.0)) == ["b"]
 
 
 def test_a_lead_is_not_used_and_a_note_says_so():
     schedule = Schedule.of(model(leaves("a", "b"), [Sequence("a", "b", lag=-60.0)]))
-    assert schedule.allowed({"a": 0.0}, {}, 100.0) == ()
+    assert allowed(schedule, {"a": 0.0}, {}, 100.0) == ()
     assert "lead from a to b" in schedule.notes[0]
 
 
@@ -78,15 +78,9 @@ def test_a_task_without_element_is_noted_and_kept_as_order():
 def test_a_sequence_between_nesting_tasks_holds_for_all_that_they_nest():
     tasks = [Task("A", "A"), Task("B", "B"), *leaves("a", "b", parent="A"), *leaves("c", "d", parent="B")]
     schedule = Schedule.of(model(tasks, [Sequence("A", "B")]))
-    assert ids(schedule.allowed({}, {"a": 0.0}, 1.0)) == ["b"]
-    assert ids(schedule.allowed({}, {"a": 0.0, "b": 1.0}, 1.0)) == ["c", "d"]
+    assert ids(allowed(schedule, {}, {"a": 0.0}, 1.0)) == ["b"]
+    assert ids(allowed(schedule, {}, {"a": 0.0, "b": 1.0}, 1.0)) == ["c", "d"]
     assert {wait.job for wait in schedule.job("d").after} == {"a", "b"}
-
-
-def test_order_passes_through_an_empty_nesting_task():
-    tasks = [Task("A", "A"), Task("n", "n", parent="A", milestone=True), *leaves("a", "b")]
-    schedule = Schedule.of(model(tasks, [Sequence("a", "A"), Sequence("A", "b")]))
-    assert [wait.job for wait in schedule.job("b").after] == ["a"]
 
 
 def test_jobs_that_share_a_name_have_their_elements_behind_it():
@@ -113,7 +107,7 @@ def test_a_task_of_several_elements_is_one_job_each_in_the_files_order():
     tasks = [Task("t", "T", products=("e2", "e1", "e3")), *leaves("u")]
     schedule = Schedule.of(model(tasks, [Sequence("t", "u")]))
     assert [(job.id, job.element) for job in schedule.jobs[:3]] == [("t/1", "e2"), ("t/2", "e1"), ("t/3", "e3")]
-    assert ids(schedule.allowed({}, {"t/1": 0.0}, 0.0)) == ["t/2"]
+    assert ids(allowed(schedule, {}, {"t/1": 0.0}, 0.0)) == ["t/2"]
     assert [wait.job for wait in schedule.job("u").after] == ["t/3"]
 
 
@@ -139,8 +133,8 @@ def test_robots_come_from_the_task_or_from_what_it_nests_in():
     tasks = [Task("A", "A", robots=("left",)), *leaves("a", parent="A")]
     tasks += [Task("b", "B", parent="A", products=("eb",), robots=("right",)), *leaves("c")]
     schedule = Schedule.of(model(tasks))
-    assert ids(schedule.allowed({}, {}, 0.0, robot="left")) == ["a", "c"]
-    assert ids(schedule.allowed({}, {}, 0.0, robot="right")) == ["b", "c"]
+    assert ids(allowed(schedule, {}, {}, 0.0, robot="left")) == ["a", "c"]
+    assert ids(allowed(schedule, {}, {}, 0.0, robot="right")) == ["b", "c"]
 
 
 def test_jobs_stand_in_the_order_of_their_dates_if_all_have_one():
@@ -169,18 +163,6 @@ def test_what_makes_no_sense_is_one_sentence_with_the_ids(tasks, sequences, mess
     with pytest.raises(ScheduleError, match=message) as caught:
         Schedule.of(model(tasks, sequences))
     assert "\n" not in str(caught.value)
-
-
-def test_a_circle_through_nesting_tasks_is_found():
-    tasks = [Task("A", "A"), Task("B", "B"), *leaves("a", parent="A"), *leaves("b", parent="B")]
-    with pytest.raises(ScheduleError, match="circle") as caught:
-        Schedule.of(model(tasks, [Sequence("A", "B"), Sequence("b", "a")]))
-    assert {"a", "b"} <= set(caught.value.ids)
-
-
-def test_an_unknown_job_is_refused_by_its_id():
-    with pytest.raises(ScheduleError, match="'zz'"):
-        Schedule.of(model(leaves("a"))).blockers("zz", {}, {}, 0.0)
 
 
 # -- random graphs -----------------------------------------------------------------------------------------------------
@@ -245,7 +227,7 @@ def test_every_way_through_what_is_allowed_keeps_all_sequences_and_reaches_the_e
     started, finished, now = {}, {}, 0.0
     running = []
     while len(finished) < len(schedule.jobs):
-        free = schedule.allowed(started, finished, now)
+        free = allowed(schedule, started, finished, now)
         if running and (not free or random.random() < 0.5):
             finished[running.pop(random.randrange(len(running)))] = now
         elif free:

@@ -13,19 +13,13 @@ import touch_process
 import work_bench
 import yaml
 from construction_twin.msg import Execution
-from ifc_models import IfcModel
 from sentence_checks import key_of
 from touch_process import TOP, recipes_file
 from work_bench import Bench
 from work_samples import (
-    BRICK,
-    CELL,
     RECIPES,
     ROOT,
-    SCENE,
     building,
-    element,
-    job,
     layout,
     pairs,
     planner,
@@ -35,31 +29,27 @@ from work_samples import (
 )
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.reports import WorkReport
 from construction_twin.core.sentences import Sentence
-from construction_twin.core.work_errors import LedgerError, TaskPlanningError
-from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.core.work_errors import LedgerError
+from construction_twin.kinematics.chain import Chain
 from construction_twin.planning.planner import PlannerSettings, PlanRequest
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.work_plan import plan_work
 from construction_twin.review.record import Fate
-from construction_twin.ros.messages.records import from_msg
 from construction_twin.scene.collision_world import CollisionWorld
-from construction_twin.scene.objects import Scene, product
+from construction_twin.scene.objects import product
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.views.work_texts import list_lines, show_lines
-from construction_twin.work import processes, worker_functions
+from construction_twin.work import processes
 from construction_twin.work.check import Checker
 from construction_twin.work.check_report import cell_picture, row
 from construction_twin.work.events import Entry
 from construction_twin.work.following import GripReading, after_restart, question
 from construction_twin.work.ledger import Ledger
-from construction_twin.work.motions import TaskLimits
 from construction_twin.work.racks import StockPlan
 from construction_twin.work.recipes import read_recipes
 from construction_twin.work.schedule import Job, Schedule
 from construction_twin.work.site import pose_of
-from construction_twin.work.task_board import Prepared, TaskBoard
+from construction_twin.work.task_board import Prepared
 from construction_twin.work.task_memory import NotNow, TaskMemory
 from construction_twin.work.task_states import TaskState
 
@@ -78,7 +68,7 @@ def work(tmp_path_factory):
 @pytest.fixture(scope="module")
 def plan(work):
     scene = work.scene()
-    return planner(work.site.recipes).plan(work.job_for("brick0", scene, "T1"), HOME, scene, end=HOME)
+    return planner(work.site.recipes).plan(work.job_for("brick0", scene, "T1"), HOME, scene)
 
 
 # -- its recipe
@@ -88,13 +78,6 @@ def test_a_recipe_names_the_process_and_a_file_of_before_places(work):
     processes_of = [work.site.recipes.process(work.building.element(one)) for one in work.order]
     assert processes_of == ["touch", "place", "place"]
     assert {recipe.process for recipe in read_recipes(RECIPES).recipes.values()} == {"place"}
-
-
-def test_the_model_chooses_it_for_one_element_by_the_recipes_name(work):
-    one = element("b", properties={"CTwin_RobotTask": {"Recipe": "probe", "Point": "0 0 0.071"}})
-    name, recipe = work.site.recipes.of(job(one))
-    assert (name, recipe.process, recipe.points) == ("probe", "touch", ((0.0, 0.0, 0.071),))
-    assert work.site.recipes.process(one) == "touch"
 
 
 @pytest.mark.parametrize(
@@ -112,17 +95,6 @@ def test_a_wrong_key_of_its_recipe_is_named(tmp_path, change, sentence):
         read_recipes(recipes_file(tmp_path, **change))
 
 
-def test_it_says_itself_what_of_a_recipe_the_tool_cannot_do(tmp_path):
-    with pytest.raises(ConfigurationError, match="recipes/probe/gap"):
-        read_recipes(recipes_file(tmp_path, gap=0.01)).check_tool(tool().tool)
-
-
-def test_properties_of_another_process_are_none_of_its_own(work):
-    one = job(element("b", properties={"CTwin_RobotTask": {"Recipe": "probe", "MinCups": 3}}))
-    with pytest.raises(TaskPlanningError, match="MinCups: found 3, expected no such property"):
-        work.site.recipes.of(one)
-
-
 # -- where its element is
 
 
@@ -138,8 +110,8 @@ def test_what_is_not_moved_has_no_slot_and_stands_at_its_place_from_the_beginnin
 
 
 def test_it_is_planned_as_every_task_and_changes_no_scene(plan, work):
-    assert [part.name for part in plan.segments] == ["to point", "touch", "back", "home"]
-    assert [part.engaged for part in plan.segments] == [False, True, True, False]
+    assert [part.name for part in plan.segments] == ["to point", "touch", "back"]
+    assert [part.engaged for part in plan.segments] == [False, True, True]
     assert all(part.change == SceneChange() for part in plan.segments)
     assert {scene.hash for scene in plan.scenes} == {work.scene().hash}
     assert plan.method == "point 50 0 71 mm" and plan.tool0_T_element is None and plan.clearance > 0.02
@@ -155,31 +127,7 @@ def test_the_tool_comes_to_the_point_but_for_the_gap(plan, work):
 def test_whoever_checks_it_for_review_takes_it(plan, work):
     world = CollisionWorld(robot(), work.scene(), pairs())
     checked = plan_work("T1", plan.segments, HOME, PlanRequest("test", 0), world, PlanBounds(), lambda: 0.0)
-    assert [part.scene_after for part in checked.segments] == [work.scene().hash] * 4
-
-
-def test_what_it_needs_and_cannot_have_is_told(work):
-    scene = work.scene()
-    there = work.job_for("brick0", scene)
-    touching = planner(work.site.recipes)
-    with pytest.raises(TaskPlanningError, match="brick0/0 is not at its place"):
-        touching.plan(there, HOME, scene.remove("brick0/0"))
-    with pytest.raises(TaskPlanningError, match="is in the grip"):
-        touching.plan(there, HOME, scene, held=Pose(np.zeros(3), np.eye(3)))
-
-
-def test_where_the_arm_does_not_reach_the_point_is_told(tmp_path):
-    table = {"shape": "box", "size": [2.0, 0.8, 0.6], "position": [0, 9.0, 0.3]}
-    cell = {
-        "recipes": str(recipes_file(tmp_path)), "model_T_base": {"xyz": [0.0, -9.0, -0.6]}, "racks": CELL["racks"],
-    }  # fmt: skip
-    scene = {**SCENE, "objects": {**SCENE["objects"], "table": table}}
-    found = layout(site(tmp_path, cell, scene), building(element("brick0")))
-    there = found.job_for("brick0", found.scene())
-    touching = planner(found.site.recipes, limits=TaskLimits(budget=0.5, solutions=4, pairs=2, free_budget=1.0))
-    with pytest.raises(TaskPlanningError, match="at the point") as caught:
-        touching.plan(there, HOME, found.scene())
-    assert (caught.value.stage, caught.value.method) == ("reach", "point 50 0 71 mm")
+    assert [part.scene_after for part in checked.segments] == [work.scene().hash] * 3
 
 
 def test_the_check_before_the_work_plans_it_too(work):
@@ -189,29 +137,6 @@ def test_the_check_before_the_work_plans_it_too(work):
     found = checker.check(0)
     assert found.possible and found.grip == "point 50 0 71 mm" and found.track is not None and found.path
     assert row(found)[3] == "point 50 0 71 mm" and cell_picture((found,), work).startswith(b"\x89PNG")
-
-
-def test_the_works_child_process_reads_a_model_with_it_and_plans_it(tmp_path, work):
-    """As the node asks: from an IFC file to the plan, the other elements placed as ever."""
-    model = IfcModel()
-    bricks = [model.box(f"brick{number}", BRICK, (0.25 * number, 0.0, 0.0), "IfcBeam") for number in range(2)]
-    asked = [model.task(f"do {brick.Name}", [brick]) for brick in bricks]
-    site(tmp_path, {"recipes": str(recipes_file(tmp_path))})
-    made = worker_functions.FUNCTIONS["prepare"](
-        model=str(model.save(tmp_path / "m.ifc")), cell=str(tmp_path / "cell.yaml"), robot=robot(),
-        self_collision=str(ROOT / "config/kr120_track_self_collision.yaml"), planner={**PLANNER, "seed": 1}, cache=str(tmp_path),
-    )  # fmt: skip
-    task, element_id = asked[0].GlobalId, bricks[0].GlobalId
-    assert [job.process for job in made.schedule.jobs] == ["touch", "place"] and list(made.stock.slots) == [
-        bricks[1].GlobalId
-    ]
-    board = TaskBoard(made, Ledger(tmp_path / "l", made.after, made.digest, lambda: 1), "kr120", robot().tip_link)
-    wanted, alone = board.wanted_scene()
-    assert not alone and f"{element_id}/0" in wanted and not wanted[f"{element_id}/0"].link
-    scene = Scene((*work.site.scene.objects, *wanted.values()), work.site.scene.padding)
-    plan = worker_functions.FUNCTIONS["plan"](task=task, element=element_id, start=robot().home, scene=scene)
-    assert [part.name for part in plan.segments] == ["to point", "touch", "back"]
-    board.ledger.close()
 
 
 # -- its ledger
@@ -262,32 +187,6 @@ def test_the_node_follows_it_to_its_end_and_the_scene_stays(bench):
     assert (bench.row.state, bench.row.reason) == ("done", Sentence("work.task.done")) and bench.scene.hash == before
     offered = json.loads(bench.ledger_lines[1])
     assert offered["process"] == "touch" and offered["grip"] == "point 0 0 0 mm" and "pose" not in offered
-
-
-def test_a_line_of_place_is_written_as_before_there_were_processes(bench):
-    bench.start()
-    bench.planned()
-    (offered,) = (json.loads(line) for line in bench.ledger_lines if '"offered"' in line)
-    of_element = {"element", "name", "body", "goal", "seen"}
-    assert set(offered) == {"time", "time_ns", "event", "task", "offer", "grip", "pose"} | of_element
-
-
-def test_people_read_of_it_in_the_list_and_can_have_it_done_again(bench):
-    test_the_node_follows_it_to_its_end_and_the_scene_stays(bench)
-    facts = from_msg(WorkReport, bench.tasks[-1])
-    assert any("Place stud" in line and "done" in line for line in list_lines(facts))
-    assert "state      done: done" in show_lines(facts, facts.tasks[0])
-    board = bench.board
-    assert [one.word for one in board.appearances(0)] == ["placed"]
-    assert board.redo(work_bench.TASK, "eva", "") == "'Place stud' is to be done again"
-    assert [one.word for one in board.appearances(0)] == ["next"]
-    assert board.skip(work_bench.TASK, "eva", "").endswith("no longer waits")
-
-
-def test_a_stop_before_anything_was_done_has_it_planned_again(bench):
-    bench.planned().play(0)
-    bench.execution(Execution.IDLE, 0, plan_id=bench.plan.id, outcome="stopped")
-    assert bench.run().row.state == "ready"
 
 
 @pytest.mark.parametrize(("answer", "state"), [("done", "done"), ("not_done", "ready")])

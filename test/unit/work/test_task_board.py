@@ -16,7 +16,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.tool import read_tool
 from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.work.built import as_built, change, deviation, pose_of_tuple, pose_tuple
+from construction_twin.work.built import as_built, change, deviation, pose_tuple
 from construction_twin.work.events import Entry
 from construction_twin.work.ledger import Ledger
 from construction_twin.work.racks import Slot, StockPlan
@@ -239,15 +239,6 @@ def test_an_element_that_can_never_be_planned_stops_only_what_waits_for_it(tmp_p
     assert one.next(clock()) == "T3"
 
 
-def test_what_a_person_should_know_is_told_together(tmp_path, clock):
-    ready = replace(prepared(), notes=("left out",), schedule=Schedule(JOBS, ("a lead is not used",), ()))
-    former = Ledger(tmp_path / "ledger", {"T9": ()}, ready.digest, clock)
-    former.add(Entry("offered", "T9", "E9"))
-    former.close()
-    one = TaskBoard(ready, Ledger(tmp_path / "ledger", ready.after, ready.digest, clock), "kr120", "tool0")
-    assert one.notes == ("left out", "a lead is not used") and one.report(clock()).tasks[-1].answers == ("taken_away",)
-
-
 # -- the scene
 
 
@@ -387,40 +378,6 @@ def test_an_element_that_was_turned_by_its_symmetry_is_not_wrong():
     assert deviation(built, goal).angle == pytest.approx(0.0, abs=1e-9)
 
 
-def test_small_errors_of_a_plan_are_deviations():
-    goal = at(1.0, 2.0, 0.5)
-    planned = product(goal, at(0.0005))
-    assert deviation(as_built(planned, planned, at(0.0), goal), goal).distance == pytest.approx(0.0005)
-
-
-@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 1.0, np.pi / 2, np.pi - 1e-6, np.pi])
-def test_angles_are_exact_from_nothing_to_half_a_turn(angle):
-    assert deviation(at(0.0, turn=angle), at(0.0)).angle == pytest.approx(angle, abs=1e-12)
-
-
-def test_a_pose_comes_back_from_its_numbers():
-    pose = at(1.0, -2.0, 3.0, 0.7)
-    back = pose_of_tuple(pose_tuple(pose))
-    np.testing.assert_allclose(back.rotation, pose.rotation, atol=1e-15)
-    np.testing.assert_array_equal(back.position, pose.position)
-
-
-def test_the_forms_of_an_element_are_what_the_record_can_have(tmp_path, clock):
-    one = board(tmp_path, clock)
-    stock, goal = one.forms("T1")
-    assert [item.name for item in (*stock, *goal)] == ["E1/0", "E1/0"]
-    in_stock, _ = one.wanted_scene()
-    assert stock[0].contents() == in_stock["E1/0"].contents()
-    build(one, "T1", until="gripped")
-    held, _ = one.wanted_scene()
-    assert held["E1/0"].link == "tool0"
-    assert held["E1/0"].contents() in [form[0].contents() for form in one.forms("T1")]
-    one.ledger.add(Entry("releasing", "T1", "E1", plan="p"))
-    one.ledger.add(Entry("released", "T1", "E1", plan="p", pose=pose_tuple(at(1.01, 1.0))))
-    placed, _ = one.wanted_scene()
-    assert placed["E1/0"].contents() in [form[0].contents() for form in one.forms("T1")]
-
-
 # -- what people take down
 
 
@@ -462,20 +419,6 @@ def test_what_is_to_be_taken_down_stands_and_holds_up_until_a_person_says_that_i
         one.removed("D1", "eva", "")
 
 
-def test_what_is_on_an_element_is_in_the_scene_when_that_was_placed(tmp_path, clock):
-    nail = SceneObject("nail/0", "box", (0.1, 0.1, 0.1), fixed=True)
-    element = prepared().schedule.jobs[0].element
-    ready = replace(prepared(), standing=(nail,), comes_after={"nail": frozenset({element})})
-    one = TaskBoard(ready, Ledger(tmp_path / "ledger", ready.after, ready.digest, clock), "kr120", "tool0")
-    assert "nail/0" not in one.wanted_scene()[0]
-    task = ready.schedule.jobs[0].id
-    build(one, task, until="gripped")
-    assert "nail/0" not in one.wanted_scene()[0]
-    for event, pose in (("releasing", ()), ("released", pose_tuple(one.goal(task))), ("finished", ())):
-        one.ledger.add(Entry(event, task, element, plan="p", offer="o", pose=pose))
-    assert "nail/0" in one.wanted_scene()[0]
-
-
 def test_that_it_is_gone_is_remembered_whatever_model_comes_and_can_be_taken_back(tmp_path, clock):
     one = with_removal(tmp_path, clock)
     one.removed("D1", "eva", "")
@@ -487,15 +430,6 @@ def test_that_it_is_gone_is_remembered_whatever_model_comes_and_can_be_taken_bac
     assert "W1/0" in other.wanted_scene()[0] and other.next(clock()) == ""
     assert "wall stays" in other.skip("D1", "eva", "it may stay")
     assert "W1/0" in other.wanted_scene()[0] and other.next(clock()) == "T1"
-
-
-def test_a_remark_stands_at_its_task_until_it_is_done(tmp_path, clock):
-    one = with_removal(tmp_path, clock)
-    one.removed("D1", "eva", "")
-    row = next(row for row in one.report(clock()).tasks if row.id == "T1")
-    assert row.reason == Sentence("work.noted", reason=Sentence("work.task.ready"), remark="THE MASS IS DOUBTFUL")
-    build(one, "T1")
-    assert next(row for row in one.report(clock()).tasks if row.id == "T1").reason == Sentence("work.task.by_arm")
 
 
 def test_what_the_arm_placed_stands_as_built_when_the_model_calls_it_completed(tmp_path, clock):

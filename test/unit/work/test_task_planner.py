@@ -148,14 +148,6 @@ def test_the_same_task_gives_the_same_plan(work, plans):
     ]
 
 
-def test_the_arm_goes_on_to_an_end_that_is_asked_for(work):
-    scene = work.scene()
-    plan = planner().plan(work.job_for("brick0", scene), HOME, scene, end=HOME)
-    last = plan.segments[-1]
-    assert last.name == "home" and np.array_equal(last.trajectory.positions[-1], HOME)
-    assert plan.scenes[-2].hash == plan.scenes[-1].hash and last.change == SceneChange()
-
-
 def test_a_task_goes_on_with_the_element_in_the_grip(work, plans):
     there, q = scenes(plans[0])["carry"], parts(plans[0])["lift"].trajectory.positions[-1]
     rest = planner().plan(plans[0].job, q, there, held=plans[0].tool0_T_element)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 from itertools import count
 from types import SimpleNamespace
 
@@ -21,18 +20,16 @@ from ifc_models import IfcModel
 from sentence_checks import says
 from touch_process import TOP, recipes_file
 from work_bench import CARRY, ELEMENT, LEAVE, Bench
-from work_samples import BRICK, ROOT, element, job, layout, pairs, robot, site
+from work_samples import BRICK, ROOT, element, job, robot, site
 
-from construction_twin.core.work_errors import ScheduleError, TaskPlanningError
+from construction_twin.core.work_errors import ScheduleError
 from construction_twin.kinematics.chain import Chain, Pose
-from construction_twin.planning.planner import PlannerSettings
 from construction_twin.scene.objects import Scene, product
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.work import worker_functions
 from construction_twin.work.build_report import TaskResult, summary
 from construction_twin.work.building import Sequence, Task
 from construction_twin.work.built import change, pose_tuple
-from construction_twin.work.check import Checker
 from construction_twin.work.events import Entry
 from construction_twin.work.ifc.reading import read_building
 from construction_twin.work.ledger import Ledger, read_entries
@@ -105,34 +102,12 @@ def test_a_file_that_has_it_worked_on_before_it_is_placed_is_refused_with_both()
     assert set(caught.value.ids) == {"place", "drill"}
 
 
-def test_what_exists_is_not_placed_but_can_be_worked_on():
-    there = replace(of_box("e", box((0, 0, 0), (1, 1, 1))), status="existing")
-    made = schedule(placing("place", "e"), touching("drill", "e"), elements=[there])
-    assert [one.id for one in made.jobs] == ["drill"] and made.placing == {} and made.job("drill").after == ()
-    assert any("not placed" in note for note in made.notes)
-
-
-def test_what_is_to_go_can_be_worked_on_until_it_is_gone():
-    there = replace(of_box("e", box((0, 0, 0), (1, 1, 1))), status="demolish")
-    made = schedule(touching("drill", "e"), elements=[there])
-    assert [one.id for one in made.jobs] == ["drill"] and [one.id for one in made.removals] == ["e/removal"]
-
-
 def test_a_part_that_another_task_works_on_is_still_placed_with_its_assembly():
     cube = box((0, 0, 0), (1, 1, 1))
     whole, part = of_box("whole"), replace(of_box("part", cube), assembly="whole")
     of = placing("place", "whole"), touching("drill", "part")
     made = Schedule.of(of_boxes(whole, part, tasks=of), process=by_recipe)
     assert [(one.id, one.element) for one in made.jobs] == [("place", "part"), ("drill", "part")]
-
-
-def test_a_schedule_that_only_places_is_accepted_as_it_was_before_there_were_other_processes():
-    jobs = Job("a", "a", "A", "e", (), ()), Job("b", "b", "B", "f", ("kr120",), (Wait("a", True, 1.0),))
-    before = [{key: value for key, value in asdict(one).items() if key != "process"} for one in jobs]
-    digest = hashlib.sha256(json.dumps(before).encode()).hexdigest()
-    assert worker_functions.schedule_digest(Schedule(jobs, (), ())) == digest
-    other = Schedule((jobs[0], replace(jobs[1], process="touch")), (), ())
-    assert worker_functions.schedule_digest(other) != digest
 
 
 # -- which recipe
@@ -146,25 +121,6 @@ def test_a_tasks_own_recipe_comes_before_its_elements(tmp_path):
     asked = replace(job(one), task_properties=task.properties)
     name, recipe = recipes.of(asked)
     assert (name, recipe.points, recipe.speed) == ("probe", ((0.0, 0.0, 0.071),), 0.15)
-
-
-@pytest.mark.parametrize(
-    ("properties", "sentence"),
-    [
-        ({"Recipe": "drill"}, "CTwin_RobotTask.Recipe: found 'drill', expected one of probe"),
-        ({"Recipe": "probe", "MinCups": 3}, "MinCups: found 3, expected no such property"),
-    ],
-)
-def test_what_a_task_itself_says_wrong_is_told(tmp_path, properties, sentence):
-    recipes = site(tmp_path, {"recipes": str(recipes_file(tmp_path))}).recipes
-    with pytest.raises(TaskPlanningError, match=sentence):
-        recipes.of(replace(job(element("b")), task_properties=properties))
-    with pytest.raises(TaskPlanningError, match="Points: found"):
-        recipes.of(
-            replace(
-                job(element("b", properties={"CTwin_RobotTask": {"Points": "1"}})), task_properties={"Recipe": "probe"}
-            )
-        )
 
 
 @pytest.mark.parametrize("schema", ["IFC2X3", "IFC4", "IFC4X3"])
@@ -256,27 +212,6 @@ def test_an_element_is_placed_then_touched_where_it_stands_and_each_is_in_the_le
     again.close()
 
 
-def test_the_check_before_the_work_plans_each_in_its_turn(tmp_path):
-    bricks = element("brick0"), element("brick1", (0.25, 0.0, 0.0))
-    of = (
-        touching("touch", "brick0"), placing("place", "brick0"), placing("other", "brick1"),
-    )  # fmt: skip
-    of = (replace(of[0], properties={"Recipe": "probe"}), *of[1:])
-    at = site(tmp_path, {"recipes": str(recipes_file(tmp_path, match={"elements": ["none"]}))})
-    model = replace(of_boxes(*bricks, tasks=of), file="sample.ifc")
-    made = Schedule.of(model, process=at.recipes.process)
-    settings = PlannerSettings(**{name: PLANNER[name] for name in PlannerSettings.model_fields})
-    checker = Checker(
-        robot(), pairs(), settings, layout(at, model, made.jobs), made.jobs, lambda: 0.0, np.random.default_rng(0)
-    )
-    found = [checker.check(number) for number in range(2)]
-    assert [(one.job, one.possible, one.process) for one in found] == [
-        ("place", True, "place"),
-        ("touch", True, "touch"),
-    ]
-    assert found[1].grip == "point 50 0 71 mm" and asdict(found[1])["process"] == "touch"
-
-
 # -- what people say and see
 
 
@@ -311,18 +246,6 @@ def words(one: TaskBoard) -> list[str]:
     return [each.word for each in one.appearances(NOW)]
 
 
-def test_an_element_is_drawn_once_as_what_comes_next_of_it(tmp_path):
-    one = of_two(tmp_path)
-    assert words(one) == ["next", "stock"]
-    done(one, PLACE, "gripped")
-    assert words(one) == ["todo", "carried"]
-    for event in ("releasing", "released", "finished"):
-        one.ledger.add(Entry(event, PLACE, ELEMENT, pose=pose_tuple(one.goal(PLACE)) if event == "released" else ()))
-    assert words(one) == ["next"]
-    done(one, TOUCH)
-    assert words(one) == ["placed"]
-
-
 def test_what_was_skipped_stands_only_when_a_person_says_where(tmp_path):
     one = of_two(tmp_path)
     one.skip(PLACE, "eva", "")
@@ -330,13 +253,6 @@ def test_what_was_skipped_stands_only_when_a_person_says_where(tmp_path):
     assert "does not count as placed: 'Place stud' is skipped" in one.obstacle(TOUCH, NOW) and one.next(NOW) == ""
     one.measured(ELEMENT, one.goal(PLACE), "eva", "by hand")
     assert one.next(NOW) == TOUCH and f"{ELEMENT}/0" in one.wanted_scene()[0]
-
-
-def test_a_skipped_touch_leaves_the_element_where_it_is(tmp_path):
-    one = of_two(tmp_path)
-    one.skip(TOUCH, "eva", "")
-    assert one.next(NOW) == PLACE and words(one) == ["next", "stock"]
-    assert f"{ELEMENT}/0" in one.wanted_scene()[0]
 
 
 def test_it_is_placed_again_only_after_what_came_after_was_taken_back(tmp_path):

@@ -144,15 +144,6 @@ def test_it_is_no_obstacle_when_a_person_has_taken_it_away(two_placed, asked):
         again.removed("ToldB", "eva", "")
 
 
-def test_nothing_else_is_done_with_what_is_not_in_the_model(two_placed):
-    board = opened(two_placed, model("old", "A", "X", "C", "D", digest="b"))
-    for act in (board.skip, board.redo):
-        with pytest.raises(WorkRefused, check=says("work.not_in_model")):
-            act("ToldB", "eva", "")
-    with pytest.raises(WorkRefused, check=says("work.answer_wrong")):
-        board.answer("ToldB", "same", "eva", "")
-
-
 def test_what_stands_in_the_models_own_version_can_be_taken_away_too(two_placed):
     board = opened(two_placed, model("old", "A", "B", "C", "D"))
     assert board.next(NOW) == "ToldC"

@@ -234,13 +234,6 @@ def test_a_changed_model_asks_about_everything_that_was_touched(tmp_path, number
         assert pose == (STANDS if answer == "placed" else ())
 
 
-def test_a_changed_model_asks_nothing_where_nothing_was_touched(tmp_path):
-    path = tmp_path / "ledger.jsonl"
-    ledger(path).close()
-    again = ledger(path, model="b" * 64)
-    assert again.book.in_state(TaskState.ASKS) == () and again.book.model == "b" * 64
-
-
 def test_an_element_that_another_task_places_now_is_asked_about(tmp_path):
     path = tmp_path / "ledger.jsonl"
     before = ledger(path)
@@ -254,17 +247,6 @@ def test_an_element_that_another_task_places_now_is_asked_about(tmp_path):
     again.add(Entry("answered", "new", "E1", answer="placed", person="eva"))
     memory = again.book.tasks["new"]
     assert memory.state is TaskState.DONE and memory.base_T_element == STANDS
-
-
-def test_an_element_that_is_no_longer_in_the_model_is_not_forgotten(tmp_path):
-    path = tmp_path / "ledger.jsonl"
-    before = ledger(path)
-    for entry, _ in STEPS:
-        before.add(entry)
-    before.close()
-    again = ledger(path, {"stud": ()}, "b" * 64, {"E2": "stud"})
-    assert again.book.tasks["stud"].state is TaskState.READY
-    assert again.book.former["plate"].base_T_element == STANDS and again.book.asking == ("plate",)
 
 
 def test_a_kill_while_it_is_asked_for_a_changed_model_asks_again(tmp_path):
@@ -366,22 +348,6 @@ def test_an_element_is_in_one_place_only(events):
             assert memory.in_grip
         if memory.state in (TaskState.READY, TaskState.WAITING):
             assert not (memory.in_grip or memory.placed or memory.gone)
-
-
-def test_a_book_without_tasks_is_empty():
-    assert fold({}).in_state(*TaskState) == ()
-
-
-def test_an_event_makes_another_book_and_leaves_the_former_as_it_was():
-    books = [fold(AFTER)]
-    for entry, _ in STEPS:
-        books.append(books[-1].then(entry))
-    assert books[0].busy == "" and books[0].open == ("plate", "stud", "board")
-    assert [book.tasks["plate"].state for book in books[1:]] == [state for _, state in STEPS]
-    assert [bool(book.in_grip) for book in books] == [False] * 5 + [True] * 2 + [False] * 2
-    assert [book.standing for book in books] == [()] * 7 + [("plate",)] * 2
-    assert books[-1].open == ("stud", "board") and books[-1].busy == ""
-    assert fold(AFTER, [entry for entry, _ in STEPS]).tasks == books[-1].tasks
 
 
 @given(

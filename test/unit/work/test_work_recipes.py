@@ -11,7 +11,7 @@ from work_samples import RECIPES, element, job, recipes, tool
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.work_errors import TaskPlanningError
-from construction_twin.work.place.recipe import OVERRIDES, PlaceRecipe, mass_of
+from construction_twin.work.place.recipe import PlaceRecipe, mass_of
 from construction_twin.work.recipe import PROPERTY_SET
 from construction_twin.work.recipes import read_recipes
 
@@ -93,15 +93,6 @@ def test_a_wrong_property_is_one_sentence_with_element_and_property(own, sentenc
     assert "\n" not in str(caught.value)
 
 
-def test_every_override_replaces_a_key_that_a_recipe_has():
-    document = choose().recipe.model_dump()
-    for override in OVERRIDES.values():
-        inner = document
-        for key in override.key:
-            assert key in inner
-            inner = inner[key]
-
-
 def test_masses_unknown_or_too_large_are_refused():
     with pytest.raises(TaskPlanningError, check=because("work.cannot.mass_unknown")):
         choose(mass=None)
@@ -144,11 +135,3 @@ def test_a_wrong_key_of_the_file_is_named(tmp_path, change, sentence):
     (tmp_path / "r.yaml").write_text(yaml.safe_dump(document))
     with pytest.raises(ConfigurationError, match=sentence):
         read_recipes(tmp_path / "r.yaml")
-
-
-def test_shapes_that_the_tool_does_not_have_are_refused(tmp_path):
-    document = yaml.safe_load(RECIPES.read_text())
-    document["recipes"]["brick"]["grips"]["beside"] = ["fingers"]
-    (tmp_path / "r.yaml").write_text(yaml.safe_dump(document))
-    with pytest.raises(ConfigurationError, match="grips/beside.*fingers.*post, frame, cups"):
-        read_recipes(tmp_path / "r.yaml").check_tool(tool().tool)

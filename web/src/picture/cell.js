@@ -738,7 +738,6 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
       result.closest = closest.visible ? near : null;
       result.floor = ground.userData;
       result.frame = toolFrame();
-      result.shadows = sun.castShadow;
       result.reach = reach.visible ? reach.material.color.getHex() : null;
       result.reachAt = reach.position.toArray();
       return result;

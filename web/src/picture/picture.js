@@ -3,8 +3,8 @@
  *
  * It draws only when something has changed, at most 30 times a second and at most half of the time: where a processor draws in place
  * of a graphics chip, a frame may hold the page up for a tenth of a second, and a message or a tapped stop waits for its end. For
- * tests the canvas has `inspect(robot)`, which tells what is drawn, and `frames`, `frameTime` (how many, and for how long the last
- * held the page up [ms]), and `shadows(on)`.
+ * tests the canvas has `inspect(robot)`, which tells what is drawn, and `frames` and `frameTime` (how many, and for how long the last
+ * held the page up [ms]).
  */
 import {PCFShadowMap, WebGLRenderer} from "three";
 import {add, button, clear, setText} from "../dom.js";
@@ -96,7 +96,6 @@ export function make(parent, store, connection, texts) {
     const each = cells.get(name);
     return each === undefined ? null : {...each.cell.inspect(), words: each.words};
   };
-  canvas.shadows = (on) => setShadows(on);
   const redraw = () => {
     dirty = true;
   };

@@ -115,13 +115,11 @@ def _work(options: argparse.Namespace, robot: RobotModel) -> _Work:
         building = propose(building).applied(building)
     schedule = Schedule.of(building, proposed, site.recipes.process)
     proposed = schedule.proposed
-    model_T_base = site.model_T_base(building)
     base = site.base(building).id if site.file.base_element else ""
     tool = pose_of(site.tool.tool.tool0_T_tcp)
     chain = Chain(robot)
     reach = chain.reach + float(np.linalg.norm(chain.shoulder)) + float(np.linalg.norm(tool.position))
-    placement = check_placement(building, model_T_base, reach, base)
-    notes = [*building.notes, *schedule.notes, *(remark.text for remark in placement.remarks)]
+    notes = [*building.notes, *schedule.notes, *check_placement(building, site.model_T_base(building), reach, base)]
     if proposed:
         notes.insert(
             0,

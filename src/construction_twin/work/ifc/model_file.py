@@ -23,7 +23,7 @@ from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.building import BuildingModel, Element
 
 #: Of the form below and of what the reader understands: another number, and what is in a cache is read anew.
-VERSION = 6
+VERSION = 7
 #: Largest file [bytes].
 MOST_BYTES = 1 << 30
 #: Longest text about what is wrong with one [characters].

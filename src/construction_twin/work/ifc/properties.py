@@ -34,24 +34,6 @@ _GOES = ("DEMOLISH", "REMOVE", "ABBRUCH", "ABRISS", "RÜCKBAU")
 _STATUS_NAMES = ("status", "phase", "renovation", "umbau", "abbruch", "demol")
 _GONE_NAMES = ("demol", "abbruch", "abgebrochen")
 _NOTHING = ("", "none", "keine", "false", "no", "nein", "unset", "notdefined")
-#: A weight and volume times density that differ by more than this factor are told.
-_UNLIKE = 1.5
-#: Smallest and largest likely density [kg/m³] by words in a material's name, the first that fits; with room for what is hollow.
-_MATERIALS = (
-    (("insul", "dämm", "daemm", "wool", "wolle", "styro", "eps", "xps"), (5.0, 400.0)),
-    (("gyp", "gips", "gkb", "plasterboard", "drywall"), (400.0, 1700.0)),
-    (("concrete", "beton"), (250.0, 3200.0)),
-    (("steel", "stahl"), (200.0, 8300.0)),
-    (("alumin",), (50.0, 2950.0)),
-    (("brick", "ziegel", "masonry", "mauer"), (400.0, 2800.0)),
-    (
-        ("wood", "timber", "holz", "spruce", "fichte", "pine", "kiefer", "oak", "eiche", "osb", "glulam"),
-        (200.0, 1200.0),
-    ),
-    (("glass", "glas"), (1500.0, 3500.0)),
-)
-#: The same of any other.
-_ANY = (5.0, 23000.0)
 
 
 def read_properties(product: ifcopenshell.entity_instance, at: str, units: Units, notes: Notes) -> Sets:
@@ -167,18 +149,13 @@ def read_mass(
     product: ifcopenshell.entity_instance,
     at: str,
     sets: Sets,
-    material: str,
     bodies: tuple[Body, ...],
     units: Units,
     notes: Notes,
 ) -> float | None:
-    """Return the mass [kg]: a quantity of weight; or the density of its only material times the volume of its closed bodies.
-
-    It is compared with volume and material; what does not fit is a note.
-    """
+    """Return the mass [kg]: a quantity of weight; or the density of its only material times the volume of its closed bodies."""
     closed = bool(bodies) and all(is_closed(body.triangles) for body in bodies)
     whole = sum(volume(body.vertices, body.triangles) for body in bodies) if closed else 0.0
-    density = _density(product, at, units, notes)
     for quantity in _WEIGHTS:
         for name, values in sets.items():
             value = values.get(quantity)
@@ -197,48 +174,9 @@ def read_mass(
                         )
                         continue
                     notes.add(Sentence("ifc.note.kilograms"))
-                _doubt(product, at, float(value), whole, material, density, notes)
                 return float(value)
-    if density is None or whole <= 0.0:
-        return None
-    _doubt(product, at, density * whole, whole, material, None, notes)
-    return density * whole
-
-
-def _doubt(
-    product: ifcopenshell.entity_instance,
-    at: str,
-    mass: float,
-    whole: float,
-    material: str,
-    density: float | None,
-    notes: Notes,
-) -> None:
-    """Note a mass that its volume [m³] and material or density [kg/m³] do not bear out."""
-    if whole <= 0.0:
-        return
-    shown, found = product.Name or at, mass / whole
-    if density is not None and not 1 / _UNLIKE <= found / density <= _UNLIKE:
-        doubtful = Sentence("ifc.note.mass_by_density", given=f"{mass:.3g}", expected=f"{density * whole:.3g}")
-        notes.add(doubtful, shown, at)
-        return
-    lightest, heaviest = _densities(material)
-    if not lightest <= found <= heaviest:
-        values = {
-            "mass": f"{mass:.3g}",
-            "litres": f"{1e3 * whole:.3g}",
-            "density": f"{found:.3g}",
-            "lightest": f"{lightest:g}",
-            "heaviest": f"{heaviest:g}",
-        }
-        of = Sentence("ifc.note.mass_of", material=material, **values)
-        notes.add(of if material else Sentence("ifc.note.mass", **values), shown, at)
-
-
-def _densities(material: str) -> tuple[float, float]:
-    """Return the smallest and largest density [kg/m³] that is likely for materials of these names."""
-    low = material.casefold()
-    return next((span for words, span in _MATERIALS if any(word in low for word in words)), _ANY)
+    density = _density(product, at, units, notes)
+    return None if density is None or whole <= 0.0 else density * whole
 
 
 def _density(product: ifcopenshell.entity_instance, at: str, units: Units, notes: Notes) -> float | None:

@@ -359,7 +359,7 @@ def _element(
     material = read_material(product, element_id, found.notes)
     kind = ifcopenshell.util.element.get_type(product)
     assembly = next((ids[whole.id()] for whole in found.relations.wholes(product) if whole.id() in ids), "")
-    mass = read_mass(product, element_id, properties, material, () if doubt else bodies, found.units, found.notes)
+    mass = read_mass(product, element_id, properties, () if doubt else bodies, found.units, found.notes)
     if mass is not None and bodies and not doubt:
         litres = 1e3 * float(np.ptp(np.concatenate([body.vertices for body in bodies]), axis=0).prod())
         if mass > HEAVIEST * litres / 1e3:

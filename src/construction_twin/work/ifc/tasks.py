@@ -331,10 +331,8 @@ def _task(
             task_id,
         )
         products, inputs = made, [each for each in inputs if each not in made]
-    if kind == "makes" and products:
-        _doubt_names(entity, assigned, task_id, shown, notes)
     parent = assigned.parents.get(entity.id())
-    start, finish, duration = _times(_time_of(entity, assigned), units.time, shown, task_id, notes)
+    start, duration = _times(_time_of(entity, assigned), units.time, shown, task_id, notes)
     return Task(
         id=task_id,
         name=entity.Name or "",
@@ -345,7 +343,6 @@ def _task(
         robots=tuple(assigned.workers[entity.id()]),
         milestone=bool(entity.IsMilestone),
         start=start,
-        finish=finish,
         duration=duration,
         kind=kind,
         completed=not cancelled and _completed(entity, assigned, task_id, shown, notes),
@@ -405,17 +402,6 @@ def _own_word(entity: ifcopenshell.entity_instance) -> str:
         return ""
     kind = ifcopenshell.util.element.get_type(entity)
     return str(entity.ObjectType or getattr(kind, "ProcessType", None) or "").strip()
-
-
-def _doubt_names(
-    entity: ifcopenshell.entity_instance, assigned: _Assigned, task_id: str, shown: str, notes: Notes
-) -> None:
-    """Note a task whose name, or the name of what it nests in, says that something is taken down, and whose kind does not."""
-    for each in _above(entity, assigned):
-        name = each.Name or ""
-        if any(word in name.casefold() for word in _TAKES_DOWN_WORDS if word != "tear"):
-            notes.add(Sentence("ifc.note.may_take_down", name=repr(name)), shown, task_id)
-            return
 
 
 def _above(entity: ifcopenshell.entity_instance, assigned: _Assigned) -> Iterator[ifcopenshell.entity_instance]:
@@ -506,21 +492,19 @@ def _times(
     task: str,
     task_id: str,
     notes: Notes,
-) -> tuple[str, str, float | None]:
+) -> tuple[str, float | None]:
     if time is None:
-        return "", "", None
-    start, finish = (
-        next(filter(None, (_moment(getattr(time, said + end), task, task_id, notes) for said in _DATES)), "")
-        for end in ("Start", "Finish")
-    )
+        return "", None
+    starts = (_moment(getattr(time, f"{said}Start"), task, task_id, notes) for said in _DATES)
+    start = next(filter(None, starts), "")
     if start and time.ScheduleStart is None:
         notes.add(Sentence("ifc.note.other_start"), task, task_id)
     given = time.ScheduleDuration
     if isinstance(given, str):
-        return start, finish, _seconds(given, task, (task_id,), notes)
+        return start, _seconds(given, task, (task_id,), notes)
     if given and time_unit is None:
         notes.add(_NO_TIME, task, task_id)
-    return start, finish, None if given is None else given * (time_unit or 1.0)
+    return start, None if given is None else given * (time_unit or 1.0)
 
 
 def _moment(value: str | ifcopenshell.entity_instance | None, task: str, task_id: str, notes: Notes) -> str:

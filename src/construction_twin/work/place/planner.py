@@ -28,7 +28,6 @@ from construction_twin.work.place.recipe import PlaceRecipe, mass_of
 from construction_twin.work.place.stages import (
     APPROACH,
     CARRY,
-    END,
     GRIP,
     LIFT,
     RETREAT,
@@ -379,14 +378,11 @@ class _OneWay:
 
     def _carried(self, made: PlanBuilder, carry: Free, goal: _Goal) -> TaskMotions:
         """Return the plan that goes on with the element in the grip, up to its end."""
-        search, there, tool = self.search, self.scenes, self.search.tool.tool
+        there, tool = self.scenes, self.search.tool.tool
         held, empty = tool.grip.signals(), tool.release.signals()
         made.add(CARRY, carry.trajectory, self._recipe.carry_engaged, held, (), there.set_down, carry.clearance)
         made.add(SET_DOWN, goal.set_down, True, held, tool.release.switches(), there.retreat)
         made.add(RETREAT, goal.retreat, True, empty, (), there.done)
-        if search.end is not None:
-            home = self._free(END, goal.retreat.positions[-1], search.end, self._recipe.free_speed_scale, there.done)
-            made.add(END, home.trajectory, False, empty, (), there.done, home.clearance)
         return made.plan(self.grip.name, self.at.tool0_T_element)
 
     @property
