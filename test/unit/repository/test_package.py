@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import shutil
 import subprocess
 import sys
 from functools import cache
@@ -128,3 +129,29 @@ def test_what_is_imported_is_pinned_or_a_dependency_of_the_package():
     for name in sorted((imported("") | DEBIAN) - examples):
         is_pinned = any(canonicalize_name(each) in versions for each in distributions.get(name, [name]))
         assert is_pinned or not keys.isdisjoint({name, f"python3-{name.lower()}"}), name
+
+
+def test_a_workspace_of_one_s_own_gets_what_its_nodes_import(tmp_path):
+    """A link in `src` and `catkin_make`, nothing else: the build makes the venv, and every node runs with it."""
+    package, workspace = tmp_path / "repository", tmp_path / "workspace"
+    for name in ("CMakeLists.txt", "package.xml", "setup.py", "gazebo/CMakeLists.txt", "setup/setup.sh"):
+        (package / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, package / name)
+    for name, text in {
+        "setup/requirements.txt": "",
+        "setup/requirements-no-deps.txt": "",
+        "msg/One.msg": "",
+        "srv/Two.srv": "---\n",
+        "src/construction_twin/__init__.py": "",
+        "nodes/one": "#!/usr/bin/env python3\nimport sys\n\nprint(sys.prefix)\n",
+    }.items():
+        (package / name).parent.mkdir(parents=True, exist_ok=True)
+        (package / name).write_text(text)
+    (workspace / "src").mkdir(parents=True)
+    (workspace / "src/construction_twin").symlink_to(package)
+    built = "catkin_make && source devel/setup.bash && rosrun construction_twin one"
+    others = "gencpp;geneus;genlisp;gennodejs"
+    plain = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "ROS_LANG_DISABLE": others}
+    run = subprocess.run(["bash", "-c", built], cwd=workspace, env=plain, capture_output=True, text=True, timeout=600)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.splitlines()[-1] == str(package / ".ws/venv")

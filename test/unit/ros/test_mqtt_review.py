@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 import threading
 from types import SimpleNamespace
 
@@ -581,3 +582,27 @@ def test_what_a_rehearsal_has_found_is_shown_until_its_plan_is_decided(bench):
     assert shown_rehearsals(bench)[-1] != b""
     bench.node.on_verdict(Review(plan_id="p1"))
     assert shown_rehearsals(bench)[-1] == b""
+
+
+@pytest.fixture
+def hurried():
+    """Threads that give way to each other at almost every step."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    yield
+    sys.setswitchinterval(before)
+
+
+def test_what_starts_something_is_pressed_by_several_people_at_once(pressing, hurried):
+    def go_on(verb):
+        for number in range(150):
+            press(pressing, verb, str(number), account=f"kr120-{verb}-bob")
+            wait_until(lambda: pressing.pressed.count(verb) > number, what=f"{verb} {number}")
+
+    people = [threading.Thread(target=go_on, args=(verb,)) for verb in STARTING]
+    for person in people:
+        person.start()
+    for person in people:
+        person.join()
+    assert {verb: pressing.pressed.count(verb) for verb in STARTING} == dict.fromkeys(STARTING, 150)
+    assert not pressing.made.refused

@@ -226,3 +226,32 @@ def test_every_point_within_the_distance_to_keep_is_in_one_of_the_parts(geometry
         assert held or distance > margin - 1e-5, (offset, distance)
     # both kinds were tried
     assert near > 50 and far > 50
+
+
+@pytest.fixture
+def install(monkeypatch, tmp_path):
+    """Return what installs moveit_msgs, whose messages import those of another package, as genpy's do."""
+    names = [name for package in ("moveit_msgs", "shape_msgs") for name in (package, f"{package}.msg")]
+    # noted now, so that what the test imports is forgotten after it
+    for name in names:
+        monkeypatch.setitem(sys.modules, name, None)
+        del sys.modules[name]
+
+    def made(needs: str) -> None:
+        for package, text in (("moveit_msgs", f"import {needs}.msg\nclass PlanningScene: pass\n"), ("shape_msgs", "")):
+            (tmp_path / package / "msg").mkdir(parents=True)
+            (tmp_path / package / "__init__.py").touch()
+            (tmp_path / package / "msg" / "__init__.py").write_text(text)
+        monkeypatch.syspath_prepend(tmp_path)
+
+    return made
+
+
+@pytest.mark.parametrize("package", ["object_recognition_msgs", "octomap_msgs", "shape_msgs"])
+def test_a_package_that_moveit_s_messages_need_is_missed_in_one_warning(package, monkeypatch, install):
+    install(package)
+    monkeypatch.setitem(sys.modules, package, None)
+    assert opened(monkeypatch) == (
+        None,
+        [f"planning_scene is not published: moveit_msgs needs {package}, which is not installed"],
+    )

@@ -287,3 +287,16 @@ def test_a_file_that_cannot_be_written_is_said_and_tried_again(bench, monkeypatc
         assert report.level == ERROR and "No space left" in report.sentence and bench.limit == 0.3
     bench.node.write()
     assert bench.node.report().level == OK and json.loads(bench.file.read_text())["limit"] == 0.3
+
+
+def test_a_first_limit_on_a_disk_that_was_full_from_the_start_is_the_least(monkeypatch, tmp_path):
+    with monkeypatch.context() as patch:
+        full(patch, tmp_path / "nothing")
+        bench = Bench(patch, tmp_path)
+        bench.later(1.0)
+        assert bench.limit == LEAST and bench.node.report().level == ERROR
+        answer = bench.sets(0.5, moment=bench.shown())
+        assert not answer.success and "No space left" in answer.message and answer.limit == LEAST
+        bench.restart()
+        bench.later(1.0)
+        assert bench.limit == LEAST

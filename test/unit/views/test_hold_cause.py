@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 
 import pytest
@@ -45,3 +46,15 @@ def test_a_difference_names_axis_difference_what_is_allowed_and_since_when(utc):
     assert isinstance(said, Sentence) and said.key == "reason.holds.differs"
     assert (said.values["joint"], said.values["since"]) == ("A3", "17:46:37")
     assert said.values["difference"].value == pytest.approx(0.013177) and said.values["threshold"].value == 0.01
+
+
+@pytest.mark.parametrize(
+    "difference, threshold, unit",
+    [(0.011834, 0.011830, "rad"), (0.011833, 0.011833, "rad"), (0.0050001, 0.005, "m")],
+)
+def test_a_difference_reads_as_more_than_what_is_allowed(utc, difference, threshold, unit):
+    values = {"difference": Quantity(difference, unit), "threshold": Quantity(threshold, unit)}
+    said = hold_cause(HoldReport(str(Sentence("reason.gate.differs", joint="joint_a3", **values)), SINCE))
+    shown = re.findall(r"\d+\.\d+", said.partition("since")[0])
+    assert len(shown) == 2 and shown[0] > shown[1], said
+    assert said.values["difference"].value == pytest.approx(difference, abs=2e-5)
