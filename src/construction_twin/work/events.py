@@ -83,7 +83,7 @@ def entry_of(fields: Mapping[str, Any]) -> Entry:
     Raises:
         ValueError, TypeError: If it is none of a ledger.
     """
-    known = {name: value for name, value in fields.items() if name != "time"}
+    known = {name: value for name, value in fields.items() if name not in ("time", "previous")}
     pose, goal = (tuple(map(float, known.pop(name, ()))) for name in ("pose", "goal"))
     for each in (pose, goal):
         if len(each) not in (0, 7) or not all(map(math.isfinite, each)):

@@ -151,16 +151,6 @@ def test_what_the_process_wrote_is_checked(tmp_path, path, change, said, key):
     assert getattr(caught.value.found, "key", "") == (key and f"ifc.found.{key}")
 
 
-def test_what_would_not_fit_into_memory_is_not_unpacked(tmp_path, path, monkeypatch):
-    model = read_ifc(path, 1 << 24)
-    kept = tmp_path / "model.npz"
-    model_file.save(model, kept)
-    monkeypatch.setattr(model_file, "MOST_BYTES", 1000)
-    monkeypatch.setattr(np, "load", None)
-    with pytest.raises(BuildingError, match="more than 0 MiB"):
-        model_file.load(kept, model.file, model.digest)
-
-
 NOT_WHOLE = {
     "empty": (b"", "nothing in it"),
     "a picture": (b"\x89PNG\r\n\x1a\n" + bytes(100), "begins with ISO-10303-21"),

@@ -32,11 +32,6 @@ def test_what_carries_comes_first_across_a_small_gap(gap):
     assert order(model) == ["bottom", "top"] and waits(model) == {("bottom", "top")}
 
 
-def test_neighbours_at_the_same_height_keep_the_files_order():
-    model = building(*(element(name, box((i, 0, 0), (i + 0.99, 1, 1))) for i, name in enumerate("cab")))
-    assert order(model) == ["c", "a", "b"] and waits(model) == set()
-
-
 def test_a_noggin_comes_after_the_studs_that_hold_it_at_its_sides():
     model = building(
         element("noggin", box((0.062, 0, 1.0), (0.538, 0.12, 1.06))),
@@ -47,14 +42,6 @@ def test_a_noggin_comes_after_the_studs_that_hold_it_at_its_sides():
     )
     assert order(model) == ["bottom", "left", "right", "noggin", "top"]
     assert {("left", "noggin"), ("right", "noggin"), ("left", "top"), ("right", "top")} <= waits(model)
-
-
-def test_sequences_that_follow_from_others_are_left_out():
-    tower = [element(f"e{i}", box((0, 0, i), (1, 1, i + 1))) for i in range(4)]
-    side = element("side", box((1.001, 0, 0), (2, 1, 2)))  # carries the lid together with e1
-    lid = element("lid", box((0, 0, 2), (2, 1, 3)))
-    assert waits(building(*tower)) == {("e0", "e1"), ("e1", "e2"), ("e2", "e3")}
-    assert waits(building(tower[0], tower[1], side, lid)) == {("e0", "e1"), ("e1", "lid"), ("side", "lid")}
 
 
 def test_a_rafter_rests_on_its_purlin_though_both_boxes_overlap():

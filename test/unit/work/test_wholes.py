@@ -165,10 +165,6 @@ def test_a_workpiece_beside_those_that_tasks_place_is_an_obstacle():
     assert after(left, part("board", on=("l",), ifc_class="IfcCovering"), placed=["l"]) == {"board": {"l"}}
 
 
-def test_things_that_are_on_each_other_in_a_circle_end():
-    assert after(part("a", on=("b",)), part("b", on=("a",)), part("c"), placed=["c"]) == {}
-
-
 def test_what_is_on_an_element_is_in_the_scene_when_that_stands(tmp_path):
     at = site(tmp_path)
     model = building(element("b"), element("c"), part("nail", on=("b",)))

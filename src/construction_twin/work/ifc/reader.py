@@ -41,8 +41,6 @@ Progress = Callable[[str, int, int], None]
 
 #: Elements of a file.
 MOST_ELEMENTS = 100_000
-#: An element farther from the model's origin than this [m] is told: map coordinates in a placement.
-_FAR = 10_000.0
 #: Products with geometry that nothing can touch: holes, rooms, drawings, loads.
 _NOT_THERE = (
     "IfcFeatureElementSubtraction",
@@ -347,8 +345,6 @@ def _element(
                 product.Name or element_id,
                 element_id,
             )
-    if np.abs(matrix[:3, 3]).max() > _FAR:
-        found.notes.add(Sentence("ifc.note.far"), element_id)
     doubt = "" if shape is None else shape.doubt
     if not doubt and (unknown := found.doubts.shapes.get(product.id())):
         # it can have a body that nobody knows
