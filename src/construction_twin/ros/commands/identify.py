@@ -12,7 +12,6 @@ from rich.table import Table
 
 from construction_twin.core.files import write_whole
 from construction_twin.evaluation.driven import cycle_of, drives_of
-from construction_twin.evaluation.figures import DPI
 from construction_twin.evaluation.recording import Recording
 from construction_twin.ros.commands.bag_report import bag_parser, report_bag
 from construction_twin.servo.file import servo_file
@@ -43,21 +42,10 @@ def main(arguments: list[str] | None = None) -> int:
         directory.mkdir(parents=True, exist_ok=True)
         path = directory / "servos.yaml"
         write_whole(path, servo_file(found.joints, cycle_ns, options.bag.name))
-        figures = [_draw(directory, drives, joint, found) for joint in range(len(found.joints))]
         console.print(servo_table(found))
-        return [path, *figures]
+        return [path]
 
     return report_bag("identify", options, write)
-
-
-def _draw(directory: Path, drives, joint: int, found: Identified) -> Path:
-    # matplotlib takes a second
-    from construction_twin.evaluation.servo_figure import fit_figure
-
-    each = found.joints[joint]
-    path = directory / f"{each.name}.png"
-    fit_figure(drives, joint, each, found.cycle_ns, "rad, m").savefig(path, dpi=DPI)
-    return path
 
 
 def servo_table(found: Identified) -> Table:
@@ -81,7 +69,7 @@ def servo_table(found: Identified) -> Table:
 def _parser() -> argparse.ArgumentParser:
     return bag_parser(
         "identify",
-        "Find how the arm's servos answer their targets: a file for the argument servo_model, and a figure per joint.",
+        "Find how the arm's servos answer their targets: a file for the argument servo_model.",
         "a bag with at least twin, physical, physical/feedback and command/joint_states",
         "_servos",
     )
