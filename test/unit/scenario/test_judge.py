@@ -18,7 +18,6 @@ from construction_twin.robot.description import read_robot_files
 from construction_twin.scenario.definition import make_scenario
 from construction_twin.scenario.judge import judge, matches
 from construction_twin.scenario.motion import distance_after, limit_usage, trace_arrays
-from construction_twin.scenario.table import BEGIN, END, markdown_table, put_into, read_verdicts
 from construction_twin.scenario.timeline import Change, GatewayStop, Run, SyncMoment
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -342,17 +341,3 @@ def test_distance_after_an_event():
     distance, rest = distance_after(stamps, q, int(stamps[20]), int(stamps[99]))
     assert distance[0] == pytest.approx(0.21, abs=0.011)
     assert rest == pytest.approx(20 * CYCLE)
-
-
-def test_tables_span_the_runs(tmp_path):
-    import json
-
-    for number, run in enumerate((stalled_run(), stalled_run())):
-        folder = tmp_path / f"run_{number}" / "test"
-        folder.mkdir(parents=True)
-        (folder / "verdict.json").write_text(json.dumps(verdict_of(stall_expectation(), run).to_dict()))
-    table = markdown_table(read_verdicts(tmp_path))
-    row = table.splitlines()[2]
-    assert row.startswith("| `test` | IN_SYNC → HOLDING; plan held | 0.120 |") and row.endswith("| 2 of 2 |")
-    text = put_into(f"a\n{BEGIN}\nold\n{END}\nb\n", table, "here")
-    assert text == f"a\n{BEGIN}\n{table}{END}\nb\n"

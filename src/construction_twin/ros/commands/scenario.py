@@ -41,7 +41,7 @@ from construction_twin.ros.transport.persistent_service import PersistentService
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, Step, make_scenario, read_scenario
 from construction_twin.scenario.judge import Judgement, judge
-from construction_twin.scenario.table import markdown_table, print_verdict, put_into, read_verdicts
+from construction_twin.scenario.table import print_verdict
 from construction_twin.scenario.timeline import Change
 from construction_twin.srv import InjectFault, PlanToJoints, ReviewPlan
 
@@ -303,24 +303,16 @@ def judge_folder(
 
 
 def command(arguments: list[str]) -> int:
-    """Judge a recorded run again, or make the table of many, without a ROS master; return the exit code.
+    """Judge a recorded run again, without a ROS master; return the exit code.
 
-    0; 1 when a scenario failed or something cannot be read.
+    0; 1 when the scenario failed or something cannot be read.
     """
     options = _parser().parse_args(arguments)
-    console = table_console(markup=False)
     try:
-        if options.judge:
-            return _judge(options, console)
-        verdicts = read_verdicts(options.table)
-        table = markdown_table(verdicts)
-        print(table)
-        if options.into:
-            options.into.write_text(put_into(options.into.read_text(), table, str(options.into)))
+        return _judge(options, table_console(markup=False))
     except (ConstructionTwinError, OSError) as error:
         print(f"scenario: {spoken(error)}", file=sys.stderr)
         return 1
-    return 0 if all(run["passed"] for runs in verdicts.values() for run in runs) else 1
 
 
 def _judge(options: argparse.Namespace, console: Console) -> int:
@@ -338,12 +330,9 @@ def _judge(options: argparse.Namespace, console: Console) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="scenario", description="Judge recorded scenarios; without options it is the node of scenario.launch."
+        prog="scenario", description="Judge a recorded scenario; without options it is the node of scenario.launch."
     )
-    what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--table", type=Path, metavar="DIR", help="print the table of all verdicts below DIR")
-    what.add_argument("--judge", type=Path, metavar="DIR", help="judge the recording in DIR again")
-    parser.add_argument("--into", type=Path, metavar="FILE", help="also put the table between the marks in FILE")
+    parser.add_argument("--judge", type=Path, metavar="DIR", required=True, help="judge the recording in DIR again")
     parser.add_argument(
         "--scenario", type=Path, metavar="FILE", help="scenario YAML (default: the shipped one of DIR's name)"
     )
