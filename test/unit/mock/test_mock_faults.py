@@ -14,8 +14,7 @@ from sentence_checks import expects
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.units import CYCLE, radians
-from construction_twin.mock.faults import KINDS, Fault, FaultBoard
-from construction_twin.mock.impaired_line import ImpairedLine
+from construction_twin.mock.faults import KINDS, Fault, FaultBoard, ImpairedLine
 from construction_twin.mock.own_motion import EmergencyBrake, Program
 
 FAR = radians((20, -80, 80, 10, 80, -20))

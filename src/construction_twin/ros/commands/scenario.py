@@ -16,6 +16,8 @@ from typing import Annotated, Any
 import pydantic
 import rospy
 from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -41,9 +43,20 @@ from construction_twin.ros.transport.persistent_service import PersistentService
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, Step, make_scenario, read_scenario
 from construction_twin.scenario.judge import Judgement, judge
-from construction_twin.scenario.table import print_verdict
 from construction_twin.scenario.timeline import Change
 from construction_twin.srv import InjectFault, PlanToJoints, ReviewPlan
+
+
+def print_verdict(verdict: Judgement, console: Console) -> None:
+    """Print one run's checks."""
+    table = Table(title=f"{verdict.scenario}: {verdict.title}", title_justify="left")
+    for column in ("check", "expected", "found", ""):
+        table.add_column(column, overflow="fold")
+    for check in verdict.checks:
+        table.add_row(*map(Text, (check.name, check.expected, check.found, "ok" if check.passed else "FAILED")))
+    console.print(table)
+    console.print(f"{verdict.scenario}: {'passed' if verdict.passed else 'FAILED'}")
+
 
 #: Longest wait for the system to get ready, and for the recorder [s].
 _READY = 60.0
