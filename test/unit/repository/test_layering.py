@@ -375,7 +375,7 @@ SOCKETS = (
     "broker/start.py console/addresses.py "
     "console/delivery.py console/listener.py console/pipe.py console/program.py "
     "console/server.py console/http_connection.py core/network.py gateway/service.py mock/network.py mqtt/client.py "
-    "mqtt/failures.py mqtt/fast_client.py mqtt/polled_client.py core/udp.py views/display.py"
+    "mqtt/failures.py mqtt/fast_client.py mqtt/polled_client.py core/udp.py ros/nodes/view.py"
 ).split()
 
 

@@ -33,11 +33,10 @@ from construction_twin.core.reports import ExecutionReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.mqtt.messages import Topics
 from construction_twin.robot.description import read_robot_files
-from construction_twin.robot.shown_urdf import shown_urdf
 from construction_twin.ros.messages.scene_convert import scene_to_msg
 from construction_twin.ros.shared.console_feed import PATH_POINTS, ConsoleFeed, deployment_of
 from construction_twin.ros.shared.pose_judge import PoseJudge
-from construction_twin.ros.shared.private_files import PrivateFiles
+from construction_twin.ros.shared.private_files import PrivateFiles, shown_urdf
 from construction_twin.scene.mesh_file import binary_stl, parse_mesh
 from construction_twin.scene.objects import Scene, SceneObject
 

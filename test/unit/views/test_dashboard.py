@@ -10,7 +10,7 @@ from rich.console import Console
 from scene_samples import kr120
 
 from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
-from construction_twin.views.dashboard import BAR, bar, render
+from construction_twin.ros.commands.watch import BAR, bar, render
 from construction_twin.views.snapshot import NodeFacts, Snapshot
 
 

@@ -19,7 +19,7 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Chain
 from construction_twin.monitor.states import SyncState
 from construction_twin.robot.description import read_robot_files
-from construction_twin.views.display import connect_display, display_problem, view_for
+from construction_twin.ros.nodes.view import connect_display, display_problem, view_for
 from construction_twin.views.sync_picture import COLOURS as STATES
 from construction_twin.views.sync_picture import headline_height
 

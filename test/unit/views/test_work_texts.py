@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from construction_twin.core.reports import TaskReport, WorkReport
-from construction_twin.views.work_texts import list_lines, note_lines
+from construction_twin.ros.commands.twin_work import list_lines, note_lines
 
 TASK = TaskReport(id="T1", name="Place plate", element="E1", element_name="plate", state="done", reason="", after=())
 

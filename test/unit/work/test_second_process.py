@@ -43,11 +43,11 @@ from construction_twin.planning.planner import PlannerSettings, PlanRequest
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.work_plan import plan_work
 from construction_twin.review.record import Fate
+from construction_twin.ros.commands.twin_work import list_lines, show_lines
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, product
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.views.work_texts import list_lines, show_lines
 from construction_twin.work import processes, worker_functions
 from construction_twin.work.check import Checker
 from construction_twin.work.check_report import cell_picture, row

@@ -30,8 +30,7 @@ from construction_twin.physics.report import STATES
 from construction_twin.review.plan_under_review import EXECUTOR
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
-from construction_twin.ros.shared.message_board import MessageBoard
-from construction_twin.ros.shared.message_file import MessageFile
+from construction_twin.ros.shared.message_board import MessageBoard, MessageFile
 from construction_twin.ros.shared.private_files import PrivateFiles
 from construction_twin.scene.objects import Scene
 from construction_twin.views.hold_cause import hold_cause
