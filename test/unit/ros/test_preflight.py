@@ -17,6 +17,7 @@ import yaml
 from processes import listens, wait_until
 from ros_master import Node, ros_master
 
+from construction_twin.broker import make_site
 from construction_twin.controller import makes
 from construction_twin.core.sentences import Sentence
 from construction_twin.robot.description import read_robot_files
@@ -393,32 +394,38 @@ def test_a_console_without_its_package_or_its_page_is_refused_with_what_to_do(mo
     assert preflight.contents_problem(given | {"console": "false"}) == ""
 
 
+@pytest.fixture(scope="module")
+def console_site(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("site")
+    options = ("--host", "localhost", "--robot", "kr120", "--reviewer", "ada", "--console", "localhost")
+    assert make_site.main([str(folder), *options]) == 0
+    return folder / "console"
+
+
 @pytest.mark.parametrize(
-    ("names", "sentence"),
+    ("name", "text", "sentence"),
     (
-        (("console_certificate", "console_key"), "console:=true: --certificate and --key: found '[SSL] PEM lib"),
-        (("console_broker_ca",), "console:=true: --broker-ca: found "),
-        (("console_rights",), "console:=true: --rights: found "),
+        ("", "", ""),
+        ("console.key", "no PEM\n", "console:=true: --certificate and --key: found '[SSL] PEM lib"),
+        ("ca.crt", "no PEM\n", "console:=true: --broker-ca: found "),
+        ("rights.json", "no JSON\n", "console:=true: --rights: found "),
+        ("rights.json", "[]", "console:=true: --rights: found "),
+        ("rights.json", "{}", "console:=true: --rights: found "),
+        ("rights.json", '{"robots": []}', "console:=true: --rights: found "),
     ),
 )
-def test_a_file_that_the_console_could_not_use_is_refused_by_the_name_of_its_option(tmp_path, names, sentence):
-    wrong = tmp_path / "wrong"
-    wrong.write_text("no PEM, and no JSON\n")
-    given = KR120 | {"console": "true", "console_page": "none", "console_files": "false"}
-    given |= dict.fromkeys(names, str(wrong))
+def test_a_site_with_a_file_that_the_console_could_not_use_is_refused_by_the_name_of_its_option(
+    console_site, tmp_path, name, text, sentence
+):
+    folder = tmp_path / "console"
+    shutil.copytree(console_site, folder)
+    if name:
+        (folder / name).write_text(text)
+    given = KR120 | {"console": "true", "console_page": "none", "console_files": "false", "console_site": str(folder)}
     said = preflight.contents_problem(given)
-    assert said.startswith(sentence) and "expected " in said
+    assert said.startswith(sentence) and bool(said) == bool(name) == ("expected " in said)
     assert preflight.contents_problem(given | {"console": "false"}) == ""
-
-
-@pytest.mark.parametrize(
-    ("text", "is_one"), (('{"robots": {}}', True), ("[]", False), ("{}", False), ('{"robots": []}', False))
-)
-def test_a_list_of_rights_is_what_make_site_writes(tmp_path, text, is_one):
-    (tmp_path / "rights.json").write_text(text)
-    given = {"console": "true", "console_page": "none", "console_files": "false"}
-    said = preflight.contents_problem(KR120 | given | {"console_rights": str(tmp_path / "rights.json")})
-    assert (said == "") == is_one and (is_one or "as make_site writes it" in said)
+    assert "console_site: found 'console'" in preflight.contents_problem(given | {"console_site": "console"})
 
 
 def test_a_taken_port_of_the_console_is_refused():

@@ -255,13 +255,12 @@ def _check_console(given: Given, _robot: RobotModel) -> None:
     if page != "none" and not (page.startswith("/") and Path(page, "index.html").is_file()):
         expected = Sentence("expected.page")
         raise ConfigurationError("console_page", page, expected)
-    certificate, key = given.get("console_certificate"), given.get("console_key")
-    if certificate and key:
-        own_tls(Path(certificate), Path(key))
-    if ca := given.get("console_broker_ca"):
-        broker_tls(Path(ca))
-    if rights := given.get("console_rights"):
-        check_rights(Path(rights))
+    if site := given.get("console_site"):
+        if not site.startswith("/"):
+            raise ConfigurationError("console_site", site, Sentence("expected.console_site"))
+        own_tls(Path(site, "console.crt"), Path(site, "console.key"))
+        broker_tls(Path(site, "ca.crt"))
+        check_rights(Path(site, "rights.json"))
     if is_true(given, "console_files"):
         check_writable(ros_home() / "construction_twin" / "console")
 
