@@ -185,11 +185,6 @@ class Playout:
         self.delay = self.bounds.delay(self._arrivals.learned)
 
     @property
-    def now(self) -> int:
-        """Playout time, on the sender's clock [ns]."""
-        return self._now
-
-    @property
     def newest(self) -> int:
         """Stamp of the newest command [ns]; 0 when there is none."""
         return self._newest

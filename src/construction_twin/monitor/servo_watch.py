@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from construction_twin.monitor.comparison import TwinHistory
 from construction_twin.servo.model import ServoModel, ServoState
-from construction_twin.servo.pace import STEADY, keeps_pace
+from construction_twin.servo.model import STEADY, keeps_pace
 from construction_twin.servo.refine import Refinement
 
 #: States that may be missing between two poses, in cycles: what lay between them is known as well.

@@ -386,4 +386,4 @@ def test_two_robots_take_every_argument_of_their_one_console():
         for file in ("bringup", "two_robots")
     }
     own = {name for name in names["bringup"] if name.startswith("console")} - {"console_files", "console_words"}
-    assert len(own) > 5 and own | {"prefix", "broker_host", "broker_port"} <= names["two_robots"]
+    assert len(own) == 5 and own | {"prefix", "broker_host", "broker_port"} <= names["two_robots"]

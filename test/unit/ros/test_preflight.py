@@ -759,7 +759,6 @@ def test_a_file_that_is_no_mapping_is_refused_only_where_it_is_loaded(config_fol
         "planner",
         "follow_joint_trajectory",
         "joint_velocities",
-        "joint_state_publisher",
         "executor",
         "rehearsal",
         "speed_limits",

@@ -20,7 +20,7 @@ from construction_twin.evaluation.recording import Recording
 from construction_twin.ros.commands.bag_report import bag_parser, report_bag
 from construction_twin.servo.file import servo_file
 from construction_twin.servo.identification import Drive, Identified, identify
-from construction_twin.servo.pace import PACE, STEADY
+from construction_twin.servo.model import PACE, STEADY
 
 #: An arm whose target has not changed for so long rests [ns].
 RESTED = NANOSECONDS // 5

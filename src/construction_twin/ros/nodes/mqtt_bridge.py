@@ -203,11 +203,6 @@ class MqttBridge:
         """State of the link."""
         return self._supervisor.state
 
-    @property
-    def refuse(self) -> Callable[[str, str], None]:
-        """Counts a refused input; takes reason and sentence."""
-        return self._diagnostics.refuse
-
     def run(self) -> None:
         """Poll the link until shutdown."""
         threading.Thread(target=self._write_logs, name="log", daemon=True).start()
