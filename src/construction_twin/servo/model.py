@@ -12,8 +12,6 @@ from dataclasses import dataclass, replace
 
 from construction_twin.core.servo_lag import transition_matrix
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.core.units import NANOSECONDS
-
 
 #: A playout that is slower or faster than its stream by more than one part in so many does not move the arm as commanded.
 PACE = 20

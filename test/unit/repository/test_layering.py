@@ -367,7 +367,6 @@ CLOCK = {"time", "monotonic", "perf_counter", "process_time", "clock_gettime", "
 CLOCKS = {
     "core/clock.py": "what searches and plans are measured with where the caller gives no clock",
     "scene/pair_sampling.py": "a bar for who waits",
-    "views/ik_report.py": "how long a solution takes",
     "work/worker_functions.py": "a budget for the search",
 }
 #: Modules of the library that talk to a network, or name its addresses and errors.

@@ -22,6 +22,8 @@ from construction_twin.controller.makes import DEFAULT, MODULES, make_of
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, spoken
 from construction_twin.core.files import check_writable
 from construction_twin.core.sentences import Sentence
+from construction_twin.kinematics.chain import Chain
+from construction_twin.kinematics.inverse import inverse_kinematics
 from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot, read_robot_files
 from construction_twin.robot.new_robot import find_ends, new_description, robot_name, robot_yaml, with_home
 from construction_twin.robot.other_joints import other_joints_text
@@ -84,10 +86,12 @@ def summary(robot: RobotModel, home: Home) -> list[str]:
     pose = ", ".join(f"{value * 1e3:g} mm" if linear else f"{math.degrees(value):.4g}" for value, linear in values)
     nearest = f"; closest {home.clearance:.3f} m ({home.between[0]} to {home.between[1]})" if home.between else ""
     others = other_joints_text(robot.other_joints, robot.base_link, robot.tip_link)
+    kind = inverse_kinematics(Chain(robot)).kind
     return [
         f"{robot.name}: {len(robot.joint_names)} joints from {robot.base_link} to {robot.tip_link}: {axes}",
         *([others] if others else []),
         f"home [deg]: {pose}{nearest}",
+        f"inverse kinematics: {kind.name}, because {kind.why}",
     ]
 
 
