@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from construction_twin.robot.description import RobotModel, read_robot_files
-from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.self_collision import SelfCollision, read_self_collision, sample_self_collision
 
@@ -103,19 +101,3 @@ def box_triangles(size, centre=(0.0, 0.0, 0.0)) -> np.ndarray:
 def bracket_triangles() -> np.ndarray:
     """Return an L made of two boxes that share an edge region: closed surfaces, but not convex together."""
     return np.concatenate([box_triangles((1.0, 0.2, 0.2)), box_triangles((0.2, 0.2, 1.0), (0.4, 0.0, 0.6))])
-
-
-class PairDistance(NamedTuple):
-    """How far two bodies are from each other, and at which distance or less they are in contact [m]."""
-
-    between: tuple[str, str]
-    distance: float
-    margin: float
-
-
-def pair_distances(world: CollisionWorld, q) -> list[PairDistance]:
-    """Return every checked pair of a world, measured one by one."""
-    checks = world._checks
-    checks._take(q)
-    found = zip(checks._names, checks._distances(checks._q), checks._pairs)
-    return [PairDistance(names, float(distance), margin) for names, distance, (_, _, margin) in found]

@@ -50,6 +50,21 @@ class Contact:
     between: tuple[str, str]
 
 
+@dataclass(frozen=True)
+class PairDistance:
+    """How far two bodies are from each other.
+
+    Attributes:
+        between: Length 2. As in `Contact`.
+        distance: Negative for two bodies that penetrate each other [m].
+        margin: At this distance or less they are in contact [m].
+    """
+
+    between: tuple[str, str]
+    distance: float
+    margin: float
+
+
 class CollisionWorld:
     """A robot among the objects of a scene.
 
@@ -355,6 +370,10 @@ class CollisionWorld:
                 return clearance, place
             gap = clearance.distance
 
+    def distances(self, q: JointValues) -> list[PairDistance]:
+        """Return every checked pair, measured one by one; far slower than `is_free` and `clearance`; parameters as there."""
+        return self._checks.distances(q)
+
 
 class _Checks:
     """Pinocchio's model of the pairs that are checked, and the questions to it; arguments as those of `CollisionWorld`."""
@@ -518,6 +537,12 @@ class _Checks:
     def _touches(self, rows: np.ndarray, place: float, pair: int) -> bool:
         self._place(rows, place)
         return pinocchio.computeCollision(self._geometry, self._geometry_data, pair)
+
+    def distances(self, q: JointValues) -> list[PairDistance]:
+        """Return every pair, measured."""
+        self._take(q)
+        found = zip(self._names, self._distances(self._q), self._pairs)
+        return [PairDistance(names, float(distance), margin) for names, distance, (_, _, margin) in found]
 
     def _take(self, q: JointValues) -> None:
         self._q[self._order] = q

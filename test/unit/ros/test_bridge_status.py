@@ -166,7 +166,7 @@ def test_counters_may_grow_in_other_threads_while_they_are_reported(clocks, monk
         number = 0
         while not ended.is_set():
             number += 1
-            bench._made.refuse(f"state_{number % 4000}", "no")
+            bench.diagnostics.refuse(f"state_{number % 4000}", "no")
             bench.bridge.on_status(status)
 
     threads = [threading.Thread(target=refuse) for _ in range(2)]

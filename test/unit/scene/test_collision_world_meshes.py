@@ -4,16 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scene_samples import (
-    box_triangles,
-    bracket_triangles,
-    kr120,
-    kr120_pairs,
-    pair_distances,
-    random_poses,
-    write_obj,
-    write_stl,
-)
+from scene_samples import box_triangles, bracket_triangles, kr120, kr120_pairs, random_poses, write_obj, write_stl
 from scipy.spatial import ConvexHull
 
 from construction_twin.core.motion_errors import SceneError
@@ -101,7 +92,7 @@ def test_two_meshes_meet(tmp_path):
         assert checked.is_free(HOME) is free, (gap, padding, checked.contact(HOME))
         if gap > 0:
             # of each two of their pieces
-            found = [pair.distance for pair in pair_distances(checked, HOME) if pair.between == ("part", "shelf")]
+            found = [pair.distance for pair in checked.distances(HOME) if pair.between == ("part", "shelf")]
             assert min(found) == pytest.approx(gap, abs=1e-6)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scene_samples import FLOOR, kr120, kr120_pairs, pair_distances, random_poses, track7, track7_pairs
+from scene_samples import FLOOR, kr120, kr120_pairs, random_poses, track7, track7_pairs
 
 from construction_twin.scene.collision_world import MANY_BODIES, CollisionWorld
 from construction_twin.scene.objects import Scene, SceneObject
@@ -33,7 +33,7 @@ def test_a_far_building_changes_no_answer(robot, pairs):
     assert [one.contacts(q) for q in poses[:40]] == [other.contacts(q) for q in poses[:40]]
     assert 0 < sum(one.is_free(q) for q in poses) < len(poses)
     # left out, not only far
-    assert len(pair_distances(one, poses[0])) == len(pair_distances(other, poses[0]))
+    assert len(one.distances(poses[0])) == len(other.distances(poses[0]))
     assert one.clearance(poses[0]).distance == pytest.approx(other.clearance(poses[0]).distance, abs=1e-6)
 
 
@@ -41,7 +41,7 @@ def test_a_carried_object_reaches_further():
     scene = building(MANY_BODIES + 20, 0).add(SceneObject("pole", "cylinder", (0.05, 60.0)))
     carried = scene.attach("pole", "tool0", FLOOR.pose, ("link_6",))
     world = CollisionWorld(kr120(), carried, kr120_pairs())
-    checked = {name for pair in pair_distances(world, kr120().home) for name in pair.between}
+    checked = {name for pair in world.distances(kr120().home) for name in pair.between}
     # half of its length, and the arm
     near = {item.name for item in scene.objects if np.hypot(*item.position[:2]) < 30.0}
     assert len(near) > 20 and near - {"pole"} <= checked

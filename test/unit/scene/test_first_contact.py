@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scene_samples import ROOT, kr120, kr120_pairs, pair_distances, track7, track7_pairs
+from scene_samples import ROOT, kr120, kr120_pairs, track7, track7_pairs
 
 from construction_twin.core.motion_errors import CollisionError
 from construction_twin.core.units import CYCLE
@@ -139,7 +139,7 @@ def test_nothing_is_passed_and_nothing_free_is_refused(case):
             assert all(pair.distance > pair.margin - 0.5 * RESOLUTION - 2e-6 for pair in pairs)
         row = world.all_free(fine)
         if row is not None:
-            deepest = min(pair.distance - pair.margin for pair in pair_distances(world, fine[row]))
+            deepest = min(pair.distance - pair.margin for pair in world.distances(fine[row]))
             assert deepest > -0.5 * RESOLUTION - 2e-6
         clearance, _ = world.clearance_of(rows)
         assert clearance.distance <= min(world.clearance(q).distance for q in fine[::16]) + 1.1e-4
@@ -155,7 +155,7 @@ def test_nothing_is_passed_and_nothing_free_is_refused(case):
         earlier = fine[: int(place * FINER)]
         first = world.all_free(earlier) if len(earlier) else None
         if first is not None:
-            deepest = min(pair.distance - pair.margin for pair in pair_distances(world, earlier[first]))
+            deepest = min(pair.distance - pair.margin for pair in world.distances(earlier[first]))
             assert deepest > -0.5 * RESOLUTION - 2e-6
 
 
@@ -188,7 +188,7 @@ def test_the_same_holds_on_a_rail_and_for_a_redundant_arm_with_a_load(robot, pai
             free += 1
             row = world.all_free(fine)
             if row is not None:
-                deepest = min(pair.distance - pair.margin for pair in pair_distances(world, fine[row]))
+                deepest = min(pair.distance - pair.margin for pair in world.distances(fine[row]))
                 assert deepest > -0.5 * RESOLUTION - 2e-6
         else:
             between_only += world.all_free(rows) is None

@@ -23,7 +23,6 @@ from neighbour_cell import (
 )
 from neighbour_distance import distance_to
 from planning_cell import HOME, QUICK, REQUEST, ROBOT, SELF_COLLISION, Clock, planner, solver
-from scene_samples import pair_distances
 from sentence_checks import says
 
 from construction_twin.core.errors import ConfigurationError
@@ -148,7 +147,7 @@ def _measured_free(q, obstacles) -> bool:
 
 def test_an_arm_out_of_reach_costs_nothing():
     obstacles = other("far").along(line(AWAY, TOWARDS)).rest()
-    alone, beside = (pair_distances(one, NEAR) for one in (empty_world(), empty_world().with_neighbour(obstacles)))
+    alone, beside = (one.distances(NEAR) for one in (empty_world(), empty_world().with_neighbour(obstacles)))
     assert [pair.between for pair in beside] == [pair.between for pair in alone]
 
 
