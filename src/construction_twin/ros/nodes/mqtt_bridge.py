@@ -26,7 +26,7 @@ from construction_twin.core.travel_time import StateCheck
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.bare_supervisor import BareSupervisor
 from construction_twin.link.seen_stops import SeenStops
-from construction_twin.link.speed_forwarder import SpeedForwarder
+from construction_twin.link.speed_limits import SpeedForwarder
 from construction_twin.link.states import LinkState
 from construction_twin.link.status_values import clock_sentence, controller_sentence, status_values, without_counts
 from construction_twin.link.supervisor import LinkSupervisor
