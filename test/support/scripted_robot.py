@@ -25,9 +25,9 @@ from construction_twin.core.speed_limit import SpeedLimit
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.link.goal_request import MAX_BYTES, parse_ik, parse_plan_request
-from construction_twin.link.path_view import PathView
 from construction_twin.link.remote_review import (
     ClearanceView,
+    PathView,
     PlanView,
     ReviewRequest,
     UseView,

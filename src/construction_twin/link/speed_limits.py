@@ -13,12 +13,11 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from construction_twin.core.errors import ConfigurationError, ExpiredError, PayloadError
-from construction_twin.core.freshness import Moment, is_newer, parse_moment, staleness
+from construction_twin.core.freshness import SHOWN_AFTER, Moment, is_newer, parse_moment, staleness
 from construction_twin.core.reports import SpeedReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.speed_limit import LimitState, SpeedLimit
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.seen_stops import SHOWN_AFTER
 
 #: An unchanged limit is repeated no faster than this [ns].
 PERIOD = NANOSECONDS // 5

@@ -20,8 +20,7 @@ from construction_twin.core.reports import ExecutionReport, HoldReport, LinkRepo
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.states import ACTIVE
-from construction_twin.link.path_view import PathView
-from construction_twin.link.remote_review import PlanBoard
+from construction_twin.link.remote_review import PathView, PlanBoard
 from construction_twin.mqtt.messages import Topics
 from construction_twin.msg import Hold, Link, Plan, Rehearsal, Review, SessionRequest, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
