@@ -34,7 +34,6 @@ from construction_twin.link.remote_review import (
     parse_override,
     parse_review,
 )
-from construction_twin.link.remote_speed import parse_speed
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import (
     ClosestView,
@@ -43,7 +42,7 @@ from construction_twin.link.remote_view import (
     Shown,
     ViewWriter,
 )
-from construction_twin.link.speed_limits import PeopleLimit, SpeedLimits
+from construction_twin.link.speed_limits import PeopleLimit, SpeedLimits, parse_speed
 from construction_twin.mqtt import requests
 from construction_twin.mqtt.client import Broker, make_client, unique_id
 from construction_twin.mqtt.interventions import parse_intervention

@@ -9,6 +9,7 @@ before somebody lowered it: nobody raises a limit unseen.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -18,6 +19,7 @@ from construction_twin.core.reports import SpeedReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.speed_limit import LimitState, SpeedLimit
 from construction_twin.core.units import NANOSECONDS
+from construction_twin.mqtt.json_fields import MAX_TEXT, keys, number, own_id
 
 #: An unchanged limit is repeated no faster than this [ns].
 PERIOD = NANOSECONDS // 5
@@ -242,3 +244,33 @@ class SpeedLimits:
             program=allowed,
             program_name=program.name,
         )
+
+
+#: Longest message [bytes].
+MAX_REQUEST_BYTES = 256
+
+
+@dataclass(frozen=True)
+class SpeedRequest:
+    """A person's speed limit.
+
+    Attributes:
+        limit: Fraction of the planned speed, `LEAST` to 1.
+        moment: The newest that the screen had received; "" where none was told, or none that can be one.
+    """
+
+    id: str
+    limit: float
+    moment: str
+
+
+def parse_speed(document: Mapping[str, Any]) -> SpeedRequest:
+    """Return the limit in a document of `read_document`; PayloadError (``format`` or ``values``).
+
+    A moment that makes no sense refuses nothing here: a lower limit must not be lost by it.
+    """
+    keys(document, "speed", ("id", "limit"), ("id", "limit", "moment"))
+    id_, limit, moment = own_id(document["id"], "id"), number(document["limit"], "limit"), document.get("moment")
+    if not LEAST <= limit <= 1.0:
+        raise PayloadError("values", Sentence("link.payload.speed_limit", found=limit, least=LEAST))
+    return SpeedRequest(id_, limit, moment if isinstance(moment, str) and len(moment) <= MAX_TEXT else "")
