@@ -9,7 +9,7 @@ against attackers: who may approve may also make up a moment. What stops, pauses
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.sentences import Sentence
@@ -74,24 +74,3 @@ def staleness(seen: Moment, now: Moment) -> str:
 def is_newer(seen: Moment, act: Moment | None) -> bool:
     """Return whether what was shown is of after an act; of another clock it is not, and without an act it is."""
     return act is None or (seen.origin == act.origin and seen.at > act.at)
-
-
-#: From the moment when a stop is known to the moment of the first `view` that surely shows it [ns]: the bridge's poll and `link`.
-SHOWN_AFTER = NANOSECONDS // 4
-
-
-class SeenStops:
-    """When the last stop became known; it has to be noted at least as often as it is asked for."""
-
-    def __init__(self) -> None:
-        self._stop: object = None
-        self._shown_from: Moment | None = None
-
-    def note(self, stop: object, now: Moment) -> None:
-        """Take which stop is the last one that is known, by anything that another one differs in."""
-        if stop != self._stop:
-            self._stop, self._shown_from = stop, replace(now, at=now.at + SHOWN_AFTER)
-
-    def was_seen(self, seen: Moment) -> bool:
-        """Return whether a view of this moment has shown the last stop."""
-        return is_newer(seen, self._shown_from)

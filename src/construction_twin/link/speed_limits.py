@@ -14,12 +14,33 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from construction_twin.core.errors import ConfigurationError, ExpiredError, PayloadError
-from construction_twin.core.freshness import SHOWN_AFTER, Moment, is_newer, parse_moment, staleness
+from construction_twin.core.freshness import Moment, is_newer, parse_moment, staleness
 from construction_twin.core.reports import SpeedReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.speed_limit import LimitState, SpeedLimit
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.mqtt.json_fields import MAX_TEXT, keys, number, own_id
+
+#: From the moment when a stop is known to the moment of the first `view` that surely shows it [ns]: the bridge's poll and `link`.
+SHOWN_AFTER = NANOSECONDS // 4
+
+
+class SeenStops:
+    """When the last stop became known; it has to be noted at least as often as it is asked for."""
+
+    def __init__(self) -> None:
+        self._stop: object = None
+        self._shown_from: Moment | None = None
+
+    def note(self, stop: object, now: Moment) -> None:
+        """Take which stop is the last one that is known, by anything that another one differs in."""
+        if stop != self._stop:
+            self._stop, self._shown_from = stop, replace(now, at=now.at + SHOWN_AFTER)
+
+    def was_seen(self, seen: Moment) -> bool:
+        """Return whether a view of this moment has shown the last stop."""
+        return is_newer(seen, self._shown_from)
+
 
 #: An unchanged limit is repeated no faster than this [ns].
 PERIOD = NANOSECONDS // 5

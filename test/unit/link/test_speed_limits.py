@@ -9,12 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from construction_twin.core.errors import ConfigurationError, ExpiredError, PayloadError
-from construction_twin.core.freshness import LIFETIME, SHOWN_AFTER, Moment
+from construction_twin.core.freshness import LIFETIME, Moment
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.speed_limit import SpeedLimit
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.speed_limits import (
     LEAST,
+    SHOWN_AFTER,
     PeopleLimit,
     SpeedLimits,
     kept,

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scene_samples import FLOOR, box_triangles, clutter, write_stl
 
 from construction_twin.core.motion_errors import SceneError
-from construction_twin.ros.nodes.scene import SceneFile
+from construction_twin.scene.edits import SceneFile
 from construction_twin.scene.objects import Scene, SceneObject
 
 START = Scene((FLOOR,), 0.02)

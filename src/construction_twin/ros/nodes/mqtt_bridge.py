@@ -17,7 +17,7 @@ import rospy
 from std_srvs.srv import SetBool, Trigger
 
 from construction_twin.core.errors import ExpiredError, PayloadError
-from construction_twin.core.freshness import SeenStops, parse_moment, staleness
+from construction_twin.core.freshness import parse_moment, staleness
 from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.reports import LinkReport, SessionRequest, ToolReport
 from construction_twin.core.sentences import Sentence, both
@@ -25,7 +25,7 @@ from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.travel_time import StateCheck
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.bare_supervisor import BareSupervisor
-from construction_twin.link.speed_limits import SpeedForwarder
+from construction_twin.link.speed_limits import SeenStops, SpeedForwarder
 from construction_twin.link.states import LinkState
 from construction_twin.link.status_values import clock_sentence, controller_sentence, status_values, without_counts
 from construction_twin.link.supervisor import LinkSupervisor

@@ -1,0 +1,119 @@
+"""The edits of a scene at run time, kept in a file: a scene node that restarts within the same run continues with them.
+
+The file holds the whole scene after the last edit, not the single edits. It belongs to one run and to one initial scene. Numbers
+are those of `SceneObject`, to the last bit; metres.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import pydantic
+
+from construction_twin.core.files import read_file, write_whole
+from construction_twin.core.motion_errors import SceneError
+from construction_twin.core.sentences import Sentence
+from construction_twin.core.validation import wrong_value
+from construction_twin.scene.objects import Scene, SceneObject
+
+#: Largest file [bytes]: tens of thousands of objects.
+_LARGEST = 32 * 2**20
+
+
+class _Object(pydantic.BaseModel):
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+    shape: str
+    size: tuple[float, ...]
+    position: tuple[float, float, float]
+    quaternion: tuple[float, float, float, float]
+    padding: float
+    mesh: str
+    link: str
+    touch: tuple[str, ...]
+    fixed: bool
+
+
+class _File(pydantic.BaseModel):
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    run: Annotated[str, pydantic.Field(min_length=1)]
+    start: str
+    hash: str
+    padding: float
+    objects: tuple[_Object, ...]
+
+
+@dataclass(frozen=True)
+class SceneFile:
+    """The file of one run's edits.
+
+    Attributes:
+        run: Id of the run; the file of another run is ignored.
+        start: The scene that the run began with.
+    """
+
+    path: Path
+    run: str
+    start: Scene
+
+    def load(self) -> Scene:
+        """Return the scene after the last edit of this run; the start if there was none.
+
+        Raises:
+            SceneError: If the file cannot be read, is of this run but of another start, or its contents (meshes included) do not
+                have the hash that it names: the surroundings of the arm are then unknown.
+        """
+        try:
+            contents = read_file(self.path, _LARGEST)
+        except FileNotFoundError:
+            return self.start
+        except OSError as error:
+            raise self._wrong(str(error.strerror), Sentence("expected.readable")) from error
+        try:
+            found = _File.model_validate_json(contents)
+        except pydantic.ValidationError as error:
+            wrong = wrong_value(error, _File.model_json_schema())
+            expected = Sentence("expected.scene.edits_form", problem=wrong.expected)
+            raise self._wrong(f"{wrong.key}: {wrong.value!r:.200}", expected) from error
+        if found.run != self.run:
+            return self.start
+        if found.start != self.start.hash:
+            raise self._wrong(
+                f"edits of a scene that began as {found.start[:12]}",
+                Sentence("expected.scene.edits_of", hash=self.start.hash[:12]),
+            )
+        try:
+            scene = Scene(tuple(SceneObject(**item.model_dump()) for item in found.objects), found.padding)
+        except SceneError as error:
+            raise self._wrong(str(error), Sentence("expected.scene.edits_objects")) from error
+        if scene.hash != found.hash:
+            raise self._wrong(
+                f"contents with the hash {scene.hash[:12]}", Sentence("expected.scene.edits_hash", hash=found.hash[:12])
+            )
+        return scene
+
+    def save(self, scene: Scene) -> None:
+        """Write the scene, as a whole or not at all.
+
+        Raises:
+            SceneError: If the file cannot be written.
+        """
+        names = list(_Object.model_fields)
+        objects = [{name: getattr(item, name) for name in names} for item in scene.objects]
+        contents = {
+            "run": self.run, "start": self.start.hash, "hash": scene.hash, "padding": scene.padding, "objects": objects
+        }  # fmt: skip
+        try:
+            write_whole(self.path, json.dumps(contents, indent=1) + "\n")
+        except OSError as error:
+            expected = Sentence("expected.scene.edits_writable")
+            raise SceneError(str(self.path), error.strerror, expected) from error
+
+    def _wrong(self, found: str, expected: str) -> SceneError:
+        to_do = Sentence("expected.scene.edits_wrong", expected=expected)
+        return SceneError(f"the scene's edits in {self.path}", found, to_do)
