@@ -15,7 +15,7 @@ help:
 	@echo "make bench            measure inverse kinematics, planning, other planners, the start, link, work, physics, monitor and console; writes results/bench/*.json; ARGS=ik for one of them"
 	@echo "make properties       the property tests with new random examples; make test takes the same ones every time; ARGS=\"-k follower\""
 	@echo "make fuzz             a million hostile inputs per campaign: codecs and running gateway; ARGS=\"--count N --seed N\""
-	@echo "make scenarios        every fault scenario three times; writes the table of docs/scenarios.md"
+	@echo "make scenarios        every fault scenario three times; results/scenarios has the verdicts"
 	@echo "make soak             the whole loop for an hour: memory and late replies per minute"
 	@echo "make screenshots      take the pictures of docs/images again; needs no display; ARGS=\"one marker track two_robots\", ARGS=console; ARGS=console_all photographs every state of the console at four sizes, in two themes and two languages"
 	@echo "make setup            only install and build"

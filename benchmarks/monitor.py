@@ -5,7 +5,7 @@
 All on the simulated clock, with poses of 3 decimals of a degree; the figures do not depend on the machine. The model is
 identified from 30 s of motion. `stall_samples`: poses until the gate closes when a joint stalls at full speed, by joint.
 `slip_deg`: the smallest of some slips that closes it for each joint, sign and speed. `expected_avg_rad`: mean residual per joint
-over a task (Table 1 of the paper). `false_holds`: of a long run (`--hour`) with the realistic servo, with payloads that make it up to
+over a task (Table 1 of the paper). `false_holds`: of a long run (`--hour`) with the realistic servo and payloads that make it up to
 3 % softer, changed at rest. `other_arm`: an arm with mass whose servos know nothing of its friction and of a payload that comes
 and goes: largest and mean residual per joint, and the smallest threshold that would have held nothing. `without_model`: the same
 stalls and slips at a gate without a model.

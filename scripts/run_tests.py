@@ -77,7 +77,6 @@ ALONE = (
     "test_fuzz",
     "test_gateway_program",
     "test_gateway_service",
-    "test_impairment",
     "test_mock_node",
     "test_mock_udp",
     "test_other_pc",

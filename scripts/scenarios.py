@@ -1,7 +1,7 @@
-"""Runs every shipped scenario three times and writes the table into docs/scenarios.md: `make scenarios`.
+"""Runs every shipped scenario three times: `make scenarios`.
 
-`python scripts/scenarios.py --runs 1 stall_replan estop` runs these two once each, and only prints the table. Results are in
-results/scenarios/run_N. The exit code is 0 if every run passed. Run it on an idle machine: other load changes the figures.
+`python scripts/scenarios.py --runs 1 stall_replan estop` runs these two once each. Results are in results/scenarios/run_N. The exit
+code is 0 if every run passed. Run it on an idle machine: other load changes the figures.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ def run(name: str, folder: Path, options: argparse.Namespace) -> int:
 def main() -> int:
     """Run what the options say; return the exit code."""
     shipped = [path.stem for path in sorted((ROOT / "config" / "scenarios").glob("*.yaml"))]
-    parser = argparse.ArgumentParser(description="Run the scenarios and make the table of docs/scenarios.md.")
-    parser.add_argument("names", nargs="*", metavar="NAME", help="scenarios; default: all, and the document is written")
+    parser = argparse.ArgumentParser(description="Run the scenarios.")
+    parser.add_argument("names", nargs="*", metavar="NAME", help="scenarios; default: all")
     parser.add_argument("--runs", type=int, default=3, help="of each [%(default)s]")
     parser.add_argument("--master-port", type=int, default=11611, help="of the ROS master [%(default)s]")
     parser.add_argument("--broker-port", type=int, default=18950, help="[%(default)s]")
@@ -66,10 +66,6 @@ def main() -> int:
         shutil.rmtree(RESULTS, ignore_errors=True)
     folders = [RESULTS / f"run_{number}" for number in range(1, options.runs + 1)]
     failures = sum(run(name, folder, options) for folder in folders for name in options.names or shipped)
-    table = ["rosrun", "construction_twin", "scenario", "--table", str(RESULTS)]
-    if not options.names:
-        table += ["--into", str(ROOT / "docs" / "scenarios.md")]
-    subprocess.run(table)
     return 1 if failures else 0
 
 

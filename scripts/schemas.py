@@ -19,8 +19,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 from construction_twin.core.records import ZERO
 from construction_twin.core.reports import WorkReport
 from construction_twin.core.sentences import REASONS
-from construction_twin.link.path_view import PathView
-from construction_twin.link.remote_review import PlanView
+from construction_twin.link.remote_review import PathView, PlanView
 from construction_twin.link.remote_view import VERSION, View
 from construction_twin.mqtt.requests import (
     ACKNOWLEDGE,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from krl_variants import SPAN, Variant
 
-from construction_twin.rsi.ethernet_xml_text import NOTICE
+from construction_twin.rsi.make import NOTICE
 
 
 def program(variant: Variant, rsi41: bool) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from construction_twin.rsi.ethernet_xml_text import receive_channels, send_channels
+from construction_twin.rsi.make import receive_channels, send_channels
 
 TIMEOUT, FLAG, PRECISION = 100, 1, 6
 #: Length of each axis' range [deg]: a correction can never be larger, wherever the session starts. KR 120 R2500 pro.

@@ -18,7 +18,7 @@ from krl_variants import FLAG, PRECISION, SPAN, TIMEOUT, TRACK, VARIANTS, Varian
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.robot.tool import read_tool
-from construction_twin.rsi.ethernet_xml_text import NOTICE, ethernet_xml_text
+from construction_twin.rsi.make import NOTICE, ethernet_xml_text
 
 ROOT = Path(__file__).resolve().parents[1]
 #: Objects whose inputs are Boolean.

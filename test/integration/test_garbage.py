@@ -30,7 +30,7 @@ from played_bag import RefusalLog, excerpt, play, subscribers, write
 from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient
 
 from construction_twin.core.units import radians
-from construction_twin.gateway.command_stream import REMEMBERED
+from construction_twin.gateway.command_intake import REMEMBERED
 from construction_twin.mqtt.fast_client import UserProperties
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import Topics

@@ -22,7 +22,7 @@ from twin_client import HOME, LEFT, RehearsedClient, RobotTest, Stream, node_pid
 
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS, radians
 from construction_twin.physics.report import PASSED
-from construction_twin.servo.pace import STEADY, keeps_pace
+from construction_twin.servo.model import STEADY, keeps_pace
 
 JOINT = "joint_a3"
 #: What is left of a simulated arm's approach, and of one that holds a load [rad].

@@ -14,8 +14,8 @@ from std_srvs.srv import Trigger
 from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient, wait
 
 from construction_twin.kinematics.chain import Chain
+from construction_twin.planning.pipeline import PACE
 from construction_twin.planning.timing import time_path
-from construction_twin.planning.way_back import PACE
 from construction_twin.robot.executed_path import WAY_BACK_TOLERANCE, nearest_on_lines
 from construction_twin.ros.messages.convert import plan_from_msg, trajectory_to_msg
 from construction_twin.ros.messages.scene_convert import object_to_msg

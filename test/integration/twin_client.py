@@ -28,7 +28,7 @@ from construction_twin.physics.report import RehearsalReport
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.shared.gateway_config import config_from_parameters
 from construction_twin.ros.shared.params import robot_file, robot_from_parameters
-from construction_twin.scenario.trace_check import trace_excesses
+from construction_twin.scenario.judge import trace_excesses
 
 #: The home pose and two more, far enough for a motion of seconds, on the wire's grid [deg].
 HOME = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)

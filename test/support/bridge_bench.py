@@ -112,10 +112,10 @@ class BridgeBench:
         self.commands = True
 
         self._codec, self._states = codec, 0
-        self._made = diagnostics(lambda: self.bridge.report())
+        self.diagnostics = diagnostics(lambda: self.bridge.report())
         outputs = Outputs(self.physical, Published(), self.links, self.tools, self.asked)
         self.bridge = MqttBridge(
-            settings, "arm", config, codec, Broker("127.0.0.1", 1), self.client, outputs, self._made, **options
+            settings, "arm", config, codec, Broker("127.0.0.1", 1), self.client, outputs, self.diagnostics, **options
         )
         self.gateway = {
             "state": "ready", "reason": "", "session": "", "run": RUN, "fault_number": 0, "hash": config.hash,
@@ -125,11 +125,11 @@ class BridgeBench:
     @property
     def refused(self):
         """What was refused, and how often."""
-        return self._made.refused
+        return self.diagnostics.refused
 
     def ask(self, name: str, **request):
         """Return the answer of one of the bridge's services."""
-        return ask(NODE, self.bridge, name, SimpleNamespace(**request), self._made.refuse)
+        return ask(NODE, self.bridge, name, SimpleNamespace(**request), self.diagnostics.refuse)
 
     def connect(self) -> None:
         """Let the broker say welcome."""

@@ -36,7 +36,7 @@ from construction_twin.planning.timing import time_path
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.rsi.gateway_codec import RobotDecoder
-from construction_twin.scenario.trace_check import trace_excesses
+from construction_twin.scenario.judge import trace_excesses
 
 #: Far enough for a motion of seconds [deg].
 GOAL = (40.0, -60.0, 75.0, 40.0, 60.0, -60.0)

@@ -25,16 +25,15 @@ from construction_twin.core.speed_limit import SpeedLimit
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.link.goal_request import MAX_BYTES, parse_ik, parse_plan_request
-from construction_twin.link.path_view import PathView
 from construction_twin.link.remote_review import (
     ClearanceView,
+    PathView,
     PlanView,
     ReviewRequest,
     UseView,
     parse_override,
     parse_review,
 )
-from construction_twin.link.remote_speed import parse_speed
 from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import (
     ClosestView,
@@ -43,7 +42,7 @@ from construction_twin.link.remote_view import (
     Shown,
     ViewWriter,
 )
-from construction_twin.link.speed_limits import PeopleLimit, SpeedLimits
+from construction_twin.link.speed_limits import PeopleLimit, SpeedLimits, parse_speed
 from construction_twin.mqtt import requests
 from construction_twin.mqtt.client import Broker, make_client, unique_id
 from construction_twin.mqtt.interventions import parse_intervention

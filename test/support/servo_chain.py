@@ -16,7 +16,6 @@ from simulation import SimulatedChain
 
 from construction_twin.core.servo_lag import transition_matrix
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
-from construction_twin.evaluation.driven import drives_of
 from construction_twin.mock.faults import Fault
 from construction_twin.mock.physics_servo import PhysicsServo
 from construction_twin.mock.program import MockSettings, axis_angles, build_controller, joint_angles
@@ -27,6 +26,7 @@ from construction_twin.physics.drive import read_drives
 from construction_twin.physics.mass import payload_of
 from construction_twin.physics.plant import Plant, bare_model
 from construction_twin.robot.plan import Plan
+from construction_twin.ros.commands.identify import drives_of
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.servo.identification import Identified, identify

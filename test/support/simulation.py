@@ -31,8 +31,7 @@ from construction_twin.link.states import LinkState
 from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.link.tool_link import ToolLink
 from construction_twin.mock.controller import MockController
-from construction_twin.mock.faults import FaultBoard
-from construction_twin.mock.impaired_line import ImpairedLine
+from construction_twin.mock.faults import FaultBoard, ImpairedLine
 from construction_twin.monitor.gate import REPLAN, Gate, GateSettings
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec

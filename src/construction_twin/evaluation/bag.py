@@ -31,7 +31,6 @@ from construction_twin.evaluation.recording import (
     FeedbackStream,
     LinkSnapshot,
     PlayedPlan,
-    RecordedVerdict,
     Recording,
     StateChange,
     Stream,
@@ -46,12 +45,11 @@ EXECUTION = "execution"
 PLAN = "plan"
 LINK = "link"
 SYNC = "sync"
-REVIEW = "review"
 MOCK = "mock_rsi/status"
 TRANSITIONS = "transitions"
 ARM = "mock_rsi/joint_states"
 #: Topics of a `Recording`, relative to the robot's namespace. Only twin and physical have to be there.
-TOPICS = (TWIN, PHYSICAL, FEEDBACK, COMMAND, EXPECTED, EXECUTION, PLAN, LINK, SYNC, REVIEW, MOCK)
+TOPICS = (TWIN, PHYSICAL, FEEDBACK, COMMAND, EXPECTED, EXECUTION, PLAN, LINK, SYNC, MOCK)
 #: Reports whose changes of state are told, and what they are called.
 REPORTS = {SYNC: "gate", EXECUTION: "execution", LINK: "link"}
 
@@ -66,7 +64,6 @@ TYPES = {
     PLAN: "construction_twin/Plan",
     LINK: "construction_twin/Link",
     SYNC: "construction_twin/Sync",
-    REVIEW: "construction_twin/Review",
     MOCK: "std_msgs/String",
     TRANSITIONS: "construction_twin/Transition",
     ARM: "sensor_msgs/JointState",
@@ -233,17 +230,7 @@ class _Run:
             mock=_mock(messages[MOCK]),
             expected=self._stream(EXPECTED) if messages[EXPECTED] else None,
             changes=self._changes(),
-            verdicts=self._verdicts(),
         )
-
-    def _verdicts(self) -> tuple[RecordedVerdict, ...]:
-        messages = [message for _, message in self._messages[REVIEW]]
-        verdicts = [
-            RecordedVerdict(nanoseconds(each.header.stamp), each.plan_id, each.approved, each.reviewer, each.reason)
-            for each in messages
-        ]
-        # a latched verdict is recorded once more by whoever listens again
-        return tuple(sorted(dict.fromkeys(verdicts), key=lambda verdict: verdict.stamp))
 
     def _changes(self) -> tuple[StateChange, ...]:
         """Return when the reported states became others; what a report says first counts too."""

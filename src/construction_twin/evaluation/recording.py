@@ -123,22 +123,6 @@ class StateChange:
 
 
 @dataclass(frozen=True)
-class RecordedVerdict:
-    """One verdict on a plan.
-
-    Attributes:
-        stamp: ROS time of the verdict [ns].
-        reason: The reviewer's words, or why the plan was withdrawn; may be empty.
-    """
-
-    stamp: int
-    plan_id: str
-    approved: bool
-    reviewer: str
-    reason: str
-
-
-@dataclass(frozen=True)
 class Recording:
     """One robot's run.
 
@@ -154,7 +138,7 @@ class Recording:
         links: In order of reception.
         mock: The mock controller's status (keys ``state``, ``counters``, ``config``); None when no mock reported, so that the arm
             may have been a real one.
-        changes, verdicts: In order of time.
+        changes: In order of time.
         expected: Where the gate's model of the servos had the arm, stamped as the physical sample that it was compared with; None
             when it had none.
         linear: Those of `joint_names` that are prismatic: m in place of rad. A bag does not say so; `write_report` takes it from
@@ -177,7 +161,6 @@ class Recording:
     mock: Mapping | None = None
     linear: tuple[str, ...] = ()
     changes: tuple[StateChange, ...] = ()
-    verdicts: tuple[RecordedVerdict, ...] = ()
     expected: Stream | None = None
 
     def __post_init__(self):

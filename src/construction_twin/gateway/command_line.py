@@ -9,7 +9,9 @@ import secrets
 import signal
 import sys
 import threading
+from logging.handlers import QueueHandler, QueueListener
 from pathlib import Path
+from queue import SimpleQueue
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.network import is_loopback
@@ -17,7 +19,6 @@ from construction_twin.core.realtime import lock_memory, request_realtime
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.udp import address_of, bind
 from construction_twin.gateway.config import GatewayConfig, load_config
-from construction_twin.gateway.log import log_beside_the_loop
 from construction_twin.gateway.service import GatewayService
 from construction_twin.gateway.states import Mode, noted
 from construction_twin.gateway.stop_file import StopFile
@@ -25,6 +26,50 @@ from construction_twin.gateway.trace import TraceWriter
 from construction_twin.mqtt.account import load_account
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
+
+#: Lines that may wait for a terminal or a pipe that takes none.
+WAITING = 1000
+
+
+class BoundedQueueHandler(QueueHandler):
+    """Hands records to a thread; what comes while `WAITING` of them wait is dropped, and counted in the next line.
+
+    A sender of garbage makes a line per message: neither memory nor the loop may pay for a log that is not read. The queue is one
+    without a lock that another thread could hold.
+    """
+
+    def __init__(self, records: SimpleQueue):
+        super().__init__(records)
+        self._records = records
+        self.dropped = 0
+
+    def enqueue(self, record: logging.LogRecord) -> None:
+        """Put a record into the queue, or drop it."""
+        if self._records.qsize() >= WAITING:
+            self.dropped += 1
+            return
+        if self.dropped:
+            record.msg = (
+                f"{record.getMessage()} ({self.dropped} lines before this one were dropped: they were not read)"
+            )
+            record.args, self.dropped = None, 0
+        self._records.put_nowait(record)
+
+
+def log_beside_the_loop() -> QueueListener:
+    """Write the log from a thread of its own: the loop must not wait for a terminal or a full pipe (docs/architecture.md, law 1).
+
+    Returns:
+        Started; stop it at the end.
+    """
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("%(asctime)s %(name)s %(levelname)s %(message)s"))
+    records: SimpleQueue = SimpleQueue()
+    logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[BoundedQueueHandler(records)])
+    listener = QueueListener(records, handler)
+    listener.start()
+    return listener
+
 
 log = logging.getLogger("rsi_gateway")
 

@@ -24,7 +24,7 @@ from construction_twin.core.errors import (
     PayloadError,
 )
 from construction_twin.core.histogram import Histogram
-from construction_twin.core.line_limiter import LineLimiter
+from construction_twin.core.rate_limit import LineLimiter
 from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.udp import receive

@@ -9,6 +9,7 @@ before somebody lowered it: nobody raises a limit unseen.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -17,7 +18,83 @@ from construction_twin.core.freshness import Moment, is_newer, parse_moment, sta
 from construction_twin.core.reports import SpeedReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.speed_limit import LimitState, SpeedLimit
-from construction_twin.link.seen_stops import SHOWN_AFTER
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.mqtt.json_fields import MAX_TEXT, keys, number, own_id
+
+#: From the moment when a stop is known to the moment of the first `view` that surely shows it [ns]: the bridge's poll and `link`.
+SHOWN_AFTER = NANOSECONDS // 4
+
+
+class SeenStops:
+    """When the last stop became known; it has to be noted at least as often as it is asked for."""
+
+    def __init__(self) -> None:
+        self._stop: object = None
+        self._shown_from: Moment | None = None
+
+    def note(self, stop: object, now: Moment) -> None:
+        """Take which stop is the last one that is known, by anything that another one differs in."""
+        if stop != self._stop:
+            self._stop, self._shown_from = stop, replace(now, at=now.at + SHOWN_AFTER)
+
+    def was_seen(self, seen: Moment) -> bool:
+        """Return whether a view of this moment has shown the last stop."""
+        return is_newer(seen, self._shown_from)
+
+
+#: An unchanged limit is repeated no faster than this [ns].
+PERIOD = NANOSECONDS // 5
+
+
+class SpeedForwarder:
+    """Forwards what the source of `speed_limit` says, and nothing that it does not say.
+
+    A message is forwarded at most once, except to a session that began after it: the receiver's deadline then runs from
+    where the source's own silence began.
+
+    Args:
+        deadline: A source that was heard this recently is the only one [s]. A message older than this is not sent any more: its
+            source has fallen silent.
+    """
+
+    def __init__(self, deadline: float):
+        self._source = SpeedLimit(deadline)
+        #: The last limit heard; None before the first one.
+        self.limit: float | None = None
+        #: How many were sent: the last message's id, because the gateway takes none that is not newer than all before.
+        self.number = 0
+        self._unsent = False
+        # what was sent last, and to which session
+        self._sent_limit = 1.0
+        self._sent_session = ""
+        self._sent_at = 0
+
+    def on_limit(self, limit: float, source: str, now: int) -> None:
+        """Take a message [fraction, 0 to 1] that `source` sent and that came at `now` [ns].
+
+        Raises:
+            PayloadError: ``speed_limit``, or ``speed_limit_source`` while another source is heard: the executor refuses it too.
+        """
+        self._source.accept(limit, source, now)
+        self.limit, self._unsent = limit, True
+
+    def poll(self, session: str, now: int) -> float | None:
+        """Return the limit to send now to the armed session `session` ("" for none), or None."""
+        if not session or self.limit is None:
+            return None
+        if self._source.is_silent(now):
+            # nothing is sent for a silent source, also to a session that begins meanwhile
+            self._unsent = False
+            return None
+        is_new = self._sent_session != session
+        self._unsent |= is_new
+        due = is_new or self.limit != self._sent_limit or now - self._sent_at >= PERIOD
+        if not (self._unsent and due):
+            return None
+        self._unsent, self._sent_limit, self._sent_session, self._sent_at = False, self.limit, session, now
+        self.number += 1
+        return self.limit
+
 
 #: The least that people may set, a fraction of the planned speed: 0 would be a pause, which has a name and an end of its own.
 LEAST = 0.05
@@ -188,3 +265,33 @@ class SpeedLimits:
             program=allowed,
             program_name=program.name,
         )
+
+
+#: Longest message [bytes].
+MAX_REQUEST_BYTES = 256
+
+
+@dataclass(frozen=True)
+class SpeedRequest:
+    """A person's speed limit.
+
+    Attributes:
+        limit: Fraction of the planned speed, `LEAST` to 1.
+        moment: The newest that the screen had received; "" where none was told, or none that can be one.
+    """
+
+    id: str
+    limit: float
+    moment: str
+
+
+def parse_speed(document: Mapping[str, Any]) -> SpeedRequest:
+    """Return the limit in a document of `read_document`; PayloadError (``format`` or ``values``).
+
+    A moment that makes no sense refuses nothing here: a lower limit must not be lost by it.
+    """
+    keys(document, "speed", ("id", "limit"), ("id", "limit", "moment"))
+    id_, limit, moment = own_id(document["id"], "id"), number(document["limit"], "limit"), document.get("moment")
+    if not LEAST <= limit <= 1.0:
+        raise PayloadError("values", Sentence("link.payload.speed_limit", found=limit, least=LEAST))
+    return SpeedRequest(id_, limit, moment if isinstance(moment, str) and len(moment) <= MAX_TEXT else "")

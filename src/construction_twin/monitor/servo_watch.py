@@ -13,8 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from construction_twin.monitor.comparison import TwinHistory
-from construction_twin.servo.model import ServoModel, ServoState
-from construction_twin.servo.pace import STEADY, keeps_pace
+from construction_twin.servo.model import STEADY, ServoModel, ServoState, keeps_pace
 from construction_twin.servo.refine import Refinement
 
 #: States that may be missing between two poses, in cycles: what lay between them is known as well.

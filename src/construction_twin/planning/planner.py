@@ -7,7 +7,9 @@ is valid only for the collision world it was made in; callers compare scene hash
 from __future__ import annotations
 
 import uuid
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -15,6 +17,7 @@ import pydantic
 import yaml
 
 from construction_twin.core.clock import Clock
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.freshness import Moment
 from construction_twin.core.motion_errors import CollisionError, NoPathError, PlanningError
 from construction_twin.core.sentences import Sentence
@@ -23,8 +26,8 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import Configuration, InverseKinematics
 from construction_twin.planning.curves import parameters, with_close_corners
 from construction_twin.planning.motion_validator import CornerRounding, MotionValidator
+from construction_twin.planning.ompl_search import OmplSearch, ompl_planners
 from construction_twin.planning.path_search import PathQuery, PathSearch
-from construction_twin.planning.path_searches import path_search, path_searches
 from construction_twin.planning.recheck import recheck
 from construction_twin.planning.request_limits import PlanBounds, check_request
 from construction_twin.planning.timing import timed_path, with_midpoints
@@ -34,6 +37,24 @@ from construction_twin.robot.segments import Segment
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.robot.urdf import read_text
 from construction_twin.scene.collision_world import CollisionWorld
+
+
+def path_searches() -> dict[str, Callable[[], PathSearch]]:
+    """Return what makes each search, by the name that the planner's settings give it."""
+    return {name: partial(OmplSearch, name, kind) for name, kind in ompl_planners().items()}
+
+
+def path_search(name: str) -> PathSearch:
+    """Return a search by its name.
+
+    Raises:
+        ConfigurationError: If there is none of that name; lists what there is.
+    """
+    known = path_searches()
+    if name not in known:
+        raise ConfigurationError("the planner", name, Sentence("expected.one_of", known=", ".join(known)))
+    return known[name]()
+
 
 #: How often a path is timed, each time with corners half as wide, before another path is searched.
 TIMINGS_TRIED = 3

@@ -9,7 +9,11 @@ ends at rest with zero acceleration.
 from __future__ import annotations
 
 import math
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from types import ModuleType
 
 import numpy as np
 
@@ -17,12 +21,27 @@ from construction_twin.core.motion_errors import PlanningError
 from construction_twin.core.sentences import Sentence
 from construction_twin.planning.curves import JointCurve
 from construction_twin.planning.pieces import Pieces
-from construction_twin.planning.toppra_passes import (
-    LinearConstraint,
-    canlinear_colloc_to_interpolate,
-    seidelWrapper,
-)
 from construction_twin.robot.description import RobotModel
+
+#: `import toppra` imports matplotlib's pyplot, which nothing here asks for: a quarter of a second in each process that plans or
+#: checks a plan. While it is imported two empty modules stand where pyplot would be; whoever draws later imports the real ones.
+_DRAWS = ("matplotlib", "matplotlib.pyplot")
+
+
+@contextmanager
+def _without_drawing() -> Iterator[None]:
+    absent = [name for name in _DRAWS if name not in sys.modules]
+    sys.modules.update({name: ModuleType(name) for name in absent})
+    try:
+        yield
+    finally:
+        for name in absent:
+            del sys.modules[name]
+
+
+with _without_drawing():
+    from toppra.constraint.linear_constraint import LinearConstraint, canlinear_colloc_to_interpolate
+    from toppra.solverwrapper.cy_seidel_solverwrapper import seidelWrapper
 
 #: Stages of toppra along the whole curve, and the fewest on each of its pieces.
 STAGES = 40

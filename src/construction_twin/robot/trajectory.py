@@ -59,11 +59,6 @@ class Trajectory:
         return f"Trajectory({len(self.times)} waypoints of {', '.join(self.joint_names)} in {self.duration:.3f} s)"
 
     @property
-    def coefficients(self) -> np.ndarray:
-        """Of the quintics by ascending power of the time since their first waypoint, shape (k - 1, 6, n); not to be changed."""
-        return self._coefficients
-
-    @property
     def duration(self) -> float:
         """Time of the last waypoint [s]."""
         return self._knots[-1]

@@ -10,6 +10,7 @@ The reasons of a refusal are listed in `telegram`; the other side of both is `co
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from functools import partial
 
@@ -17,6 +18,7 @@ from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.controller.telegram import Telegram
 from construction_twin.core.errors import TelegramError
 from construction_twin.core.sentences import Sentence
+from construction_twin.core.udp import MAX_TELEGRAM
 from construction_twin.rsi.layout import EXTERNAL_AXES, STOP, RsiLayout
 from construction_twin.rsi.telegram import (
     attribute_template,
@@ -34,8 +36,73 @@ from construction_twin.rsi.telegram import (
     read_number,
     without_declaration,
 )
-from construction_twin.rsi.telegram_cache import TelegramShape, is_count
 from construction_twin.rsi.tool_channels import set_element
+
+#: What values may consist of, all of them together, so that they cannot change what is around them.
+_is_plain = re.compile(rb"[-+.0-9A-Za-z]*").fullmatch
+#: Whole numbers that fit into 64 bits whatever their digits.
+is_count = re.compile(rb"[0-9]{1,19}").fullmatch
+_TAG = re.compile(rb"<([A-Za-z]\w*)")
+_ATTRIBUTE = re.compile(rb"\s([A-Za-z]\w*)=$").search
+#: The end of a telegram, behind the last attribute.
+_END = re.compile(rb"([^\"]*<IPOC>)[0-9]+(</IPOC></[A-Za-z]+>\s*)").fullmatch
+
+
+class TelegramShape:
+    """One telegram's shape; made by `of`. The next telegram of it needs no XML parser: it differs in its numbers alone.
+
+    Args:
+        texts: What stands before each value.
+        end: What stands before and behind the number in IPOC, which is the last element.
+        places: Which values are read, in order.
+    """
+
+    def __init__(self, texts: list[bytes], end: tuple[bytes, bytes], places: list[int]):
+        self._texts = texts
+        self._before, self._behind = end
+        self._places = places
+
+    @classmethod
+    def of(cls, data: bytes, wanted: Sequence[tuple[str, str]]) -> TelegramShape | None:
+        """Return the shape of a telegram that was read as XML without complaint.
+
+        Args:
+            wanted: Element and attribute of each value to be read.
+
+        Returns:
+            None where the text does not show at once what its values stand for: a wanted one is missing or there twice, IPOC is not
+            the last element, or something else stands in quotation marks or apostrophes.
+        """
+        if b"'" in data:
+            return None
+        *texts, last = data.split(b'"')[0::2]
+        end = _END(last)
+        keys, tag = [], ""
+        for text in texts:
+            for found in _TAG.finditer(text):
+                tag = found[1].decode()
+            attribute = _ATTRIBUTE(text)
+            if attribute is None:
+                return None
+            keys.append((tag, attribute[1].decode()))
+        if end is None or any(keys.count(key) != 1 for key in wanted):
+            return None
+        return cls(texts, (end[1], end[2]), [keys.index(key) for key in wanted])
+
+    def read(self, data: bytes) -> tuple[int, list[bytes]] | None:
+        """Return IPOC and the wanted values of a telegram; None when it has another shape."""
+        parts = data.split(b'"')
+        texts, values = parts[0::2], parts[1::2]
+        last = texts.pop()
+        if texts != self._texts or not _is_plain(b"".join(values)) or len(data) > MAX_TELEGRAM:
+            return None
+        if not (last.startswith(self._before) and last.endswith(self._behind)):
+            return None
+        ipoc = last[len(self._before) : len(last) - len(self._behind)]
+        if not is_count(ipoc):
+            return None
+        return int(ipoc), [values[place] for place in self._places]
+
 
 #: Decimals of a degree or mm in a correction, as every known driver sends them (docs/rsi.md, section 3).
 CORRECTION_DECIMALS = 6

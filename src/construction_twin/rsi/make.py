@@ -16,6 +16,9 @@ from construction_twin.controller.port import (
     Setup,
     Words,
 )
+from construction_twin.controller.telegram import Telegram
+from construction_twin.controller.tool import ENABLE, HOLDON, GatewayTool
+from construction_twin.core.limits import distance_off, outside_tolerance
 from construction_twin.core.sentences import Sentence
 from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder
 from construction_twin.rsi.ethernet_xml import (
@@ -26,13 +29,183 @@ from construction_twin.rsi.ethernet_xml import (
     read_ethernet_xml,
     tool_channels,
 )
-from construction_twin.rsi.ethernet_xml_text import ethernet_xml_text
+from construction_twin.rsi.ethernet_xml_error import EthernetXmlError
 from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
-from construction_twin.rsi.layout import STOP, RsiLayout
-from construction_twin.rsi.session import RsiSessionRules
+from construction_twin.rsi.layout import EXTERNAL_AXES, STOP, RsiLayout, default_element
 from construction_twin.rsi.status_channels import RsiStatus, StatusReader, status_channels
-from construction_twin.rsi.tool_channels import IN, OUT, ToolReader, is_signal
-from construction_twin.rsi.tool_check import check_tool
+from construction_twin.rsi.tool_channels import IN, OUT, SET, ToolReader, is_signal, names_of
+
+#: Address of the PC and its UDP port, and the `Type` of replies; the user edits the address.
+ADDRESS, PORT, SENTYPE = "192.168.1.10", 49152, "ImFree"
+NOTICE = (
+    "construction_twin. Written from published facts, NOT TRIED ON A CONTROLLER: "
+    "check every value before use (docs/controller.md)."
+)
+
+
+def receive_channels(axes: Sequence[str], holdon: Mapping[str, bool] | None = None) -> list[tuple[str, str, int]]:
+    """Return TAG, TYPE and HOLDON of a reply's channels, in the order of their INDX, which counts from 1.
+
+    Args:
+        axes: RSI axes of the arm.
+        holdon: Outputs of the tool; True: it keeps its value when a reply is missed.
+    """
+    corrections = [(f"{default_element(axis)}.{axis}", "DOUBLE", 1) for axis in sorted(axes)]
+    outputs = [(f"{SET}.{name}", "BOOL", int(held)) for name, held in (holdon or {}).items()]
+    return [(STOP, "BOOL", 0), *corrections, *([(f"{SET}.{ENABLE}", "BOOL", 1)] if outputs else []), *outputs]
+
+
+def send_channels(outputs: Sequence[str], inputs: Sequence[str]) -> list[str]:
+    """Return the TAGs by which a tool is read, in the order of their INDX, which counts from 1."""
+    return [*(f"{OUT}.{name}" for name in outputs), *(f"{IN}.{name}" for name in inputs)]
+
+
+def ethernet_xml_text(
+    axes: Sequence[str],
+    receives: bool = True,
+    holdon: Mapping[str, bool] | None = None,
+    inputs: Sequence[str] = (),
+) -> str:
+    """Return the text of an Ethernet XML.
+
+    Args:
+        axes: RSI axes of the arm, e.g. ``A1``; each gets a correction channel, in the order of RSI.
+        receives: False: the controller sends only and takes no corrections.
+        holdon: Outputs of the tool; True: it keeps its value when a reply is missed.
+        inputs: Of the tool.
+    """
+    ordered = sorted(axes)
+    external = ["EIPos", "ESPos"] if any(axis in EXTERNAL_AXES for axis in ordered) else []
+    channels = receive_channels(ordered, holdon)
+    lines = [
+        "<ROOT>",
+        f"  <!-- {NOTICE} -->",
+        "  <!-- Gateway and mock read this very file: give them the copy that is on the controller. -->",
+        "  <CONFIG>",
+        "    <!-- EDIT: address of the PC that runs rsi_gateway, in the RSI subnet -->",
+        f"    <IP_NUMBER>{ADDRESS}</IP_NUMBER>",
+        f"    <PORT>{PORT}</PORT>",
+        f"    <SENTYPE>{SENTYPE}</SENTYPE>",
+        f"    <ONLYSEND>{'FALSE' if receives else 'TRUE'}</ONLYSEND>",
+        "  </CONFIG>",
+        "  <SEND>",
+        "    <ELEMENTS>",
+        *(
+            f'      <ELEMENT TAG="DEF_{name}" TYPE="DOUBLE" INDX="INTERNAL"/>'
+            for name in ("RIst", "RSol", "AIPos", "ASPos", *external)
+        ),
+        '      <ELEMENT TAG="DEF_Delay" TYPE="LONG" INDX="INTERNAL"/>',
+        *(
+            f'      <ELEMENT TAG="{tag}" TYPE="BOOL" INDX="{index}"/>'
+            for index, tag in enumerate(send_channels(list(holdon or ()), inputs), 1)
+        ),
+        "    </ELEMENTS>",
+        "  </SEND>",
+        "  <RECEIVE>",
+        "    <ELEMENTS>",
+    ]
+    for index, (tag, kind, held) in enumerate(channels if receives else [], 1):
+        lines.append(f'      <ELEMENT TAG="{tag}" TYPE="{kind}" INDX="{index}" HOLDON="{held}"/>')
+    return "\n".join([*lines, "    </ELEMENTS>", "  </RECEIVE>", "</ROOT>"]) + "\n"
+
+
+def check_tool(tool: GatewayTool | None, layout: RsiLayout, where: str) -> None:
+    """Check that the channels of an Ethernet XML are those of a tool, held as the tool file says.
+
+    Args:
+        tool: None: no tool is configured.
+        where: Name of the Ethernet XML, for messages.
+
+    Raises:
+        EthernetXmlError: Naming the first channel that does not fit.
+    """
+    if tool is None:
+        if layout.switched:
+            expected = Sentence("expected.xml.no_tool")
+            raise EthernetXmlError(where, f"RECEIVE {SET}.{layout.switched[0]}", "no tool", expected)
+        return
+    declared = {
+        SET: tuple(name for name in layout.switched if name != ENABLE),
+        OUT: names_of(OUT, layout.send),
+        IN: names_of(IN, layout.send),
+    }
+    outputs = tuple(output.name for output in tool.outputs)
+    for element, section, wanted in (
+        (SET, "RECEIVE", outputs),
+        (OUT, "SEND", outputs),
+        (IN, "SEND", tool.inputs),
+    ):
+        if element == SET and layout.onlysend:
+            continue
+        missing = [name for name in wanted if name not in declared[element]]
+        foreign = [name for name in declared[element] if name not in wanted]
+        if missing or foreign:
+            name = (missing or foreign)[0]
+            expected = Sentence("expected.xml.as_tool_file", channels=f"{element}.{', '.join(wanted)}", tool=tool.name)
+            raise EthernetXmlError(where, f"{section} {element}.{name}", None if missing else name, expected)
+    holdon = dict(zip(layout.switched, layout.switched_holdon))
+    for output in tool.outputs:
+        if output.name in holdon and holdon[output.name] is not HOLDON[output.on_stop]:
+            found = str(int(holdon[output.name]))
+            expected = Sentence(
+                "expected.xml.on_stop", holdon=int(HOLDON[output.on_stop]), tool=tool.name, on_stop=output.on_stop
+            )
+            raise EthernetXmlError(where, f"RECEIVE {SET}.{output.name} HOLDON", found, expected)
+
+
+class RsiSessionRules:
+    """One RSI session after the other, see `SessionRules`."""
+
+    drifted = "gateway.rsi.drifted"
+
+    def __init__(self, setup: Setup[RsiLayout]):
+        self.follows = setup.reference == "ASPos"
+        self._limits = setup.limits
+        self._tolerances = setup.start_tolerances
+        self._empty_telegrams = 0
+
+    def begin(self) -> None:
+        """Forget the session before."""
+        self._empty_telegrams = 0
+
+    def origin(self, telegram: Telegram) -> tuple[tuple[float, ...], str]:
+        """Return ASPos, or by option AIPos, and why the session must not be answered."""
+        measured, setpoint = telegram.measured, telegram.setpoint
+        if measured is None and setpoint is None and not self._empty_telegrams:
+            # RSI up to 2.3 opens a session with a telegram that holds only IPOC (docs/rsi.md, section 2)
+            self._empty_telegrams += 1
+            return (), ""
+        if measured is None or setpoint is None:
+            return (), Sentence("gateway.rsi.no_pose")
+        if telegram.missed is None:
+            return (), Sentence("gateway.rsi.no_delay")
+        distance = distance_off(measured, setpoint, self._limits, self._tolerances)
+        if distance:
+            return (), Sentence("gateway.rsi.joined", distance=distance)
+        return setpoint if self.follows else measured, ""
+
+    def restarted(
+        self, telegram: Telegram, origin: tuple[float, ...], correction: tuple[float, ...], moving: bool
+    ) -> str:
+        """Return what shows that a program ended RSI and began it again faster than silence does; "" when nothing.
+
+        The controller's correction is zero then. A program that moves the arm under a correction has AIPos = ASPos + correction.
+        """
+        measured, setpoint, tolerances = telegram.measured, telegram.setpoint, self._tolerances
+        if not origin or outside_tolerance(correction, (0.0,) * len(correction), tolerances) is None:
+            return ""
+        if measured is None and setpoint is None:
+            # so a session of RSI up to 2.3 begins, but no pose says that this is one: it is not answered
+            self._empty_telegrams = 1
+            return Sentence("gateway.rsi.only_ipoc")
+        if not self.follows or measured is None or setpoint is None:
+            return ""
+        if moving and outside_tolerance(setpoint, origin, tolerances) is None:
+            # at the beginning of a motion the servo may be no further yet
+            return ""
+        elsewhere = outside_tolerance(measured, setpoint, tolerances) is not None
+        return "" if elsewhere else Sentence("gateway.rsi.at_arm")
+
 
 #: Cycles that RSI has [ms], and their names in KRL (docs/rsi.md, section 1).
 CYCLES = {4: "#IPO_FAST", 12: "#IPO"}

@@ -57,10 +57,6 @@ OPTIONAL_FILES = (
     "servo_model",
     "bridge_account",
     "gateway_account",
-    "console_certificate",
-    "console_key",
-    "console_broker_ca",
-    "console_rights",
 )
 
 #: Returns whether a path is a file that can be read, or has some other quality.
@@ -133,18 +129,14 @@ def _console_to_nobody(given: Mapping[str, str], _is_file: Question, _is_anonymo
         return ""
     if given.get("arm") == "none":
         return Sentence("preflight.console_arm")
-    certificate, key = given.get("console_certificate", ""), given.get("console_key", "")
-    if bool(certificate) != bool(key):
-        missing = "console_key" if certificate else "console_certificate"
-        return Sentence("preflight.console_pair", missing=missing)
-    listen = given.get("console_listen", "127.0.0.1")
-    if not certificate and not is_loopback(listen):
-        return Sentence("preflight.console_listen", listen=listen)
-    host, has_ca = given.get("broker_host", "127.0.0.1"), bool(given.get("console_broker_ca"))
-    if not has_ca and (given.get("bridge_account") or not is_loopback(host)):
-        why = f"broker_host:={host}" if not is_loopback(host) else "bridge_account"
-        return Sentence("preflight.console_ca", why=why)
-    return ""
+    if given.get("console_site"):
+        return ""
+    listen, host = given.get("console_listen", "127.0.0.1"), given.get("broker_host", "127.0.0.1")
+    if not is_loopback(listen):
+        return Sentence("preflight.console_site", why=f"console_listen:={listen}")
+    if not is_loopback(host):
+        return Sentence("preflight.console_site", why=f"broker_host:={host}")
+    return Sentence("preflight.console_site", why="bridge_account") if given.get("bridge_account") else ""
 
 
 #: What is checked of the arguments alone, in this order: each returns a sentence, empty when all is well.

@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 from scenario_run import ScenarioRun, shipped
 
-from construction_twin.scenario.table import print_verdict
+from construction_twin.ros.commands.scenario import print_verdict
 
 ROOT = Path(__file__).resolve().parents[3]
 SHIPPED = sorted(path.stem for path in (ROOT / "config/scenarios").glob("*.yaml"))

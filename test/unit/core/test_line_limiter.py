@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from construction_twin.core.line_limiter import LineLimiter
+from construction_twin.core.rate_limit import LineLimiter
 from construction_twin.core.units import NANOSECONDS
 
 

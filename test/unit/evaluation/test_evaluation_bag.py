@@ -9,7 +9,7 @@ import genpy
 import numpy as np
 import pytest
 import rosbag
-from construction_twin.msg import Execution, Feedback, Link, Plan, Review
+from construction_twin.msg import Execution, Feedback, Link, Plan
 from diagnostic_msgs.msg import KeyValue
 from evaluation_samples import BASE, JOINTS, link, run
 from plan_samples import make_plan
@@ -22,7 +22,6 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.evaluation.bag import read_recording
-from construction_twin.evaluation.recording import RecordedVerdict
 from construction_twin.evaluation.summary import evaluate, summarise
 from construction_twin.planning.timing import time_path
 from construction_twin.planning.waypoint_file import parse_waypoints
@@ -94,17 +93,6 @@ def test_everything_written_is_read_back_unchanged(recording, full_bag):
             np.testing.assert_array_equal(getattr(getattr(read, name), key), value)
     assert read.plans == recording.plans and read.waypoints == {"p1": 200}
     assert read.links == recording.links and read.mock == STATUS
-
-
-def test_verdicts_are_read_once_each(recording, tmp_path):
-    with rosbag.Bag(str(tmp_path / "v.bag"), "w") as bag:
-        write_robot(bag, recording)
-        verdict = Review(Header(stamp=at(BASE + 5)), "p1", "0" * 64, False, "ada", "too fast")
-        # the second is what a latched topic repeats
-        for received in (BASE + 6, BASE + 7):
-            bag.write("/kr120/review", verdict, at(received))
-    found = read_recording(tmp_path / "v.bag").verdicts
-    assert found == (RecordedVerdict(BASE + 5, "p1", False, "ada", "too fast"),)
 
 
 def test_bag_gives_the_same_figures_as_the_run_itself(recording, full_bag):

@@ -12,7 +12,7 @@ from sentence_checks import says
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
-from construction_twin.gateway.command_stream import ARRIVAL_SMOOTHING, FARTHEST, REMEMBERED, CommandStream
+from construction_twin.gateway.command_intake import ARRIVAL_SMOOTHING, FARTHEST, REMEMBERED, CommandStream
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties

@@ -16,8 +16,7 @@ from construction_twin.core.follower import Follower
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS, format_allowance
 from construction_twin.gateway.config import parse_config
-from construction_twin.gateway.playout import Playout, PlayoutBounds
-from construction_twin.gateway.slew import CALM, CATCH_UP, URGENT, Slew
+from construction_twin.gateway.playout import CALM, CATCH_UP, URGENT, Playout, PlayoutBounds, Slew
 from construction_twin.gateway.states import State
 
 PERIOD = 0.012

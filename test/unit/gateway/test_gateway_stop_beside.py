@@ -11,8 +11,7 @@ from gateway_cell import Cell, following
 from processes import wait_until
 from service_cell import PATIENT, START, assert_still, cell, motion, stream
 
-from construction_twin.core.line_limiter import LineLimiter
-from construction_twin.core.rate_limit import SenderLimits
+from construction_twin.core.rate_limit import LineLimiter, SenderLimits
 from construction_twin.core.sentences import Sentence
 from construction_twin.gateway import service as module
 from construction_twin.gateway.gateway import Gateway, State

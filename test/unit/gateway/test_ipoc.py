@@ -13,8 +13,8 @@ from construction_twin.controller.telegram import STAMP_WRAP, stamp_step
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.gateway import State
 from construction_twin.gateway.trace import TraceWriter, read_trace
+from construction_twin.scenario.judge import trace_excesses
 from construction_twin.scenario.motion import trace_arrays
-from construction_twin.scenario.trace_check import trace_excesses
 
 
 def moving(ipoc, cycles=100, trace=None):

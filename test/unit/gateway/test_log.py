@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from queue import SimpleQueue
 
-from construction_twin.gateway.log import WAITING, BoundedQueueHandler
+from construction_twin.gateway.command_line import WAITING, BoundedQueueHandler
 
 
 def line(number: int) -> logging.LogRecord:

@@ -16,8 +16,8 @@ from lossy_cell import LossyCell, assert_arrived_within_limits, steps_of
 from construction_twin.core.units import CYCLE, CYCLE_NS
 from construction_twin.gateway.gateway import State
 from construction_twin.gateway.trace import TraceEntry
+from construction_twin.scenario.judge import trace_excesses
 from construction_twin.scenario.motion import ROUNDING, limit_usage, trace_arrays
-from construction_twin.scenario.trace_check import trace_excesses
 
 #: A motion of both axes along one curve: A1 and 3 times as much of A2.
 RATIO = 3.0

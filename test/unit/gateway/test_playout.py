@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from construction_twin.core.interpolation import interpolate
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
-from construction_twin.gateway.playout import MARGIN, Playout, PlayoutBounds
-from construction_twin.gateway.slew import CALM, URGENT
+from construction_twin.gateway.playout import CALM, MARGIN, URGENT, Playout, PlayoutBounds
 
 DELAY = 5 * CYCLE_NS
 LONGEST = 60 * CYCLE_NS

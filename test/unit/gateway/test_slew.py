@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from construction_twin.core.units import CYCLE_NS
-from construction_twin.gateway.slew import CALM, URGENT, Slew
+from construction_twin.gateway.playout import CALM, URGENT, Slew
 
 _SHIFT = st.integers(-300_000_000, 300_000_000)
 

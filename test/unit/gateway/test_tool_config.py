@@ -19,7 +19,7 @@ from construction_twin.gateway.config import parse_config
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.rsi.ethernet_xml_error import EthernetXmlError
-from construction_twin.rsi.tool_check import check_tool
+from construction_twin.rsi.make import check_tool
 
 FILE = yaml.safe_load((ROOT / "config/tools/vacuum_frame.yaml").read_text())
 XML = {name: (ROOT / f"krl/ethernet/{name}_ethernet.xml").read_text() for name in ("ctwin", "ctwin_tool")}

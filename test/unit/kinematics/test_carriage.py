@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from inverse_cases import TRACK, joints
 
-from construction_twin.kinematics.carriage import Carriage
 from construction_twin.kinematics.chain import Chain
+from construction_twin.kinematics.rail import Carriage
 
 CHAIN = Chain(TRACK)
 CARRIAGE = Carriage(CHAIN)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from inverse_cases import KR120, assert_solves, joints, make_inverse
+from inverse_cases import KR120, PANDA_LIKE, SEARCHED, TRACK, UR_LIKE, assert_solves, joints, make_inverse
 
 from construction_twin.core.motion_errors import (
     BranchError,
@@ -20,9 +21,9 @@ from construction_twin.core.motion_errors import (
     PositionRangeError,
     UnreachableError,
 )
-from construction_twin.kinematics.chain import Pose
+from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
-from construction_twin.kinematics.inverse import Configuration
+from construction_twin.kinematics.inverse import Configuration, inverse_kinematics
 from construction_twin.robot.frames import abc_to_rotation
 
 INVERSE = make_inverse(KR120)
@@ -296,3 +297,18 @@ def test_seed_out_of_range_is_refused(ask):
 def test_pose_that_is_none_is_refused(ask, position, rotation, what):
     with pytest.raises(KinematicsError, match=what):
         ask(Pose(np.array(position, dtype=float), rotation), KR120.home)
+
+
+@pytest.mark.parametrize(
+    "robot, kind, why",
+    [
+        (KR120, "OPW", "axes 2 and 3 are parallel"),
+        (UR_LIKE, "closed form", "axes 2, 3 and 4 are parallel and axes 5 and 6 meet in a point"),
+        (TRACK, "OPW on a linear axis", "behind joint 1, which is prismatic"),
+        (PANDA_LIKE, "search", "its joints are neither six revolute ones nor"),
+        (SEARCHED, "search", "no closed form is near: .* miss by 2[0-9] mm"),
+    ],
+)
+def test_every_arm_is_told_its_kind_and_why(robot, kind, why):
+    found = inverse_kinematics(Chain(robot)).kind
+    assert found.name == kind and re.search(why, found.why)

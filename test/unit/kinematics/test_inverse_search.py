@@ -24,7 +24,7 @@ from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.closed_form import SLOTS
 from construction_twin.kinematics.inverse import IkSettings
 from construction_twin.kinematics.numeric import NumericInverse
-from construction_twin.kinematics.rail_singularities import find_singularities
+from construction_twin.kinematics.rail import find_singularities
 from construction_twin.robot.frames import abc_to_rotation
 
 

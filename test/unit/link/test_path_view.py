@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from construction_twin.link.path_view import PathView
+from construction_twin.link.remote_review import PathView
 
 PATH = PathView("p1", [0.1 * k for k in range(11)], [(0.1 * k, 0.123456, 0.0) for k in range(11)])
 

@@ -6,8 +6,7 @@ import pytest
 from sentence_checks import says
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.link.remote_speed import SpeedRequest, parse_speed
-from construction_twin.link.speed_limits import LEAST
+from construction_twin.link.speed_limits import LEAST, SpeedRequest, parse_speed
 
 GOOD = {"id": "1", "limit": 0.3, "moment": "c0ffee00-5000"}
 

@@ -9,7 +9,7 @@ from sentence_checks import says
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.speed_forwarder import PERIOD, SpeedForwarder
+from construction_twin.link.speed_limits import PERIOD, SpeedForwarder
 
 MS = 1_000_000
 

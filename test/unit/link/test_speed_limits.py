@@ -13,9 +13,9 @@ from construction_twin.core.freshness import LIFETIME, Moment
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.speed_limit import SpeedLimit
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.seen_stops import SHOWN_AFTER
 from construction_twin.link.speed_limits import (
     LEAST,
+    SHOWN_AFTER,
     PeopleLimit,
     SpeedLimits,
     kept,

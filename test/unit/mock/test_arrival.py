@@ -12,7 +12,7 @@ from processes import wait_until
 
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.mock import network
-from construction_twin.mock.arrival import ArrivalClock
+from construction_twin.mock.network import ArrivalClock
 from construction_twin.rsi.gateway_codec import parse_robot
 
 MS = NANOSECONDS // 1000

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from construction_twin.monitor.lag import ENOUGH, MEMORY, SLOWEST, LagEstimate
+from construction_twin.monitor.comparison import ENOUGH, MEMORY, SLOWEST, LagEstimate
 
 
 def follow(

@@ -11,9 +11,8 @@ import yaml
 
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE, CYCLE_NS
-from construction_twin.monitor.comparison import ComparisonSettings, PoseComparison
+from construction_twin.monitor.comparison import ENOUGH, ComparisonSettings, PoseComparison
 from construction_twin.monitor.gate import GateSettings
-from construction_twin.monitor.lag import ENOUGH
 from construction_twin.robot.description import read_robot_files
 
 ROOT = Path(__file__).parents[3]

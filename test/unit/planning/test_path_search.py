@@ -16,10 +16,9 @@ from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.curves import rounded
 from construction_twin.planning.motion_validator import CornerRounding, MotionValidator, ShortcutCheck
+from construction_twin.planning.ompl_search import shortened
 from construction_twin.planning.path_search import PathQuery
-from construction_twin.planning.path_searches import path_search
-from construction_twin.planning.path_shortening import shortened
-from construction_twin.planning.planner import Planner, PlannerSettings
+from construction_twin.planning.planner import Planner, PlannerSettings, path_search
 from construction_twin.robot.description import read_robot_files
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, SceneObject

@@ -34,7 +34,7 @@ from construction_twin.planning.pipeline import PlanningPipeline
 from construction_twin.planning.planner import PlannerSettings
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.planning.waypoints import from_points
-from construction_twin.ros.messages.plan_requests import (
+from construction_twin.ros.nodes.planner import (
     plan_request,
     read_waypoints,
     tool_waypoints,

@@ -14,8 +14,7 @@ from sentence_checks import says
 
 from construction_twin.core.motion_errors import CollisionError, NoPathError, PlanningError
 from construction_twin.core.sentences import Sentence
-from construction_twin.planning.path_searches import path_searches
-from construction_twin.planning.planner import PlanRequest
+from construction_twin.planning.planner import PlanRequest, path_searches
 from construction_twin.scene.objects import Scene, SceneObject
 
 WALLED = world(WALL)

@@ -15,11 +15,10 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.execution.engagement import Engagement
 from construction_twin.execution.way_back import check_way_back
-from construction_twin.planning.pipeline import PlanningPipeline
+from construction_twin.planning.pipeline import PACE, PlanningPipeline, way_back
 from construction_twin.planning.planner import PlannerSettings
 from construction_twin.planning.recheck import recheck
 from construction_twin.planning.timing import time_path
-from construction_twin.planning.way_back import PACE, way_back
 from construction_twin.planning.work_plan import joined
 from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.executed_path import LARGEST_ENTRY, WAY_BACK_TOLERANCE, ExecutedPath, nearest_on_lines

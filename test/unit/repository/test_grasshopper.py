@@ -31,9 +31,9 @@ from construction_twin.mqtt.client import make_client, unique_id
 from construction_twin.planning.waypoints import plan_waypoints
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.urdf import expand_xacro
-from construction_twin.ros.messages.plan_requests import trajectory_waypoints
 from construction_twin.ros.nodes import mqtt_planner
 from construction_twin.ros.nodes.mqtt_planner import MqttPlanner, Poses, Settings
+from construction_twin.ros.nodes.planner import trajectory_waypoints
 from construction_twin.ros.transport.latest_pose import StampedPose
 
 XACRO = ROOT / "urdf/kr120r2500.urdf.xacro"

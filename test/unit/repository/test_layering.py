@@ -309,7 +309,6 @@ CLOCK = {"time", "monotonic", "perf_counter", "process_time", "clock_gettime", "
 CLOCKS = {
     "core/clock.py": "what searches and plans are measured with where the caller gives no clock",
     "scene/pair_sampling.py": "a bar for who waits",
-    "views/ik_report.py": "how long a solution takes",
     "work/worker_functions.py": "a budget for the search",
 }
 #: Modules of the library that talk to a network, or name its addresses and errors.
@@ -317,7 +316,7 @@ SOCKETS = (
     "broker/start.py console/addresses.py "
     "console/delivery.py console/listener.py console/pipe.py console/program.py "
     "console/server.py console/http_connection.py core/network.py gateway/service.py mock/network.py mqtt/client.py "
-    "mqtt/failures.py mqtt/fast_client.py mqtt/polled_client.py core/udp.py views/display.py"
+    "mqtt/failures.py mqtt/fast_client.py mqtt/polled_client.py core/udp.py ros/nodes/view.py"
 ).split()
 
 

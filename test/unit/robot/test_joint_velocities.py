@@ -10,8 +10,7 @@ import pytest
 from scene_samples import kr120
 
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.robot.joint_velocities import JointVelocities
-from construction_twin.ros.nodes.joint_velocities import JointVelocitiesNode, ShownStream
+from construction_twin.ros.nodes.joint_velocities import JointVelocities, JointVelocitiesNode, ShownStream
 
 PERIOD = 20_000_000
 HOME = kr120().home

@@ -15,11 +15,11 @@ from scene_samples import ROOT, ur_like
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.kinematics.chain import Chain
-from construction_twin.kinematics.other_frames import other_frames
 from construction_twin.robot.description import RobotModel, home_positions, load_robot, read_robot_files
 from construction_twin.robot.other_joints import Following, OtherJoint, other_joints_text
 from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.nodes import static_frames
+from construction_twin.ros.nodes.static_frames import other_frames
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.collision_world import CollisionWorld, Contact
 from construction_twin.scene.objects import Scene, SceneObject

@@ -23,7 +23,7 @@ from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.shared.gateway_config import gateway_config
-from construction_twin.scenario.trace_check import trace_excesses
+from construction_twin.scenario.judge import trace_excesses
 
 ROOT = Path(__file__).resolve().parents[3]
 ROBOT = read_robot_files(ROOT / "urdf" / "kr120_track.urdf.xacro", ROOT / "config" / "kr120_track.yaml")

@@ -11,8 +11,8 @@ import rospy
 from actionlib_msgs.msg import GoalID, GoalStatus
 
 from construction_twin.ros.messages.joint_goals import control_messages
-from construction_twin.ros.transport import goal_server as module
-from construction_twin.ros.transport.goal_server import GoalServer
+from construction_twin.ros.nodes import follow_joint_trajectory as module
+from construction_twin.ros.nodes.follow_joint_trajectory import GoalServer
 
 MESSAGES = control_messages()
 

@@ -10,7 +10,7 @@ import rospy
 from interactive_markers import interactive_marker_server as stock
 from visualization_msgs.msg import InteractiveMarker, InteractiveMarkerFeedback
 
-from construction_twin.ros.shared.marker_server import MarkerServer
+from construction_twin.ros.nodes.tool_marker import MarkerServer
 
 
 @pytest.fixture

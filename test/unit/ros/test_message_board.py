@@ -10,8 +10,7 @@ import pytest
 
 from construction_twin.mqtt.messages import Topics
 from construction_twin.ros.shared.endpoint import Outlets
-from construction_twin.ros.shared.message_board import MessageBoard
-from construction_twin.ros.shared.message_file import MessageFile
+from construction_twin.ros.shared.message_board import MessageBoard, MessageFile
 from construction_twin.ros.shared.request_counts import RequestCounts
 from construction_twin.views.message_history import RESET
 from construction_twin.views.startup import Word

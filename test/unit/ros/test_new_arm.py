@@ -65,7 +65,7 @@ def test_one_command_per_arm(arm, tmp_path, capsys):
     check_planning(robot, given)
     said = capsys.readouterr().out
     assert f"{robot.name}: {len(arm.axes)} joints from {arm.base} to {arm.tip}" in said
-    assert f"  roslaunch {folder / arm.name}.launch" in said
+    assert f"  roslaunch {folder / arm.name}.launch" in said and "inverse kinematics: " in said
     for key in (
         "acceleration_deg_s2",
         "jerk_deg_s3",

@@ -16,8 +16,7 @@ from sensor_msgs.msg import JointState
 
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.ros.transport import joint_stream
-from construction_twin.ros.transport.joint_stream import JointSubscriber, to_time
-from construction_twin.ros.transport.pose_message import PoseMessage
+from construction_twin.ros.transport.joint_stream import JointSubscriber, PoseMessage, to_time
 
 NAMES = ("joint_a1", "joint_a2", "gelenk_\u00e4")
 STAMPS = st.integers(0, 2**32 * NANOSECONDS - 1)

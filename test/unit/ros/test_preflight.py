@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import socket
 import sys
 from pathlib import Path
@@ -13,6 +14,7 @@ import rosgraph
 import yaml
 from ros_master import Node, ros_master
 
+from construction_twin.broker import make_site
 from construction_twin.core.sentences import Sentence
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.commands import preflight
@@ -269,22 +271,38 @@ def test_a_taken_port_is_refused_before_anything_starts():
     assert preflight.port_problem(here) == ""
 
 
+@pytest.fixture(scope="module")
+def console_site(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("site")
+    options = ("--host", "localhost", "--robot", "kr120", "--reviewer", "ada", "--console", "localhost")
+    assert make_site.main([str(folder), *options]) == 0
+    return folder / "console"
+
+
 @pytest.mark.parametrize(
-    ("names", "sentence"),
+    ("name", "text", "sentence"),
     (
-        (("console_certificate", "console_key"), "console:=true: --certificate and --key: found '[SSL] PEM lib"),
-        (("console_broker_ca",), "console:=true: --broker-ca: found "),
-        (("console_rights",), "console:=true: --rights: found "),
+        ("", "", ""),
+        ("console.key", "no PEM\n", "console:=true: --certificate and --key: found '[SSL] PEM lib"),
+        ("ca.crt", "no PEM\n", "console:=true: --broker-ca: found "),
+        ("rights.json", "no JSON\n", "console:=true: --rights: found "),
+        ("rights.json", "[]", "console:=true: --rights: found "),
+        ("rights.json", "{}", "console:=true: --rights: found "),
+        ("rights.json", '{"robots": []}', "console:=true: --rights: found "),
     ),
 )
-def test_a_file_that_the_console_could_not_use_is_refused_by_the_name_of_its_option(tmp_path, names, sentence):
-    wrong = tmp_path / "wrong"
-    wrong.write_text("no PEM, and no JSON\n")
-    given = KR120 | {"console": "true", "console_page": "none", "console_files": "false"}
-    given |= dict.fromkeys(names, str(wrong))
+def test_a_site_with_a_file_that_the_console_could_not_use_is_refused_by_the_name_of_its_option(
+    console_site, tmp_path, name, text, sentence
+):
+    folder = tmp_path / "console"
+    shutil.copytree(console_site, folder)
+    if name:
+        (folder / name).write_text(text)
+    given = KR120 | {"console": "true", "console_page": "none", "console_files": "false", "console_site": str(folder)}
     said = preflight.contents_problem(given)
-    assert said.startswith(sentence) and "expected " in said
+    assert said.startswith(sentence) and bool(said) == bool(name) == ("expected " in said)
     assert preflight.contents_problem(given | {"console": "false"}) == ""
+    assert "console_site: found 'console'" in preflight.contents_problem(given | {"console_site": "console"})
 
 
 def test_a_taken_port_of_the_console_is_refused():

@@ -18,9 +18,9 @@ from construction_twin.rsi.ethernet_xml import (
     read_ethernet_xml,
 )
 from construction_twin.rsi.ethernet_xml_error import EthernetXmlError
-from construction_twin.rsi.ethernet_xml_text import ethernet_xml_text
 from construction_twin.rsi.gateway_codec import SensorEncoder
 from construction_twin.rsi.layout import RsiLayout
+from construction_twin.rsi.make import ethernet_xml_text
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 FILE = ROOT / "krl" / "ethernet" / "ctwin_ethernet.xml"

@@ -15,8 +15,7 @@ from construction_twin.controller.telegram import Telegram
 from construction_twin.core.errors import TelegramError
 from construction_twin.rsi import gateway_codec as codec
 from construction_twin.rsi.controller_codec import RobotEncoder
-from construction_twin.rsi.gateway_codec import RobotDecoder
-from construction_twin.rsi.telegram_cache import TelegramShape
+from construction_twin.rsi.gateway_codec import RobotDecoder, TelegramShape
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 TRACK = (*AXES, "E1")

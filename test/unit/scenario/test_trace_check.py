@@ -11,7 +11,7 @@ from gateway_cell import CONFIG, Cell, slow
 from construction_twin.core.units import CYCLE, format_allowance
 from construction_twin.gateway.states import State
 from construction_twin.gateway.trace import TraceEntry
-from construction_twin.scenario.trace_check import trace_excesses
+from construction_twin.scenario.judge import trace_excesses
 
 LIMITS = CONFIG.limits
 BUDGET = LIMITS.acceleration[0] * CYCLE**2

@@ -7,11 +7,10 @@ from scene_samples import ROOT, kr120, track7, ur_like
 
 from construction_twin.robot.description import RobotModel, load_robot
 from construction_twin.robot.new_robot import new_description
-from construction_twin.scene.adjacent_links import adjacent_links
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.collision_world import CollisionWorld, Contact
 from construction_twin.scene.objects import Scene
-from construction_twin.scene.self_collision import sample_self_collision
+from construction_twin.scene.self_collision import adjacent_links, sample_self_collision
 
 _BOX = '<collision><origin xyz="{xyz}"/><geometry><box size="{size}"/></geometry></collision>'
 

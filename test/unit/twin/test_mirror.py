@@ -18,8 +18,7 @@ from construction_twin.execution.executor import ExecutorState
 from construction_twin.gateway.gateway import State
 from construction_twin.link.states import LinkState
 from construction_twin.monitor.gate import SyncState
-from construction_twin.twin.mirror import DECIMALS, MirrorTwin
-from construction_twin.twin.virtual_robot import VirtualRobot
+from construction_twin.twin.virtual_robot import DECIMALS, MirrorTwin, VirtualRobot
 
 #: Fixtures of the bench.
 __all__ = ["armed", "bench"]

@@ -8,7 +8,7 @@ from rich.console import Console
 from scene_samples import kr120
 
 from construction_twin.core.reports import LinkReport, SyncReport
-from construction_twin.views.dashboard import render
+from construction_twin.ros.commands.watch import render
 from construction_twin.views.snapshot import NodeFacts, Snapshot
 
 

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from construction_twin.core.sentences import Sentence
-from construction_twin.views.display import display_problem, view_for
+from construction_twin.ros.nodes.view import display_problem, view_for
 
 ROOT = Path(__file__).parents[3]
 VIEWS = sorted((ROOT / "rviz").glob("*.rviz"))

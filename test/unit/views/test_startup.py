@@ -155,13 +155,13 @@ A_FILE = Sentence("preflight.expected.file")
         ({"gateway_kind": "plc", "track": "true"}, Sentence("preflight.track")),
         ({"console": "maybe"}, wrong("console", "maybe", A_SWITCH)),
         ({"console_port": "0"}, wrong("console_port", "0", number(1, 65535))),
-        ({"console_key": "/nope"}, wrong("console_key", "/nope", A_FILE)),
         ({"console": "true", "arm": "none"}, Sentence("preflight.console_arm")),
-        ({"console": "true", "console_certificate": "/a"}, Sentence("preflight.console_pair", missing="console_key")),
-        ({"console": "true", "console_key": "/a"}, Sentence("preflight.console_pair", missing="console_certificate")),
-        ({"console": "true", "console_listen": "0.0.0.0"}, Sentence("preflight.console_listen", listen="0.0.0.0")),
-        ({"console": "true", "bridge_account": "/a"}, Sentence("preflight.console_ca", why="bridge_account")),
-        ({"console": "true", "broker_host": "b.cell"}, Sentence("preflight.console_ca", why="broker_host:=b.cell")),
+        (
+            {"console": "true", "console_listen": "0.0.0.0"},
+            Sentence("preflight.console_site", why="console_listen:=0.0.0.0"),
+        ),
+        ({"console": "true", "bridge_account": "/a"}, Sentence("preflight.console_site", why="bridge_account")),
+        ({"console": "true", "broker_host": "b.cell"}, Sentence("preflight.console_site", why="broker_host:=b.cell")),
     ],
 )
 def test_an_argument_that_cannot_work_is_one_sentence(change, sentence):

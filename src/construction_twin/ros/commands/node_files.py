@@ -9,9 +9,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
-from typing import Any
 
-import pydantic
 import rospkg
 
 from construction_twin.core.errors import ConstructionTwinError
@@ -28,7 +26,6 @@ from construction_twin.ros.shared.launch_arguments import (
     read_mapping,
 )
 from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
-from construction_twin.ros.shared.params import settings_of
 from construction_twin.views.preflight import is_true
 
 #: Nodes of a robot that are none of this package's, or start in another way.
@@ -58,25 +55,6 @@ def _separation(values: Values, _given: Given, robot: RobotModel) -> None:
     import separation_node
 
     separation_node.NODE.check_values(values, robot)
-
-
-def _joint_state_publisher(values: Values, _given: Given, _robot: RobotModel) -> None:
-    settings_of(_JointStatePublisher, values)
-
-
-class _JointStatePublisher(pydantic.BaseModel, extra="forbid"):
-    """The parameters that Debian's joint_state_publisher reads; one that it does not know it would ignore."""
-
-    source_list: list[str] = []
-    rate: float = 10.0
-    delta: float = 0.0
-    zeros: dict[str, float] = {}
-    dependent_joints: dict[str, Any] = {}
-    use_mimic_tags: bool = True
-    use_smallest_joint_limits: bool = True
-    publish_default_positions: bool = True
-    publish_default_velocities: bool = False
-    publish_default_efforts: bool = False
 
 
 @dataclass(frozen=True)
@@ -109,7 +87,6 @@ ROBOT_NODES = (*(node.name for node in _SHELLS), *_OTHERS)
 #: Every file that bringup.launch loads for a node.
 NODE_FILES = (
     *(_of(node, node.file) for node in _SHELLS if node.file is not None),
-    NodeFile("joint_state_publisher", _joint_state_publisher),
     NodeFile("gateway", _gateway, has_link),
     NodeFile("separation", _separation, lambda given: is_true(given, "separation")),
 )

@@ -2,7 +2,7 @@
 
 Called by bringup.launch, while roslaunch reads it, as ``preflight --for-roslaunch name:=value ...``, and by view.launch for the
 names of the arguments alone; by hand without the option. It looks at the arguments, at what is in the files they name, at the nodes
-that run on the master, and at the ports. It changes nothing but who may start the robot (`start_claim`).
+that run on the master, and at the ports. It changes nothing.
 """
 
 from __future__ import annotations
@@ -52,7 +52,6 @@ from construction_twin.ros.shared.loaded_process import leave_behind
 from construction_twin.ros.shared.master import expect_wall_clock, running
 from construction_twin.ros.shared.params import ros_home, settings_of
 from construction_twin.ros.shared.roslaunch_parent import command_lines, print_after, roslaunch_parent
-from construction_twin.ros.shared.start_claim import claim
 from construction_twin.scenario.definition import read_scenario
 from construction_twin.scene.cell import load_cell
 from construction_twin.scene.collision_bodies import RobotBodies
@@ -256,13 +255,12 @@ def _check_console(given: Given, _robot: RobotModel) -> None:
     if page != "none" and not (page.startswith("/") and Path(page, "index.html").is_file()):
         expected = Sentence("expected.page")
         raise ConfigurationError("console_page", page, expected)
-    certificate, key = given.get("console_certificate"), given.get("console_key")
-    if certificate and key:
-        own_tls(Path(certificate), Path(key))
-    if ca := given.get("console_broker_ca"):
-        broker_tls(Path(ca))
-    if rights := given.get("console_rights"):
-        check_rights(Path(rights))
+    if site := given.get("console_site"):
+        if not site.startswith("/"):
+            raise ConfigurationError("console_site", site, Sentence("expected.console_site"))
+        own_tls(Path(site, "console.crt"), Path(site, "console.key"))
+        broker_tls(Path(site, "ca.crt"))
+        check_rights(Path(site, "rights.json"))
     if is_true(given, "console_files"):
         check_writable(ros_home() / "construction_twin" / "console")
 
@@ -395,16 +393,6 @@ def clock_problem(uri: str) -> str:
     return ""
 
 
-def claim_problem(given: Given, uri: str, pid: int) -> str:
-    """Claim the robot for the roslaunch of a number; return a sentence when another start has claimed it, empty when it has not.
-
-    To be asked last: what is refused for another reason claims nothing.
-    """
-    robot = given.get("robot", "")
-    other = claim(robot, uri, pid) if robot else ""
-    return Sentence("preflight.claimed", robot=robot, other=other) if other else ""
-
-
 def port_problem(given: Given) -> str:
     """Return a sentence about the first port on this machine that another program holds, or about a broker that cannot start on
     its own; empty when all are free, and it can.
@@ -517,8 +505,6 @@ def check(words: Sequence[str]) -> int:
     given = dict(word.split(":=", 1) for word in words if ":=" in word)
     uri = _master(call)
     sentence = refusal(given, call, uri)
-    if not sentence and uri and pid is not None:
-        sentence = claim_problem(given, uri, pid)
     if sentence:
         print(f"preflight: {sentence}", file=sys.stderr, flush=True)
         print_after(f"preflight: {sentence}", pid)

@@ -16,6 +16,8 @@ from typing import Annotated, Any
 import pydantic
 import rospy
 from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -41,9 +43,20 @@ from construction_twin.ros.transport.persistent_service import PersistentService
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, Step, make_scenario, read_scenario
 from construction_twin.scenario.judge import Judgement, judge
-from construction_twin.scenario.table import markdown_table, print_verdict, put_into, read_verdicts
 from construction_twin.scenario.timeline import Change
 from construction_twin.srv import InjectFault, PlanToJoints, ReviewPlan
+
+
+def print_verdict(verdict: Judgement, console: Console) -> None:
+    """Print one run's checks."""
+    table = Table(title=f"{verdict.scenario}: {verdict.title}", title_justify="left")
+    for column in ("check", "expected", "found", ""):
+        table.add_column(column, overflow="fold")
+    for check in verdict.checks:
+        table.add_row(*map(Text, (check.name, check.expected, check.found, "ok" if check.passed else "FAILED")))
+    console.print(table)
+    console.print(f"{verdict.scenario}: {'passed' if verdict.passed else 'FAILED'}")
+
 
 #: Longest wait for the system to get ready, and for the recorder [s].
 _READY = 60.0
@@ -303,24 +316,16 @@ def judge_folder(
 
 
 def command(arguments: list[str]) -> int:
-    """Judge a recorded run again, or make the table of many, without a ROS master; return the exit code.
+    """Judge a recorded run again, without a ROS master; return the exit code.
 
-    0; 1 when a scenario failed or something cannot be read.
+    0; 1 when the scenario failed or something cannot be read.
     """
     options = _parser().parse_args(arguments)
-    console = table_console(markup=False)
     try:
-        if options.judge:
-            return _judge(options, console)
-        verdicts = read_verdicts(options.table)
-        table = markdown_table(verdicts)
-        print(table)
-        if options.into:
-            options.into.write_text(put_into(options.into.read_text(), table, str(options.into)))
+        return _judge(options, table_console(markup=False))
     except (ConstructionTwinError, OSError) as error:
         print(f"scenario: {spoken(error)}", file=sys.stderr)
         return 1
-    return 0 if all(run["passed"] for runs in verdicts.values() for run in runs) else 1
 
 
 def _judge(options: argparse.Namespace, console: Console) -> int:
@@ -338,12 +343,9 @@ def _judge(options: argparse.Namespace, console: Console) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="scenario", description="Judge recorded scenarios; without options it is the node of scenario.launch."
+        prog="scenario", description="Judge a recorded scenario; without options it is the node of scenario.launch."
     )
-    what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--table", type=Path, metavar="DIR", help="print the table of all verdicts below DIR")
-    what.add_argument("--judge", type=Path, metavar="DIR", help="judge the recording in DIR again")
-    parser.add_argument("--into", type=Path, metavar="FILE", help="also put the table between the marks in FILE")
+    parser.add_argument("--judge", type=Path, metavar="DIR", required=True, help="judge the recording in DIR again")
     parser.add_argument(
         "--scenario", type=Path, metavar="FILE", help="scenario YAML (default: the shipped one of DIR's name)"
     )

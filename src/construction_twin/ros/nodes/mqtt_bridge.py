@@ -25,8 +25,7 @@ from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.travel_time import StateCheck
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.bare_supervisor import BareSupervisor
-from construction_twin.link.seen_stops import SeenStops
-from construction_twin.link.speed_forwarder import SpeedForwarder
+from construction_twin.link.speed_limits import SeenStops, SpeedForwarder
 from construction_twin.link.states import LinkState
 from construction_twin.link.status_values import clock_sentence, controller_sentence, status_values, without_counts
 from construction_twin.link.supervisor import LinkSupervisor
@@ -202,11 +201,6 @@ class MqttBridge:
     def link(self) -> LinkState:
         """State of the link."""
         return self._supervisor.state
-
-    @property
-    def refuse(self) -> Callable[[str, str], None]:
-        """Counts a refused input; takes reason and sentence."""
-        return self._diagnostics.refuse
 
     def run(self) -> None:
         """Poll the link until shutdown."""

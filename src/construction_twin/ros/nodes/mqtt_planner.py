@@ -52,7 +52,7 @@ from construction_twin.ros.shared.console_requests import ConsoleRequests, Robot
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outlets
 from construction_twin.ros.shared.launch_arguments import BROKER, has_link
-from construction_twin.ros.shared.message_file import MessageFile
+from construction_twin.ros.shared.message_board import MessageFile
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
 from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.ros.shared.outcome import Outcome

@@ -20,7 +20,6 @@ from construction_twin.core.freshness import staleness
 from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link import remote_speed
 from construction_twin.link.remote_answer import MAX_BYTES, AnswerRequest, parse_answer
 from construction_twin.link.remote_review import (
     ClearanceView,
@@ -34,7 +33,7 @@ from construction_twin.link.remote_review import (
     parse_review,
     recorded_reason,
 )
-from construction_twin.link.remote_speed import SpeedRequest, parse_speed
+from construction_twin.link.speed_limits import MAX_REQUEST_BYTES, SpeedRequest, parse_speed
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.plain_client import PlainClient
@@ -391,7 +390,7 @@ def _read_answer(incoming: Incoming) -> tuple[AnswerRequest, str]:
 
 
 def _read_speed(incoming: Incoming) -> tuple[SpeedRequest, str]:
-    return parse_speed(incoming.read_document("speed", remote_speed.MAX_BYTES)), incoming.account
+    return parse_speed(incoming.read_document("speed", MAX_REQUEST_BYTES)), incoming.account
 
 
 def _describe(review: ReviewRequest) -> str:

@@ -6,7 +6,9 @@ import functools
 import re
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 
+import numpy as np
 import pydantic
 import rosgraph
 import rospy
@@ -15,7 +17,7 @@ from visualization_msgs.msg import MarkerArray
 
 from construction_twin.core.errors import ConfigurationError, PayloadError, PoseUnknownError
 from construction_twin.core.motion_errors import SceneError
-from construction_twin.core.sentences import Sentence
+from construction_twin.core.sentences import Sentence, Value
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.convert import pose_from_msg
@@ -32,7 +34,6 @@ from construction_twin.ros.shared.ports import Every, Interface, NewestPose, Por
 from construction_twin.ros.transport.publisher import Sink
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.edits import SceneFile
-from construction_twin.scene.lasting_contacts import lasting_contacts
 from construction_twin.scene.objects import Scene, SceneObject, product, relative
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.scene.scene_yaml import read_scene
@@ -49,6 +50,68 @@ from construction_twin.srv import (
     RemoveObject,
     RemoveObjectRequest,
 )
+
+#: A base that overlaps an object by less than this stands on it [m].
+STANDS_ON = 1e-3
+#: Random poses, besides home, in all of which a link must touch an object.
+POSES = 100
+
+
+@dataclass(frozen=True)
+class LastingContact:
+    """An object that stands in the world, and a link that touches it whatever the joints do.
+
+    Attributes:
+        name: Of the object.
+        distance: At home [m]; negative: by how much they overlap.
+        kept: Distance that a moving link must keep [m]; 0 for a link that no joint moves.
+        moves: Whether a joint moves the link. Such a pair is checked, so that nothing can be planned; with a base it is not
+            checked.
+    """
+
+    name: str
+    link: str
+    distance: float
+    kept: float
+    moves: bool
+
+    @property
+    def sentence(self) -> Sentence:
+        """What it is, what follows from it, and what to do."""
+        pair: dict[str, Value] = {"object": repr(self.name), "link": repr(self.link), "name": self.link}
+        if not self.moves:
+            return Sentence("scene.lasting.base", depth=-self.distance * 1e3, **pair)
+        kept = self.kept * 1e3
+        if self.distance < 0.0:
+            return Sentence("scene.lasting.overlap", depth=-self.distance * 1e3, kept=kept, **pair)
+        return Sentence("scene.lasting.near", distance=self.distance * 1e3, kept=kept, **pair)
+
+
+def lasting_contacts(world: CollisionWorld) -> list[LastingContact]:
+    """Return the contacts of a world that no motion ends, those of the base first.
+
+    A pair of which the object names the link in `touch` is meant, and not among them.
+    """
+    found = [
+        LastingContact(item.name, link, distance, 0.0, False)
+        for item, link in world.unchecked_pairs()
+        if (distance := world.distance(world.robot.home, link, item.name)) < -STANDS_ON
+    ]
+    standing = {item.name: item for item in world.scene.objects if not item.link}
+    names = set(world.scene.names)
+    touching = (contact.between for contact in world.contacts(world.robot.home))
+    pairs = [(first, second) for first, second in touching if first not in names and second in standing]
+    poses = np.random.default_rng(0).uniform(world.robot.lower, world.robot.upper, (POSES, len(world.robot.home)))
+    for q in poses:
+        if not pairs:
+            break
+        still = {contact.between for contact in world.contacts(q)}
+        pairs = [pair for pair in pairs if pair in still]
+    for link, name in pairs:
+        kept = world.scene.padding + standing[name].padding
+        found.append(LastingContact(name, link, world.distance(world.robot.home, link, name), kept, True))
+    return found
+
 
 #: Oldest pose of the twin that counts as its present one; longest wait for it and for a transform [s].
 _PATIENCE = 1.0

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pydantic
 import rospy
 from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
 from tf2_msgs.msg import TFMessage
 
-from construction_twin.kinematics.chain import Pose
-from construction_twin.kinematics.other_frames import other_frames
+from construction_twin.kinematics.chain import Pose, to_kdl, to_pose
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.robot.urdf import parse_urdf
@@ -17,6 +18,37 @@ from construction_twin.ros.messages.scene_convert import tf_frame
 from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.ports import Interface, Ports, Publication, SharedParameter
 from construction_twin.scene.cell import load_cell
+
+
+@dataclass(frozen=True, eq=False)
+class LinkFrame:
+    """A link in another one.
+
+    Attributes:
+        parent, child: Names of links.
+        pose: ``parent_T_child``
+        kind: The URDF's type of the joint between them.
+    """
+
+    parent: str
+    child: str
+    pose: Pose
+    kind: str
+
+
+def other_frames(robot: RobotModel) -> list[LinkFrame]:
+    """Return the frames of the joints outside of the chain, without those that move with a joint of the chain.
+
+    Those move in tf by themselves: robot_state_publisher computes mimic joints from their leaders.
+    """
+    joints = parse_urdf(robot.urdf).joint_map
+    frames = []
+    for other in robot.other_joints:
+        if other.position is not None:
+            joint = joints[other.name]
+            pose = to_pose(to_kdl([joint]).getSegment(0).pose(other.position))
+            frames.append(LinkFrame(joint.parent, joint.child, pose, other.kind))
+    return frames
 
 
 class Settings(pydantic.BaseModel):

@@ -8,11 +8,13 @@ from __future__ import annotations
 import getpass
 import threading
 import time
+from collections.abc import Callable
 from typing import Annotated
 
 import numpy as np
 import pydantic
 import rospy
+from interactive_markers.interactive_marker_server import InteractiveMarkerServer
 from visualization_msgs.msg import InteractiveMarkerFeedback, MarkerArray
 
 from construction_twin.core.errors import ConstructionTwinError, PayloadError, PoseUnknownError
@@ -26,13 +28,13 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.convert import pose_from_msg, pose_to_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg, tf_frame
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
-from construction_twin.ros.shared.marker_server import MarkerServer
 from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.ports import Interface, NewestPose, Ports, Publication, Subscription
 from construction_twin.ros.shared.robot_listener import REPORTS, RobotListener
 from construction_twin.ros.shared.tool_marker_menu import ToolMarkerMenu
 from construction_twin.ros.shared.tool_marker_shapes import NAME, tool_marker, verdict_markers
+from construction_twin.ros.transport.subscriber import PUBLISHER, caller_of
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.self_collision import read_self_collision
@@ -40,6 +42,39 @@ from construction_twin.views.marker_goal import MarkerGoal, moved
 from construction_twin.views.preflight import is_true
 from construction_twin.views.reachability import PoseVerdict, Reach, judge_pose
 from construction_twin.views.texts import waiting_plan
+
+
+class MarkerServer(InteractiveMarkerServer):
+    """As `InteractiveMarkerServer`, but deaf to what is played.
+
+    Args:
+        topic: Namespace of the marker's topics.
+        refused: Called as ``refused(reason, sentence)`` for a message that its sender did not make.
+    """
+
+    def __init__(self, topic: str, refused: Callable[[str, str], None]):
+        self._refused = refused
+        super().__init__(topic)
+
+    def keepAlive(self, msg: object) -> None:  # noqa: N802 (the name of its base class)
+        """Tell clients that it is here; at shutdown its topic may be closed already."""
+        try:
+            super().keepAlive(msg)
+        except rospy.ROSException:
+            if not rospy.core.is_shutdown_requested():
+                raise
+
+    def processFeedback(self, feedback: InteractiveMarkerFeedback) -> None:  # noqa: N802 (the name of its base class)
+        """Take what a client sent, if it is the client's own."""
+        caller = caller_of(feedback)
+        if caller and feedback.client_id.startswith(f"{caller}/"):
+            super().processFeedback(feedback)
+            return
+        sender = caller or "a node without a name"
+        self._refused(
+            PUBLISHER, f"click of {feedback.client_id!r} on the marker, sent by {sender}: it is no rviz's own"
+        )
+
 
 #: How often the marker follows the tool while it has not been dragged, and the texts are renewed [s].
 PERIOD = 0.1

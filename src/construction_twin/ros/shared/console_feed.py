@@ -20,8 +20,7 @@ from construction_twin.core.reports import ExecutionReport, HoldReport, LinkRepo
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.states import ACTIVE
-from construction_twin.link.path_view import PathView
-from construction_twin.link.remote_review import PlanBoard
+from construction_twin.link.remote_review import PathView, PlanBoard
 from construction_twin.mqtt.messages import Topics
 from construction_twin.msg import Hold, Link, Plan, Rehearsal, Review, SessionRequest, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
@@ -30,8 +29,7 @@ from construction_twin.physics.report import STATES
 from construction_twin.review.plan_under_review import EXECUTOR
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
-from construction_twin.ros.shared.message_board import MessageBoard
-from construction_twin.ros.shared.message_file import MessageFile
+from construction_twin.ros.shared.message_board import MessageBoard, MessageFile
 from construction_twin.ros.shared.private_files import PrivateFiles
 from construction_twin.scene.objects import Scene
 from construction_twin.views.hold_cause import hold_cause

@@ -6,20 +6,52 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import genpy
 
-from construction_twin.core.errors import RequestRefused
+from construction_twin.core.errors import ConfigurationError, RequestRefused
+from construction_twin.core.files import read_file, write_whole
 from construction_twin.core.reports import SpeedChange
 from construction_twin.link.remote_answer import MAX_BYTES, parse_acknowledgement
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import ACKNOWLEDGE
 from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outlets
-from construction_twin.ros.shared.message_file import MessageFile
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.request_counts import RequestCounts
 from construction_twin.views.message_history import Message, MessageHistory
 from construction_twin.views.status_line import Line
+
+#: Largest file that is read [bytes].
+MOST = 4 << 20
+#: As what it is counted that the file cannot be read or written.
+REASON = "messages"
+
+
+class MessageFile:
+    """One file with a robot's messages."""
+
+    def __init__(self, path: Path):
+        self._path = path
+
+    def read(self, refuse: Callable[[str, str], None]) -> bytes:
+        """Return the file's text; empty where there is none, and where it is none of ours, which is counted."""
+        try:
+            text = read_file(self._path, MOST)
+            MessageHistory(lambda: "", text)
+        except FileNotFoundError:
+            return b""
+        except (OSError, ConfigurationError) as error:
+            refuse(REASON, f"{self._path}: {error}; the messages begin anew")
+            return b""
+        return text
+
+    def write(self, text: bytes, refuse: Callable[[str, str], None]) -> None:
+        """Write the messages; that they cannot be is counted."""
+        try:
+            write_whole(self._path, text)
+        except OSError as error:
+            refuse(REASON, f"{self._path} was not written: {error.strerror or error}")
 
 
 class MessageBoard:

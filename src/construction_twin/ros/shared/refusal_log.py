@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import rospy
 
-from construction_twin.core.line_limiter import LineLimiter
+from construction_twin.core.rate_limit import LineLimiter
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.ros.transport.subscriber import PUBLISHER
 
