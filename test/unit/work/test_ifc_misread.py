@@ -174,6 +174,17 @@ def test_a_weight_of_a_metric_project_without_a_unit_of_mass_is_taken_as_kilogra
     assert found.elements[own.GlobalId].mass == pytest.approx(63.5 * POUND) and found.notes == ()
 
 
+@pytest.mark.parametrize("weight", [0.0288, 28.8, 2.0e6])
+def test_a_mass_that_its_volume_cannot_have_is_doubted(read, weight):
+    model = IfcModel()
+    add_units(model, model.make("IfcSIUnit", UnitType="MASSUNIT", Prefix="KILO", Name="GRAM"))
+    plate = board(model)
+    weigh(model, plate, weight)
+    found = read(model)
+    assert found.elements[plate.GlobalId].mass == pytest.approx(weight)
+    assert (found.notes == ()) if weight == 28.8 else remarked(found, plate, "ifc.note.mass", "5", "23000")
+
+
 # -- what is done, what stands, what goes
 
 

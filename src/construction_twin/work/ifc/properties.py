@@ -34,6 +34,8 @@ _GOES = ("DEMOLISH", "REMOVE", "ABBRUCH", "ABRISS", "RÜCKBAU")
 _STATUS_NAMES = ("status", "phase", "renovation", "umbau", "abbruch", "demol")
 _GONE_NAMES = ("demol", "abbruch", "abgebrochen")
 _NOTHING = ("", "none", "keine", "false", "no", "nein", "unset", "notdefined")
+#: Densities between which a mass is believed [kg/m³]: what is hollow, and lead.
+_LIKELY = (5.0, 23000.0)
 
 
 def read_properties(product: ifcopenshell.entity_instance, at: str, units: Units, notes: Notes) -> Sets:
@@ -153,7 +155,10 @@ def read_mass(
     units: Units,
     notes: Notes,
 ) -> float | None:
-    """Return the mass [kg]: a quantity of weight; or the density of its only material times the volume of its closed bodies."""
+    """Return the mass [kg]: a quantity of weight; or the density of its only material times the volume of its closed bodies.
+
+    One that its volume cannot have is noted.
+    """
     closed = bool(bodies) and all(is_closed(body.triangles) for body in bodies)
     whole = sum(volume(body.vertices, body.triangles) for body in bodies) if closed else 0.0
     for quantity in _WEIGHTS:
@@ -174,9 +179,20 @@ def read_mass(
                         )
                         continue
                     notes.add(Sentence("ifc.note.kilograms"))
-                return float(value)
+                return _noted(float(value), whole, product, at, notes)
     density = _density(product, at, units, notes)
-    return None if density is None or whole <= 0.0 else density * whole
+    return None if density is None or whole <= 0.0 else _noted(density * whole, whole, product, at, notes)
+
+
+def _noted(mass: float, whole: float, product: ifcopenshell.entity_instance, at: str, notes: Notes) -> float:
+    if whole > 0.0 and not _LIKELY[0] <= mass / whole <= _LIKELY[1]:
+        shown = {"mass": f"{mass:.3g}", "litres": f"{1e3 * whole:.3g}", "density": f"{mass / whole:.3g}"}
+        notes.add(
+            Sentence("ifc.note.mass", lightest=f"{_LIKELY[0]:g}", heaviest=f"{_LIKELY[1]:g}", **shown),
+            product.Name or at,
+            at,
+        )
+    return mass
 
 
 def _density(product: ifcopenshell.entity_instance, at: str, units: Units, notes: Notes) -> float | None:
