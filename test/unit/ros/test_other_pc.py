@@ -64,7 +64,7 @@ def undisturbed(twin, syncs: int, links: int) -> bool:
 
 def test_a_plan_of_a_pc_whose_clock_is_ten_seconds_ahead_is_planned_reviewed_and_executed(twin, other, tmp_path):
     assert other.clock() - time.time() == pytest.approx(AHEAD, abs=2.0)
-    before = len(twin.plans)
+    before, began = len(twin.plans), time.time()
     # somebody whose clock is an hour ahead cancelled all goals up to his time; actionlib would drop what comes until then
     twin.cancel_all_before(time.time() + 3600.0)
     with other.reaching("action", NEAR, 4.0, tmp_path) as program:
@@ -90,7 +90,7 @@ def test_a_plan_of_a_pc_whose_clock_is_ten_seconds_ahead_is_planned_reviewed_and
     for name in ("virtual", "physical"):
         table = np.loadtxt(tmp_path / f"{name}.csv", delimiter=",")
         # stamps are the twin's PC's, and the arm really was where the plan says
-        assert abs(table[-1, 0] - time.time()) < 5.0 and len(table) > 500
+        assert began < table[-1, 0] < time.time() and len(table) > 500
         assert np.abs(table[-1, 1:] - radians(NEAR)).max() < 1e-4
 
 

@@ -30,6 +30,7 @@ import gc
 import io
 import json
 import os
+import select
 import selectors
 import signal
 import socket
@@ -108,7 +109,10 @@ def _run_as_copy(module: str, name: str) -> int | None:
             return None
         if copy is None:
             return None
-        with _signals_passed_on(copy):
+        with _signals_passed_on(copy) as came:
+            # a signal that comes just before this process sleeps would be kept until the node ends
+            while connection.fileno() not in select.select([connection.fileno(), came], [], [])[0]:
+                os.read(came, 1)
             code = _receive_number(connection)
         return UNKNOWN if code is None else code
 
@@ -169,18 +173,23 @@ def _receive_number(connection: socket.socket) -> int | None:
 
 
 @contextlib.contextmanager
-def _signals_passed_on(group: int) -> Iterator[None]:
-    """Pass signals on to a process group while the block runs, as roslaunch signals to groups; ignore them afterwards."""
+def _signals_passed_on(group: int) -> Iterator[int]:
+    """Pass signals on to a process group while the block runs, as roslaunch signals to groups; ignore them afterwards.
+
+    Yields a file that can be read when one has come.
+    """
 
     def pass_on(number: int, _frame: object) -> None:
         with contextlib.suppress(ProcessLookupError):  # it has ended, and its exit code is on its way
             os.killpg(group, number)
 
-    heard = _heard()
+    heard, (came, comes) = _heard(), os.pipe()
+    os.set_blocking(comes, False)
+    signal.set_wakeup_fd(comes)
     for number in heard:
         signal.signal(number, pass_on)
     try:
-        yield
+        yield came
     finally:
         for number in heard:
             signal.signal(number, signal.SIG_IGN)
