@@ -34,9 +34,8 @@ def reach(robot: TwinClient, goal) -> None:
     assert action.wait_for_server(rospy.Duration(20.0))
     count = len(robot.plans)
     action.send_goal(goal)
-    # a refusal has its reason in the status; what waits for approval may be told before its plan is here
-    waits = (GoalStatus.PENDING, GoalStatus.ACTIVE)
-    robot.wait(lambda: len(robot.plans) > count or action.get_state() not in waits, "a plan")
+    # a refusal ends the goal, and has its reason in the status
+    robot.wait(lambda: len(robot.plans) > count or action.get_state() > GoalStatus.ACTIVE, "a plan")
     assert len(robot.plans) > count, action.get_goal_status_text()
     answer = robot.review(robot.plans[-1].id, robot.plans[-1].hash)
     assert answer.success, answer.message
