@@ -127,11 +127,13 @@ class AnotherArmTest(RobotTest):
         wanted = {"finger_left": (0.03, 0.0, 0.06), "finger_right": (-0.03, 0.0, 0.06), "camera": (0.0, 0.03, 0.03)}
         for tree in ("twin", "physical", "preview"):
             for link, place in wanted.items():
-                with self.subTest(tree=tree, link=link):
-                    frame = f"ur_like/{tree}/{link}"
-                    found = self.tf.lookup_transform("world", frame, rospy.Time(0), rospy.Duration(20.0)).transform
-                    position = (found.translation.x, found.translation.y, found.translation.z)
-                    np.testing.assert_allclose(position, tool.position + tool.rotation @ place, atol=1e-4)
+                frame, there = f"ur_like/{tree}/{link}", tool.position + tool.rotation @ place
+                wait(lambda frame=frame, there=there: np.allclose(self.place_of(frame), there, atol=1e-4), frame)
+
+    def place_of(self, frame: str) -> tuple[float, ...]:
+        """Return where tf has a frame in the world [m]."""
+        found = self.tf.lookup_transform("world", frame, rospy.Time(0), rospy.Duration(20.0)).transform.translation
+        return found.x, found.y, found.z
 
     def test_to_joints(self):
         missed = self.client.mock_counter("missed")

@@ -47,6 +47,7 @@ class StopAndResetTest(RobotTest):
         cls.phone.loop_start()
         cls.addClassCleanup(cls.phone.loop_stop)
         cls.addClassCleanup(cls.phone.disconnect)
+        wait(lambda: cls.status, "the phone to hear the gateway")
 
     @classmethod
     def on_message(cls, _client, _userdata, message):
