@@ -74,7 +74,7 @@ class Interruption(RobotTest):
         pid = node_pid(node)
         self.assertGreater(pid, 0)
         os.kill(pid, signal.SIGKILL)
-        wait(lambda: node_pid(node) not in (0, pid), f"{node} to be started again", 20.0)
+        wait(lambda: node_pid(node) not in (0, pid), f"{node} to be started again", 60.0)
 
     def wait_for_the_link(self):
         """Wait until the bridge has seen the arm at rest, and says that it goes on by itself or needs a reset."""

@@ -187,7 +187,7 @@ class SpeedLimitTest(unittest.TestCase):
         seen = len(self.reports)
         pid = node_pid("speed_limits")
         os.kill(pid, signal.SIGKILL)
-        self.client.wait(lambda: node_pid("speed_limits") not in (0, pid), "speed_limits to come back")
+        self.client.wait(lambda: node_pid("speed_limits") not in (0, pid), "speed_limits to come back", 60.0)
         self.wait_for_rate(0.3)
         self.assertLessEqual(max(report.speed_limit for report in self.reports[seen:]), 0.3)
         tablet = Tablet()
