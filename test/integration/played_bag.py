@@ -15,7 +15,7 @@ from rosgraph_msgs.msg import Log
 from twin_client import wait
 
 #: The messages of all streams are played for this long [s], which leaves every subscriber time to connect to each.
-DURATION = 8.0
+DURATION = 12.0
 #: Their distance [s].
 PERIOD = 0.05
 
