@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import sys
+import threading
 from types import SimpleNamespace
 
 import pytest
@@ -13,8 +15,10 @@ from processes import wait_until
 
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.bare_supervisor import NOT_CHECKED
+from construction_twin.link.observations import STATUS_TIMEOUT
 from construction_twin.link.states import LinkState
 from construction_twin.ros.nodes import mqtt_bridge
+from construction_twin.ros.shared import diagnostics
 from construction_twin.rsi.status_channels import RsiStatus
 
 
@@ -67,6 +71,31 @@ def test_what_the_controller_says_against_a_motion_stands_in_link_and_diagnostic
     assert "STOP" not in bench.links[-1][0].reason
 
 
+def test_a_clock_that_is_off_stands_in_link_and_diagnostics_and_its_wavering_figure_is_no_news(bench):
+    def told():
+        return [json.loads(payload) for topic, payload in bench.client.published if topic.endswith("bridge/status")]
+
+    bench.connect()
+    status = following().gateway.status()
+    status["cycle"] = status["cycle"] | {
+        "off_percent": 1.2,
+        "sentence": "the controller's clock is 1.20 % fast: simulated",
+    }
+    shown = bench.shown(status)
+    assert (shown["cycle_off_percent"], shown["cycle_sentence"]) == ("1.2", status["cycle"]["sentence"])
+    assert bench.links[-1][0].reason.endswith("; the controller's clock is 1.20 % fast: simulated")
+    assert "1.20 % fast" in bench.bridge.report().sentence
+    before = len(told())
+    status["cycle"] = status["cycle"] | {
+        "off_percent": 1.21,
+        "sentence": "the controller's clock is 1.21 % fast: simulated",
+    }
+    assert bench.shown(status)["cycle_off_percent"] == "1.21" and len(told()) == before
+    status["cycle"] = status["cycle"] | {"sentence": ""}
+    bench.shown(status)
+    assert "clock" not in bench.links[-1][0].reason and len(told()) == before + 1
+
+
 def test_a_count_of_refused_datagrams_that_grows_is_no_news(bench):
     def told():
         return [json.loads(payload) for topic, payload in bench.client.published if topic.endswith("bridge/status")]
@@ -87,7 +116,74 @@ def test_a_count_of_refused_datagrams_that_grows_is_no_news(bench):
     assert len(told()) == before + 2 and told()[-1]["reason"].endswith("address: another sender")
 
 
+def test_what_a_controller_said_before_its_gateway_went_is_not_told(bench):
+    bench.connect()
+    status = following().gateway.status() | {"controller": RsiStatus(1).report()}
+    bench.shown(status)
+    bench.shown(status | {"state": "offline", "reason": "gateway stopped"})
+    assert bench.links[-1][0].text == "GATEWAY_OFFLINE" and "T1" not in bench.links[-1][0].reason
+
+
+def test_a_status_whose_controller_is_no_object_is_refused(bench):
+    before = bench.shown(following().gateway.status())
+    for wrong in ("T1", {"sentence": ["T1"]}, {"sentence": {}}):
+        assert bench.shown(following().gateway.status() | {"controller": wrong}) == before
+    assert bench.refused == {"status": 3}
+
+
+def test_a_change_of_the_playout_is_shown(bench):
+    status = following().gateway.status()
+    bench.shown(status)
+    status["playout"]["delay_ms"] = 36.0
+    assert bench.shown(status)["playout_delay_ms"] == "36"
+
+
+def test_a_status_whose_playout_cannot_be_read_changes_nothing_and_is_counted(bench):
+    status = following().gateway.status()
+    before = bench.shown(status)
+    spoilt = status | {"state": "offline", "playout": {"delay_ms": [1]}}
+    assert bench.shown(spoilt) == before
+    assert bench.links[-1][0].gateway_state == "following"
+    assert bench.refused == {"status": 1}
+
+
 # -- counters and threads ----------------------------------------------------------------------------------------------
+
+
+def test_counters_may_grow_in_other_threads_while_they_are_reported(clocks, monkeypatch):
+    """What is refused for a new reason in the MQTT thread must not end the report, and with it the node, in motion."""
+    monkeypatch.setattr(diagnostics.diagnostic_updater, "Updater", lambda: SimpleNamespace(
+        setHardwareID=lambda name: None, add=lambda name, task: None, update=lambda: None))  # fmt: skip
+    monkeypatch.setattr(diagnostics, "Publisher", lambda *_, **__: None)
+    monkeypatch.setattr(diagnostics.rospy, "Timer", lambda *_: None)
+    monkeypatch.setattr(diagnostics.rospy, "logwarn_throttle", lambda *_: None)
+    bench = BridgeBench(clocks, diagnostics=lambda report: diagnostics.NodeDiagnostics("arm", report))
+    bench.connect()
+    status = json.dumps(following().gateway.status()).encode()
+    interval, ended = sys.getswitchinterval(), threading.Event()
+
+    def refuse():
+        number = 0
+        while not ended.is_set():
+            number += 1
+            bench.diagnostics.refuse(f"state_{number % 4000}", "no")
+            bench.bridge.on_status(status)
+
+    threads = [threading.Thread(target=refuse) for _ in range(2)]
+    sys.setswitchinterval(1e-6)
+    try:
+        for thread in threads:
+            thread.start()
+        for _ in range(300):
+            clocks.run(1.1)
+            bench.bridge.poll()
+            bench.bridge.report()
+    finally:
+        ended.set()
+        sys.setswitchinterval(interval)
+        for thread in threads:
+            thread.join()
+    assert len(bench.links) == 300 and bench.links[-1][0].states_refused > 0
 
 
 # -- clocks ------------------------------------------------------------------------------------------------------------
@@ -133,6 +229,17 @@ def test_a_second_source_of_speed_limit_is_refused_as_by_the_executor(bench):
     assert [control.value for control in bench.client.controls if control.verb == "speed_limit"] == [0.2]
 
 
+def test_speed_limits_go_to_the_gateway_numbered_upwards(bench):
+    bench.arm()
+    session = bench.links[-1][0].session
+    for _ in range(50):
+        bench.bridge.on_speed_limit(limit(0.5))
+        bench.step()
+    sent = [control for control in bench.client.controls if control.verb == "speed_limit"]
+    assert [(control.session, control.value) for control in sent] == [(session, 0.5)] * len(sent)
+    assert [control.id for control in sent] == [str(k) for k in range(1, len(sent) + 1)] and len(sent) >= 4
+
+
 def test_mirror_mode_is_kept_where_the_next_process_finds_it(clocks):
     kept = []
     bench = BridgeBench(clocks, remember_mirror=kept.append)
@@ -154,6 +261,14 @@ def test_without_a_master_halt_and_mirror_are_carried_out_all_the_same(clocks):
     answer = bench.ask("mirror", data=True)
     assert answer.success and "would not outlast this node" in answer.message
     assert bench.bridge.on_halt(None).success
+
+
+def test_a_bridge_that_is_told_so_begins_in_mirror_mode(clocks):
+    bench = BridgeBench(clocks, mirrors=True)
+    bench.connect()
+    for _ in range(20):
+        bench.step()
+    assert bench.bridge.link is LinkState.MIRROR and bench.client.controls == []
 
 
 def test_halt_is_published_before_it_is_logged_or_anything_else_is_done(bench, monkeypatch):
@@ -180,6 +295,21 @@ def test_halt_without_a_broker_says_that_the_gateway_brakes_by_itself(bench):
 
 
 # -- strings that are refused, and the bare PLC --------------------------------------------------------------------
+
+
+def test_a_reset_that_fails_because_strings_are_refused_says_that(bench):
+    bench.arm()
+    for _ in range(30):
+        clocks = bench.clocks
+        clocks.run(0.02)
+        bench.bridge.on_status(json.dumps(bench.gateway).encode())
+        bench.bridge.on_state(b"+005.730,-057.29", [], False)
+        bench.bridge.poll()
+    answer = bench.ask("reset")
+    assert not answer.success
+    assert answer.message.startswith(
+        "cannot reset: the arm's pose is unknown, because its strings are refused (30 of them): 16 bytes b'+005.730,-057.29'; "
+    )
 
 
 def halted_meanwhile(bench, step):
@@ -254,6 +384,26 @@ def test_a_reset_that_failed_is_withdrawn_at_the_gateway_before_it_is_answered(b
     assert answer.success, answer.message
 
 
+def test_a_stop_that_comes_while_a_reset_waits_is_answered_at_once(bench):
+    bench.arm()
+    bench.gateway |= {"state": "holding", "session": "", "fault": True, "fault_number": 1}
+    bench.step()
+    bench.commands = False
+    began, go_on = bench.clocks.steady, answering(bench)
+
+    def stopped():
+        if bench.clocks.steady > began + 100_000_000 and bench.gateway["fault_number"] == 1:
+            bench.gateway |= {"state": "holding", "fault": True, "fault_number": 2, "reason": "stop: by anna"}
+        go_on()
+
+    bench.clocks.while_waiting = stopped
+    answer = bench.ask("reset")
+    assert answer.message.startswith(
+        "not armed: NEEDS_RESET, gateway was stopped since the call (stop 2): stop: by anna"
+    )
+    assert not answer.success and bench.clocks.steady - began < 300_000_000
+
+
 def test_an_end_of_mirror_mode_that_arms_nothing_in_time_says_so_and_arms_nothing_later(bench):
     bench.arm_and_rest()
     go_on = bench.clocks.while_waiting = answering(bench)
@@ -267,6 +417,28 @@ def test_an_end_of_mirror_mode_that_arms_nothing_in_time_says_so_and_arms_nothin
     for _ in range(500):
         go_on()
         assert bench.bridge.link is LinkState.NEEDS_RESET
+
+
+def test_two_gateways_are_named_and_the_other_one_s_words_are_counted(bench):
+    bench.arm()
+    bench.bridge.on_status(json.dumps(bench.gateway | {"run": "other", "state": "no_controller"}).encode())
+    bench.bridge.poll()
+    link = bench.links[-1][0]
+    assert link.text == "MISMATCH" and "run other and run run1" in link.reason and bench.refused == {"status": 1}
+    answer = bench.ask("reset")
+    assert not answer.success and "run other and run run1" in answer.message
+
+
+def test_a_person_s_arming_that_is_halted_meanwhile_is_answered_at_once(clocks):
+    bench = BridgeBench(clocks, kind="plc")
+    bench.connect()
+    bench.run_bare(20)
+    # no command comes, so that twin and arm do not meet
+    at = halted_meanwhile(bench, lambda: bench.run_bare(commands=False))
+    answer = bench.ask("arm", responsible="Ada")
+    assert not answer.success
+    assert answer.message.startswith("not armed: halt was called meanwhile: NEEDS_RESET, ")
+    assert bench.clocks.steady - at[0] <= 40_000_000
 
 
 def test_a_bare_plc_is_armed_by_name_and_sent_strings_alone(clocks):
@@ -300,12 +472,33 @@ def test_a_bare_plc_is_armed_by_name_and_sent_strings_alone(clocks):
     assert bench.bridge.link is LinkState.NEEDS_RESET and len(bench.client.streamed) == sent
 
 
+def test_a_bare_plc_whose_poses_do_not_meet_the_twin_is_not_armed_later(clocks):
+    bench = BridgeBench(clocks, kind="plc")
+    bench.connect()
+    bench.run_bare(20)
+    bench.clocks.while_waiting = lambda: bench.run_bare(commands=False)
+    answer = bench.ask("arm", responsible="Ada")
+    assert not answer.success and answer.message.startswith("not armed within 1 s: RESYNC")
+    bench.run_bare(50)
+    assert bench.bridge.link is LinkState.NEEDS_RESET and bench.client.streamed == []
+
+
 def waiting_for_a_name(clocks) -> BridgeBench:
     bench = BridgeBench(clocks, kind="plc")
     bench.connect()
     bench.run_bare(20)
     assert bench.bridge.link is LinkState.NEEDS_RESET
     return bench
+
+
+def test_a_bare_plc_that_is_armed_in_the_last_moment_is_not_said_to_be_unarmed(clocks):
+    bench = waiting_for_a_name(clocks)
+    end = clocks.steady + round(0.95 * NANOSECONDS)
+    clocks.while_waiting = lambda: bench.run_bare(30, True) if clocks.steady >= end else bench.run_bare(commands=False)
+    answer = bench.ask("arm", responsible="Ada")
+    assert answer.success is (bench.bridge.link is LinkState.ARMED), answer.message
+    bench.run_bare(50)
+    assert answer.success is (bench.bridge.link is LinkState.ARMED) is bool(bench.client.streamed)
 
 
 def test_a_second_person_s_refused_call_does_not_withdraw_the_first_one_s(clocks):
@@ -341,6 +534,14 @@ def test_a_person_whose_arming_was_halted_is_not_told_of_the_next_one_s_and_does
     assert bench.bridge.link is LinkState.ARMED
 
 
+def test_properties_beside_a_bare_plc_s_state_are_refused(clocks):
+    bench = BridgeBench(clocks, kind="plc")
+    bench.connect()
+    bench.bridge.on_state(b"+005.730,-057.296", [("seq", "1"), ("stamp", "1"), ("command_stamp", "0")], False)
+    bench.bridge.on_state(b"+005.730,-057.296", [], True)
+    assert bench.refused == {"state_properties": 1, "state_retained": 1} and bench.physical == []
+
+
 def test_what_answers_in_the_other_mode_is_named_with_the_argument(clocks):
     bench = BridgeBench(clocks)
     bench.connect()
@@ -365,6 +566,14 @@ def test_a_word_on_status_stops_nothing_while_the_gateway_answers(bench, word):
     bench.bridge.on_status(b"ready")
     bench.bridge.poll()
     assert bench.bridge.link is LinkState.MISMATCH and bench.refused == {"status": 1}
+
+
+def test_a_word_on_status_is_believed_once_the_gateway_is_silent(bench):
+    bench.arm()
+    bench.clocks.run(STATUS_TIMEOUT / NANOSECONDS + 0.02)
+    bench.bridge.on_status(b"ready")
+    bench.bridge.poll()
+    assert bench.bridge.link is LinkState.MISMATCH and bench.refused == {}
 
 
 def test_without_a_bare_plc_nobody_is_responsible(bench):

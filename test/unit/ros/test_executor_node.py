@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -25,7 +26,7 @@ from construction_twin.srv import (
     ReviewPlanRequest,
     StopPlanRequest,
 )
-from executor_bench import SCENE, Gripper, make_plan, make_work_plan
+from executor_bench import ROBOT, SCENE, Gripper, make_plan, make_work_plan, motion_back, plan_back, reach
 from executor_world import World, records
 
 from construction_twin.core.freshness import Moment
@@ -37,6 +38,8 @@ from construction_twin.execution.executor import ExecutorState
 from construction_twin.robot.segments import Switch
 from construction_twin.ros.messages.convert import plan_to_msg
 from construction_twin.ros.nodes import executor as module
+from construction_twin.ros.shared.deferred_log import KEPT, DeferredLog
+from construction_twin.ros.shared.diagnostics import ERROR
 from construction_twin.ros.transport.joint_stream import to_time
 
 
@@ -62,6 +65,29 @@ def test_a_verdict_on_the_other_arm_counts_by_its_stamp(world, monkeypatch, age,
     world.node.on_conflict(message)
     assert [reason for reason, _ in world.refused] == ["conflict_age"] * refused
     np.testing.assert_allclose(taken[0] / 1e9, age, atol=1e-8)
+
+
+def test_who_has_armed_a_bare_plc_is_recorded_once_and_with_the_verdict(world, tmp_path):
+    bare = {"gateway_kind": "plc", "responsible": "Grace", "not_checked": ["age: not known"]}
+    for _ in range(3):
+        world.node.on_link(Link(state=Link.RESYNC, session="s", **bare))
+    node = world.node
+    node.on_link(Link(state=Link.ARMED, session="s", **bare))
+    node.on_scene(Scene(hash=SCENE))
+    world.run(5)
+    plan = make_plan(asked_ns=world.booted)
+    world.executor.offer(plan)
+    assert node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, "")).success
+    armed, verdict = records(tmp_path)[:2]
+    assert (armed["record"], armed["responsible"], armed["not_checked"]) == (
+        "responsibility", "Grace", ["age: not known"],
+    )  # fmt: skip
+    assert (verdict["reviewer"], verdict["responsible"], verdict["not_checked"]) == ("Ada", "Grace", ["age: not known"])
+    # armed anew, in another session, is another record; not armed is none
+    node.on_link(Link(state=Link.NEEDS_RESET, session="s", gateway_kind="plc", not_checked=bare["not_checked"]))
+    node.on_link(Link(state=Link.ARMED, session="t", **bare))
+    node.do_background_work(True)
+    assert [line["session"] for line in records(tmp_path) if line["record"] == "responsibility"] == ["s", "t"]
 
 
 def test_who_has_asked_for_a_session_or_set_the_speed_limit_is_recorded(world, tmp_path):
@@ -175,6 +201,13 @@ class TestPlansThatAreTurnedDown:
         world.node.on_plan(message)
         world.run(1)
         return [(m[0].plan_id, m[0].approved, m[0].reason) for name, m in world.said if name == "review"]
+
+    def test_one_that_was_asked_for_before_a_stop(self, world):
+        asked = world.playing().booted - CYCLE_NS
+        world.node.on_stop(None)
+        world.run(100)
+        ((plan_id, approved, reason),) = self.offered(world, make_plan("late", asked_ns=asked))
+        assert (plan_id, approved) == ("late", False) and "before the last stop" in reason
 
     @pytest.mark.parametrize("step", [-0.05, -1.0, -10.0, -29.0, -60.0, -600.0, 10.0])
     @pytest.mark.parametrize("stop", ["on_stop", "on_pause"])
@@ -367,6 +400,14 @@ class TestAge:
         assert node.on_resume(None).success and node.on_stop(None).success
 
 
+def test_a_full_log_forgets_the_oldest_lines():
+    log, lines = DeferredLog(), []
+    for k in range(KEPT + 5):
+        log.add(lines.append, k)
+    log.flush()
+    assert lines[0] == 5 and log.flush() is None
+
+
 def test_a_verdict_is_published_with_its_reason(world):
     world.run(5).executor.offer(make_plan("p", asked_ns=world.booted))
     world.executor.offer(make_plan("q", asked_ns=world.booted))
@@ -374,6 +415,19 @@ def test_a_verdict_is_published_with_its_reason(world):
     (verdict,) = [message[0] for name, message in world.said if name == "review"]
     assert (verdict.plan_id, verdict.approved, verdict.reviewer) == ("p", False, "executor")
     assert verdict.reason == "replaced by plan q"
+
+
+def test_an_approval_without_a_reason_is_no_warning(world, monkeypatch):
+    warned, told = [], []
+    monkeypatch.setattr(rospy, "logwarn", lambda *words: warned.append(words[0] % words[1:]))
+    monkeypatch.setattr(rospy, "loginfo", lambda *words: told.append(words[0] % words[1:]))
+    world.playing()
+    assert world.node.on_pause(None).success
+    world.node.write_records()
+    assert warned == []
+    assert [line for line in told if line.endswith(" approved by Ada")] and [
+        line for line in told if line.startswith("pause: ")
+    ]
 
 
 def test_no_client_is_trusted_with_a_real_arm():
@@ -501,10 +555,26 @@ class TestWorkPlan:
         stamps = [message[0] for name, message in work.said if name == "next/joint_states"]
         assert command.stamp.to_nsec() in stamps and command.header.stamp < command.stamp
 
+    def test_the_verdict_names_task_and_segments(self, work, tmp_path):
+        plan = make_work_plan(asked_ns=work.booted + NANOSECONDS)
+        work.approved(plan)
+        (verdict,) = [line for line in records(tmp_path) if line["record"] == "verdict"]
+        assert (verdict["task"], verdict["segments"]) == ("t1", ["to stock", "approach", "lift", "carry"])
+        assert verdict["trajectory"] == plan.hash != plan.trajectory.content_hash()
+
     def test_a_report_that_makes_no_sense_is_refused_and_counted(self, work):
         work.node.on_tool(ToolState(known=True, inputs=["gripped"]))
         work.node.on_tool(ToolState(known=True, switch_ids=["a"], switch_states=[9], switch_reasons=[""]))
         assert [reason for reason, _ in work.refused] == ["tool", "tool"] and not work.executor.tool.known
+
+    def test_in_an_engaged_segment_the_disk_knows_it_and_outside_not(self, work, tmp_path):
+        file = tmp_path / "engagement.json"
+        work.approved().until(lambda: work.executor.segment_run is not None and work.executor.segment_run.number == 0)
+        assert not file.exists()
+        work.until(lambda: work.executor.segment_run.number == 1)
+        assert json.loads(file.read_text())["segment"] == "approach"
+        work.until(lambda: work.executor.segment_run.number == 3)
+        assert not file.exists()
 
 
 class TestEngaged:
@@ -515,6 +585,36 @@ class TestEngaged:
         assert [(signal.name, signal.value) for signal in message.requires] == [("gripped", True)]
         assert 0.8 < message.end < 1.6 and "stop requested" in message.reason
         assert work.messages("execution")[-1].engaged
+
+    def test_no_other_plan_waits_for_review(self, work):
+        work.left_in_lift()
+        pose = [message[1] for name, message in work.said if name == "next/joint_states"][-1]
+        plan = make_plan("other", reach(pose, ROBOT.home), "5ce1e", work.booted + NANOSECONDS)
+        work.node.on_plan(plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
+        assert work.executor.under_review.plan is None and "is not the way back" in work.refused[-1][1]
+
+    def test_the_way_back_leads_out_and_the_file_goes(self, work, tmp_path):
+        work.left_in_lift().run(3)
+        left = work.executor.engagement.present
+        pose = [message[1] for name, message in work.said if name == "next/joint_states"][-1]
+        motion = motion_back(left.path, left.path.entry(pose).time)
+        plan = plan_back(motion, left.requires(work.executor.tool), "5ce1e", asked_ns=work.booted + NANOSECONDS)
+        work.node.on_plan(plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
+        assert work.node.on_review(ReviewPlanRequest("back", plan.hash, True, "Ada", "", False, "")).success
+        work.until(lambda: work.executor.outcome == "finished").run(3)
+        assert not (tmp_path / "engagement.json").exists() and not work.messages("engagement")[-1].engaged
+
+    def test_survives_a_kill(self, work, monkeypatch, tmp_path):
+        work.approved().until(lambda: work.executor.segment_run is not None and work.executor.segment_run.number == 2)
+        work.node.write_records()
+        # a killed process closes nothing by itself; the kernel does
+        work.log.close()
+        again = WorkWorld(monkeypatch, tmp_path)
+        assert again.executor.engagement.engaged
+        assert again.executor.engagement.present.reason == "the executor ended before the plan did"
+        again.node.keep_engagement()
+        assert again.messages("engagement")[-1].engaged
+        assert again.node.report().sentence.startswith("the arm was left in engaged segment 'lift' of plan w")
 
     def test_is_released_in_a_person_s_name_and_recorded(self, work, tmp_path):
         work.left_in_lift()
@@ -542,3 +642,26 @@ class TestEngaged:
         assert not answer.success and "too old" in answer.message and work.executor.engagement.engaged
         kept, corrected = (line for line in records(tmp_path) if line["record"] == "release")
         assert kept["refused"] == "" and "too old" in corrected["refused"]
+
+    def test_is_not_released_while_the_arm_moves(self, work, tmp_path):
+        work.left_in_lift().run(3)
+        left = work.executor.engagement.present
+        pose = [message[1] for name, message in work.said if name == "next/joint_states"][-1]
+        motion = motion_back(left.path, left.path.entry(pose).time)
+        plan = plan_back(motion, left.requires(work.executor.tool), "5ce1e", asked_ns=work.booted + NANOSECONDS)
+        work.node.on_plan(plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
+        assert work.node.on_review(ReviewPlanRequest("back", plan.hash, True, "Ada", "", False, "")).success
+        work.run(20)
+        answer = work.node.on_release(ReleaseEngagementRequest(person="Ada", reason="by hand"))
+        assert not answer.success and "release the arm when it is at rest" in answer.message
+        assert [line for line in records(tmp_path) if line["record"] == "release"] == []
+
+    def test_a_disk_that_fails_is_said_and_keeps_the_arm_out(self, work, tmp_path):
+        (tmp_path / "engagement.json").mkdir()
+        work.approved().until(
+            lambda: work.executor.state is ExecutorState.AT_BOUNDARY and work.executor.segment_run.number == 0
+        )
+        work.run(100)
+        assert work.executor.state is ExecutorState.AT_BOUNDARY and work.executor.segment_run.number == 0
+        report = work.node.report()
+        assert report.level == ERROR and str(tmp_path / "engagement.json") in report.sentence

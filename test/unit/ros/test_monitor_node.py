@@ -165,6 +165,10 @@ def test_sync_is_told_at_its_rate_in_motion_and_while_the_gate_is_closed_and_les
     assert len(world.syncs()) == 50
 
 
+def test_settings_of_this_test_are_all_there_are():
+    assert set(SETTINGS) | {"thresholds"} == set(Behaviour.model_fields)
+
+
 class TestSettings:
     def test_change_at_rest_and_are_recorded(self, world):
         node = opened(world)
@@ -178,6 +182,11 @@ class TestSettings:
         # what was changed before stays changed
         assert world.change(node, "{policy: stop}").success
         assert (world.gate.settings.agree_time, world.gate.settings.policy) == (0.2, "stop")
+
+    def test_that_are_the_same_are_no_transition(self, world):
+        node = opened(world)
+        world.said.clear()
+        assert world.change(node, "{policy: replan}").message == "nothing to change" and world.said == []
 
     @pytest.mark.parametrize(
         "settings, operator, problem",
@@ -213,6 +222,16 @@ class TestSettings:
         assert not answer.success and f"plan p is {state}" in answer.message
         node.on_execution(Execution(state=Execution.IDLE, text="IDLE", plan_id="p"))
         assert world.change(node, "{threshold: 0.5}").success
+
+    def test_are_not_even_read_unless_a_named_person_asks_at_rest(self, world, monkeypatch):
+        node = opened(world)
+        monkeypatch.setattr(Behaviour, "changed", lambda *_: pytest.fail("read the settings"))
+        assert "operator" in world.change(node, "{policy: stop}", "").message
+        node.on_execution(Execution(state=Execution.PLAYING, text="PLAYING", plan_id="p"))
+        assert "plan p" in world.change(node, "{policy: stop}").message
+        node.on_execution(Execution(state=Execution.IDLE, text="IDLE", plan_id="p"))
+        node.on_link(Link(session="s1", state=Link.MIRROR))
+        assert "the arm leads" in world.change(node, "{policy: stop}").message
 
 
 def test_a_plan_without_points_is_refused_with_a_sentence(world):
@@ -305,6 +324,11 @@ class TestClocks:
         node.watch()
         assert world.syncs()[-1] == "STALE"
 
+    def test_changes_are_reported_in_ros_time(self, world):
+        node = opened(world)
+        node.on_feedback(*feedback(world, 0.2))
+        assert [change.at for name, change in world.said if name == "transitions"][-1] == world.wall
+
 
 class TestReplan:
     def offer(self, node, velocity_use=(0.2, 0.1), segments=()) -> None:
@@ -329,6 +353,14 @@ class TestReplan:
         node = opened(world)
         self.offer(node, segments=[Segment(name="carry")])
         node.on_execution(Execution(state=Execution.PLAYING, plan_id="p"))
+        node.on_feedback(*feedback(world, 0.2))
+        assert world.gate.state is SyncState.HOLDING and not world.planned.is_set()
+
+    @pytest.mark.parametrize("state", [Execution.PAUSING, Execution.PAUSED, Execution.STOPPING, Execution.IDLE])
+    def test_what_a_person_has_halted_is_not_re_planned(self, world, state):
+        node = opened(world)
+        self.offer(node)
+        node.on_execution(Execution(state=state, plan_id="p"))
         node.on_feedback(*feedback(world, 0.2))
         assert world.gate.state is SyncState.HOLDING and not world.planned.is_set()
 
@@ -396,3 +428,20 @@ def test_it_publishes_where_the_servos_should_have_the_arm_and_says_that_it_judg
     assert len(published) > 60 and published[-1] == pytest.approx(HOME, abs=1e-6)
     values = node.report().values
     assert values["servo model"] == "judges" and values["compared with it"] > 0
+
+
+def test_without_a_model_it_publishes_none_and_says_so(world):
+    node = world.start()
+    cycles(world, node, HOME, 60)
+    assert [name for name, _ in world.said if name == "expected/joint_states"] == []
+    assert node.report().values["servo model"].startswith("none")
+
+
+def test_it_publishes_expected_poses_only_with_a_model_and_an_arm():
+    (topic,) = (each for each in module.INTERFACE.publishes if each.topic == "expected/joint_states")
+    plain = SETTINGS | {"decimals": 3, "transition_file": "t"}
+    told = [
+        topic.when(module.Settings(**plain | {"arm": arm, "servo_model": file}))
+        for arm, file in (("mock", "servos.yaml"), ("mock", ""), ("none", "servos.yaml"))
+    ]
+    assert told == [True, False, False]

@@ -130,6 +130,28 @@ def bench(monkeypatch):
     return Bench()
 
 
+def test_more_verdicts_than_may_wait_are_refused_counted_and_answered(bench):
+    bench.deliver("review", b"{")
+    for _ in range(WAITING + 2):
+        bench.verdict()
+    answers = [json.loads(payload) for topic, payload in bench.client.published if topic.endswith("/ack")]
+    assert bench.made.refused == {"review": 1, "busy": 2} and [answer["ok"] for answer in answers] == [False] * 3
+
+
+@pytest.mark.parametrize("error", [TransportTerminated("x"), ConnectionResetError("x"), rospy.ServiceException("x")])
+def test_an_executor_that_goes_away_during_the_call_is_told(bench, error):
+    bench.error = error
+    bench.carry_out()
+    answer = json.loads(bench.client.published[-1][1])
+    assert not answer["ok"] and "/kr120/review_plan does not answer: x" in answer["reason"]
+
+
+def test_a_verdict_that_was_carried_out_is_answered_and_counted(bench):
+    bench.carry_out()
+    assert json.loads(bench.client.published[-1][1])["ok"]
+    assert bench.node.report().values == {"verdicts taken": 1}
+
+
 def test_what_its_screen_had_shown_goes_to_the_executor_with_it_and_that_it_was_too_old_comes_back(bench):
     bench.answer = ReviewFromScreenResponse(False, "the approval is too old", True)
     bench.carry_out()
@@ -145,6 +167,16 @@ def test_on_a_site_a_verdict_in_no_name_is_refused_and_told_where_it_belongs(mon
     answer = json.loads(site.client.published[-1][1])
     assert not answer["ok"] and "publish it on review/<account>" in answer["reason"]
     assert site.made.refused == {"sender": 1}
+
+
+@pytest.mark.parametrize("account", ["", "kr120-reviewer-ada"])
+def test_a_verdict_that_cannot_be_read_is_answered_to_the_account(bench, account):
+    bench.deliver(f"review/{account}" if account else "review", b"{}")
+    answer = json.loads(bench.client.published[-1][1])
+    assert answer.pop("reason")
+    assert answer == {
+        "plan_id": "", "plan_hash": "", "verdict": "", "reviewer": account, "account": account, "ok": False, "expired": False,
+    }  # fmt: skip
 
 
 #: What is refused, and what its answer repeats all the same.
@@ -174,6 +206,16 @@ def test_what_is_refused_is_answered_with_whatever_can_be_read_of_it(bench, topi
     assert not answer["ok"] and {name: answer[name] for name in repeated} == repeated
 
 
+@pytest.mark.parametrize("account, reviewer", [("", "Ann"), ("kr120-reviewer-ada", "kr120-reviewer-ada")])
+def test_the_answer_names_what_it_answers(bench, account, reviewer):
+    verdict = {"plan_id": "p1", "plan_hash": "cafe", "verdict": "approved", "reviewer": "Ann"}
+    bench.deliver(f"review/{account}" if account else "review", json.dumps(verdict | {"moment": MOMENT}).encode())
+    bench.node.approvals.run()
+    assert json.loads(bench.client.published[-1][1]) == verdict | {
+        "reviewer": reviewer, "account": account, "ok": True, "reason": "approved", "expired": False,
+    }  # fmt: skip
+
+
 def test_who_floods_with_what_cannot_be_read_is_not_always_answered_and_a_verdict_is(bench):
     for _ in range(100):
         bench.deliver("review/kr120-reviewer-ada", b"{")
@@ -186,6 +228,13 @@ def test_who_floods_with_what_cannot_be_read_is_not_always_answered_and_a_verdic
     for _ in range(WAITING + 50):
         bench.verdict()
     assert len(bench.client.published) == answered + 1 + 50
+
+
+def test_on_a_site_a_verdict_in_no_name_is_answered_as_often_as_it_comes(monkeypatch):
+    site = Bench("/nowhere/account.json")
+    for _ in range(100):
+        site.verdict()
+    assert len(site.client.published) == 100 and site.made.refused == {"sender": 100}
 
 
 def reviews(bench):
@@ -207,6 +256,16 @@ def test_a_rejection_does_not_wait_behind_an_approval_whose_record_waits_for_a_d
     wait_until(lambda: len(reviews(bench)) == 2, what="the approval's answer")
     ended.set()
     approving.join(10.0)
+
+
+def test_a_rejection_asks_no_master_while_the_connection_to_the_executor_stands(bench, monkeypatch):
+    def no_master(name, timeout):
+        raise rospy.ROSException(f"timeout exceeded while waiting for service {name}")
+
+    monkeypatch.setattr(rospy, "wait_for_service", no_master)
+    bench.carry_out("rejected")
+    bench.carry_out()
+    assert [answer["ok"] for answer in reviews(bench)] == [True, False]
 
 
 def fail(*_given, **_named):
@@ -279,6 +338,17 @@ def test_a_stop_waits_for_nothing_else(pressing):
 
 
 @pytest.mark.parametrize("verb", [STOP, PAUSE])
+def test_a_stop_asks_no_master_while_the_connection_to_the_executor_stands(pressing, monkeypatch, verb):
+    def no_master(name, timeout):
+        raise rospy.ROSException(f"timeout exceeded while waiting for service {name}")
+
+    monkeypatch.setattr(rospy, "wait_for_service", no_master)
+    press(pressing, verb)
+    wait_until(lambda: acks(pressing, verb), what="an answer")
+    assert acks(pressing, verb)[0]["ok"] and pressing.pressed == [verb]
+
+
+@pytest.mark.parametrize("verb", [STOP, PAUSE])
 def test_a_press_is_answered_although_the_log_fails_and_the_next_one_is_taken(pressing, monkeypatch, verb):
     monkeypatch.setattr(rospy, "loginfo", fail)
     for number in range(2):
@@ -309,6 +379,17 @@ def test_no_press_waits_for_the_log_of_the_one_before(pressing, monkeypatch, ver
             writer.start()
     hangs.set()
     writer.join(10.0)
+
+
+def test_a_pause_waits_for_no_resume_that_waits_for_the_master(pressing):
+    resume = pressing.services[RESUME]
+    resume.free.clear()
+    press(pressing, "resume")
+    press(pressing, "pause", "2")
+    wait_until(lambda: acks(pressing, "pause"), what="the answer to the pause")
+    assert pressing.pressed == ["pause"] and acks(pressing, "pause")[0]["id"] == "2"
+    resume.free.set()
+    wait_until(lambda: len(acks(pressing, "pause")) == 2, what="the answer to the resume")
 
 
 def test_a_resume_for_which_there_was_no_room_may_be_pressed_again(bench):
@@ -346,12 +427,56 @@ def test_a_resume_that_came_before_starts_nothing_again(pressing):
     assert pressing.pressed == ["resume", "pause", "resume"] and pressing.made.refused == {"repeated": 1}
 
 
+@pytest.fixture
+def hurried():
+    """Threads that give way to each other at almost every step."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    yield
+    sys.setswitchinterval(before)
+
+
+def test_what_starts_something_is_pressed_by_several_people_at_once(pressing, hurried):
+    def go_on(verb):
+        for number in range(150):
+            press(pressing, verb, str(number), account=f"kr120-{verb}-bob")
+            wait_until(lambda: pressing.pressed.count(verb) > number, what=f"{verb} {number}")
+
+    people = [threading.Thread(target=go_on, args=(verb,)) for verb in STARTING]
+    for person in people:
+        person.start()
+    for person in people:
+        person.join()
+    assert {verb: pressing.pressed.count(verb) for verb in STARTING} == dict.fromkeys(STARTING, 150)
+    assert not pressing.made.refused
+
+
+def test_a_resume_that_was_too_old_is_told(pressing):
+    pressing.services[RESUME].success, pressing.services[RESUME].expired = False, True
+    press(pressing, "resume", "7")
+    wait_until(lambda: acks(pressing, "pause"), what="an answer")
+    (answer,) = acks(pressing, "pause")
+    assert (answer["id"], answer["ok"], answer["expired"]) == ("7", False, True)
+
+
 @pytest.mark.parametrize("verb", [STOP, PAUSE])
 def test_a_stop_and_a_pause_are_carried_out_and_answered_as_often_as_they_come(pressing, verb):
     for _ in range(3):
         press(pressing, verb, "the same")
     wait_until(lambda: len(acks(pressing, verb)) == 3, what="three answers")
     assert pressing.pressed == [verb] * 3 and not pressing.made.refused
+
+
+@pytest.mark.parametrize("verb, ack", [("stop", "stop"), ("pause", "pause"), ("resume", "pause")])
+def test_what_is_no_press_is_refused_counted_and_answered(pressing, verb, ack):
+    press(pressing, verb, payload=b"{}")
+    press(pressing, verb, retain=True)
+    press(pressing, verb, account="no account")
+    assert pressing.made.refused == {verb: 1, "retained": 1, "sender": 1}
+    answers = acks(pressing, ack)
+    assert [answer["ok"] for answer in answers] == [False] * 3
+    assert [answer["account"] for answer in answers] == ["kr120-stopper-bob", "kr120-stopper-bob", ""]
+    assert pressing.pressed == []
 
 
 @pytest.mark.parametrize("verb, ack", [("stop", "stop"), ("pause", "pause"), ("resume", "pause")])
@@ -364,6 +489,12 @@ def test_who_floods_with_what_is_no_press_is_not_always_answered_and_a_press_is(
     press(pressing, verb, "7")
     wait_until(lambda: len(acks(pressing, ack)) > answered, what="an answer")
     assert (acks(pressing, ack)[-1]["id"], acks(pressing, ack)[-1]["ok"]) == ("7", True)
+
+
+def test_answers_are_no_presses(pressing):
+    press(pressing, "stop", account="ack")
+    press(pressing, "pause", account="ack")
+    assert not pressing.client.published and not pressing.made.refused
 
 
 def test_more_than_may_wait_are_refused_and_answered(bench):
@@ -422,6 +553,22 @@ def test_a_session_is_asked_for_in_the_name_of_the_account(pressing, verb):
     assert pressing.pressed == [verb], "QoS 1 may deliver twice"
 
 
+@pytest.mark.parametrize("verb", [RESET, ARM])
+@pytest.mark.parametrize("payload, retain", [(b'{"id": "1"}', False), (b"{}", False), (None, True)])
+def test_a_session_is_asked_for_with_a_moment_and_never_stored(pressing, verb, payload, retain):
+    press(pressing, verb, payload=payload, retain=retain)
+    wait_until(lambda: acks(pressing, verb), what="an answer")
+    assert not acks(pressing, verb)[0]["ok"] and pressing.pressed == []
+
+
+def test_a_stop_waits_for_no_reset(pressing):
+    pressing.services[RESET].free.clear()
+    press(pressing, RESET)
+    press(pressing, STOP)
+    wait_until(lambda: acks(pressing, STOP), what="the answer to the stop")
+    pressing.services[RESET].free.set()
+
+
 def answering(bench, monkeypatch, now=5.0):
     """Let the bench's node have a work to answer to, and a clock."""
     asked = []
@@ -465,6 +612,14 @@ def test_an_answer_to_what_was_shown_long_ago_is_void(pressing, monkeypatch):
     assert pressing.made.refused == {"too_old": 1}
 
 
+@pytest.mark.parametrize("missing", sorted(ANSWER))
+def test_an_answer_names_everything(pressing, monkeypatch, missing):
+    asked = answering(pressing, monkeypatch)
+    pressing.deliver("answer/ada", json.dumps({key: ANSWER[key] for key in ANSWER if key != missing}).encode())
+    wait_until(lambda: acks(pressing, "answer"), what="an answer")
+    assert not acks(pressing, "answer")[0]["ok"] and asked == []
+
+
 def limiting(bench, expired=False):
     """Let the bench's node have somebody who holds the speed limit."""
     asked, free = [], threading.Event()
@@ -497,6 +652,14 @@ def test_a_speed_limit_goes_on_in_the_name_of_the_account_and_is_answered(pressi
     assert pressing.node.report().values["speed limits taken"] == 1
 
 
+def test_that_a_raise_was_too_old_comes_back(pressing):
+    asked, _ = limiting(pressing, expired=True)
+    pressing.deliver("speed/dora", json.dumps({"id": "7", "limit": 0.9, "moment": MOMENT}).encode())
+    wait_until(lambda: acks(pressing, "speed"), what="an answer")
+    assert [(answer["ok"], answer["expired"]) for answer in acks(pressing, "speed")] == [(False, True)]
+    assert asked[0]["moment"] == MOMENT
+
+
 def test_a_lower_limit_waits_for_no_raise(pressing):
     asked, free = limiting(pressing)
     free.clear()
@@ -505,6 +668,18 @@ def test_a_lower_limit_waits_for_no_raise(pressing):
     wait_until(lambda: acks(pressing, "speed"), what="an answer")
     assert [fields["limit"] for fields in asked] == [0.2]
     free.set()
+
+
+@pytest.mark.parametrize(
+    "payload, retain, reason",
+    [(b'{"id": "1", "limit": 0.3}', True, "retained"), (b'{"id": "1", "limit": 0}', False, "values"),
+     (b'{"id": "1"}', False, "format"), (b"{", False, "format"), (b" " * 300, False, "size")],
+)  # fmt: skip
+def test_a_speed_limit_that_is_not_as_described_is_refused_counted_and_answered(pressing, payload, retain, reason):
+    asked, _ = limiting(pressing)
+    pressing.deliver("speed/dora", payload, retain)
+    assert [(answer["ok"], answer["limit"]) for answer in acks(pressing, "speed")] == [(False, 0.0)]
+    assert asked == [] and pressing.made.refused == {reason: 1}
 
 
 OVERRIDE = {
@@ -541,6 +716,13 @@ def test_an_override_that_lacks_a_reason_or_what_was_seen_or_that_is_no_approval
     bench.node.approvals.run(0.0)
     bench.node.rejections.run(0.0)
     assert bench.asked == [] and bench.made.refused == {"review": 1}
+
+
+def test_an_override_in_spite_of_no_result_says_so(bench):
+    bench.deliver("override_rehearsal/kr120-lead-eva", json.dumps(OVERRIDE | {"rehearsal_hash": ""}).encode())
+    bench.node.approvals.run()
+    (asked,) = bench.asked
+    assert (asked["override_rehearsal"], asked["rehearsal_hash"]) == (True, "")
 
 
 def test_what_comes_on_review_overrides_nothing(bench):
@@ -584,25 +766,7 @@ def test_what_a_rehearsal_has_found_is_shown_until_its_plan_is_decided(bench):
     assert shown_rehearsals(bench)[-1] == b""
 
 
-@pytest.fixture
-def hurried():
-    """Threads that give way to each other at almost every step."""
-    before = sys.getswitchinterval()
-    sys.setswitchinterval(1e-6)
-    yield
-    sys.setswitchinterval(before)
-
-
-def test_what_starts_something_is_pressed_by_several_people_at_once(pressing, hurried):
-    def go_on(verb):
-        for number in range(150):
-            press(pressing, verb, str(number), account=f"kr120-{verb}-bob")
-            wait_until(lambda: pressing.pressed.count(verb) > number, what=f"{verb} {number}")
-
-    people = [threading.Thread(target=go_on, args=(verb,)) for verb in STARTING]
-    for person in people:
-        person.start()
-    for person in people:
-        person.join()
-    assert {verb: pressing.pressed.count(verb) for verb in STARTING} == dict.fromkeys(STARTING, 150)
-    assert not pressing.made.refused
+def test_a_rehearsal_that_comes_after_the_verdict_is_not_shown(bench):
+    bench.node.on_verdict(Review(plan_id="p1"))
+    bench.node.on_rehearsal(rehearsed(state=PASSED))
+    assert shown_rehearsals(bench)[-1] == b""

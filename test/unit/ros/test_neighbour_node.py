@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import rospy
 from construction_twin.msg import Conflict
@@ -12,14 +13,16 @@ from planning_cell import ROBOT
 from sentence_checks import says
 
 from construction_twin.coordination.path_judge import Judgement
+from construction_twin.coordination.path_sweep import PathSweep
 from construction_twin.coordination.plan_book import PlanUnknownError
 from construction_twin.core.errors import PoseUnknownError
 from construction_twin.core.motion_errors import NeighbourUnknownError, PlanningError, SceneError
 from construction_twin.core.sentences import Sentence
 from construction_twin.ros.nodes import neighbour as neighbour_node
 from construction_twin.ros.nodes.neighbour import NeighbourNode
+from construction_twin.ros.shared import arm_listener
 from construction_twin.ros.shared.arm_listener import ArmPlans, OtherArm
-from construction_twin.ros.shared.diagnostics import ERROR, OK
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN
 from construction_twin.ros.shared.request_handler import OccupiedSpace, RequestHandler
 from construction_twin.scene.neighbour import Neighbour
 from construction_twin.scene.objects import Scene, SceneObject
@@ -120,6 +123,24 @@ def test_an_arm_of_unknown_shape_blocks_every_plan_and_is_an_error_on_diagnostic
     assert set(verdicts) == {"played", "waiting"} and bench.node.report().level == ERROR
 
 
+def test_an_arm_of_unknown_pose_is_a_warning(bench):
+    bench.other.unknown = "where b is, is not known"
+    bench.check()
+    assert (bench.node.report().level, bench.node.report().sentence) == (WARN, "where b is, is not known")
+
+
+def test_an_unexpected_exception_ends_the_process(bench, monkeypatch):
+    """`run` is the main thread's work: see `run_node`."""
+
+    def broken(*_):
+        raise ZeroDivisionError
+
+    bench.judge.followed = broken
+    monkeypatch.setattr(neighbour_node.rospy, "Rate", lambda _: None)
+    with pytest.raises(ZeroDivisionError):
+        bench.node.run()
+
+
 def listener(poses, plans=lambda: ArmPlans(None, 0, None), scene=EMPTY) -> SimpleNamespace:
     return SimpleNamespace(poses=poses, plans=plans, scene=scene, robot=ROBOT)
 
@@ -130,6 +151,19 @@ def heard(listens: SimpleNamespace) -> OtherArm:
 
 def arm(*known, **more) -> OtherArm:
     return heard(listener(*known, **more))
+
+
+@pytest.fixture
+def sweeps(monkeypatch) -> list[PathSweep]:
+    """The sweeps that the other arm makes of its paths."""
+    made: list[PathSweep] = []
+
+    def make(*given) -> PathSweep:
+        made.append(PathSweep(*given))
+        return made[-1]
+
+    monkeypatch.setattr(arm_listener, "PathSweep", make)
+    return made
 
 
 def here(*_):
@@ -153,10 +187,58 @@ def test_of_an_arm_whose_pose_or_path_nobody_knows_the_whole_reach_counts(found)
     assert found.occupied() == (ball,)
 
 
+def test_an_arm_that_is_found_again_takes_up_where_it_is():
+    listens = listener(nowhere)
+    found = heard(listens)
+    found.occupied()
+    listens.poses = here
+    assert len(found.occupied()) > 1 and found.unknown == ""
+
+
 def test_the_reach_holds_what_the_arm_carries():
     pole = SceneObject("pole", "box", (0.1, 0.1, 4.0), (0.0, 0.0, 2.0), link="tool0", touch=("link_6",))
     (bare,), (long,) = arm(nowhere).occupied(), arm(nowhere, scene=Scene((pole,), 0.0)).occupied()
     assert long.geometry.radius > bare.geometry.radius + 3.0
+
+
+LONG = plan(AWAY, AWAY + 0.3, "long", 40.0)
+
+
+def test_a_long_path_is_known_until_beyond_the_horizon_at_once_and_to_its_end_after_some_looks(sweeps):
+    found = arm(here, lambda: ArmPlans(LONG, 5, None))
+    counts = [len(found.occupied(horizon=3.0))]
+    assert not found.complete
+    ends = [sweeps[0].fraction * 40.0]
+    while not found.complete:
+        counts.append(len(found.occupied(horizon=3.0)))
+        ends.append(sweeps[0].fraction * 40.0)
+    assert ends[0] < 10.0 and all(0.0 < later - sooner <= 5.1 for sooner, later in zip(ends, ends[1:]))
+    assert counts == sorted(counts) and found.claim.since == 5
+
+
+def test_the_horizon_goes_with_the_arm(sweeps):
+    found = arm(lambda *_: (q, q), lambda: ArmPlans(LONG, 5, None))
+    for at in (0.0, 6.0, 11.0, 19.0):
+        q = LONG.trajectory.sample_many(np.array([at]))[0][0]
+        found.occupied(horizon=9.0)
+        assert sweeps[0].fraction * 40.0 >= at + 9.0
+
+
+def test_a_planner_asks_for_the_whole_path():
+    found = arm(here, lambda: ArmPlans(LONG, 5, None))
+    found.occupied()
+    assert found.complete
+
+
+def test_a_path_is_prepared_while_its_plan_waits(sweeps):
+    listens = listener(here, lambda: ArmPlans(None, 0, LONG))
+    found = heard(listens)
+    for _ in range(9):
+        assert found.claim is None and found.occupied(horizon=3.0)
+    assert sweeps[0].complete
+    listens.plans = lambda: ArmPlans(LONG, 5, None)
+    found.occupied(horizon=3.0)
+    assert len(sweeps) == 1 and found.complete
 
 
 @pytest.mark.parametrize("poses", [here, nowhere])

@@ -15,6 +15,7 @@ from executor_bench import make_plan
 from executor_world import World, records
 
 from construction_twin.core.errors import RecordError
+from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution import executor as library
 from construction_twin.execution.executor import ExecutorState
@@ -216,3 +217,30 @@ def test_and_of_what_goes_on_failing_not_before_the_arm_is_at_rest(world, monkey
     assert world.executor.state is (ExecutorState.PAUSED if which == "pause" else ExecutorState.IDLE)
     assert len(setpoints(world)) > begin + 3
     assert world.node.side_effects.counts() == {"the executor's state": len(setpoints(world)) - begin - 1}
+
+
+def test_a_log_that_fails_while_it_is_told_of_is_counted_and_not_told_of_again():
+    side_effects = SideEffects()
+    assert side_effects.run("the forecast", fail) is None and side_effects.run("the sum", sum, (1, 2)) == 3
+    for _ in range(3):
+        side_effects.write(fail)
+    assert side_effects.counts() == {"the forecast": 1, "the log": 1}
+    assert side_effects.sentence.startswith("the log failed beside an act") and "(2 so far)" in side_effects.sentence
+
+
+class Mute(Exception):
+    """An exception whose own text cannot be made."""
+
+    def __str__(self):
+        raise ValueError
+
+
+def test_an_exception_without_a_text_is_told_all_the_same():
+    side_effects, told = SideEffects(), []
+
+    def mute():
+        raise Mute
+
+    side_effects.run("the forecast", mute)
+    side_effects.write(lambda form, text: told.append(form % text))
+    assert "the forecast failed beside an act that was carried out in mute" in told[0] and "Mute" in told[0]

@@ -15,12 +15,13 @@ from executor_bench import ROBOT
 from processes import wait_until
 from unplugged import Unplugged
 
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.freshness import Moment
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.speed_limits import LEAST
 from construction_twin.ros.nodes import speed_limits as module
 from construction_twin.ros.nodes.speed_limits import NODE, PROGRAM, Settings
-from construction_twin.ros.shared.diagnostics import ERROR, OK
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN
 
 BOOT = "c0ffee00"
 RULES = {"speed_limit_deadline": 0.5, "speed_limit_silent": 0.1, "speed_limit_required": False, "arm": "mock"}
@@ -87,12 +88,48 @@ def test_nothing_is_published_before_anybody_limits(bench):
     assert bench.sent == [] and bench.node.report().level == OK
 
 
+def test_a_program_s_limit_is_in_force_at_once_and_its_silence_counts_as_before(bench):
+    bench.says(0.5)
+    assert (bench.limit, bench.sent[-1].by) == (0.5, "program")
+    assert bench.sent[-1].reason == "speed limit 0.5 by /kr120/separation: somebody is near"
+    bench.later(0.5)
+    assert bench.limit == 0.5
+    bench.later(0.05)
+    assert bench.limit == 0.1 and "silent for more than 0.5 s" in bench.sent[-1].reason
+    assert bench.node.report().level == WARN
+    bench.says(1.0)
+    assert (bench.limit, bench.sent[-1].by) == (1.0, "")
+
+
+def test_the_lowest_of_program_and_people_is_in_force_and_repeated(bench):
+    bench.says(0.5)
+    assert bench.sets(0.3).success and bench.limit == 0.3
+    bench.says(0.2)
+    assert (bench.limit, bench.sent[-1].people, bench.sent[-1].person) == (0.2, 0.3, "dora")
+    before = len(bench.sent)
+    for _ in range(5):
+        bench.later(0.05)
+    assert [message.limit for message in bench.sent[before:]] == [0.2] * 5
+
+
 def test_executor_and_gateway_are_kept_to_the_stricter_of_what_each_was_told(monkeypatch, tmp_path):
     gateway = GATEWAY | {"speed_limit_deadline": 0.3, "speed_limit_silent": 0.05}
     bench = Bench(monkeypatch, tmp_path, gateway=gateway)
     bench.says(0.5)
     bench.later(0.31)
     assert bench.limit == 0.05
+
+
+def test_without_an_arm_there_is_no_gateway_to_ask_and_no_file(monkeypatch, tmp_path):
+    bench = Bench(monkeypatch, tmp_path, gateway=None, arm="none")
+    bench.sets(0.3)
+    bench.node.write()
+    assert bench.limit == 0.3 and not bench.file.exists()
+
+
+def test_parameters_of_the_executor_that_make_no_sense_end_the_node_with_a_sentence(monkeypatch, tmp_path):
+    with pytest.raises(ConfigurationError, match="speed_limit_silent"):
+        Bench(monkeypatch, tmp_path, executor=RULES | {"speed_limit_silent": 2.0})
 
 
 def test_what_no_program_may_say_is_refused_and_counted(bench):
@@ -127,6 +164,16 @@ def test_each_limit_that_a_person_has_set_is_told_for_the_record(bench):
     assert [(each.person, each.limit, each.before, each.whose, each.stamp.to_sec()) for each in told] == [
         ("dora", 0.3, 1.0, "", 100.0), ("bob", 0.6, 0.3, "dora", 101.0),
     ]  # fmt: skip
+
+
+def test_a_raise_that_is_too_old_is_refused_counted_and_said(bench):
+    bench.sets(0.3)
+    bench.later(1.0)
+    seen = bench.shown()
+    bench.later(3.1)
+    answer = bench.sets(0.6, moment=seen)
+    assert (answer.success, answer.expired, answer.limit, bench.limit) == (False, True, 0.3, 0.3)
+    assert [reason for reason, _ in bench.made.refused] == ["too_old"]
 
 
 def test_lowering_is_in_force_before_a_disk_is_asked(bench, monkeypatch):
@@ -211,6 +258,19 @@ def test_on_a_full_disk_a_restart_raises_nothing(bench, monkeypatch):
     assert bench.node.report().level == OK
 
 
+def test_a_first_limit_on_a_disk_that_was_full_from_the_start_is_the_least(monkeypatch, tmp_path):
+    with monkeypatch.context() as patch:
+        full(patch, tmp_path / "nothing")
+        bench = Bench(patch, tmp_path)
+        bench.later(1.0)
+        assert bench.limit == LEAST and bench.node.report().level == ERROR
+        answer = bench.sets(0.5, moment=bench.shown())
+        assert not answer.success and "No space left" in answer.message and answer.limit == LEAST
+        bench.restart()
+        bench.later(1.0)
+        assert bench.limit == LEAST
+
+
 @pytest.mark.parametrize("call", ["open", "write", "fsync"])
 def test_what_cannot_be_written_at_all_is_obeyed_only_falls_and_is_not_known_after_a_restart(bench, monkeypatch, call):
     def fail(*_):
@@ -289,14 +349,12 @@ def test_a_file_that_cannot_be_written_is_said_and_tried_again(bench, monkeypatc
     assert bench.node.report().level == OK and json.loads(bench.file.read_text())["limit"] == 0.3
 
 
-def test_a_first_limit_on_a_disk_that_was_full_from_the_start_is_the_least(monkeypatch, tmp_path):
-    with monkeypatch.context() as patch:
-        full(patch, tmp_path / "nothing")
-        bench = Bench(patch, tmp_path)
-        bench.later(1.0)
-        assert bench.limit == LEAST and bench.node.report().level == ERROR
-        answer = bench.sets(0.5, moment=bench.shown())
-        assert not answer.success and "No space left" in answer.message and answer.limit == LEAST
-        bench.restart()
-        bench.later(1.0)
-        assert bench.limit == LEAST
+def test_a_program_that_was_heard_counts_as_silent_in_the_node_after_this_one(bench):
+    bench.says(0.05)
+    bench.later(0.05)
+    wait_until(lambda: bench.server[PROGRAM] == "0.05 /kr120/separation", what="the memory")
+    bench.restart()
+    bench.later(0.05)
+    assert bench.limit == 0.05 and "silent" in bench.sent[-1].reason
+    bench.says(0.9)
+    assert bench.limit == 0.9

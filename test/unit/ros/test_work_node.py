@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from construction_twin.msg import Execution, Plan, Scene, SceneObject, Segment
+from construction_twin.msg import Engagement, Execution, Plan, Scene, SceneObject, Segment
 from construction_twin.srv import WorkDecideRequest
+from executor_bench import ROOT
+from ifc_models import IfcModel
 from sentence_checks import key_of
 from work_bench import (
     AT_GOAL,
@@ -14,6 +16,7 @@ from work_bench import (
     GRIP,
     GRIPPED,
     IN_STOCK,
+    LEAVE,
     PLACED,
     TASK,
     Bench,
@@ -25,6 +28,7 @@ from construction_twin.core.work_errors import LedgerError
 from construction_twin.scene.objects import SceneObject as Body
 from construction_twin.work.built import pose_of_tuple
 from construction_twin.work.ledger import Ledger
+from construction_twin.work.worker import Worker
 
 FENCE = Body("fence", "box", (0.1, 0.1, 0.1), (-3.0, 0.0, 0.5))
 UP_TO_GRIPPED = ["offered", "planned", "begun", "gripping", "gripped"]
@@ -150,6 +154,21 @@ class TestEngaged:
         assert answer.success and key_of(answer.message) == "work.back.planned" and answer.plan_id != bench.plan.id
         assert bench.noted[1:] == [("plan_way_back", "stopped")]
 
+    def test_whoever_asks_before_the_node_has_followed_gets_the_same_order(self, bench):
+        answer = stopped_before_the_scene(bench).ask()
+        assert answer.success, answer.message
+        assert bench.events == [*UP_TO_GRIPPED, "stopped"]
+        assert bench.noted == [("edit_scene", "stopped"), ("plan_way_back", "stopped")]
+
+    def test_in_a_scene_that_is_right_the_way_back_is_planned_at_once(self, bench):
+        bench.carrying()
+        bench.noted.clear()
+        stopped(bench, CARRY)
+        bench.left_engaged("carry", after(bench, GRIP))
+        bench.run()
+        assert bench.noted == [] and bench.events[-1] == "stopped"
+        assert bench.ask().success and bench.noted == [("plan_way_back", "stopped")]
+
     def test_what_blocks_the_way_back_is_said_once_and_kept_until_it_is_gone(self, bench):
         gripping(bench)
         right = bench.scene
@@ -171,6 +190,18 @@ class TestEngaged:
         assert bench.tasks[-1].reason == Sentence("work.back.only")
         assert bench.ask().success
 
+    def test_another_obstacle_is_another_sentence(self, bench):
+        gripping(bench)
+        right = bench.scene
+        stopped(bench, GRIP, at_boundary=True)
+        bench.show(right.add(FENCE))
+        bench.left_engaged("grip", after(bench, GRIP))
+        bench.run()
+        bench.show(right.add(Body("pallet", "box", (0.1, 0.1, 0.1), (-3.0, 0.0, 0.5))))
+        bench.run()
+        assert ["'fence'" in said or "'pallet'" in said for _, said in bench.refused] == [True, True]
+        assert "'pallet'" in bench.tasks[-1].reason and "'fence'" not in bench.tasks[-1].reason
+
     def test_a_scene_that_the_scene_node_refuses_is_tried_again(self, bench):
         gripping(bench)
         bench.scene_refuses = "locked"
@@ -185,6 +216,23 @@ class TestEngaged:
         bench.scene_refuses = ""
         bench.run()
         assert bench.scene.hash == after(bench, GRIP) and bench.ask().success
+
+    def test_an_arm_that_was_freed_by_hand_is_not_blocked_any_more(self, bench):
+        gripping(bench)
+        bench.show(bench.scene.add(FENCE))
+        stopped(bench, GRIP, at_boundary=True)
+        bench.left_engaged("grip", after(bench, GRIP))
+        bench.run()
+        assert "fence" in bench.tasks[-1].reason
+        bench.heard.on_engagement(Engagement())
+        bench.execution(Execution.IDLE, plan_id=bench.plan.id, outcome="stopped")
+        bench.run()
+        assert not bench.tasks[-1].engaged and key_of(bench.tasks[-1].reason) == "work.asks_first"
+        # engaged there once more, it is looked at anew
+        stopped(bench, GRIP, at_boundary=True)
+        bench.left_engaged("grip", after(bench, GRIP))
+        bench.run()
+        assert len(bench.refused) == 2
 
     def test_a_restarted_node_finds_the_scene_for_the_way_back_in_the_ledger(self, bench):
         gripping(bench)
@@ -245,6 +293,49 @@ class TestRestart:
         assert bench.events == ["offered", "planned", "dropped"]
         assert bench.entries[-1].reason == Sentence("work.event.never_approved") and bench.row.state == "ready"
 
+    def test_a_plan_that_was_rejected_is_dropped(self, bench):
+        bench.planned().record(False)
+        restarted(bench)
+        assert bench.events[-1] == "dropped" and bench.row.state == "ready"
+
+    def test_a_plan_that_was_carried_out_meanwhile_is_done(self, bench):
+        bench.planned().record(True, "finished")
+        restarted(bench)
+        assert bench.events == [*UP_TO_GRIPPED, "releasing", "released", "finished"]
+        assert bench.row.state == "done" and bench.row.reason == Sentence("work.task.unknown")
+
+    def test_of_a_plan_that_is_still_known_it_is_also_known_where_the_element_was_to_be(self, bench):
+        bench.planned().record(True, "finished")
+        bench.kill()
+        bench.start()
+        bench.show()
+        bench.execution(Execution.IDLE)
+        bench.publish_plan()
+        bench.verdict(True)
+        bench.node.open()
+        (line,) = (entry for entry in bench.entries if entry.event == "released")
+        assert line.source == "planned" and pose_of_tuple(line.pose).position == pytest.approx(PLACED.pose.position)
+
+    def test_of_an_approval_without_an_end_an_open_tool_says_that_nothing_was_gripped(self, bench):
+        bench.planned().record(True)
+        restarted(bench)
+        assert (bench.events[-1], bench.entries[-1].reason) == ("dropped", Sentence("work.event.nothing_gripped"))
+
+    def test_of_an_approval_without_an_end_a_closed_tool_has_a_person_asked(self, bench):
+        bench.planned().record(True)
+        restarted(bench, closed=True)
+        assert (
+            bench.events[-1] == "unknown"
+            and bench.row.state == "asks"
+            and key_of(bench.row.question) == "work.question.where"
+        )
+
+    def test_a_record_that_cannot_be_read_has_a_person_asked(self, bench):
+        bench.planned()
+        bench.review_file.write_text("no record\n")
+        restarted(bench, closed=True)
+        assert bench.events[-1] == "unknown" and bench.row.state == "asks"
+
     def test_a_plan_that_is_still_offered_waits_on(self, bench):
         restarted(bench.planned(), offered=True)
         assert bench.events == ["offered", "planned"] and bench.row.plan_id == bench.plan.id
@@ -260,6 +351,21 @@ class TestRestart:
         restarted(bench)
         assert bench.events[-1] == last and {entry.plan for entry in bench.entries[1:]} == {bench.plan.id}
 
+    def test_a_carrying_arm_that_went_on_is_followed_on(self, bench):
+        bench.carrying().kill()
+        bench.start()
+        bench.show()
+        bench.publish_plan()
+        bench.tool(True)
+        bench.execution(Execution.PLAYING, CARRY)
+        bench.node.open()
+        bench.run()
+        assert bench.events == UP_TO_GRIPPED
+        bench.play(CARRY, True).play(CARRY, True, True).play(LEAVE)
+        bench.execution(Execution.IDLE, plan_id=bench.plan.id, outcome="finished")
+        bench.run()
+        assert bench.events[-3:] == ["releasing", "released", "finished"] and bench.row.state == "done"
+
 
 class TestTurnedDown:
     def test_a_plan_is_dropped_with_the_reviewers_words_and_can_be_planned_again(self, bench):
@@ -270,6 +376,17 @@ class TestTurnedDown:
         assert bench.row.state == "ready"
         assert bench.row.reason == Sentence("work.task.turned_down", who="Ada", reason="too close to the rack")
         assert bench.ask().success and bench.events[-2:] == ["offered", "planned"]
+
+    def test_an_approval_and_a_verdict_on_another_plan_drop_nothing(self, bench):
+        bench.planned().verdict(True)
+        bench.verdict(False, plan_id="another")
+        bench.run()
+        assert bench.events == ["offered", "planned"] and bench.row.state == "planned"
+
+    def test_a_plan_that_is_played_is_not_turned_down_any_more(self, bench):
+        bench.planned().play(FETCH).verdict(False)
+        bench.run()
+        assert bench.events == UP_TO_GRIPPED[:3]
 
     def test_what_planner_and_executor_took_with_them_is_dropped(self, bench):
         bench.planned()
@@ -316,6 +433,16 @@ class TestTool:
         bench.run()
         assert bench.events[-1] == "unknown" and bench.row.state == "asks"
 
+    def test_a_tool_that_nobody_reads_says_nothing(self, bench):
+        bench.carrying()
+        bench.execution(Execution.IDLE, CARRY, plan_id=bench.plan.id, outcome="held")
+        bench.run()
+        bench.call("work/decide", answered("in_grip"))
+        bench.publishers["tool"] = 0
+        bench.tool(False)
+        bench.run()
+        assert bench.row.state == "carried"
+
     @pytest.mark.parametrize("answer", ["in_stock", "gone"])
     def test_the_way_out_after_a_grip_that_was_not_confirmed_is_named_and_works(self, bench, answer):
         bench.planned().play(FETCH).play(GRIP).tool(False, commanded=True)
@@ -337,6 +464,14 @@ class TestTool:
         bench.tool(False)
         assert key_of(bench.ask().message) == "work.back.planned"
 
+    def test_a_grip_that_holds_an_element_is_no_problem(self, bench):
+        bench.carrying()
+        bench.execution(Execution.IDLE, CARRY, plan_id=bench.plan.id, outcome="held")
+        bench.run()
+        said = bench.call("work/decide", answered("in_grip"))
+        assert said.success and key_of(said.message) == "work.answered"
+        assert bench.ask().success
+
 
 def answered(answer: str) -> WorkDecideRequest:
     return WorkDecideRequest(task=TASK, decision="answer", answer=answer, person="Ada")
@@ -349,6 +484,30 @@ def test_messages_that_cannot_be_read_are_refused_and_change_nothing(bench):
     bench.heard.on_plan(Plan(id="p", segments=[Segment(put=[SceneObject(name="a", shape="cube")])]))
     assert [reason for reason, _ in bench.refused] == ["scene", "plan"]
     assert bench.heard.scene is scene and bench.heard.plan is None
+
+
+def test_before_the_model_is_read_the_node_says_so(bench):
+    assert [message.reason for message in bench.tasks] == [Sentence("work.reading")]
+    assert bench.ask().message == Sentence("work.reading")
+
+
+def test_tasks_that_wait_for_each_other_are_one_sentence_and_the_node_lives(bench, tmp_path):
+    model = IfcModel()
+    studs = [model.box(name, (0.1, 0.1, 1.0), at=(1.0 + k, 0, 0)) for k, name in enumerate("abc")]
+    tasks = [model.task(f"place {stud.Name}", [stud]) for stud in studs]
+    for before, after in zip(tasks, (*tasks[1:], tasks[0])):
+        model.sequence(before, after)
+    path = model.save(tmp_path / "cycle.ifc")
+    worker = Worker()
+    bench.start(worker, model=str(path), cell=str(ROOT / "config/work/timber_panel.yaml"))
+    try:
+        bench.node.open()
+        bench.node.go_on()
+        answer = bench.ask()
+    finally:
+        worker.close()
+    assert bench.tasks[-1].reason.startswith("tasks wait for each other in a circle: ")
+    assert not answer.success and answer.message == bench.tasks[-1].reason
 
 
 def test_a_person_says_by_the_service_what_is_gone(bench):
