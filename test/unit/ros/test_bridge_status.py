@@ -53,8 +53,10 @@ def test_playout_mode_and_intruder_reach_link_and_diagnostics(bench):
     assert (shown["refused_arm"], shown["decimals"]) == ("1", "3")
     values = bench.bridge.report().values
     assert {f"gateway {name}" for name in shown} - set(values) == {
-        "gateway decimals", "gateway reply_us_max", "gateway states_lost",
-    }  # fmt: skip
+        "gateway decimals",
+        "gateway reply_us_max",
+        "gateway states_lost",
+    }
     assert values["gateway playout_delay_ms"] == "20"
 
 
@@ -152,8 +154,11 @@ def test_a_status_whose_playout_cannot_be_read_changes_nothing_and_is_counted(be
 
 def test_counters_may_grow_in_other_threads_while_they_are_reported(clocks, monkeypatch):
     """What is refused for a new reason in the MQTT thread must not end the report, and with it the node, in motion."""
-    monkeypatch.setattr(diagnostics.diagnostic_updater, "Updater", lambda: SimpleNamespace(
-        setHardwareID=lambda name: None, add=lambda name, task: None, update=lambda: None))  # fmt: skip
+    monkeypatch.setattr(
+        diagnostics.diagnostic_updater,
+        "Updater",
+        lambda: SimpleNamespace(setHardwareID=lambda name: None, add=lambda name, task: None, update=lambda: None),
+    )
     monkeypatch.setattr(diagnostics, "Publisher", lambda *_, **__: None)
     monkeypatch.setattr(diagnostics.rospy, "Timer", lambda *_: None)
     monkeypatch.setattr(diagnostics.rospy, "logwarn_throttle", lambda *_: None)

@@ -80,8 +80,10 @@ def test_who_has_armed_a_bare_plc_is_recorded_once_and_with_the_verdict(world, t
     assert node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, "")).success
     armed, verdict = records(tmp_path)[:2]
     assert (armed["record"], armed["responsible"], armed["not_checked"]) == (
-        "responsibility", "Grace", ["age: not known"],
-    )  # fmt: skip
+        "responsibility",
+        "Grace",
+        ["age: not known"],
+    )
     assert (verdict["reviewer"], verdict["responsible"], verdict["not_checked"]) == ("Ada", "Grace", ["age: not known"])
     # armed anew, in another session, is another record; not armed is none
     node.on_link(Link(state=Link.NEEDS_RESET, session="s", gateway_kind="plc", not_checked=bare["not_checked"]))
@@ -96,11 +98,18 @@ def test_who_has_asked_for_a_session_or_set_the_speed_limit_is_recorded(world, t
     world.node.do_background_work(True)
     session, speed = records(tmp_path)
     assert (session["record"], session["verb"], session["person"], session["lifts"]) == (
-        "session", "reset", "ada", "stop 3",
-    )  # fmt: skip
+        "session",
+        "reset",
+        "ada",
+        "stop 3",
+    )
     assert (speed["record"], speed["person"], speed["limit"], speed["before"], speed["whose"]) == (
-        "speed", "dora", 0.6, 0.3, "bob",
-    )  # fmt: skip
+        "speed",
+        "dora",
+        0.6,
+        0.3,
+        "bob",
+    )
 
 
 def test_why_the_plan_under_review_could_not_be_approved_is_told_as_soon_as_it_is_so(world):

@@ -29,10 +29,19 @@ from construction_twin.servo.model import JointServo, ServoModel
 
 HOME = ROBOT.home
 SETTINGS = {
-    "threshold": 0.01, "threshold_linear": 0.005, "comparison": "aligned", "lag_allowance": 0.05, "lag_margin": 0.06,
-    "feedback_timeout": 0.1, "agree_share": 0.8, "agree_time": 0.1, "policy": "replan", "give_up_time": 30.0,
-    "escalate_count": 5, "escalate_time": 30.0,
-}  # fmt: skip
+    "threshold": 0.01,
+    "threshold_linear": 0.005,
+    "comparison": "aligned",
+    "lag_allowance": 0.05,
+    "lag_margin": 0.06,
+    "feedback_timeout": 0.1,
+    "agree_share": 0.8,
+    "agree_time": 0.1,
+    "policy": "replan",
+    "give_up_time": 30.0,
+    "escalate_count": 5,
+    "escalate_time": 30.0,
+}
 
 
 class World:

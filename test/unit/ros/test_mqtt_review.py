@@ -82,9 +82,16 @@ class Bench:
         self.services = {verb: Trigger(verb, self.pressed) for verb in (STOP, PAUSE, *STARTING)}
         self.decide, self.limit_speed = Later("work/decide"), Later("limit_speed")
         self.node = MqttReview(
-            settings, "kr120", Broker("127.0.0.1", 1), self.client, self, self.services, self.made,
-            decide=self.decide, limit_speed=self.limit_speed,
-        )  # fmt: skip
+            settings,
+            "kr120",
+            Broker("127.0.0.1", 1),
+            self.client,
+            self,
+            self.services,
+            self.made,
+            decide=self.decide,
+            limit_speed=self.limit_speed,
+        )
 
     resolved_name = "/kr120/review_plan"
 
@@ -175,8 +182,14 @@ def test_a_verdict_that_cannot_be_read_is_answered_to_the_account(bench, account
     answer = json.loads(bench.client.published[-1][1])
     assert answer.pop("reason")
     assert answer == {
-        "plan_id": "", "plan_hash": "", "verdict": "", "reviewer": account, "account": account, "ok": False, "expired": False,
-    }  # fmt: skip
+        "plan_id": "",
+        "plan_hash": "",
+        "verdict": "",
+        "reviewer": account,
+        "account": account,
+        "ok": False,
+        "expired": False,
+    }
 
 
 #: What is refused, and what its answer repeats all the same.
@@ -212,8 +225,12 @@ def test_the_answer_names_what_it_answers(bench, account, reviewer):
     bench.deliver(f"review/{account}" if account else "review", json.dumps(verdict | {"moment": MOMENT}).encode())
     bench.node.approvals.run()
     assert json.loads(bench.client.published[-1][1]) == verdict | {
-        "reviewer": reviewer, "account": account, "ok": True, "reason": "approved", "expired": False,
-    }  # fmt: skip
+        "reviewer": reviewer,
+        "account": account,
+        "ok": True,
+        "reason": "approved",
+        "expired": False,
+    }
 
 
 def test_who_floods_with_what_cannot_be_read_is_not_always_answered_and_a_verdict_is(bench):
@@ -672,9 +689,14 @@ def test_a_lower_limit_waits_for_no_raise(pressing):
 
 @pytest.mark.parametrize(
     "payload, retain, reason",
-    [(b'{"id": "1", "limit": 0.3}', True, "retained"), (b'{"id": "1", "limit": 0}', False, "values"),
-     (b'{"id": "1"}', False, "format"), (b"{", False, "format"), (b" " * 300, False, "size")],
-)  # fmt: skip
+    [
+        (b'{"id": "1", "limit": 0.3}', True, "retained"),
+        (b'{"id": "1", "limit": 0}', False, "values"),
+        (b'{"id": "1"}', False, "format"),
+        (b"{", False, "format"),
+        (b" " * 300, False, "size"),
+    ],
+)
 def test_a_speed_limit_that_is_not_as_described_is_refused_counted_and_answered(pressing, payload, retain, reason):
     asked, _ = limiting(pressing)
     pressing.deliver("speed/dora", payload, retain)
@@ -706,10 +728,16 @@ def test_an_override_is_given_to_the_executor_in_the_name_of_its_account(bench):
 @pytest.mark.parametrize(
     "changes",
     [
-        {"reason": " "}, {"reason": None}, {"verdict": "rejected"}, {"rehearsal_hash": None}, {"rehearsal_hash": 1},
-        {"rehearsal_hash": "f" * 65}, {"plan_hash": ""}, {"override_rehearsal": True},
+        {"reason": " "},
+        {"reason": None},
+        {"verdict": "rejected"},
+        {"rehearsal_hash": None},
+        {"rehearsal_hash": 1},
+        {"rehearsal_hash": "f" * 65},
+        {"plan_hash": ""},
+        {"override_rehearsal": True},
     ],
-)  # fmt: skip
+)
 def test_an_override_that_lacks_a_reason_or_what_was_seen_or_that_is_no_approval_is_refused(bench, changes):
     content = {key: value for key, value in (OVERRIDE | changes).items() if value is not None}
     bench.deliver("override_rehearsal/kr120-lead-eva", json.dumps(content).encode())

@@ -162,8 +162,9 @@ def test_each_limit_that_a_person_has_set_is_told_for_the_record(bench):
     bench.sets(0.9, "ada")
     told = bench.made.published["speed_change"]
     assert [(each.person, each.limit, each.before, each.whose, each.stamp.to_sec()) for each in told] == [
-        ("dora", 0.3, 1.0, "", 100.0), ("bob", 0.6, 0.3, "dora", 101.0),
-    ]  # fmt: skip
+        ("dora", 0.3, 1.0, "", 100.0),
+        ("bob", 0.6, 0.3, "dora", 101.0),
+    ]
 
 
 def test_a_raise_that_is_too_old_is_refused_counted_and_said(bench):

@@ -48,9 +48,14 @@ def gripping(bench: Bench) -> Bench:
 def stopped(bench: Bench, segment: int, at_boundary: bool = False) -> None:
     """Have the executor say that a person's stop left the arm engaged, but not yet where."""
     bench.execution(
-        Execution.IDLE, segment, plan_id=bench.plan.id, outcome="stopped", reason="a person", at_boundary=at_boundary,
+        Execution.IDLE,
+        segment,
+        plan_id=bench.plan.id,
+        outcome="stopped",
+        reason="a person",
+        at_boundary=at_boundary,
         engaged=True,
-    )  # fmt: skip
+    )
 
 
 def stopped_before_the_scene(bench: Bench) -> Bench:
