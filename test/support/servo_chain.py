@@ -17,8 +17,7 @@ from simulation import SimulatedChain
 from construction_twin.core.servo_lag import transition_matrix
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.mock.faults import Fault
-from construction_twin.mock.physics_servo import PhysicsServo
-from construction_twin.mock.program import MockSettings, axis_angles, build_controller, joint_angles
+from construction_twin.mock.program import MockSettings, PhysicsServo, axis_angles, build_controller, joint_angles
 from construction_twin.mock.servo import RealisticServo, Servo
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.physics.drive import drives_of as urdf_drives

@@ -125,9 +125,6 @@ def _complete(text: str, port: int) -> str:
 def listener_ports(text: str) -> list[int]:
     """Return the TCP ports of the listeners in a mosquitto configuration.
 
-    Args:
-        text: Of the file.
-
     Returns:
         Empty: mosquitto listens where it is told to on its command line.
     """

@@ -4,32 +4,206 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import dataclasses
 import http
 import logging
 import secrets
+import socket
 import ssl
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from construction_twin.console.connection_limits import ConnectionLimits, OpenConnections
-from construction_twin.console.delivery import deliver
 from construction_twin.console.http_connection import HttpConnection, connection_type
 from construction_twin.console.listener import Listener, listeners
-from construction_twin.console.logins import ConnectionLogin, Lines, Logins
-from construction_twin.console.origin import refusal
 from construction_twin.console.pipe import CLOSE_S, BrokerAddress, PipeLimits, pipe
 from construction_twin.console.static_files import FileCache, StaticFile, names
 from construction_twin.console.tickets import Tickets
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.network import is_loopback
+from construction_twin.core.rate_limit import TokenBucket
+
+
+class Lines:
+    """Lines that others can cause: not more of them than a disk can hold; the next one says how many were left out.
+
+    Args:
+        rate, burst: So many per second in the long run, and at once.
+        clock: Returns a time from any origin [ns].
+    """
+
+    def __init__(self, rate: float, burst: float, clock: Callable[[], int]):
+        self._clock = clock
+        self._bucket = TokenBucket(rate, burst)
+        self._left_out = 0
+
+    def write(self, level: int, sentence: str) -> None:
+        """Write a line, or count it."""
+        if self._bucket.take(self._clock()):
+            more = f" ({self._left_out} lines before it were left out)" if self._left_out else ""
+            log.log(level, "%s%s", sentence, more)
+            self._left_out = 0
+        else:
+            self._left_out += 1
+
+
+class Logins:
+    """The logins of a server.
+
+    Args:
+        clock: Returns a time from any origin [ns].
+    """
+
+    def __init__(self, connections: OpenConnections, tickets: Tickets, clock: Callable[[], int]):
+        self.connections = connections
+        self.tickets = tickets
+        self.lines = Lines(1, 20, clock)
+        self.wrong_lines = Lines(1, 20, clock)
+
+
+class ConnectionLogin:
+    """The login of one connection, as the pipe tells of it.
+
+    Args:
+        number: Of the connection, by which its place is known.
+        peer: Its address.
+        ticket: Of its browser.
+
+    Attributes:
+        is_wrong: Its password was refused, which has been told.
+    """
+
+    def __init__(self, logins: Logins, number: int, peer: str, ticket: str):
+        self._logins = logins
+        self._number, self._peer, self._ticket = number, peer, ticket
+        self._account: str | None = None
+        self.is_wrong = False
+
+    def accepted(self, account: str) -> str:
+        """Note that the broker has accepted it; return why it may not stay all the same, or an empty text."""
+        logins = self._logins
+        if why := logins.connections.login(self._number, account):
+            logins.lines.write(logging.WARNING, f"{self._peer} refused as {shown(account)}: {why}")
+            return why
+        self._account = account
+        logins.tickets.login(self._ticket, account)
+        logins.lines.write(logging.INFO, f"{self._peer} logged in as {shown(account)}")
+        return ""
+
+    def wrong(self, account: str) -> None:
+        """Note that the broker says that user name or password is wrong."""
+        self.is_wrong = True
+        self._logins.wrong_lines.write(logging.WARNING, f"{self._peer}: wrong password for {shown(account)}")
+
+    def end(self) -> None:
+        """Note that the connection has ended."""
+        if self._account is not None:
+            self._logins.tickets.logout(self._ticket, self._account)
+
+
+def shown(account: str) -> str:
+    """Return an account for the log: a browser chooses the text."""
+    return repr(account[:64]) if account else "nobody (no account)"
+
 
 log = logging.getLogger("console")
+#: Bytes that are written at once.
+_PIECE = 65536
+#: What the kernel keeps of an answer [bytes]: much more, and a slow reader would seem to take nothing for a long time.
+_KERNEL = 262144
+#: A reader that takes less in the long run is cut off [bytes/s]: a building model of 64 MB may take more than an hour.
+SLOWEST = 16384
+
+
+async def deliver(connection: HttpConnection, request: Request, answer: Response, stall_s: float) -> bool:
+    """Write an answer and end the connection; return whether the reader took it.
+
+    In pieces, each when the one before has gone out: `websockets` writes all at once, in the time that the end of a WebSocket has.
+
+    Args:
+        connection: The connection, whose request has been read.
+        request: Of a HEAD only the head of the answer is written.
+        answer: Whole, with its length and ``Connection: close``.
+        stall_s: A reader that takes nothing for so long is cut off [s], and whoever takes longer than this and the body at
+            `SLOWEST`.
+    """
+    transport = connection.transport
+    kernel = transport.get_extra_info("socket")
+    kernel.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _KERNEL)
+    # a drained connection is one whose bytes have left this process; with a limit of 0 asyncio's TLS pauses with nothing to write
+    transport.set_write_buffer_limits(high=1, low=0)
+    body = b"" if request.method == "HEAD" else answer.body
+    head = dataclasses.replace(answer, body=b"").serialize()
+    try:
+        async with asyncio.timeout(stall_s + len(body) / SLOWEST):
+            for piece in (head, *(body[at : at + _PIECE] for at in range(0, len(body), _PIECE))):
+                if transport.is_closing():
+                    return False
+                transport.write(piece)
+                async with asyncio.timeout(stall_s):
+                    await connection.drain()
+            # the rest is in the kernel. With TLS, closing waits for the reader; without, only the reader's own end shows that it
+            # has all, and a connection that is closed before the reader has stopped writing is reset
+            if transport.can_write_eof() and not connection.half_closed:
+                connection.written = True
+                transport.write_eof()
+            else:
+                transport.close()
+            async with asyncio.timeout(stall_s):
+                await connection.wait_closed()
+    except (TimeoutError, OSError):
+        return False
+    finally:
+        transport.abort()
+        await connection.wait_closed()
+    return True
+
+
+def origin_refusal(origin: str | None, host: str | None, secure: bool, allowed: frozenset[str]) -> str:
+    """Return in one sentence why a page may not open a WebSocket; "" when it may (RFC 6455, section 10.2).
+
+    The name that the browser connected to counts as well: after DNS rebinding a foreign page has the same origin as this server.
+
+    Args:
+        origin: Header `Origin`.
+        host: Header `Host`.
+        secure: The server speaks TLS.
+        allowed: Further origins that may, as browsers write them: ``https://console.cell``.
+    """
+    if origin is None:
+        return "no Origin: expected a browser's request"
+    if origin in allowed:
+        return ""
+    own = f"{'https' if secure else 'http'}://{host}"
+    place = place_of(own) if host else None
+    if place is not None and not secure and not is_loopback(place[1]):
+        return f"host {place[1][:100]!r}; expected localhost or a loopback address, because there is no TLS"
+    # parsed, not compared as text: a browser leaves the default port out of both or of one
+    if place is not None and place_of(origin) == place:
+        return ""
+    return f"origin {origin[:100]!r}; expected the page of this server, {own[:100]!r}"
+
+
+def place_of(url: str) -> tuple[str, str, int] | None:
+    """Return scheme, name and port of an address without a path; None when it is none."""
+    try:
+        parts = urlsplit(url)
+        port = parts.port
+    except ValueError:
+        return None
+    if parts.scheme not in ("http", "https") or not parts.hostname or parts.path or parts.query or parts.username:
+        return None
+    return parts.scheme, parts.hostname, port or {"http": 80, "https": 443}[parts.scheme]
+
+
 #: Path of the WebSocket, and of what only who is logged in gets.
 SOCKET, PRIVATE = "/mqtt", "/private/"
 #: Below `PRIVATE`: who has which right.
@@ -177,7 +351,7 @@ class ConsoleServer:
         settings, headers = self._settings, request.headers
         peer = _peer(connection)
         origin, host = _joined(headers, "Origin", ", "), _joined(headers, "Host", ", ")
-        why = refusal(origin, host, settings.tls is not None, settings.origins)
+        why = origin_refusal(origin, host, settings.tls is not None, settings.origins)
         spoken = _joined(headers, "Sec-WebSocket-Protocol", ",") or ""
         if not why and SUBPROTOCOL not in [word.strip() for word in spoken.split(",")]:
             why = f"no subprotocol {SUBPROTOCOL}"

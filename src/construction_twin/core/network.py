@@ -14,11 +14,7 @@ _LISTEN = "0A"
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether `host` is this machine itself, reached from nowhere else; of all names only ``localhost`` is known to be.
-
-    Args:
-        host: Address or name.
-    """
+    """Return whether `host` is this machine itself, reached from nowhere else; of all names only ``localhost`` is known to be."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:

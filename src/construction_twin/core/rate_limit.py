@@ -145,9 +145,6 @@ class SenderLimits:
     """A limit of its own for each sender; what is known of a sender is forgotten when nothing of it counts any more.
 
     While `MOST_SENDERS` are known, no other one may do anything.
-
-    Args:
-        make: Makes the limit of one sender.
     """
 
     def __init__(self, make: Callable[[], Limit]):

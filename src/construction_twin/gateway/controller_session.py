@@ -40,11 +40,7 @@ class Taken:
 
 
 class ControllerSession:
-    """One session of the controller after the other.
-
-    Args:
-        counters: The gateway's; what is noticed here is counted there.
-    """
+    """One session of the controller after the other."""
 
     def __init__(self, config: GatewayConfig, counters: Counter[str]):
         self._limits = config.limits

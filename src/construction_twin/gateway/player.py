@@ -23,11 +23,7 @@ class _Stall:
 
 
 class Player:
-    """Plays a command stream, and brakes where it has run dry.
-
-    Args:
-        counters: The gateway's; what happens to the stream is counted there.
-    """
+    """Plays a command stream, and brakes where it has run dry."""
 
     def __init__(self, config: GatewayConfig, counters: Counter[str]):
         self._config = config

@@ -17,8 +17,7 @@ from dataclasses import dataclass
 from construction_twin.core.interpolation import Pose, interpolate
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.arrivals import Arrivals
-from construction_twin.gateway.speed_governor import Governor
-from construction_twin.gateway.target_changes import TargetChanges
+from construction_twin.gateway.speed_governor import Governor, TargetChanges
 
 
 @dataclass(frozen=True)

@@ -23,11 +23,7 @@ class Unread:
 
 
 class Refusals:
-    """Counts refusals and keeps the last one's sentence.
-
-    Args:
-        counters: The gateway's.
-    """
+    """Counts refusals and keeps the last one's sentence."""
 
     def __init__(self, counters: Counter[str]):
         self._counters = counters

@@ -89,9 +89,6 @@ class Chain:
     def frame(self, q: JointValues) -> PyKDL.Frame:
         """Return the tip's pose as KDL's frame: without the arrays of a `Pose`, for loops in which every microsecond counts.
 
-        Args:
-            q: Length n. As in `forward`.
-
         Returns:
             A buffer: the next call changes it.
 
@@ -104,9 +101,6 @@ class Chain:
 
     def jacobian(self, q: JointValues) -> np.ndarray:
         """Return how the tip moves with each joint.
-
-        Args:
-            q: Length n. As in `forward`.
 
         Returns:
             Shape (6, n). Column i: velocity of the tip's origin [m] (three rows), then angular velocity [rad] (three rows), in the
@@ -122,9 +116,6 @@ class Chain:
 
     def skeleton(self, q: JointValues) -> np.ndarray:
         """Return the line from the base through all link origins to the tip, for drawing the arm.
-
-        Args:
-            q: Length n. As in `forward`.
 
         Returns:
             Shape (m, 3). In the base [m], the base's origin first.

@@ -181,9 +181,6 @@ class InverseKinematics(abc.ABC):
         each continuous family for every choice of whole turns: the one nearest to the seed. For an arm with more than six joints,
         it also holds some that are spaced along the families, for whoever cannot use the nearest.
 
-        Args:
-            pose, seed, configuration: As in `nearest`.
-
         Returns:
             At least one, ordered by Euclidean joint distance from the seed.
 

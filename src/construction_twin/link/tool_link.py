@@ -24,11 +24,7 @@ _REPORTED = {state.word: state for state in SwitchState if state is not SwitchSt
 
 
 class ToolLink:
-    """The tool behind one gateway.
-
-    Args:
-        new_id: Returns a new unique id.
-    """
+    """The tool behind one gateway."""
 
     def __init__(self, new_id: Callable[[], str]):
         self._new_id = new_id

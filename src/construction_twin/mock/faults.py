@@ -184,9 +184,6 @@ class Fault:
 class FaultBoard:
     """The faults of one controller and of its network.
 
-    Args:
-        seed: Of the noise and of the network's faults.
-
     Attributes:
         to_pc, to_controller: Where datagrams go while a line is active.
         changes: Counts every change of the active faults.

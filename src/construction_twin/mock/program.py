@@ -11,9 +11,11 @@ import logging
 import signal
 import sys
 import threading
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
+import numpy as np
 import pydantic
 
 from construction_twin.controller.axis_unit import AxisUnit
@@ -24,15 +26,72 @@ from construction_twin.core.extras import check_extras
 from construction_twin.core.realtime import request_realtime
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import share_file
-from construction_twin.core.units import from_wire, radians, to_wire
+from construction_twin.core.units import CYCLE, from_wire, radians, to_wire
 from construction_twin.core.validation import configuration_error
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.controller import ForwardKinematics, MockController
 from construction_twin.mock.gripper import Gripper
 from construction_twin.mock.network import MockRsi
-from construction_twin.mock.servo import IdealServo, RealisticServo, Servo
+from construction_twin.mock.servo import IdealServo, RealisticServo, Servo, WithMass, read_encoder
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.tool import read_tool, tool_of
+
+if TYPE_CHECKING:
+    from construction_twin.physics.plant import Plant
+
+
+class PhysicsServo(WithMass, Servo):
+    """Axes that a simulated arm moves; they answer as `RealisticServo`, as long as the drives have the torque for it.
+
+    A stalled axis is held where it is by a brake, whatever it takes.
+
+    Args:
+        axis_angles, joint_angles: Between angles of the controller's axes and of the robot's joints, each length n.
+        signs: Length n. 1 or -1: the sense of each axis, seen from its joint.
+        resolution: Encoder step [rad]; 0 for an exact reading.
+        period: Length of a cycle [s], a multiple of 4 ms.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        axis_angles: Callable[[Sequence[float]], tuple[float, ...]],
+        joint_angles: Callable[[Sequence[float]], tuple[float, ...]],
+        signs: Sequence[int],
+        resolution: float,
+        period: float = CYCLE,
+    ):
+        super().__init__(period)
+        self._plant = plant
+        self._axis_angles, self._joint_angles = axis_angles, joint_angles
+        self._signs = tuple(signs)
+        self._cycles = round(period / CYCLE)
+        self._resolution = resolution
+
+    def push(self, joint: int, torque: float) -> None:
+        """Have something push on an axis with this torque [N m], in the axis' own sense, until it is 0 again."""
+        self._plant.push(joint, self._signs[joint] * torque)
+
+    def _start(self, q: tuple[float, ...]) -> None:
+        self._plant.place(self._joint_angles(q))
+
+    def _respond(self, reference: tuple[float, ...]) -> tuple[float, ...]:
+        self._plant.cycle(np.array(self._joint_angles(reference)), self._cycles)
+        for joint in self._stalled:
+            self._plant.hold(joint, self._joint_angles(reference)[joint])
+        moved = self._axis_angles(self._plant.q.tolist())
+        return tuple(
+            [
+                reference[joint] if joint in self._stalled else read_encoder(angle, self._resolution)
+                for joint, angle in enumerate(moved)
+            ]
+        )
+
+    def _freeze(self, joint: int, position: float) -> None:
+        pose = list(self._axis_angles(self._plant.q.tolist()))
+        pose[joint] = position
+        self._plant.hold(joint, self._joint_angles(pose)[joint])
+
 
 log = logging.getLogger(__name__)
 
@@ -174,7 +233,6 @@ def build_servo(settings: MockSettings, robot: RobotModel) -> Servo:
 def _physics_servo(settings: MockSettings, robot: RobotModel, period: float) -> Servo:
     check_extras("physics")
     # only here: what simulates is not everywhere
-    from construction_twin.mock.physics_servo import PhysicsServo
     from construction_twin.physics.drive import drives_of, read_drives
     from construction_twin.physics.mass import payload_of
     from construction_twin.physics.plant import Plant, bare_model

@@ -54,9 +54,6 @@ class Film:
     def picture(self, time: float, touching: Set[str] = frozenset()) -> np.ndarray:
         """Return the picture at a time of the plan [s], shape (`HEIGHT`, `WIDTH`, 3), 8 bits.
 
-        Args:
-            touching: Bodies to show in red.
-
         Raises:
             ConstructionTwinError: If nothing draws here: why.
         """

@@ -39,9 +39,6 @@ class StandingBody:
 def still(bodies: Sequence[StandingBody]) -> np.ndarray:
     """Return the picture, shape (`HEIGHT`, `WIDTH`, 3), 8 bits.
 
-    Args:
-        bodies: At least one.
-
     Raises:
         ConstructionTwinError: If nothing draws here: why.
     """

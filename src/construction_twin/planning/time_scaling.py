@@ -19,8 +19,7 @@ import numpy as np
 
 from construction_twin.core.motion_errors import PlanningError
 from construction_twin.core.sentences import Sentence
-from construction_twin.planning.curves import JointCurve
-from construction_twin.planning.pieces import Pieces
+from construction_twin.planning.curves import JointCurve, Pieces
 from construction_twin.robot.description import RobotModel
 
 #: `import toppra` imports matplotlib's pyplot, which nothing here asks for: a quarter of a second in each process that plans or

@@ -229,9 +229,6 @@ def _check_begin(missing: np.ndarray, robot: RobotModel, at_present: bool) -> No
 def joined(parts: Sequence[Trajectory]) -> tuple[Trajectory, list[float]]:
     """Join trajectories of which each begins where the one before ends.
 
-    Args:
-        parts: At least one.
-
     Returns:
         trajectory
         ends: Time of each one's end in it [s].

@@ -26,9 +26,6 @@ class Packages:
     def folder(self, name: str, where: str) -> Path:
         """Return a package's folder.
 
-        Args:
-            where: What names the package, for the error.
-
         Raises:
             ConfigurationError: If there is no such package, or a package.xml on the way cannot be read.
         """
@@ -52,9 +49,6 @@ class Packages:
 
     def file(self, uri: str, where: str) -> Path:
         """Return the file that a URDF names: ``package://<package>/<path>``, ``file:///<path>`` or an absolute path.
-
-        Args:
-            where: What names the file, for the error.
 
         Raises:
             ConfigurationError: If it is none of these, its package is not found, or it is no file.

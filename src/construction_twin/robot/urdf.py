@@ -71,9 +71,6 @@ class _Arguments(dict[str, str]):
 def expand_xacro(path: str | Path, arguments: Mapping[str, str] | None = None) -> str:
     """Expand a xacro file to URDF text. ``$(find pkg)`` is answered by rospack.
 
-    Args:
-        arguments: Values for the file's ``xacro:arg`` elements.
-
     Returns:
         Indented XML.
 

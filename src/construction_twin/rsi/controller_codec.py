@@ -167,9 +167,6 @@ class SensorDecoder:
     def parse(self, data: bytes) -> Reply:
         """Read a reply.
 
-        Args:
-            data: One datagram.
-
         Returns:
             Corrections in rad and m; `stop` is None where the element is not declared, or not there.
 

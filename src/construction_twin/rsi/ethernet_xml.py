@@ -20,11 +20,24 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from construction_twin.controller.tool import ENABLE
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.sentences import Sentence
-from construction_twin.rsi.ethernet_xml_error import EthernetXmlError
 from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, RsiLayout
 from construction_twin.rsi.status_channels import doubled_channel
 from construction_twin.rsi.tool_channels import IN, OUT, SET, is_set_channel, names_of
+
+
+class EthernetXmlError(ConfigurationError):
+    """An RSI Ethernet XML cannot be used.
+
+    Attributes:
+        element: Path or TAG of the element that does not fit, e.g. ``CONFIG/PORT`` or ``RECEIVE AK.A1 HOLDON``.
+    """
+
+    def __init__(self, where: str, element: str, value: object, expected: str):
+        self.element = element
+        super().__init__(f"{where}: {element}", value, expected)
+
 
 #: A file of this kind is a few kB [bytes].
 MAX_BYTES = 256 * 1024
@@ -82,9 +95,6 @@ def load_ethernet_xml(path: str | Path) -> EthernetXml:
 def read_ethernet_xml(text: str, where: str) -> EthernetXml:
     """Read the text of an Ethernet XML as the controller would.
 
-    Args:
-        where: Name of the file or parameter, for messages.
-
     Raises:
         EthernetXmlError: Naming the element, what was found, and what was expected.
     """
@@ -128,9 +138,6 @@ def read_ethernet_xml(text: str, where: str) -> EthernetXml:
 def check_axes(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
     """Check that the corrections of an Ethernet XML are those of a robot's axes, in one element per kind of axis.
 
-    Args:
-        axes: RSI axes of the robot.
-
     Raises:
         EthernetXmlError: For a missing, a foreign or a repeated axis, and for a channel that is not filled.
     """
@@ -170,9 +177,6 @@ def check_axes(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
 
 def check_gateway(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
     """Check that the gateway can serve a controller with this Ethernet XML.
-
-    Args:
-        axes: RSI axes of the robot.
 
     Raises:
         EthernetXmlError: For a position block or a `Delay` that is not sent, an optional channel that is there twice, HOLDON 0 on a

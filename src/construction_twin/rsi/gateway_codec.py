@@ -144,9 +144,6 @@ class RobotDecoder:
         The root's attribute and unknown elements are ignored; a packet holding only `IPOC` is legal, and so are an XML declaration
         and numbers with an exponent, as senders write them that are no controller.
 
-        Args:
-            data: One datagram.
-
         Returns:
             Positions in rad and m.
 

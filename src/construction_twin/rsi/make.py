@@ -22,6 +22,7 @@ from construction_twin.core.limits import distance_off, outside_tolerance
 from construction_twin.core.sentences import Sentence
 from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder
 from construction_twin.rsi.ethernet_xml import (
+    EthernetXmlError,
     check_axes,
     check_gateway,
     controller_sends_to,
@@ -29,7 +30,6 @@ from construction_twin.rsi.ethernet_xml import (
     read_ethernet_xml,
     tool_channels,
 )
-from construction_twin.rsi.ethernet_xml_error import EthernetXmlError
 from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
 from construction_twin.rsi.layout import EXTERNAL_AXES, STOP, RsiLayout, default_element
 from construction_twin.rsi.status_channels import RsiStatus, StatusReader, status_channels

@@ -603,11 +603,7 @@ def checked_pairs(
 
 
 def touching_pairs(bodies: Sequence[Body]) -> list[tuple[int, int, float]]:
-    """Return the pairs that `checked_pairs` leaves out because one of two names the other in `touch`, in the same form, margin 0.
-
-    Args:
-        bodies: A robot's, then a scene's.
-    """
+    """Return the pairs that `checked_pairs` leaves out because one of two names the other in `touch`; same form, margin 0."""
     return [
         (second, first, 0.0) if _carried_first(bodies[first], bodies[second]) else (first, second, 0.0)
         for first, second in _moving_pairs(bodies)

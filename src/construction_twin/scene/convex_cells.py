@@ -21,9 +21,6 @@ _SAME = 1e-9
 def convex_cells(body: manifold3d.Manifold, most: int) -> list[np.ndarray] | None:
     """Return the corners of convex bodies that fill a closed body without overlaps.
 
-    Args:
-        most: Bodies.
-
     Returns:
         Each of shape (k, 3). None: there would be more than `most`.
     """

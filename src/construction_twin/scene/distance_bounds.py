@@ -286,9 +286,6 @@ class Motion:
     def smallest(self, without: Sequence[int] = ()) -> tuple[float, int]:
         """Find the smallest distance of all pairs anywhere on the motion.
 
-        Args:
-            without: Pairs that are left out; not all of them.
-
         Returns:
             place
             pair: Where the smallest distance is. No other is smaller by more than `ACCURACY` or `ACCURACY_PART` of it.

@@ -18,8 +18,14 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.convex_hulls import hull_lines, mesh_hulls, write_proposal
-from construction_twin.scene.self_collision import SAMPLES, SEED, sample_self_collision, self_collision_yaml
-from construction_twin.scene.self_collision_file import parse_pairs, read_pairs_yaml
+from construction_twin.scene.self_collision import (
+    SAMPLES,
+    SEED,
+    parse_pairs,
+    read_pairs_yaml,
+    sample_self_collision,
+    self_collision_yaml,
+)
 
 #: Without a terminal a line is printed each time this part of the poses is done.
 _PART = 0.25

@@ -25,9 +25,6 @@ LEAST = 0.00005
 class Refinement:
     """Estimates how much later each joint is than its identified servo.
 
-    Args:
-        model: As identified.
-
     Attributes:
         model: As refined so far.
         later: Length n. How much later each joint is than the file says [s].

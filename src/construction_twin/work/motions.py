@@ -176,9 +176,6 @@ class Search:
     def line(self, start: np.ndarray, pose: Pose, scale: float, scene: Scene, stage: str, method: str) -> Trajectory:
         """Return the straight way of the flange to a pose, checked for limits, contacts and depth of what may touch.
 
-        Args:
-            scale: Fraction of the joints' limits.
-
         Raises Failed.
         """
         try:

@@ -24,11 +24,7 @@ def labels(names: Mapping[str, str]) -> dict[str, str]:
 
 
 def named(text: str, known: Mapping[str, str]) -> str:
-    """Return a sentence with what stands for each id in its place, also in the values by which it is said in another language.
-
-    Args:
-        known: By id, see `labels`.
-    """
+    """Return a sentence with what stands for each id in its place, also in the values by which it is said in another language."""
     if isinstance(text, Sentence):
         values = {key: named(value, known) if isinstance(value, str) else value for key, value in text.values.items()}
         return Sentence(text.key, **values)

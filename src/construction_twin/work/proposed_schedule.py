@@ -10,6 +10,7 @@ Metres. Sees faces only: no weights, no fasteners, no temporary props. Knows no 
 from __future__ import annotations
 
 import heapq
+import uuid
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,8 +19,17 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import ScheduleError
 from construction_twin.work.building import BuildingModel, Element, Sequence, Task
 from construction_twin.work.first_few import first_few
-from construction_twin.work.global_ids import global_id
 from construction_twin.work.workpieces import workpieces
+
+_DIGITS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz_$"
+_IDS = uuid.UUID("5b0f6c3e-9d1a-4b52-8a35-6c1f7d2e9b40")
+
+
+def global_id(*words: str) -> str:
+    """Return an IFC GlobalId, 22 characters, that follows from words."""
+    number = uuid.uuid5(_IDS, "|".join(words)).int
+    return "".join(_DIGITS[number >> shift & 63] for shift in range(126, -1, -6))
+
 
 #: How far apart, or inside of each other, two faces may be that touch as built [m].
 GAP = 0.006

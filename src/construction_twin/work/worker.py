@@ -46,11 +46,7 @@ class WorkerError(WorkError):
 
 
 class Worker:
-    """The process, as its parent sees it. One question at a time; started at the first one, and again after it has ended.
-
-    Args:
-        program: By default this module.
-    """
+    """The process, as its parent sees it. One question at a time; started at the first one, and again after it has ended."""
 
     def __init__(self, program: tuple[str, ...] = (sys.executable, "-m", "construction_twin.work.worker")):
         self._program = program
@@ -126,11 +122,7 @@ class Worker:
 
 
 def serve(questions: BinaryIO, answers: BinaryIO, functions: Mapping[str, Callable]) -> None:
-    """Answer until there are no more questions.
-
-    Args:
-        functions: Called with the question's arguments.
-    """
+    """Answer until there are no more questions."""
     while True:
         try:
             question = _read(questions)
@@ -190,11 +182,7 @@ def _how(code: int) -> str:
 
 
 def serve_parent(functions: Mapping[str, Callable]) -> None:
-    """Serve the parent until it closes its pipe, or ends.
-
-    Args:
-        functions: As of `serve`.
-    """
+    """Serve the parent until it closes its pipe, or ends."""
     # whatever a library prints must not get between the answers
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())

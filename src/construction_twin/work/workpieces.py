@@ -28,11 +28,7 @@ def plain_class(ifc_class: str) -> str:
 
 
 def is_workpiece(element: Element, has_parts: bool) -> bool:
-    """Return whether an element is a workpiece.
-
-    Args:
-        has_parts: Whether other elements with bodies are parts of it.
-    """
+    """Return whether an element is a workpiece."""
     # what stands already is no workpiece
     kind = plain_class(element.ifc_class)
     if not element.bodies or element.status or kind not in CLASSES:

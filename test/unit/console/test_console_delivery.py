@@ -16,7 +16,7 @@ import pytest
 
 from construction_twin.broker.access import Site
 from construction_twin.broker.make_site import SiteFolder
-from construction_twin.console import delivery
+from construction_twin.console import server
 from construction_twin.console.pipe import BrokerAddress, PipeLimits
 from construction_twin.console.server import ConsoleServer, ServerSettings
 from construction_twin.console.static_files import StaticFile
@@ -159,7 +159,7 @@ def test_a_head_that_is_too_long_or_none_is_refused_at_once_and_not_logged(caplo
 
 
 def test_who_takes_a_little_for_ever_is_cut_off(monkeypatch, caplog):
-    monkeypatch.setattr(delivery, "SLOWEST", 1e7)
+    monkeypatch.setattr(server, "SLOWEST", 1e7)
 
     async def scene() -> None:
         # 2.5 s for 20 MB; this reader never stalls and would need 20 s

@@ -7,10 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mqtt_packets import connect, packet, text
 
-from construction_twin.console.origin import refusal
 from construction_twin.console.packets import (
     ClientStream,
 )
+from construction_twin.console.server import origin_refusal
 from construction_twin.console.static_files import StaticFile
 from construction_twin.core.errors import PayloadError
 
@@ -91,7 +91,7 @@ def test_a_login_without_user_name_and_password_is_anonymous(version, flags, ano
     ),
 )
 def test_only_the_server_s_own_page_and_named_origins_may_connect(origin, host, secure, fits):
-    assert bool(refusal(origin, host, secure, frozenset({"https://other.cell"}))) is not fits
+    assert bool(origin_refusal(origin, host, secure, frozenset({"https://other.cell"}))) is not fits
 
 
 @pytest.mark.parametrize(

@@ -16,14 +16,21 @@ from planning_cell import HOME, ROBOT
 from sentence_checks import says
 
 from construction_twin.coordination import conflict as conflict_module
-from construction_twin.coordination.conflict import Claim, Conflict, OwnPath, braking_horizon, gives_way
+from construction_twin.coordination.conflict import (
+    Claim,
+    Conflict,
+    OwnPath,
+    braking_horizon,
+    copies,
+    first_contact,
+    gives_way,
+)
 from construction_twin.coordination.path_sweep import PathSweep
 from construction_twin.coordination.plan_book import PlanBook, PlanUnknownError
 from construction_twin.core.errors import PayloadError
 from construction_twin.execution.conflict_verdicts import AHEAD, VERDICT_TIMEOUT, ConflictVerdicts
 from construction_twin.execution.states import ACTIVE, ExecutorState
 from construction_twin.kinematics.chain import Pose
-from construction_twin.scene.first_contact import copies, first_contact
 from construction_twin.scene.neighbour import Neighbour
 
 OWN_STEP, PADDING = 0.1, 0.03

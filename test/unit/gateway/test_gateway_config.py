@@ -16,7 +16,7 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.gateway.config import GatewayConfig, load_config, parse_config
 from construction_twin.robot.description import AxisMapping, read_robot_files
 from construction_twin.ros.shared.gateway_config import gateway_config
-from construction_twin.rsi.ethernet_xml_error import EthernetXmlError
+from construction_twin.rsi.ethernet_xml import EthernetXmlError
 from construction_twin.rsi.make import MAKE
 
 ROOT = Path(__file__).resolve().parents[3]

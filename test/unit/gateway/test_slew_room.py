@@ -14,7 +14,7 @@ from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE, CYCLE_NS, format_allowance
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.player import Player
-from construction_twin.gateway.target_changes import TargetChanges
+from construction_twin.gateway.speed_governor import TargetChanges
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.planning.timing import time_path
 

@@ -18,7 +18,7 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.gateway.config import parse_config
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.shared.gateway_config import gateway_config
-from construction_twin.rsi.ethernet_xml_error import EthernetXmlError
+from construction_twin.rsi.ethernet_xml import EthernetXmlError
 from construction_twin.rsi.make import check_tool
 
 FILE = yaml.safe_load((ROOT / "config/tools/vacuum_frame.yaml").read_text())

@@ -313,8 +313,7 @@ CLOCKS = {
 }
 #: Modules of the library that talk to a network, or name its addresses and errors.
 SOCKETS = (
-    "broker/start.py console/addresses.py "
-    "console/delivery.py console/listener.py console/pipe.py console/program.py "
+    "broker/start.py console/addresses.py console/listener.py console/pipe.py console/program.py "
     "console/server.py console/http_connection.py core/network.py gateway/service.py mock/network.py mqtt/client.py "
     "mqtt/failures.py mqtt/fast_client.py mqtt/polled_client.py core/udp.py ros/nodes/view.py"
 ).split()

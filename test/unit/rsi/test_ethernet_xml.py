@@ -12,12 +12,12 @@ from processes import ROOT
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.rsi.ethernet_xml import (
     MAX_BYTES,
+    EthernetXmlError,
     check_axes,
     check_gateway,
     load_ethernet_xml,
     read_ethernet_xml,
 )
-from construction_twin.rsi.ethernet_xml_error import EthernetXmlError
 from construction_twin.rsi.gateway_codec import SensorEncoder
 from construction_twin.rsi.layout import RsiLayout
 from construction_twin.rsi.make import ethernet_xml_text

@@ -20,8 +20,7 @@ from construction_twin.gateway.inbox import TelegramInbox
 from construction_twin.gateway.states import State
 from construction_twin.mock.faults import Fault, FaultBoard
 from construction_twin.rsi.controller_codec import RobotEncoder
-from construction_twin.rsi.ethernet_xml import check_gateway, read_ethernet_xml
-from construction_twin.rsi.ethernet_xml_error import EthernetXmlError
+from construction_twin.rsi.ethernet_xml import EthernetXmlError, check_gateway, read_ethernet_xml
 from construction_twin.rsi.gateway_codec import RobotDecoder, parse_robot
 from construction_twin.rsi.layout import RsiLayout
 from construction_twin.rsi.status_channels import RsiStatus, StatusReader, status_channels

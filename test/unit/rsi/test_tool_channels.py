@@ -12,8 +12,13 @@ from processes import ROOT
 from construction_twin.controller.tool import ToolReading
 from construction_twin.core.errors import ConfigurationError, TelegramError
 from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder
-from construction_twin.rsi.ethernet_xml import check_gateway, load_ethernet_xml, read_ethernet_xml, tool_channels
-from construction_twin.rsi.ethernet_xml_error import EthernetXmlError
+from construction_twin.rsi.ethernet_xml import (
+    EthernetXmlError,
+    check_gateway,
+    load_ethernet_xml,
+    read_ethernet_xml,
+    tool_channels,
+)
 from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
 from construction_twin.rsi.layout import RsiLayout
 from construction_twin.rsi.tool_channels import ToolReader

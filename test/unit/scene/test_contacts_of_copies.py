@@ -10,7 +10,7 @@ import pinocchio
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from construction_twin.scene.first_contact import copies, first_contact
+from construction_twin.coordination.conflict import copies, first_contact
 from construction_twin.scene.neighbour import ROUNDING, Obstacle
 
 BAR, POST = coal.Box(1.0, 0.02, 0.02), coal.Box(0.02, 0.02, 0.3)

@@ -29,9 +29,6 @@ ROBOTS = (
 def main(arguments: list[str] | None = None) -> int:
     """Evaluate the bag named on the command line.
 
-    Args:
-        arguments: Default: the process's, without what roslaunch adds.
-
     Returns:
         0, or 1 after a sentence on standard error.
     """

@@ -121,9 +121,6 @@ COLUMNS = (
 def main(arguments: list[str] | None = None) -> int:
     """Identify the servos from the bag named on the command line.
 
-    Args:
-        arguments: Default: the process's, without what roslaunch adds.
-
     Returns:
         0, or 1 after a sentence on standard error.
     """

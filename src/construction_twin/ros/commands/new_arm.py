@@ -58,11 +58,7 @@ ARGUMENTS = {
 
 
 def launch_text(values: Mapping[str, str]) -> str:
-    """Return a launch file that starts everything for one arm; every other argument of bringup.launch can be given to it.
-
-    Args:
-        values: Of those of `ARGUMENTS` that it sets.
-    """
+    """Return a launch file that starts everything for one arm; every other argument of bringup.launch can be given to it."""
     lines = [
         "<launch>",
         f"  <!-- {values['robot']}, its twin, and what is between them. Written by new_arm; the command stands in the robot YAML.",
@@ -145,9 +141,6 @@ _ATTEMPTS = 5
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the files of a new arm.
-
-    Args:
-        arguments: Default: the process's.
 
     Returns:
         0, or 1 after a sentence on standard error.

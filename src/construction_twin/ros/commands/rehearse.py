@@ -44,9 +44,6 @@ PASSED, FAILED, BROKEN = 0, 1, 2
 def main(arguments: list[str] | None = None) -> int:
     """Rehearse the plan named on the command line.
 
-    Args:
-        arguments: Default: the process's, without what roslaunch adds.
-
     Returns:
         0 if it passed, 1 if it failed, 2 after a sentence on standard error if it could not be made.
     """

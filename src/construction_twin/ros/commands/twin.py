@@ -42,11 +42,7 @@ LATCHED = 2.0
 
 
 class Command:
-    """One call of the command line.
-
-    Args:
-        options: As `views.arguments.parser` makes them.
-    """
+    """One call of the command line."""
 
     def __init__(self, options: argparse.Namespace):
         self._options = options

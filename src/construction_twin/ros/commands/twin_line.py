@@ -9,11 +9,7 @@ from construction_twin.views.arguments import check, parser, split_lists
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; return an exit code of `views.arguments.Exit`.
-
-    Args:
-        arguments: Default: the process's, without ROS's remappings.
-    """
+    """Run the command line; return an exit code of `views.arguments.Exit`."""
     if arguments is None:
         arguments = [word for word in sys.argv[1:] if ":=" not in word]  # as rospy.myargv, which loads rospy
     command_line = parser(os.environ.get("ROS_NAMESPACE", "").strip("/") or "kr120")

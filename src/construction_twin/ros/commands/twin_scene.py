@@ -34,11 +34,7 @@ PAUSE = 0.05
 
 
 class SceneCommand:
-    """One call of `twin scene`.
-
-    Args:
-        namespace: Of the robot, absolute.
-    """
+    """One call of `twin scene`."""
 
     def __init__(self, options: argparse.Namespace, namespace: str):
         self._options, self._namespace = options, namespace

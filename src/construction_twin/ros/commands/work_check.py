@@ -60,9 +60,6 @@ class _Work:
 def main(arguments: list[str]) -> int:
     """Check the model named on the command line.
 
-    Args:
-        arguments: Those after ``check``.
-
     Returns:
         0, 1 or 2, see above.
     """

@@ -68,11 +68,7 @@ _PEER = struct.Struct("=iII")
 
 
 def run_program(module: str) -> NoReturn:
-    """Run the function `main` of a module as this program: in a copy of roslaunch's loaded process, else here. Does not return.
-
-    Args:
-        module: Its full name.
-    """
+    """Run the function `main` of a module as this program: in a copy of roslaunch's loaded process, else here. Does not return."""
     code = _run_as_copy(module, _name_for(os.getppid()))
     if code is None:
         _run_here(module)

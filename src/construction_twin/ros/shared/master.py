@@ -104,9 +104,6 @@ def wait_for_master(name: str) -> None:
 
     A node that starts while the master is away (it was killed, or starts later) waits, as ROS has it, but in one line.
 
-    Args:
-        name: Of the node.
-
     Raises:
         ConfigurationError: When ROS_MASTER_URI is no address.
     """

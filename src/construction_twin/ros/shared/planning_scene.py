@@ -29,11 +29,7 @@ PLANNING_SCENE = Publication("planning_scene", "moveit_msgs/PlanningScene", queu
 
 
 class PlanningScenePublisher:
-    """Publishes scenes as `moveit_msgs/PlanningScene`.
-
-    Args:
-        publisher: Of that type, latched.
-    """
+    """Publishes scenes as `moveit_msgs/PlanningScene`."""
 
     def __init__(self, types: MoveitTypes, robot: RobotModel, self_collision: SelfCollision, publisher: Sink):
         self._types = types

@@ -151,9 +151,6 @@ def now_ns() -> int:
 def joint_values(message: JointState, names: tuple[str, ...]) -> tuple[float, ...]:
     """Return a joint state's positions in the order of `names`.
 
-    Args:
-        names: The robot's joint names.
-
     Returns:
         Shape (n,). [rad]
 

@@ -24,9 +24,6 @@ TIMEOUT = 1.0
 def call(service: rospy.ServiceProxy, program: str, **request):
     """Return the answer of a service, once it exists.
 
-    Args:
-        program: Who offers it, for the sentence: "the executor".
-
     Raises:
         ServiceSilentError: If it does not exist within `TIMEOUT`, or its node goes away.
     """

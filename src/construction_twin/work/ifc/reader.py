@@ -31,10 +31,40 @@ from construction_twin.work.ifc.representations import body_of, bounds
 from construction_twin.work.ifc.step_text import for_parser
 from construction_twin.work.ifc.tasks import Groups, read_tasks, unique_id
 from construction_twin.work.ifc.units import Units, read_units
-from construction_twin.work.ifc.unread import note_unread
 from construction_twin.work.mesh_checks import volume
 from construction_twin.work.wholes import in_one_piece
 from construction_twin.work.workpieces import is_workpiece
+
+#: Entities whose meaning the work would need, and what is not done with them.
+_UNREAD = {
+    "IfcWorkCalendar": Sentence("ifc.unread.calendars"),
+    "IfcTaskTimeRecurring": Sentence("ifc.unread.recurring"),
+    "IfcEvent": Sentence("ifc.unread.events"),
+    "IfcProcedure": Sentence("ifc.unread.procedures"),
+    "IfcOrderAction": Sentence("ifc.unread.orders"),
+    "IfcRelConnectsElements": Sentence("ifc.unread.connections"),
+    "IfcRelConnectsStructuralActivity": Sentence("ifc.unread.loads"),
+    "IfcRelInterferesElements": Sentence("ifc.unread.interferences"),
+    "IfcConstraint": Sentence("ifc.unread.constraints"),
+}
+
+
+def note_unread(file: ifcopenshell.file, name: str, elements: dict[str, Element], notes: Notes) -> None:
+    """Note what is in a file and not read, and what has no body and so is no obstacle."""
+    with Where(name, Sentence("ifc.file")):
+        for kind, meaning in _UNREAD.items():
+            try:
+                count = len(file.by_type(kind))
+            except RuntimeError:
+                # not of this schema
+                continue
+            if count:
+                notes.add(Sentence("ifc.note.unread", count=count, kind=kind, meaning=meaning))
+    wholes = {element.assembly for element in elements.values()}
+    for element in elements.values():
+        if not element.bodies and element.id not in wholes:
+            notes.add(Sentence("ifc.note.no_body"), element.name or element.id, element.id)
+
 
 #: Takes what is being done, how much of it is done, and how much there is.
 Progress = Callable[[str, int, int], None]

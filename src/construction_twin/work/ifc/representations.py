@@ -77,11 +77,7 @@ def body_of(product: ifcopenshell.entity_instance) -> ifcopenshell.entity_instan
 
 
 class Items:
-    """Items of the representations of a file.
-
-    Args:
-        name: The file's, for messages.
-    """
+    """Items of the representations of a file."""
 
     def __init__(self, name: str):
         self._name = name

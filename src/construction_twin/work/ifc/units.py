@@ -121,11 +121,7 @@ def _density(assignment: ifcopenshell.entity_instance, name: str) -> float:
 
 
 def si_factor(unit: ifcopenshell.entity_instance) -> float | None:
-    """Return SI units (of mass: kilograms) per unit; None: only people know what it is.
-
-    Args:
-        unit: An IfcUnit.
-    """
+    """Return SI units (of mass: kilograms) per unit; None: only people know what it is."""
     if unit.is_a("IfcSIUnit"):
         factor = ifcopenshell.util.unit.get_prefix_multiplier(unit.Prefix) ** _POWERS.get(unit.Name, 1)
         return float(factor) / 1e3 if unit.Name == "GRAM" else float(factor)

@@ -25,18 +25,15 @@ from construction_twin.work.motions import Failed, Free, PlanBuilder, Search
 from construction_twin.work.place.grips import Grip, find_grips
 from construction_twin.work.place.phases import Scenes, Ways, direction, scenes, ways
 from construction_twin.work.place.recipe import PlaceRecipe, mass_of
-from construction_twin.work.place.stages import (
-    APPROACH,
-    CARRY,
-    GRIP,
-    LIFT,
-    RETREAT,
-    SET_DOWN,
-    STAGES,
-    TO_STOCK,
-)  # fmt: skip
 from construction_twin.work.process import REACH
 from construction_twin.work.site import inverse, pose_of
+
+#: Names of the segments of a plan, in their order.
+TO_STOCK, APPROACH, LIFT, CARRY, SET_DOWN, RETREAT = "to stock", "approach", "lift", "carry", "set down", "retreat"
+#: Before the first segment: what is looked at to choose a grip.
+GRIP = "grip"
+#: In the order in which an attempt gets there.
+STAGES = (GRIP, REACH, APPROACH, LIFT, TO_STOCK, SET_DOWN, RETREAT, CARRY)
 
 #: Pieces of the element further than this from where the job has them are somewhere else [m].
 _ELSEWHERE = 1e-3

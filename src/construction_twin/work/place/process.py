@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from construction_twin.work.jobs import TaskMotions
+from construction_twin.work.place.planner import SET_DOWN
 from construction_twin.work.place.recipe import OVERRIDES, PlaceRecipe, check_tool, mass_of
-from construction_twin.work.place.stages import SET_DOWN
 from construction_twin.work.process import Process
 
 

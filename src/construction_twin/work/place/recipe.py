@@ -161,9 +161,6 @@ OVERRIDES: Mapping[str, Override] = {
 def mass_of(job: WorkJob, name: str, recipe: PlaceRecipe, tool: Tool) -> float:
     """Return the mass that an element is placed with [kg].
 
-    Args:
-        name: Of the recipe.
-
     Raises:
         TaskPlanningError: If it is not known, or too large for tool or load.
     """
@@ -187,9 +184,6 @@ def mass_of(job: WorkJob, name: str, recipe: PlaceRecipe, tool: Tool) -> float:
 
 def check_tool(recipe: PlaceRecipe, tool: Tool, where: str) -> None:
     """Check that a recipe names shapes that the tool has.
-
-    Args:
-        where: File and name of the recipe.
 
     Raises:
         ConfigurationError: Naming key and shape.
