@@ -123,6 +123,22 @@ async function robotCell(options = {}, before = async () => {}) {
   return it;
 }
 
+/** The robot above, one of whose boxes is drawn by the file of this name. */
+const withMeshes = (...names) => names.reduce((text, name) => text.replace(/<box size="[^"]+"\/>/, `<mesh filename="/private/mesh/${name}"/>`), ROBOT);
+const OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
+
+test("OBJ and GLB meshes are drawn, and one that cannot be read costs that link and is said", async () => {
+  const glb = JSON.stringify({asset: {version: "2.0"}, scene: 0, scenes: [{nodes: [0]}], nodes: [{name: "empty"}]});
+  const it = await robotCell({"robot.urdf": withMeshes("a.obj", "b.glb"), "a.obj": OBJ, "b.glb": glb});
+  assert.equal(it.made.state.unread, "");
+  const lacking = await robotCell({"robot.urdf": withMeshes("a.obj", "b.glb", "c.dae"), "a.obj": OBJ, "b.glb": "no GLB", "c.dae": 404});
+  assert.match(lacking.made.state.unread, /b\.glb: .*c\.dae: 404/);
+  const none = cell({"robot.urdf": withMeshes("b.glb"), "b.glb": "no GLB"});
+  await none.hear("kr120", "view", view());
+  for (let k = 0; k < 200 && !none.made.state.failed; k += 1) await none.settle();
+  assert.notEqual(none.made.state.failed, "", "an arm without any mesh is none");
+});
+
 const NAMES = ["joint_a1", "joint_a2"];
 const TELLS = {
   goal: (it, reach) => it.store.set("goal", "kr120", {names: NAMES, positions: [0.5, 0.5], reach}),

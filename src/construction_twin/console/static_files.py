@@ -25,7 +25,7 @@ _KINDS = {
     ".js": "text/javascript", ".mjs": "text/javascript", ".css": "text/css", ".html": "text/html", ".csv": "text/csv",
     ".json": "application/json", ".webmanifest": "application/manifest+json", ".urdf": "application/xml",
     ".svg": "image/svg+xml", ".png": "image/png",
-    ".dae": "model/vnd.collada+xml", ".stl": "model/stl", ".glb": "model/gltf-binary",
+    ".dae": "model/vnd.collada+xml", ".stl": "model/stl", ".glb": "model/gltf-binary", ".obj": "model/obj",
 }  # fmt: skip
 _COMPRESSIBLE = ("text/", "application/json", "application/xml", "model/", "image/svg")
 #: A name with a hash of its content, as esbuild writes it (8 of base 32) or in hexadecimal: it never changes, so that a browser

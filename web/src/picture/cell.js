@@ -14,7 +14,7 @@ import {around, clipped, corners, fit} from "./fit.js";
 import {makeFloor} from "./floor.js";
 import {floorOf} from "./grid.js";
 import {playedOf} from "./played.js";
-import {ghostOf, loadRobot, mainColour, ModelError, reachOf, setJoints, toolOf} from "./robot_model.js";
+import {ghostOf, loadRobot, mainColour, reachOf, reasonOf, setJoints, toolOf} from "./robot_model.js";
 import {
   axes, closestMarker, colourBuilding, dispose, ghostMaterial, isEngaged, loadBuilding, pathLine, playedPath, reachMarker, sceneBody,
 } from "./shapes.js";
@@ -90,7 +90,7 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
   sun.shadow.normalBias = 0.02;
   scene.add(new HemisphereLight(0xffffff, 0x8a8f99, 1.5), fill, sun, sun.target);
 
-  const state = {loading: null, progress: null, failed: "", lacks: "", stale: false, missing: []};
+  const state = {loading: null, progress: null, failed: "", unread: "", lacks: "", stale: false, missing: []};
   // views come 25 times a second: a model that could not be loaded is not asked for with each of them
   let resting = false;
   const ghosts = {
@@ -165,10 +165,12 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
     if (template !== null || state.loading !== null || resting || ended) return;
     state.failed = "";
     const done = (async () => {
-      template = await loadRobot(`/private/${encodeURIComponent(name)}/robot.urdf`, (loaded, all) => {
-        state.progress = {done: loaded, all};
+      const loaded = await loadRobot(`/private/${encodeURIComponent(name)}/robot.urdf`, (done, all) => {
+        state.progress = {done, all};
         redraw();
       });
+      template = loaded.robot;
+      state.unread = loaded.lacks.join("; ");
       twinColour = mainColour(template);
       bodies = {twin: template, arm: ghostOf(template, ghosts.arm), plan: ghostOf(template, ghosts.plan), goal: ghostOf(template, ghosts.goal)};
       reachable = reachOf(template) || REACH;
@@ -188,8 +190,7 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
       refit();
     } catch (error) {
       template = null;
-      // a file that is there and cannot be read throws what its reader likes
-      state.failed = error instanceof ModelError ? error.message : `${error.name}: ${error.message}`;
+      state.failed = reasonOf(error);
       resting = true;
       setTimeout(() => {
         resting = false;
@@ -219,7 +220,7 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
         return;
       }
     } catch (error) {
-      state.lacks = error instanceof ModelError ? error.message : `${error.name}: ${error.message}`;
+      state.lacks = reasonOf(error);
     }
     redraw();
     setTimeout(() => {
@@ -721,7 +722,7 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
       const values = (body) => (!isShown(body) ? null
         : Object.fromEntries(Object.values(bodies[body].joints).filter((joint) => joint.jointType !== "fixed")
           .map((joint) => [joint.name ?? joint.urdfName, joint.angle])));
-      const result = {ready: bodies !== null, failed: state.failed, lacks: state.lacks, stale: state.stale, seq: robot()?.view?.seq ?? null};
+      const result = {ready: bodies !== null, failed: state.failed, unread: state.unread, lacks: state.lacks, stale: state.stale, seq: robot()?.view?.seq ?? null};
       for (const body of ["twin", "arm", "plan", "goal"]) result[body] = {joints: values(body), tool: toolPosition(body)};
       result.path = path === null ? null : robot()?.plan?.tool_path ?? null;
       result.waypoints = path === null ? 0 : path.userData.waypoints;

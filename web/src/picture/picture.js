@@ -249,7 +249,7 @@ export function make(parent, store, connection, texts) {
     else if (state?.missing.length) text = texts("picture.no_model", {why: state.missing.join(", ")});
     else if (robot?.playback) text = texts("picture.playback", {time: robot.playback.time.toFixed(1)});
     else if (state?.stale) text = texts("picture.stale");
-    else if (state?.lacks) text = texts("picture.lacks", {why: state.lacks});
+    else if (state?.lacks || state?.unread) text = texts("picture.lacks", {why: state.lacks || state.unread});
     if (note.textContent === text && note.hidden === (text === "")) return;
     note.hidden = text === "";
     setText(note, text);

@@ -5,6 +5,8 @@
  */
 import {Group, Mesh, MeshLambertMaterial, Triangle, Vector3} from "three";
 import {ColladaLoader} from "three/addons/loaders/ColladaLoader.js";
+import {GLTFLoader} from "three/addons/loaders/GLTFLoader.js";
+import {OBJLoader} from "three/addons/loaders/OBJLoader.js";
 import {STLLoader} from "three/addons/loaders/STLLoader.js";
 import {mergeVertices} from "three/addons/utils/BufferGeometryUtils.js";
 import URDFLoader from "urdf-loader";
@@ -35,28 +37,37 @@ function oneAfterTheOther() {
   return reading;
 }
 
-/** Return the meshes of a DAE or STL file as a three object. */
-export async function loadMesh(url, material) {
-  const suffix = url.slice(url.lastIndexOf(".")).toLowerCase();
-  if (suffix === ".dae") {
-    const text = await fetchOwn(url, (answer) => answer.text());
-    await oneAfterTheOther();
-    const {scene} = quietly(() => new ColladaLoader().parse(text, ""));
-    const group = new Group();
+const asText = (bytes) => new TextDecoder().decode(bytes);
+
+/** What reads a mesh file, by its ending: from its bytes to a three object in the file's own axes, as rviz takes them. */
+const READERS = {
+  ".dae": (bytes) => {
+    const {scene} = quietly(() => new ColladaLoader().parse(asText(bytes), ""));
     scene.quaternion.identity();
-    scene.traverse(shareCorners);
-    group.add(scene);
-    return group;
+    return new Group().add(scene);
+  },
+  ".glb": async (bytes) => (await new GLTFLoader().parseAsync(bytes, "")).scene,
+  ".obj": (bytes) => new OBJLoader().parse(asText(bytes)),
+  ".stl": (bytes, material) => new Mesh(new STLLoader().parse(bytes), material),
+};
+
+/** Return the meshes of a file as a three object. */
+export async function loadMesh(url, material) {
+  const read = READERS[url.slice(url.lastIndexOf(".")).toLowerCase()];
+  if (read === undefined) throw new ModelError(`${url}: expected one of ${Object.keys(READERS).join(", ")}`);
+  const bytes = await fetchOwn(url, (answer) => answer.arrayBuffer());
+  await oneAfterTheOther();
+  try {
+    const object = await read(bytes, material);
+    object.traverse(shareCorners);
+    return object;
+  } catch (error) {
+    throw new ModelError(`${url}: ${error.message}`);
   }
-  if (suffix === ".stl") {
-    const bytes = await fetchOwn(url, (answer) => answer.arrayBuffer());
-    await oneAfterTheOther();
-    const mesh = new Mesh(new STLLoader().parse(bytes), material);
-    shareCorners(mesh);
-    return mesh;
-  }
-  throw new ModelError(`${url}: expected a DAE or STL file`);
 }
+
+/** Return why something could not be loaded: a file that is there and cannot be read throws what its reader likes. */
+export const reasonOf = (error) => error instanceof ModelError ? error.message : `${error.name}: ${error.message}`;
 
 /** The readers give each triangle three corners of its own: a third to a sixth of them is drawn as well, several times as fast. */
 function shareCorners(object) {
@@ -84,7 +95,7 @@ function quietly(read) {
  *
  * @param {string} url of its URDF, whose meshes are addresses on this server
  * @param {(done: number, all: number) => void} onProgress
- * @returns {Promise<URDFRobot>} with all its meshes
+ * @returns {Promise<{robot: URDFRobot, lacks: string[]}>} with its meshes, and why some are missing; without any it fails
  */
 export async function loadRobot(url, onProgress) {
   const text = await fetchOwn(url, (answer) => answer.text());
@@ -106,23 +117,29 @@ export async function loadRobot(url, onProgress) {
   onProgress(0, wanted.length);
   // the same file may be drawn several times
   const files = new Map();
+  const lacks = new Map();
   await Promise.all(wanted.map(async (each) => {
     if (!files.has(each.path)) files.set(each.path, loadMesh(each.path, each.material));
-    const mesh = (await files.get(each.path)).clone();
-    mesh.traverse((child) => {
-      // what the URDF says counts, as in rviz
-      if (child.isMesh && each.material.name) child.material = each.material;
-    });
-    each.done(mesh);
+    try {
+      const mesh = (await files.get(each.path)).clone();
+      mesh.traverse((child) => {
+        // what the URDF says counts, as in rviz
+        if (child.isMesh && each.material.name) child.material = each.material;
+      });
+      each.done(mesh);
+    } catch (error) {
+      lacks.set(each.path, error);
+    }
     done += 1;
     onProgress(done, wanted.length);
   }));
+  if (files.size > 0 && lacks.size === files.size) throw lacks.values().next().value;
   robot.traverse((child) => {
     if (child.isMesh) child.material = plain(child.material);
     // the Collada reader adds lights that a program for drawing wrote into its file
     if (child.isLight || child.isCamera) child.visible = false;
   });
-  return robot;
+  return {robot, lacks: [...lacks.values()].map(reasonOf).sort()};
 }
 
 function plain(material) {

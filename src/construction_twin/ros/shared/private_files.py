@@ -23,7 +23,7 @@ from construction_twin.scene.objects import Scene, read_mesh_file
 #: Largest mesh file [bytes].
 _LARGEST = 64 * 2**20
 #: What a browser's loaders read.
-SUFFIXES = (".stl", ".dae", ".obj")
+SUFFIXES = (".stl", ".dae", ".obj", ".glb")
 
 
 @dataclass(frozen=True)
