@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import socket
+import threading
 
 import pytest
 from processes import wait_until
 from sentence_checks import expects, says
 from service_cell import (
     CONFIG,
+    START,
+    client_of,
     controller_of,
     end_gateway,
     free_port,
@@ -17,6 +21,7 @@ from service_cell import (
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.udp import MAX_TELEGRAM, address_of, bind
+from construction_twin.mqtt.fast_client import FastClient
 
 
 def test_every_telegram_is_answered_without_any_broker(topics):
@@ -113,6 +118,47 @@ def test_where_sockets_have_no_recvmsg_telegrams_are_answered_too(topics):
         topics, lambda controller: [controller.telegram(1_000_008)], sock=WindowsSocket(bind("127.0.0.1", 0))
     )
     assert counters["telegrams"] == 1
+
+
+def test_a_reply_leaves_before_anything_is_read_or_said_on_mqtt(broker, topics, monkeypatch):
+    sock, order, busy, go_on = WindowsSocket(bind("127.0.0.1", 0)), [], threading.Event(), threading.Event()
+    reply, say = sock.sendto, FastClient.send_stream
+    sock.sendto = lambda *given: order.append("reply") or reply(*given)
+    with serving(broker, topics, sock=sock) as (service, address), controller_of(address) as controller:
+        with client_of(broker, topics) as client:
+            controller.cycle()
+            client.wait_for_status(state="ready")
+
+            def say_late(*given):
+                order.append("state")
+                busy.set()
+                go_on.wait(10.0)
+                say(*given)
+
+            monkeypatch.setattr(FastClient, "send_stream", say_late)
+            service.gateway.on_command = lambda *_: order.append("command")
+            controller.cycle()
+            assert busy.wait(10.0)
+            # now a command and a telegram wait
+            client.command(START)
+            wait_until(lambda: client.on(topics.command))
+            controller.ipoc += 4
+            controller.send()
+            go_on.set()
+            wait_until(lambda: "command" in order)
+            assert order[-5:] == ["reply", "state", "reply", "state", "command"]
+
+
+def test_a_reply_that_the_system_does_not_send_is_counted(topics):
+    def refuse(*_):
+        raise OSError(errno.EPERM, "a firewall")
+
+    sock = WindowsSocket(bind("127.0.0.1", 0))
+    sock.sendto = refuse
+    with serving(free_port(), topics, sock=sock) as (service, address), controller_of(address) as controller:
+        controller.send()
+        wait_until(lambda: service.gateway.counters[f"udp_send_{errno.EPERM}"] == 1)
+        assert service.failure == ""
 
 
 def test_datagrams_from_another_address_than_the_controllers_are_counted_only(topics):
