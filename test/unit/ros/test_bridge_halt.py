@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import threading
+from collections import defaultdict
 from pathlib import Path
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import pytest
 import rospy
-from bridge_bench import BridgeBench, Clocks
+from bridge_bench import BridgeBench, Clocks, Published
+from gateway_cell import CONFIG
 from processes import wait_until
 
 from construction_twin.core.units import NANOSECONDS
@@ -127,6 +130,29 @@ def test_that_a_person_is_waited_for_outlasts_the_bridge_until_a_person_has_rese
     assert after.ask("reset").success
     after.step()
     wait_until(lambda: kept[-1] == "", what="the end of it")
+
+
+def test_a_bridge_that_is_started_again_reads_what_the_one_before_it_waited_for(clocks, monkeypatch):
+    bench = BridgeBench(clocks)
+    bench.client.on_stream = lambda *_: None
+    monkeypatch.setattr(mqtt_bridge, "config_from_parameters", lambda **_: CONFIG)
+    monkeypatch.setattr(mqtt_bridge, "make_client", lambda *_, **__: bench.client)
+    monkeypatch.setattr(mqtt_bridge, "connect", lambda *_: None)
+    ports = SimpleNamespace(
+        publishers=defaultdict(Published),
+        diagnostics=bench.diagnostics,
+        parameters={mqtt_bridge.MIRROR_MODE: False, mqtt_bridge.WAITS: "not armed within 5 s; call reset"},
+        keeper=lambda name: lambda value: None,
+    )
+    axes = [SimpleNamespace(name=name, sign=1, offset=0.0) for name in CONFIG.axes]
+    robot = SimpleNamespace(name="arm", joint_names=CONFIG.axes, axes=axes, linear=(False,) * 2)
+    settings = mqtt_bridge.Settings(host="127.0.0.1", port=1, reset_timeout=1.0, max_state_age=0.1)
+    bench.bridge = mqtt_bridge.start(settings, robot, ports)
+    bench.connect()
+    for _ in range(100):
+        bench.step()
+    assert bench.bridge.link is LinkState.NEEDS_RESET and not bench.client.controls
+    assert ports.publishers["link"][-1][0].reason == ports.parameters[mqtt_bridge.WAITS]
 
 
 def test_a_master_that_does_not_keep_that_is_shown(clocks):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pydantic
@@ -256,6 +257,18 @@ class TestPlansThatAreTurnedDown:
         assert self.offered(world, plan) == self.offered(world, plan) == []
 
 
+@pytest.mark.parametrize("approve", [True, False])
+def test_a_verdict_on_another_content_than_the_plan_s_is_refused(world, approve):
+    plan = world.waiting()
+    seen = SimpleNamespace(id=plan.id, hash="0" * 64)
+    for answer in (
+        world.node.on_review(ReviewPlanRequest(seen.id, seen.hash, approve, "Ada", "", False, "")),
+        world.from_screen(seen, world.shown(), approve),
+    ):
+        assert not answer.success and plan.hash in answer.message
+    assert world.executor.under_review.plan is plan
+
+
 @pytest.mark.parametrize("reviewer", ["executor", "auto_approve", " executor "])
 def test_nobody_reviews_under_the_names_that_the_executor_writes(world, reviewer):
     world.playing()
@@ -439,18 +452,54 @@ def test_an_approval_without_a_reason_is_no_warning(world, monkeypatch):
     ]
 
 
+GIVEN = {
+    "review_file": "r.jsonl",
+    "speed_limit_deadline": 0.5,
+    "speed_limit_silent": 0.1,
+    "speed_limit_required": False,
+}
+
+
 def test_no_client_is_trusted_with_a_real_arm():
-    given = {
-        "review_file": "r.jsonl",
-        "speed_limit_deadline": 0.5,
-        "speed_limit_silent": 0.1,
-        "speed_limit_required": False,
-    }
-    trusted = given | {"auto_approve_sources": ["/move_group"]}
+    trusted = GIVEN | {"auto_approve_sources": ["/move_group"]}
     assert module.Settings(arm="mock", **trusted).auto_approve_sources == ("/move_group",)
     with pytest.raises(pydantic.ValidationError, match="the name of a client proves nothing, a person has to approve"):
         module.Settings(arm="real", **trusted)
-    assert module.Settings(arm="real", **given).auto_approve_sources == ()
+    assert module.Settings(arm="real", **GIVEN).auto_approve_sources == ()
+
+
+@pytest.mark.parametrize(
+    "settings, links, missing",
+    [
+        ({}, [], Sentence("executor.no_link")),
+        ({"rehearsal": "require"}, [Link.ARMED], Sentence("review.rehearsal.missing", plan="p")),
+        ({"rehearsal": "advise"}, [Link.ARMED], ""),
+    ],
+)
+def test_at_the_start_the_arm_is_not_armed_and_a_rehearsal_is_required_as_was_set(
+    world, monkeypatch, tmp_path, settings, links, missing
+):
+    monkeypatch.setattr(rospy, "on_shutdown", lambda hook: None)
+    topics = {each.topic: world.topic(each.topic) for each in module.INTERFACE.publishes}
+    counts = SimpleNamespace(refuse=lambda *said: None, count=lambda *said: None)
+    given = module.Settings(arm="mock", **GIVEN | {"review_file": str(tmp_path / "own.jsonl")} | settings)
+    node = world.node = module.start(given, ROBOT, SimpleNamespace(publishers=topics, diagnostics=counts))
+    for state in links:
+        node.on_link(Link(state=state, session="s"))
+    node.on_scene(Scene(hash=SCENE))
+    world.run(5)
+    plan = make_plan(asked_ns=world.booted)
+    node.on_plan(plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
+    answer = node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, ""))
+    assert answer.success is not bool(missing) and missing in answer.message
+
+
+def test_a_new_session_drops_what_is_played_and_what_waits(world):
+    world.playing()
+    world.executor.offer(make_plan("q", asked_ns=world.booted))
+    world.node.on_link(Link(state=Link.ARMED, session="t"))
+    assert world.executor.outcome == "dropped" and world.executor.under_review.plan is None
+    assert world.executor.state is ExecutorState.WAITING
 
 
 def tool_message(tool: Gripper) -> ToolState:

@@ -403,6 +403,18 @@ class TestStopped:
         run(world, node, 40)
         assert world.gate.state is SyncState.IN_SYNC
 
+    def test_the_one_in_its_place_reads_that_at_its_start(self, world, tmp_path):
+        topics = {each.topic: world.topic(each.topic) for each in module.INTERFACE.publishes}
+        ports = SimpleNamespace(
+            publishers=topics,
+            diagnostics=SimpleNamespace(refuse=lambda *said: None),
+            parameters={PARAMETER: "s1"},
+            keeper=lambda name: lambda session: None,
+        )
+        given = {"arm": "mock", "servo_model": "", "decimals": 3, "transition_file": str(tmp_path / "t.jsonl")}
+        node = module.start(module.Settings(**SETTINGS | given), ROBOT, ports)
+        assert node.report().sentence.startswith("STOPPED: ")
+
     def test_is_forgotten_with_the_session(self, world):
         node = self.stop(world)
         node.on_link(Link(session="s2", state=Link.ARMED))

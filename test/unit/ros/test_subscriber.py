@@ -14,6 +14,8 @@ from construction_twin.ros.transport.subscriber import FOR_ANYBODY, PUBLISHERS, 
 
 #: What the issue names: the gate opens, stays open or the arm moves because of these.
 GATE = {"physical/feedback", "twin/joint_states", "physical/joint_states", "sync", "link", "scene", "conflict", "plan"}
+#: An approval, a switch or the next segment of a work plan depends on these.
+GATE |= {"rehearsal", "tool", "tool_command", "execution", "engagement", "speed_limit_in_force"}
 
 
 class Master:
