@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 
+import numpy as np
 import pytest
 from gateway_cell import (
     CONFIG,
@@ -93,6 +94,9 @@ def test_a_stream_begins_within_the_start_tolerance_only(sign):
     cell.stream([near] * 100)
     assert cell.state is State.FOLLOWING
     assert cell.measured == pytest.approx(near, abs=math.radians(0.0005))
+    # the remainder is blended in, not stepped over
+    steps = np.diff([reply[0] for reply in cell.replies], 2)
+    assert np.abs(steps).max() / CYCLE**2 <= cell.config.limits.acceleration[0] + 1e-6
 
 
 def test_the_tolerance_is_measured_from_the_held_pose_not_from_the_measured_one():

@@ -69,6 +69,7 @@ def test_what_could_not_be_written_is_said_and_tried_again(path, monkeypatch, ca
         broken.setattr(os, "fsync", lambda file: (_ for _ in ()).throw(OSError(5, "Input/output error")))
         stops.keep(STOP)
         wait_until(lambda: "Input/output error" in caplog.text, what="the sentence")
+        path.write_text("")
     wait_until(lambda: path.read_text().strip() == STOP, what="the stop on the disk")
     stops.close()
 
