@@ -193,7 +193,7 @@ class GarbageTest(RobotTest):
             for topic in HEARD_BY
             for node in HEARD_BY[topic]
         ]
-        frames = "/kr120/robot_state_publisher and /kr120/static_frames may publish frames of kr120/twin on /tf"
+        frames = "/kr120/robot_state_publisher and /kr120/display may publish frames of kr120/twin on /tf"
         rules += [(node, frames) for node in FRAMES]
         streams = Counter(node for node, _ in rules)
         before = {node: self.refused(node) for node in streams}

@@ -68,24 +68,13 @@ def parameters(file: str, *words: str) -> dict[str, object]:
     return {name: param.value for name, param in read_launch(file, *words).params.items()}
 
 
-def poses_in_tf(*words: str) -> dict[tuple[str, str], str]:
-    """Return the stream of poses that each tree of bringup's tf is made of, by the publishing node and the tree's name."""
-    nodes = {node.name: node for node in read_launch("bringup", *words).nodes}
-    known = {name.removeprefix("/kr120/"): value for name, value in parameters("bringup", *words).items()}
-    found = {}
-    for node in nodes.values():
-        if node.type != "robot_state_publisher":
-            continue
-        topic = dict(node.remap_args).get("joint_states", "joint_states")
-        # ours between, which leaves out poses at rest
-        topic = {"shown/twin": "joint_states", "shown/physical": "physical/joint_states"}.get(topic, topic)
-        if topic == "joint_states":
-            # the stock node between, and ours that adds velocities to the twin's poses
-            (topic,) = known["joint_state_publisher/source_list"]
-            assert topic == "velocities/joint_states"
-            topic = dict(nodes["joint_velocities"].remap_args).get("twin/joint_states", "twin/joint_states")
-        found[node.name, known[f"{node.name}/tf_prefix"].removeprefix("kr120/")] = topic
-    return found
+def twin_in_tf(*words: str) -> str:
+    """Return the stream of poses that the twin's tree of bringup's tf is made of, and joint_states with it."""
+    nodes = {node.name: dict(node.remap_args) for node in read_launch("bringup", *words).nodes}
+    assert nodes["robot_state_publisher"]["joint_states"] == "shown/twin"
+    # the stock node, between two topics of ours
+    assert parameters("bringup", *words)["/kr120/joint_state_publisher/source_list"] == ["velocities/joint_states"]
+    return nodes["display"].get("twin/joint_states", "twin/joint_states")
 
 
 def asked(file: str, *words: str) -> dict[str, str]:

@@ -12,11 +12,11 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from launch_files import Reader, asked, node_arguments, node_names, parameters, poses_in_tf, read_launch, refusal
+from launch_files import Reader, asked, node_arguments, node_names, parameters, read_launch, refusal, twin_in_tf
 from roslaunch import rlutil
 
 from construction_twin.ros.commands.node_files import node_shells
-from construction_twin.ros.shared.frame_listener import FRAMES, PUBLISHERS, SHOWN
+from construction_twin.ros.shared.frame_listener import FRAMES
 from construction_twin.views.preflight import notes
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -141,53 +141,18 @@ def test_who_decides_what_is_commanded_never_reads_a_simulated_pose(twin):
     assert not remapped["virtual_robot"]
 
 
-@pytest.mark.parametrize("twin", ["mujoco", "gazebo"])
-def test_frames_that_goals_are_looked_up_in_are_no_simulated_pose_s(twin):
+@pytest.mark.parametrize(
+    "twin, stream", [("kinematic", "twin/joint_states"), ("mujoco", "twin/commanded"), ("gazebo", "twin/commanded")]
+)
+def test_frames_that_goals_are_looked_up_in_are_no_simulated_pose_s(twin, stream):
     """tf and joint_states are ways to a goal, too."""
     readers = {shell.name for shell in node_shells() if set(FRAMES) & set(shell.interface.listeners)}
     assert readers == {"planner", "scene", "work"}
-    found = poses_in_tf(f"twin:={twin}")
-    assert found == {
-        ("robot_state_publisher", "twin"): "twin/commanded",
-        ("simulated_state_publisher", "simulated"): "twin/effort",
-        ("physical_state_publisher", "physical"): "physical/joint_states",
-        ("preview_state_publisher", "preview"): "preview/joint_states",
-    }
-    # what is believed of tf is all but what is only shown
-    believed = {(nodes[0], tree) for tree, nodes in PUBLISHERS.items()}
-    assert believed == {key for key in found if key[1] not in SHOWN}
-
-
-def test_the_kinematic_twin_s_frames_are_its_one_pose_and_there_is_no_simulated_tree():
-    found = poses_in_tf()
-    assert found["robot_state_publisher", "twin"] == "twin/joint_states"
-    assert not {tree for _, tree in found} & set(SHOWN)
-
-
-def test_where_the_servos_should_have_the_arm_is_shown_and_not_believed():
-    model = "servo_model:=/servos.yaml"
-    assert poses_in_tf(model)["expected_state_publisher", "expected"] == "expected/joint_states"
-    assert "expected" in SHOWN and "expected" not in PUBLISHERS
-    assert "/kr120/expected_state_publisher" not in node_names("bringup", model, "arm:=none")
-    assert parameters("bringup", model)["/kr120/mqtt_planner/servo_model"] == "/servos.yaml"
-
-
-@pytest.mark.parametrize(
-    "words, more",
-    [
-        ((), []),
-        (("twin:=mujoco",), ["simulated"]),
-        (("servo_model:=/servos.yaml",), ["expected"]),
-        (("twin:=gazebo", "servo_model:=/servos.yaml"), ["simulated", "expected"]),
-        (("servo_model:=/servos.yaml", "arm:=none"), []),
-    ],
-)
-def test_each_tree_stands_in_the_world(words, more):
-    static, node = parameters("bringup", *words), "/kr120/static_frames"
-    assert static[f"{node}/prefixes"] == ["kr120/twin", "kr120/physical", "kr120/preview"]
-    assert static[f"{node}/chain_only"] == ["kr120/physical", "kr120/preview"]
-    found = {name.rpartition("/")[2]: value for name, value in static.items() if name.startswith(f"{node}/more/")}
-    assert found == {tree: f"kr120/{tree}" for tree in more}
+    assert twin_in_tf(f"twin:={twin}") == stream
+    # the others are of what this node is given: test_display_node
+    given = parameters("bringup", f"twin:={twin}", "servo_model:=/servos.yaml", "arm:=none")
+    expected = {"twin": twin, "servo_model": "/servos.yaml", "arm": "none"}
+    assert {name: given[f"/kr120/display/{name}"] for name in expected} == expected
 
 
 REFUSED = {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -14,12 +13,12 @@ from genpy import Time
 from scene_samples import ROOT, ur_like
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.kinematics.chain import Chain
+from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.robot.description import RobotModel, home_positions, load_robot, read_robot_files
 from construction_twin.robot.other_joints import Following, OtherJoint, other_joints_text
 from construction_twin.robot.urdf import expand_xacro
-from construction_twin.ros.nodes import static_frames
-from construction_twin.ros.nodes.static_frames import other_frames
+from construction_twin.ros.messages.convert import pose_from_transform_msg
+from construction_twin.ros.shared.robot_frames import RobotFrames
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.collision_world import CollisionWorld, Contact
 from construction_twin.scene.objects import Scene, SceneObject
@@ -123,42 +122,39 @@ def test_home_pose_of_the_yaml_names_them_for_the_twin_s_frames():
     assert home_positions(YAML) == dict(zip(ur_like().joint_names, ur_like().home)) | {"slide_left": 0.03}
 
 
+def frames_of(robot: RobotModel) -> RobotFrames:
+    return RobotFrames(robot, Pose(np.zeros(3), np.eye(3)))
+
+
 def test_their_frames_are_where_they_stand():
-    frames = {frame.child: frame for frame in other_frames(read_robot_files(XACRO, YAML))}
-    assert set(frames) == {"finger_left", "finger_right", "camera"}
-    assert frames["finger_right"].parent == "palm"
-    pose = frames["finger_right"].pose
+    frames = frames_of(read_robot_files(XACRO, YAML)).still("physical", Time(1))
+    found = {frame.child_frame_id: frame for frame in frames}
+    assert {"physical/finger_left", "physical/finger_right", "physical/camera"} <= found.keys()
+    assert found["physical/finger_right"].header.frame_id == "physical/palm"
+    pose = pose_from_transform_msg(found["physical/finger_right"].transform)
     np.testing.assert_allclose(pose.position, (-0.03, 0.0, 0.06), atol=1e-12)
     np.testing.assert_allclose(pose.rotation, np.eye(3), atol=1e-12)
-    turned = frames["camera"].pose.rotation
+    turned = pose_from_transform_msg(found["physical/camera"].transform).rotation
     np.testing.assert_allclose(turned @ (0.0, 1.0, 0.0), (0.0, math.cos(0.4), math.sin(0.4)), atol=1e-12)
 
 
-def test_every_tree_has_a_floating_joint_because_no_joint_state_holds_it(monkeypatch):
+def test_every_tree_has_a_floating_joint_because_no_joint_state_holds_it():
     """joint_state_publisher leaves it out, and robot_state_publisher too; the others of the twin come from there."""
-    robot, sent = gripper(changed("hinge", type="floating", limit=None)), []
-    settings = static_frames.Settings(prefixes=["twin", "physical"], chain_only=["physical"], more={"expected": "more"})
-    monkeypatch.setattr(static_frames.rospy, "Time", SimpleNamespace(now=lambda: Time(1)))
-    tf = SimpleNamespace(publish=lambda message: sent.extend(message.transforms))
-    static_frames.StaticFramesNode(
-        settings, robot, SimpleNamespace(publishers={"/tf_static": tf}, parameters={"cell": None})
-    )
-    frames = {(transform.header.frame_id, transform.child_frame_id) for transform in sent}
-    assert frames - {("world", f"{tree}/base_link") for tree in ("twin", "physical", "more")} == {
-        ("twin/palm", "twin/camera"),
-        *(
-            (f"{tree}/palm", f"{tree}/{link}")
-            for tree in ("physical", "more")
-            for link in ("camera", "finger_left", "finger_right")
-        ),
-    }
+    frames = frames_of(gripper(changed("hinge", type="floating", limit=None)))
+    twin = [(frame.header.frame_id, frame.child_frame_id) for frame in frames.of_the_twin("twin", Time(1))]
+    assert twin == [("world", "twin/base_link"), ("twin/palm", "twin/camera")]
+    assert "more/camera" in {frame.child_frame_id for frame in frames.still("more", Time(1))}
 
 
-def test_a_follower_of_the_chain_has_no_frame_of_its_own():
-    """robot_state_publisher moves it with its leader."""
-    robot = gripper(changed("hinge", mimic={"joint": "wrist_3"}))
-    assert robot.other_joints[2] == OtherJoint("hinge", "revolute", None, "wrist_3", Following("wrist_3", 1.0, 0.0))
-    assert {frame.child for frame in other_frames(robot)} == {"finger_left", "finger_right"}
+def test_a_follower_of_the_chain_moves_with_its_leader():
+    robot = gripper(changed("hinge", mimic={"joint": "wrist_3", "multiplier": "2", "offset": "0.1"}))
+    assert robot.other_joints[2] == OtherJoint("hinge", "revolute", None, "wrist_3", Following("wrist_3", 2.0, 0.1))
+    frames = frames_of(robot)
+    assert "p/camera" not in {frame.child_frame_id for frame in frames.still("p", Time(1))}
+    moving = {frame.child_frame_id: frame for frame in frames.moving("p", Time(1), (0.0,) * 5 + (0.3,))}
+    assert len(moving) == 7
+    turned = pose_from_transform_msg(moving["p/camera"].transform).rotation
+    np.testing.assert_allclose(turned @ (0.0, 1.0, 0.0), (0.0, math.cos(0.7), math.sin(0.7)), atol=1e-12)
     assert text(robot).endswith("; others move with it: hinge (revolute, moves with wrist_3)")
 
 

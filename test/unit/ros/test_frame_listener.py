@@ -10,7 +10,7 @@ from geometry_msgs.msg import TransformStamped
 from tf2_msgs.msg import TFMessage
 
 from construction_twin.ros.shared import frame_listener as module
-from construction_twin.ros.shared.frame_listener import FrameListener
+from construction_twin.ros.shared.frame_listener import PUBLISHERS, FrameListener
 from construction_twin.ros.transport import subscriber
 
 PLAYER = "/play_1790000000123"
@@ -76,19 +76,19 @@ def world(monkeypatch):
 
 
 @pytest.mark.parametrize("topic", ["/tf", "/tf_static"])
-@pytest.mark.parametrize("tree, node", [("twin", "robot_state_publisher"), ("physical", "physical_state_publisher")])
+@pytest.mark.parametrize("tree, nodes", PUBLISHERS.items())
 @pytest.mark.parametrize("slash", ["", "/"])
-def test_a_robot_s_frames_are_believed_from_its_own_nodes_only(world, topic, tree, node, slash):
+def test_a_robot_s_frames_are_believed_from_its_own_nodes_only(world, topic, tree, nodes, slash):
     frames = [f"{slash}kr120/{tree}/link_{k}" for k in range(3)]
-    for own in (node, "static_frames"):
+    for own in nodes:
         world.say(f"/kr120/{own}", *frames, topic=topic, x=1.0)
     assert world.refused == [] and set(world.heard.values()) == {1.0} and len(world.heard) == 3
-    for stranger in (PLAYER, "/kr120_2/robot_state_publisher", "/robot_state_publisher", ""):
+    for stranger in (PLAYER, f"/kr120_2/{nodes[0]}", f"/{nodes[0]}", ""):
         world.say(stranger, *frames, topic=topic, x=9.0)
     assert set(world.heard.values()) == {1.0}
     # one line for a message, not one for each of its frames
     assert [reason for reason, _ in world.refused] == ["publisher"] * 4
-    expected = f"only /kr120/{node} and /kr120/static_frames may publish frames of kr120/{tree} on /tf"
+    expected = f"only {' and '.join(f'/kr120/{own}' for own in nodes)} may publish frames of kr120/{tree} on /tf"
     assert world.refused[0][1] == f"message from {PLAYER}; {expected}"
     assert world.refused[3][1] == f"message from a node without a name; {expected}"
 
@@ -187,9 +187,9 @@ def test_a_clock_that_is_set_back_empties_the_buffer(world):
 
 @pytest.mark.parametrize("topic", ["/tf", "/tf_static"])
 @pytest.mark.parametrize("tree", ["simulated", "expected"])
-@pytest.mark.parametrize("node", ["/kr120/{}_state_publisher", "/kr120/static_frames", PLAYER])
+@pytest.mark.parametrize("node", ["/kr120/display", PLAYER])
 def test_nothing_is_looked_up_in_a_tree_that_is_only_shown_and_hearing_it_is_no_fault(world, topic, tree, node):
-    world.say(node.format(tree), f"kr120/{tree}/tool0", f"/kr120/{tree}/link_1", topic=topic)
+    world.say(node, f"kr120/{tree}/tool0", f"/kr120/{tree}/link_1", topic=topic)
     assert world.heard == {} and world.refused == []
     # a frame of that name that is of no robot's tree is as any other
     world.say(PLAYER, tree, f"site/{tree}", topic=topic, x=1.0)

@@ -230,8 +230,8 @@ def test_a_running_node_says_one_line_at_most_when_its_master_is_killed_and_ctrl
         description = yaml.safe_load((ROOT / "config" / "kr120.yaml").read_text())
         parameters.setParam("/kr120/robot", description | {"name": "kr120"})
         parameters.setParam("/kr120/robot_description", expand_xacro(ROOT / "urdf" / "kr120r2500.urdf.xacro"))
-        parameters.setParam("/kr120/static_frames", {"prefixes": ["kr120/twin"], "chain_only": []})
-        process, said = started("static_frames", {"ROS_MASTER_URI": uri, "ROS_NAMESPACE": "kr120"})
+        parameters.setParam("/kr120/display", {"arm": "none", "twin": "kinematic", "servo_model": ""})
+        process, said = started("display", {"ROS_MASTER_URI": uri, "ROS_NAMESPACE": "kr120"})
         wait_for(lambda: "scheduling" in said.read_text(), "the last word of its start")
         before = said.read_text()
         if killed:

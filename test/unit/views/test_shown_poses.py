@@ -1,16 +1,24 @@
-"""Poses that are left out at rest, and none that anybody would miss."""
+"""Poses that are left out at rest, and none that anybody would miss; velocities as differences of poses."""
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scene_samples import kr120
 
-from construction_twin.views.shown_poses import REST_PERIOD, STILL, ShownPoses
+from construction_twin.views.shown_poses import REST_PERIOD, STILL, JointVelocities, ShownPoses
 
 NAMES = ("a", "b")
 #: Between two poses [s]; sums of it are exact.
 PERIOD = 1 / 32
+#: Between two poses with velocities [ns].
+CYCLE = 20_000_000
+HOME = kr120().home
+LARGEST = kr120().velocity
 
 
 def shown(*q: float) -> list[int]:
@@ -68,3 +76,40 @@ def test_what_is_shown_is_never_far_from_the_truth_for_longer_than_two_poses_nor
         off = off + 1 if abs(values[last] - value) > 2 * STILL else 0
         assert off <= 1
         assert number * PERIOD - seen_at <= REST_PERIOD
+
+
+def test_velocities_are_those_of_the_motion():
+    velocities = JointVelocities(LARGEST)
+    for cycle in range(100):
+        time = cycle * 0.02
+        q = tuple(value + 0.1 * (number + 1) * math.sin(time) for number, value in enumerate(HOME))
+        found = velocities.of(cycle * CYCLE, q)
+        if cycle == 0:
+            assert found == (0.0,) * 6
+            continue
+        # of the middle between the two poses
+        expected = [0.1 * (number + 1) * math.cos(time - 0.01) for number in range(6)]
+        np.testing.assert_allclose(found, expected, rtol=1e-4)
+
+
+def test_at_rest_they_are_zero():
+    velocities = JointVelocities(LARGEST)
+    assert [velocities.of(cycle * CYCLE, HOME) for cycle in range(3)] == [(0.0,) * 6] * 3
+
+
+@pytest.mark.parametrize("stamp, offset", [(0, 0.001), (-5, 0.001), (CYCLE, 1.0)])
+def test_a_pose_that_was_not_moved_to_is_at_rest(stamp, offset):
+    """A stamp that is not newer; a twin that has taken the arm's pose over."""
+    velocities = JointVelocities(LARGEST)
+    velocities.of(0, HOME)
+    q = tuple(value + offset for value in HOME)
+    assert velocities.of(stamp, q) == (0.0,) * 6
+    # and from there the motion goes on
+    later = tuple(value + 0.001 for value in q)
+    np.testing.assert_allclose(velocities.of(stamp + CYCLE, later), 0.05)
+
+
+def test_the_robot_s_largest_speeds_tell_what_a_jump_is():
+    velocities = JointVelocities((100.0,) * 6)
+    velocities.of(0, HOME)
+    np.testing.assert_allclose(velocities.of(CYCLE, tuple(value + 1.0 for value in HOME)), 50.0)

@@ -12,7 +12,7 @@ from visualization_msgs.msg import Marker
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.monitor.states import SyncState
 from construction_twin.robot.urdf import expand_xacro
-from construction_twin.ros.nodes.sync_view import arm_markers
+from construction_twin.ros.messages.display_markers import arm_markers
 from construction_twin.views.sync_picture import (
     COLOURS,
     visual_shapes,

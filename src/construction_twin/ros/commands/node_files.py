@@ -29,10 +29,7 @@ from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
 from construction_twin.views.preflight import is_true
 
 #: Nodes of a robot that are none of this package's, or start in another way.
-_OTHERS = (
-    "rsi_gateway", "separation", "joint_state_publisher", "robot_state_publisher", "physical_state_publisher",
-    "preview_state_publisher", "simulated_state_publisher", "expected_state_publisher", "plc",
-)  # fmt: skip
+_OTHERS = ("rsi_gateway", "separation", "joint_state_publisher", "robot_state_publisher", "plc")
 
 
 def node_shells() -> tuple[NodeShell, ...]:

@@ -23,9 +23,9 @@ from construction_twin.ros.transport.subscriber import PUBLISHER, Subscriber, ca
 
 #: Who publishes the frames of a robot's trees, by the tree's name, in the robot's namespace.
 PUBLISHERS = {
-    "twin": ("robot_state_publisher", "static_frames"),
-    "physical": ("physical_state_publisher", "static_frames"),
-    "preview": ("preview_state_publisher", "static_frames"),
+    "twin": ("robot_state_publisher", "display"),
+    "physical": ("display",),
+    "preview": ("display",),
 }
 #: Trees for people to look at, which nothing here is told of: of a simulated pose, and of where the servos should have the arm.
 SHOWN = ("simulated", "expected")

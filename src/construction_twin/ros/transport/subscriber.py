@@ -43,7 +43,7 @@ PUBLISHERS = {
     "conflict": "neighbour",
     "plan_outcome": "planner",
     "transitions": "pca_monitor",
-    "velocities/joint_states": "joint_velocities",
+    "velocities/joint_states": "display",
     "speed_limit_in_force": "speed_limits",
     "speed_change": "speed_limits",
 }

@@ -1,4 +1,4 @@
-"""The preview node's markers of a work plan: all of it in every message, and the element in the ghost's grip."""
+"""The display node: low rates of the twin, trees of tf, the gate's state, a work plan with the ghost's grip, and its rehearsal."""
 
 from __future__ import annotations
 
@@ -7,33 +7,39 @@ import dataclasses
 import numpy as np
 import pytest
 import rospy
-from construction_twin.msg import Rehearsal
+from construction_twin.msg import Rehearsal, Sync
 from construction_twin.srv import PreviewPlanRequest
 from plan_samples import make_plan
 from planning_cell import HOME, LEFT, RIGHT, ROBOT
+from sensor_msgs.msg import JointState
 from unplugged import Unplugged
 from visualization_msgs.msg import Marker
 
-from construction_twin.core.errors import PoseUnknownError
+from construction_twin.core.units import NANOSECONDS
 from construction_twin.kinematics.chain import Chain
+from construction_twin.monitor.states import SyncState
 from construction_twin.physics.report import FAILED, PASSED, AxisLoad, RehearsalReport, RehearsedContact, finished
 from construction_twin.planning.timing import time_path
 from construction_twin.planning.work_plan import joined
 from construction_twin.robot.plan import Plan, content_hash
 from construction_twin.robot.segments import Segment
-from construction_twin.ros.messages.convert import plan_to_msg
+from construction_twin.ros.messages.convert import plan_to_msg, pose_from_transform_msg
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.scene_convert import scene_to_msg
-from construction_twin.ros.nodes import preview as module
-from construction_twin.ros.nodes.preview import NODE, Settings
+from construction_twin.ros.nodes import display as module
+from construction_twin.ros.nodes.display import NODE, Settings
+from construction_twin.ros.shared.frame_listener import PUBLISHERS, SHOWN
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
+from construction_twin.views.sync_picture import COLOURS
 
 STOCK = SceneObject("beam/0", "box", (0.1, 0.1, 1.0), (1.0, -1.0, 0.5))
 HELD = dataclasses.replace(STOCK, position=(0.0, 0.0, 0.5), link="tool0")
 BUILT = dataclasses.replace(STOCK, position=(1.0, 1.0, 0.5))
 SCENES = [Scene((item,), 0.01) for item in (STOCK, HELD, BUILT)]
 CHANGES = (SceneChange((HELD,)), SceneChange((BUILT,)), SceneChange())
+PERIOD = 20_000_000
+THERE = tuple(HOME.tolist())
 
 
 def work_plan() -> Plan:
@@ -50,21 +56,20 @@ def work_plan() -> Plan:
 class Bench:
     """The node without ROS; the markers as rviz would hold them."""
 
-    def __init__(self, monkeypatch):
+    def __init__(self, monkeypatch, **settings: str):
         self.now = 100.0
+        self.slept: list[float] = []
         patch = monkeypatch.setattr
-        patch(module, "now_ns", lambda: 0)
+        patch(module, "now_ns", lambda: 7 * NANOSECONDS)
         patch(module.time, "monotonic", lambda: self.now)
-        settings = Settings(tf_prefix="kr120/preview")
-        unplugged = Unplugged(monkeypatch, NODE, settings, ROBOT, self.unknown)
+        patch(module.time, "sleep", self.slept.append)
+        given = Settings(**{"arm": "mock", "twin": "kinematic", "servo_model": ""} | settings)
+        unplugged = Unplugged(monkeypatch, NODE, given, dataclasses.replace(ROBOT, name="kr120"))
         self.callbacks, self.services, self.refused = unplugged.callbacks, unplugged.services, unplugged.refused
+        self.published, self.report = unplugged.published, unplugged.node.report
         self.messages = unplugged.published["plan_markers"]
         self.rehearsals = unplugged.published["rehearsal_markers"]
-        self.ghosts = unplugged.published["preview/joint_states"]
-        (self._timer,) = unplugged.timers
-
-    def unknown(self, _):
-        raise PoseUnknownError("twin/joint_states", 1.0, 0.5)
+        self._move_ghost, self._show_sync = unplugged.timers
 
     def hear_plan(self, plan: Plan) -> None:
         path = np.zeros((len(plan.trajectory.times), 3))
@@ -73,9 +78,28 @@ class Bench:
     def hear_scene(self, scene: Scene) -> None:
         self.callbacks["scene"](scene_to_msg(scene, rospy.Time(1), "kr120/twin/base_link"))
 
+    def hear_twin(self, now: float, cycle: int, q=THERE) -> None:
+        """Hear a pose of the twin, the one of a cycle of 20 ms."""
+        self.now = now
+        self.callbacks["twin/joint_states"](5 * NANOSECONDS + cycle * PERIOD, q)
+
+    def hear_sync(self, state: int) -> None:
+        self.callbacks["sync"](Sync(state=state, reason="joint_a1 differs"))
+        self._show_sync(None)
+
     def at(self, now: float) -> None:
         self.now = now
-        self._timer(None)
+        self._move_ghost(None)
+        self._show_sync(None)
+
+    def hear_rehearsal(self, message: Rehearsal) -> None:
+        self.callbacks["rehearsal"](message)
+
+    def namespaces(self) -> list[str]:
+        """Namespaces of the newest markers of a rehearsal, each once; they begin with the removal of all before."""
+        first, *markers = self.rehearsals[-1].markers
+        assert first.action == Marker.DELETEALL
+        return list(dict.fromkeys(marker.ns for marker in markers))
 
     def shown(self, namespace: str) -> list[Marker]:
         """Markers of a namespace in the newest message, which stands alone: it begins with the removal of all others."""
@@ -85,11 +109,131 @@ class Bench:
 
 
 @pytest.fixture
-def bench(monkeypatch) -> Bench:
-    made = Bench(monkeypatch)
-    made.hear_scene(SCENES[0])
-    made.hear_plan(work_plan())
-    return made
+def plain(monkeypatch) -> Bench:
+    return Bench(monkeypatch)
+
+
+# -- the twin at a low rate
+
+
+def test_the_twin_s_pose_is_published_with_velocities_and_its_own_stamp(plain):
+    sent = plain.published["velocities/joint_states"]
+    assert plain.report().sentence == "the twin has no pose yet" and plain.report().level != 0
+    plain.hear_twin(107.0, 0)
+    plain.hear_twin(107.001, 1, tuple(HOME + 0.01))
+    assert (sent[1].header.stamp.to_nsec(), tuple(sent[1].name)) == (5 * NANOSECONDS + PERIOD, ROBOT.joint_names)
+    np.testing.assert_allclose(sent[1].position, HOME + 0.01)
+    np.testing.assert_allclose(sent[1].velocity, 0.5)
+    # the thread reads on when the next one is of interest
+    assert plain.slept == [0.0, pytest.approx(0.019)] and plain.report().level == 0
+
+
+def test_a_twin_that_falls_silent_in_mid_motion_is_shown_at_rest_once_and_watched_again_when_it_is_back(plain):
+    sent = plain.published["velocities/joint_states"]
+    plain.at(100.0)
+    assert not sent, "it never had a pose"
+    for back in (0, 1):
+        plain.hear_twin(110.0 + back, 100 * back)
+        plain.hear_twin(110.02 + back, 100 * back + 1, tuple(HOME + 0.01))
+        plain.at(110.26 + back)
+        assert len(sent) == 3 * back + 2 and max(sent[-1].velocity) > 0.4, "not silent yet"
+        for later in (110.28, 110.5, 110.9):
+            plain.at(later + back)
+        assert len(sent) == 3 * back + 3 and tuple(sent[-1].velocity) == (0.0,) * 6
+        assert (sent[-1].position, sent[-1].header.stamp) == (sent[-2].position, sent[-2].header.stamp)
+        assert "silent" in plain.report().sentence and plain.report().level != 0
+
+
+# -- tf
+
+
+def test_what_the_twin_s_tree_is_made_of_is_passed_on_a_few_times_a_second_at_rest(plain):
+    for now in (107.0, 107.1, 107.3):
+        plain.now = now
+        plain.callbacks["joint_states"](JointState(name=["a"], position=[1.0]))
+    assert len(plain.published["shown/twin"]) == 2
+
+
+@pytest.mark.parametrize(
+    "settings, streams",
+    [
+        ({}, {"physical": "physical/joint_states"}),
+        ({"arm": "none", "servo_model": "/servos.yaml"}, {}),
+        (
+            {"twin": "mujoco", "servo_model": "/servos.yaml"},
+            {"physical": "physical/joint_states", "simulated": "twin/effort", "expected": "expected/joint_states"},
+        ),
+    ],
+)
+def test_each_tree_that_is_shown_is_made_of_one_stream_and_stands_in_the_world(monkeypatch, settings, streams):
+    bench = Bench(monkeypatch, **settings)
+    (static,) = bench.published["/tf_static"]
+    roots = {each.child_frame_id.split("/")[1] for each in static.transforms if each.header.frame_id == "world"}
+    # what is believed of tf is all but what is only shown
+    assert roots == {*PUBLISHERS, *streams} and roots - {*PUBLISHERS} <= {*SHOWN}
+    assert {"physical/joint_states", "twin/effort", "expected/joint_states"} & bench.callbacks.keys() == {
+        *streams.values()
+    }
+    for number, (tree, topic) in enumerate(streams.items()):
+        bench.callbacks[topic](number * NANOSECONDS, tuple(RIGHT))
+        frames = bench.published["/tf"][-1].transforms
+        assert [each.child_frame_id for each in frames] == [f"kr120/{tree}/link_{joint}" for joint in range(1, 7)]
+        assert {each.header.stamp.to_nsec() for each in frames} == {number * NANOSECONDS}
+        assert len(bench.published["/tf"]) == number + 1
+
+
+def test_the_frames_lead_to_where_forward_kinematics_has_the_tool(plain):
+    plain.callbacks["physical/joint_states"](0, tuple(RIGHT))
+    (static,), (moving,) = plain.published["/tf_static"], plain.published["/tf"]
+    below = {each.child_frame_id: each for each in [*static.transforms, *moving.transforms]}
+    frame, found = f"kr120/physical/{ROBOT.tip_link}", np.eye(4)
+    while frame != "world":
+        found = pose_from_transform_msg(below[frame].transform).matrix() @ found
+        frame = below[frame].header.frame_id
+    np.testing.assert_allclose(found, Chain(ROBOT).forward(RIGHT).matrix(), atol=1e-9)
+
+
+def test_the_ghost_hides_in_the_twin_and_keeps_its_frames_with_it(plain):
+    plain.at(100.0)
+    assert not plain.published["preview/joint_states"], "there is nothing to hide in"
+    plain.hear_twin(100.0, 0)
+    plain.at(100.04)
+    assert plain.published["preview/joint_states"] == [(7 * NANOSECONDS, THERE)]
+    frames = plain.published["/tf"][-1].transforms
+    assert {each.header.stamp.to_nsec() for each in frames} == {7 * NANOSECONDS}
+    assert all(each.child_frame_id.startswith("kr120/preview/") for each in frames)
+
+
+# -- the monitor's state
+
+
+def test_the_arm_has_the_colour_of_the_state_until_nothing_is_heard_of_it(plain):
+    plain.hear_sync(Sync.HOLDING)
+    plain.hear_sync(Sync.HOLDING)
+    plain.at(101.1)
+    held, silent = plain.published["sync_markers"]
+    for message, state in ((held, SyncState.HOLDING), (silent, SyncState.WAITING)):
+        *arm, text = message.markers
+        colours = [(each.color.r, each.color.g, each.color.b, each.color.a) for each in arm]
+        np.testing.assert_allclose(colours, [COLOURS[state]] * len(colours), rtol=1e-6)
+        assert text.text.startswith(state.name)
+        assert (text.header.frame_id, text.action) == ("kr120/physical/base_link", Marker.ADD)
+    assert "joint_a1 differs" in held.markers[-1].text
+
+
+def test_a_state_that_nobody_knows_is_refused(plain):
+    plain.hear_sync(99)
+    assert [reason for reason, _ in plain.refused] == ["sync"]
+
+
+# -- a work plan
+
+
+@pytest.fixture
+def bench(plain) -> Bench:
+    plain.hear_scene(SCENES[0])
+    plain.hear_plan(work_plan())
+    return plain
 
 
 def test_a_work_plan_is_drawn_with_paths_ends_names_and_the_placed_element(bench):
@@ -143,19 +287,6 @@ def rehearsal(plan: Plan, **changes) -> Rehearsal:
     return to_msg(finished(dataclasses.replace(report, **changes), 0.1), Rehearsal)
 
 
-class Rehearsed(Bench):
-    """The same, with what is heard of rehearsals."""
-
-    def hear_rehearsal(self, message: Rehearsal) -> None:
-        self.callbacks["rehearsal"](message)
-
-    def namespaces(self) -> list[str]:
-        """Namespaces of the newest markers of a rehearsal, each once; they begin with the removal of all before."""
-        first, *markers = self.rehearsals[-1].markers
-        assert first.action == Marker.DELETEALL
-        return list(dict.fromkeys(marker.ns for marker in markers))
-
-
 PARTS = [
     "rehearsal_arm", "rehearsal_torques", "rehearsal_limits", "rehearsal_axes", "rehearsal_contacts",
     "rehearsal_contact_names", "rehearsal",
@@ -167,10 +298,9 @@ def plain_plan() -> Plan:
 
 
 @pytest.fixture
-def rehearsed(monkeypatch) -> Rehearsed:
-    made = Rehearsed(monkeypatch)
-    made.hear_scene(SCENES[0])
-    return made
+def rehearsed(plain) -> Bench:
+    plain.hear_scene(SCENES[0])
+    return plain
 
 
 @pytest.mark.parametrize("first", ["plan", "rehearsal"])

@@ -1,0 +1,268 @@
+"""display: what people look at, and poses at a low rate for those who need no 250 Hz. Nothing waits for it.
+
+`velocities/joint_states` is the twin's pose with velocities, which joint_state_publisher reads for `joint_states`. Of a twin with
+mass that is the commanded pose: MoveIt starts from it, and goals in a link's frame are looked up in the tf made of it, by way of
+`shown/twin`. The other trees of tf are made here: physical arm, the ghost that plays a plan (`preview/joint_states`), and, where
+there are such, the simulated and the expected arm. Markers: the plan under review and its rehearsal, and the monitor's state.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from typing import Literal
+
+import numpy as np
+import pydantic
+from sensor_msgs.msg import JointState
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
+
+from construction_twin.core.reports import HoldReport
+from construction_twin.core.sentences import Sentence
+from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.monitor.states import SyncState
+from construction_twin.msg import Execution, Hold, Plan, Rehearsal, Review, Scene, Sync
+from construction_twin.robot.description import RobotModel
+from construction_twin.ros.messages.display_markers import arm_markers, text_marker
+from construction_twin.ros.messages.records import from_msg
+from construction_twin.ros.messages.scene_convert import tf_frame
+from construction_twin.ros.shared.diagnostics import OK, WARN, Report
+from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.plan_display import PlanDisplay
+from construction_twin.ros.shared.ports import (
+    Every,
+    Interface,
+    Ports,
+    PosePublication,
+    PoseSubscription,
+    Publication,
+    Served,
+    SharedParameter,
+    Subscription,
+    has_arm,
+)
+from construction_twin.ros.shared.robot_frames import RobotFrames
+from construction_twin.ros.transport.joint_stream import now_ns, to_time
+from construction_twin.scene.cell import load_cell
+from construction_twin.srv import PreviewPlan
+from construction_twin.views.hold_cause import hold_cause
+from construction_twin.views.shown_poses import JointVelocities, ShownPoses
+from construction_twin.views.sync_picture import headline, headline_height, visual_shapes, worst_joint
+
+#: Between two messages with velocities, which are means over it, and between two poses that people look at [s].
+PERIOD, FRAME_PERIOD = 0.02, 0.04
+#: A twin that has published nothing for this time is silent [s].
+SILENCE = 0.25
+#: How often the picture of the monitor's state is made, and without a report for how long that state is not known [s].
+SYNC_PERIOD, SYNC_SILENCE = 0.2, 1.0
+
+
+class Settings(pydantic.BaseModel):
+    """Private parameters, given in launch/twin.launch: launch arguments of these names."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    arm: Literal["mock", "real", "none"]
+    twin: Literal["kinematic", "mujoco", "gazebo"]
+    servo_model: str
+
+
+def is_simulated(settings: Settings) -> bool:
+    """Return whether the twin has a pose beside the commanded one."""
+    return settings.twin != "kinematic"
+
+
+def knows_servos(settings: Settings) -> bool:
+    """Return whether the monitor says where the servos should have the arm."""
+    return bool(settings.servo_model) and has_arm(settings)
+
+
+class DisplayNode:
+    """Poses, trees of tf and the picture of the monitor's state; the plan is a `PlanDisplay`'s."""
+
+    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+        self._robot = robot
+        self._publishers, self._diagnostics = ports.publishers, ports.diagnostics
+        self._shapes = visual_shapes(robot.urdf)
+        self.plan = PlanDisplay(robot, self._shapes, self._prefix("preview"), ports)
+        chain = Chain(robot)
+        self._text_height = headline_height(float(chain.shoulder[2]), chain.arm_length)
+        self._sync: tuple[float, Sync] | None = None
+        self._hold: HoldReport | None = None
+        self._sync_shown: tuple[SyncState, str] | None = None
+        self._velocities = JointVelocities(robot.velocity)
+        # poses come in a thread of their own: a pose and the end of its motion must not overtake each other
+        self._lock = threading.Lock()
+        self._twin: tuple[int, tuple[float, ...]] | None = None
+        self._heard = self._next = 0.0
+        self._silent = False
+        self._twin_shown: ShownPoses[JointState] = ShownPoses()
+        self._poses_shown = {tree: ShownPoses[tuple[int, tuple[float, ...]]]() for tree in ("physical", "preview")}
+        cell = ports.parameters["cell"]
+        place = Pose(np.zeros(3), np.eye(3)) if cell is None else load_cell(cell).world_T_root(robot.name)
+        self._frames = RobotFrames(robot, place)
+        self._publish_static_frames(settings)
+
+    def _prefix(self, tree: str) -> str:
+        return f"{self._robot.name}/{tree}"
+
+    def _publish_static_frames(self, settings: Settings) -> None:
+        now = to_time(now_ns())
+        trees = ["physical", "preview"]
+        trees += ["simulated"] if is_simulated(settings) else []
+        trees += ["expected"] if knows_servos(settings) else []
+        transforms = self._frames.of_the_twin(self._prefix("twin"), now)
+        for tree in trees:
+            transforms += self._frames.still(self._prefix(tree), now)
+        self._publishers["/tf_static"].publish(TFMessage(transforms))
+
+    # -- poses
+
+    def on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
+        """Publish a pose of the twin with velocities and its own stamp, and take the next one when it is its turn."""
+        now = time.monotonic()
+        with self._lock:
+            self._twin, self._heard, self._silent = (stamp, q), now, False
+            self._publish_twin(stamp, q, self._velocities.of(stamp, q))
+        # a grid, so that the rate does not depend on how long a message takes; begun anew after a silence
+        self._next = max(self._next + PERIOD, now)
+        # in rospy's thread of a connection: when it reads on it takes the newest of what came meanwhile
+        time.sleep(max(0.0, self._next - time.monotonic()))
+
+    def on_joints(self, message: JointState) -> None:
+        """Pass on what tf is made of, of the twin."""
+        with self._lock:  # anybody may publish these
+            shown = self._twin_shown.take(time.monotonic(), message.name, message.position, message)
+        if shown is not None:
+            self._publishers["shown/twin"].publish(shown)
+        time.sleep(FRAME_PERIOD)
+
+    def on_physical(self, stamp: int, q: tuple[float, ...]) -> None:
+        """Show the physical arm."""
+        self._show("physical", "shown/physical", stamp, q)
+
+    def on_simulated(self, stamp: int, q: tuple[float, ...]) -> None:
+        """Show where an arm with mass would be."""
+        self._publish_frames("simulated", stamp, q)
+
+    def on_expected(self, stamp: int, q: tuple[float, ...]) -> None:
+        """Show where the servos should have the arm."""
+        self._publish_frames("expected", stamp, q)
+
+    def move_ghost(self) -> None:
+        """Show where the ghost is now, and once that a silent twin is at rest.
+
+        Otherwise joint_state_publisher would repeat its last velocity with fresh stamps.
+        """
+        now = time.monotonic()
+        with self._lock:
+            twin = self._twin
+            if twin is not None and not self._silent and now - self._heard >= SILENCE:
+                self._silent = True
+                # the pose is known of its own time only
+                self._publish_twin(*twin, (0.0,) * len(twin[1]))
+        pose = self.plan.ghost(now, None if twin is None else twin[1])
+        if pose is not None:
+            self._show("preview", "preview/joint_states", now_ns(), pose)
+
+    def _publish_twin(self, stamp: int, q: tuple[float, ...], velocity: tuple[float, ...]) -> None:
+        message = JointState(name=self._robot.joint_names, position=q, velocity=velocity)
+        message.header.stamp = to_time(stamp)
+        self._publishers["velocities/joint_states"].publish(message)
+
+    def _show(self, tree: str, topic: str, stamp: int, q: tuple[float, ...]) -> None:
+        """Publish a pose on its topic and in tf, if it is its turn."""
+        shown = self._poses_shown[tree].take(time.monotonic(), (), q, (stamp, q))
+        if shown is not None:
+            self._publishers[topic].publish(*shown)
+            self._publish_frames(tree, *shown)
+
+    def _publish_frames(self, tree: str, stamp: int, q: tuple[float, ...]) -> None:
+        self._publishers["/tf"].publish(TFMessage(self._frames.moving(self._prefix(tree), to_time(stamp), q)))
+
+    # -- the monitor's state
+
+    def on_sync(self, message: Sync) -> None:
+        """Store the monitor's state."""
+        if message.state not in SyncState._value2member_map_:
+            self._diagnostics.refuse("sync", Sentence("reason.refused.sync_state", state=message.state))
+            return
+        self._sync = time.monotonic(), message
+
+    def on_hold(self, message: Hold) -> None:
+        """Store why the gate is closed."""
+        self._hold = from_msg(HoldReport, message)
+
+    def show_sync(self) -> None:
+        """Make the picture of the state anew, and publish it where it has changed."""
+        heard, last = self._sync or (-math.inf, None)
+        if last is None or time.monotonic() - heard > SYNC_SILENCE:
+            shown = SyncState.WAITING, headline(SyncState.WAITING, Sentence("view.sync_silent"), "")
+        else:
+            state, cause = SyncState(last.state), hold_cause(self._hold)
+            worst = "" if cause else worst_joint(last.name, last.error, last.threshold, self._robot.linear)
+            shown = state, headline(state, cause or last.reason, worst)
+        publisher = self._publishers.get("sync_markers")
+        if publisher is None or shown == self._sync_shown:
+            return
+        self._sync_shown = shown
+        prefix, (state, text) = self._prefix("physical"), shown
+        over_arm = text_marker(text, tf_frame(prefix, self._robot.base_link), self._text_height)
+        publisher.publish(MarkerArray(markers=[*arm_markers(self._shapes, state, prefix), over_arm]))
+
+    def report(self) -> Report:
+        """Return the state for `/diagnostics`."""
+        values = {"plan": self.plan.plan_id, "state": self._sync_shown[0].name if self._sync_shown else ""}
+        if self._twin is None:
+            return Report(WARN, "the twin has no pose yet", values)
+        if self._silent:
+            return Report(WARN, "the twin is silent: its last pose is shown, at rest", values)
+        return Report(OK, "shows twin, arm and plan", values)
+
+
+INTERFACE = Interface(
+    report=DisplayNode.report,
+    parameters=(SharedParameter("cell"),),
+    publishes=(
+        Publication("velocities/joint_states", JointState, queue_size=5),
+        Publication("shown/twin", JointState, queue_size=5),
+        PosePublication("shown/physical", when=has_arm),
+        PosePublication("preview/joint_states"),
+        Publication("/tf", TFMessage, queue_size=100, tcp_nodelay=True),
+        Publication("/tf_static", TFMessage, queue_size=100, latch=True),
+        Publication("plan_markers", MarkerArray, queue_size=2, latch=True),
+        Publication("rehearsal_markers", MarkerArray, queue_size=2, latch=True),
+        Publication("sync_markers", MarkerArray, queue_size=2, latch=True, when=has_arm),
+    ),
+    hears=(
+        PoseSubscription("twin/joint_states", DisplayNode.on_twin, queue_size=1),
+        Subscription("joint_states", JointState, DisplayNode.on_joints, queue_size=1),
+        PoseSubscription(
+            "physical/joint_states", DisplayNode.on_physical, queue_size=1, pause=FRAME_PERIOD, when=has_arm
+        ),
+        PoseSubscription("twin/effort", DisplayNode.on_simulated, queue_size=1, pause=FRAME_PERIOD, when=is_simulated),
+        PoseSubscription(
+            "expected/joint_states", DisplayNode.on_expected, queue_size=1, pause=FRAME_PERIOD, when=knows_servos
+        ),
+        Subscription("sync", Sync, DisplayNode.on_sync, queue_size=1, when=has_arm),
+        Subscription("hold", Hold, DisplayNode.on_hold, queue_size=1, when=has_arm),
+        Subscription("scene", Scene, lambda node, message: node.plan.on_scene(message), queue_size=1),
+        Subscription("review", Review, lambda node, message: node.plan.on_review(message), queue_size=5),
+        Subscription("execution", Execution, lambda node, message: node.plan.on_execution(message), queue_size=10),
+        Subscription("plan", Plan, lambda node, message: node.plan.on_plan(message), queue_size=2),
+        Subscription("rehearsal", Rehearsal, lambda node, message: node.plan.on_rehearsal(message), queue_size=2),
+    ),
+    serves=(Served("preview_plan", PreviewPlan, lambda node, request: node.plan.on_preview(request)),),
+    every=(
+        Every(lambda _settings: FRAME_PERIOD, lambda node, _ports: node.move_ghost()),
+        Every(lambda _settings: SYNC_PERIOD, lambda node, _ports: node.show_sync()),
+    ),
+)
+NODE = NodeShell("display", Settings, DisplayNode, INTERFACE)
+
+
+def main() -> None:
+    """Run the node."""
+    NODE.run()

@@ -1,0 +1,222 @@
+"""The plan under review and its rehearsal, as rviz shows them, and the ghost that plays the plan."""
+
+from __future__ import annotations
+
+import threading
+import time
+from bisect import bisect_left
+
+from visualization_msgs.msg import Marker, MarkerArray
+
+from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.motion_errors import SceneError
+from construction_twin.core.sentences import Sentence
+from construction_twin.kinematics.chain import Chain
+from construction_twin.msg import Execution, Plan, Rehearsal, Review
+from construction_twin.msg import Scene as SceneMsg
+from construction_twin.physics.report import RehearsalReport, is_whole
+from construction_twin.robot.description import RobotModel
+from construction_twin.robot.plan import Plan as MadePlan
+from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg
+from construction_twin.ros.messages.display_markers import all_gone, grip_markers, plan_markers, rehearsal_markers
+from construction_twin.ros.messages.records import from_msg
+from construction_twin.ros.messages.scene_convert import scene_from_msg
+from construction_twin.ros.shared.ports import Ports
+from construction_twin.scene.collision_bodies import RobotBodies
+from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.scene.scene_change import SceneChange
+from construction_twin.srv import PreviewPlanRequest
+from construction_twin.views.preview import Preview, WorkContext, picture
+from construction_twin.views.rehearsal_picture import rehearsal_picture
+from construction_twin.views.sync_picture import Shape, headline_height
+from construction_twin.views.work_picture import MOST_BODIES, WorkStates, work_states
+
+#: How long a preview waits for the plan that was made just before [s].
+PLAN_TIMEOUT = 1.0
+#: Rehearsals that are remembered: of the plan under review, and of those that come before it is offered.
+REHEARSALS_KEPT = 4
+
+
+class PlanDisplay:
+    """ROS around a Preview.
+
+    Args:
+        shapes: What is drawn of the arm.
+        tf_prefix: Of the ghost's frames.
+        ports: With `plan_markers` and `rehearsal_markers`.
+    """
+
+    def __init__(self, robot: RobotModel, shapes: tuple[Shape, ...], tf_prefix: str, ports: Ports):
+        self._robot, self._shapes, self._tf_prefix = robot, shapes, tf_prefix
+        self._chain = Chain(robot)
+        self._markers, self._rehearsal = ports.publishers["plan_markers"], ports.publishers["rehearsal_markers"]
+        self._refuse = ports.diagnostics.refuse
+        self._preview = Preview()
+        self._scene: Scene | None = None
+        self._changes: dict[str, tuple[SceneChange, ...]] = {}
+        self._states: WorkStates | None = None
+        self._gripped: tuple[SceneObject, ...] = ()
+        self._still: list[Marker] = []
+        self._rehearsals: dict[str, RehearsalReport] = {}
+        #: Made when the first rehearsal comes: where there is none, nobody pays for them.
+        self._bodies: RobotBodies | None = None
+        self._rehearsal_drawn: tuple[str, str, bool] | None = None
+        self._news = threading.Condition()
+        self._frame = ""
+        self._drawn: str | None = None
+
+    @property
+    def plan_id(self) -> str:
+        """The plan that is shown; empty: none."""
+        plan = self._preview.plan
+        return "" if plan is None else plan.id
+
+    def on_plan(self, message: Plan) -> None:
+        """Show a plan."""
+        try:
+            plan = plan_from_msg(message)
+            changes = tuple(map(change_from_msg, message.segments))
+        except ConstructionTwinError as error:
+            self._refuse("plan", str(error))
+            return
+        with self._news:
+            self._frame = message.header.frame_id
+            self._changes = {plan.id: changes}
+            self._preview.on_plan(plan)
+            self._draw()
+            self._news.notify_all()
+
+    def on_scene(self, message: SceneMsg) -> None:
+        """Take the scene in which a work plan may begin."""
+        try:
+            scene = scene_from_msg(message)
+        except SceneError as error:
+            self._refuse("scene", str(error))
+            return
+        with self._news:
+            self._scene = scene
+            plan = self._preview.under_review
+            # after a start of this node the plan may come before the scene that it begins in
+            if plan is not None and plan.scene == scene.hash:
+                if plan.segments:
+                    self._drawn = None
+                self._draw()
+
+    def on_rehearsal(self, message: Rehearsal) -> None:
+        """Show what the rehearsal of the plan under review has found."""
+        report = from_msg(RehearsalReport, message)
+        if not is_whole(report) or len(report.worst_pose) not in (0, len(self._robot.joint_names)):
+            self._refuse("rehearsal", Sentence("reason.refused.rehearsal", plan=repr(report.plan_id)))
+            return
+        with self._news:
+            # it may come before its plan
+            self._rehearsals.pop(report.plan_id, None)
+            self._rehearsals[report.plan_id] = report
+            while len(self._rehearsals) > REHEARSALS_KEPT:
+                del self._rehearsals[next(iter(self._rehearsals))]
+            self._draw_rehearsal()
+
+    def on_review(self, message: Review) -> None:
+        """Take a verdict."""
+        with self._news:
+            self._preview.on_verdict(message.plan_id, message.approved)
+            self._draw()
+
+    def on_execution(self, message: Execution) -> None:
+        """Take away what was played."""
+        if not message.plan_id:
+            return
+        with self._news:
+            self._preview.on_verdict(message.plan_id, True)
+            if message.outcome:
+                self._preview.on_ending(message.plan_id)
+            self._draw()
+
+    def on_preview(self, request: PreviewPlanRequest) -> str:
+        """Play the plan under review with the ghost."""
+        with self._news:
+            if request.speed > 0.0:
+                self._news.wait_for(lambda: self._preview.under_review is not None, PLAN_TIMEOUT)
+            return self._preview.play(request.speed, request.loop, time.monotonic())
+
+    def ghost(self, now: float, twin: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        """Return where the ghost is; None before the twin has a pose and without a plan.
+
+        Args:
+            now: On the monotonic clock [s].
+            twin: The twin's newest pose [rad], [m]; None: unknown.
+        """
+        with self._news:
+            if twin is not None:
+                self._preview.on_twin(twin)
+            self._grip(now)
+            return self._preview.pose(now)
+
+    def _draw(self) -> None:
+        """Publish the markers of another plan than the one drawn, or their removal."""
+        self._draw_plan()
+        self._draw_rehearsal()
+
+    def _draw_plan(self) -> None:
+        plan = self._preview.plan
+        name = None if plan is None else plan.id
+        if name == self._drawn:
+            return
+        self._drawn = name
+        self._still, self._states = [all_gone("plan")], None
+        self._gripped = ()
+        if plan is not None:
+            chain = self._chain
+            headline = headline_height(float(chain.shoulder[2]), chain.arm_length)
+            told = None
+            if plan.segments:
+                changes = self._changes.get(plan.id, ())
+                self._states = work_states(plan, changes, self._scene)
+                told = WorkContext(changes, self._states, chain.forward, self._robot.tip_link)
+            self._still += plan_markers(picture(plan, chain.skeleton, headline, told), self._frame)
+        self._publish()
+        self._grip(time.monotonic())
+
+    def _draw_rehearsal(self) -> None:
+        """Publish the markers of the rehearsal of the plan under review, or their removal."""
+        plan = self._preview.under_review
+        report = None if plan is None else self._rehearsals.get(plan.id)
+        if plan is None or report is None or (report.plan_hash, report.scene) != (plan.hash, plan.scene):
+            if self._rehearsal_drawn is not None:
+                self._rehearsal_drawn = None
+                self._rehearsal.publish(MarkerArray(markers=[all_gone("rehearsal")]))
+            return
+        carried = self._carried(plan, report.worst_time)
+        drawn = report.plan_id, report.hash, bool(carried)
+        if drawn == self._rehearsal_drawn:
+            return
+        self._rehearsal_drawn = drawn
+        if self._bodies is None:
+            self._bodies = RobotBodies(self._robot)
+        drawing = rehearsal_picture(
+            report, self._shapes, self._bodies.link_pose, self._chain.arm_length, carried[:MOST_BODIES]
+        )
+        self._rehearsal.publish(MarkerArray(markers=[all_gone("rehearsal"), *rehearsal_markers(drawing, self._frame)]))
+
+    def _carried(self, plan: MadePlan, at: float) -> tuple[SceneObject, ...]:
+        """Return what the arm carries at a time of a plan [s], where the scene that it begins in is known."""
+        if self._states is not None:
+            ends = [segment.end for segment in plan.segments]
+            return self._states.carried[min(bisect_left(ends, at), len(ends) - 1)]
+        if self._scene is None or self._scene.hash != plan.scene:
+            return ()
+        return tuple(item for item in self._scene.objects if item.link)
+
+    def _grip(self, now: float) -> None:
+        """Let the ghost carry what the arm will carry where the ghost is; the twin shows what is carried during execution."""
+        gripped: tuple[SceneObject, ...] = ()
+        if self._states is not None and self._preview.under_review is not None:
+            number = self._preview.segment(now)
+            gripped = self._states.carried[-1 if number is None else number][:MOST_BODIES]
+        if gripped != self._gripped:
+            self._gripped = gripped
+            self._publish()
+
+    def _publish(self) -> None:
+        """Publish all that is drawn: who listens later hears the last message only."""
+        self._markers.publish(MarkerArray(markers=[*self._still, *grip_markers(self._gripped, self._tf_prefix)]))
