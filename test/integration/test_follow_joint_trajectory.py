@@ -252,6 +252,22 @@ class FollowJointTrajectoryTest(RobotTest):
         self.addCleanup(process.kill)
         return process
 
+    def test_6_b_a_goal_that_is_repeated_at_10_hz_takes_the_plan_under_review_over(self):
+        goal, count = self.goal(), len(self.client.plans)
+        self.results.clear()
+        timer = rospy.Timer(rospy.Duration(0.1), lambda _: self.action.send_goal(goal))
+        self.client.wait(lambda: len(self.results) >= 25, "25 goals to be replaced")
+        timer.shutdown()
+        timer.join()
+        plan = self.waiting(self.action.get_goal_status_text, count)
+        self.assertEqual([each.id for each in self.client.plans[count:]], [plan.id])
+        ends = {(each.status.status, each.result.error_string) for each in self.results}
+        self.assertLessEqual({state for state, _ in ends}, {GoalStatus.PREEMPTED, GoalStatus.RECALLED})
+        self.assertEqual({sentence for _, sentence in ends}, {"replaced by a newer goal"})
+        self.approve(plan)
+        self.assert_result(GoalStatus.SUCCEEDED, Result.SUCCESSFUL)
+        self.client.wait_until_ready()
+
     def test_7_a_client_that_vanishes_changes_nothing(self):
         count = len(self.client.plans)
         process = self.other_client("vanishing", self.goal())

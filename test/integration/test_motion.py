@@ -302,6 +302,30 @@ class MotionTest(RobotTest):
             arm.wait_for_more(200)
             self.assertTrue(arm.at_rest(200))
 
+    def test_a_trajectory_that_is_repeated_at_10_hz_is_approved_by_its_first_plan_and_played_once(self):
+        publisher = rospy.Publisher("joint_trajectory", JointTrajectory, queue_size=1)
+        outcomes: list[PlanOutcome] = []
+        since, plans = rospy.Time.now(), len(self.client.plans)
+        rospy.Subscriber("plan_outcome", PlanOutcome, lambda one: one.header.stamp >= since and outcomes.append(one))
+        wait(publisher.get_num_connections, "the planner to listen")
+        trajectory = JointTrajectory(joint_names=self.client.robot.joint_names)
+        trajectory.points = [JointTrajectoryPoint(positions=radians(row)) for row in np.linspace(HOME, LEFT, 5)]
+        with Stream("execution", Execution) as executions:
+            before = executions.messages[0].plan_start
+            timer = rospy.Timer(rospy.Duration(0.1), lambda _: publisher.publish(trajectory))
+            self.addCleanup(timer.shutdown)
+            wait(lambda: len(outcomes) >= 30, "30 answers")
+            (plan,) = self.client.plans[plans:]
+            self.assertEqual({outcome.plan_id for outcome in outcomes}, {plan.id})
+            answer = self.client.review(plan.id, plan.hash)
+            self.assertTrue(answer.success, answer.message)
+            self.client.wait_for_outcome(plan.id, "finished")
+            # it is still sent, and begins elsewhere
+            wait(lambda: not any(outcome.success for outcome in outcomes[-10:]), "10 refusals")
+            self.client.wait_until_ready()
+            played = {one.plan_start for one in executions.messages} - {before, rospy.Time()}
+        self.assertEqual((len(played), self.client.execution.plan_id), (1, plan.id))
+
     # -- looking at it, and holding it up
 
     def test_pause_and_resume_on_the_path(self):

@@ -47,6 +47,7 @@ class Guard(Enum):
     ALWAYS = ""
     BUSY = "the executor follows a plan that is of no goal of this action"
     STRANGER = "the goal is from another client"
+    SAME = "the goal has the motion of the one before"
 
 
 class Action(Enum):
@@ -57,13 +58,13 @@ class Action(Enum):
     TURN_AWAY = "the new goal is rejected, naming who has the arm"
     TURN_AWAY_BUSY = "the goal is rejected, naming the plan"
     LINE_UP = "the new goal waits; one that waited before is recalled"
+    TAKE_OVER = "the goal ends: recalled or preempted; the new one has its plan"
     REPLACE = "the goal ends: recalled or preempted; the new one waits"
     WITHDRAW = "the plan is rejected in the client's name"
     WITHDRAW_FOR_NEXT = "the plan is rejected in the client's name; the new goal waits"
     ACCEPT = "the goal is active: its status says that it waits for approval"
     REFUSE = "the goal is rejected: INVALID_GOAL, with the planner's sentence"
-    RECALL = "the goal ends: recalled"
-    PREEMPT = "the goal ends: preempted"
+    PREEMPT = "the goal ends: recalled or preempted"
     ABORT_INVALID = "the goal is aborted: INVALID_GOAL, with the reviewer's sentence"
     ABORT_PATH = "the goal is aborted: PATH_TOLERANCE_VIOLATED where the gate closed, else GOAL_TOLERANCE_VIOLATED"
     ABORT_GOAL = "the goal is aborted: GOAL_TOLERANCE_VIOLATED"
@@ -87,8 +88,9 @@ TABLE: tuple[Row, ...] = (
     # the planner's answer; nothing of a goal moves before it
     *rows(_S.PLANNING, _E.PLANNED, _S.REVIEW, _A.ACCEPT),
     *rows(_S.PLANNING, _E.NOT_PLANNED, _S.FREE, _A.REFUSE),
-    *rows(_S.PLANNING, _E.CANCEL, _S.DISCARDING, _A.RECALL),
+    *rows(_S.PLANNING, _E.CANCEL, _S.DISCARDING, _A.PREEMPT),
     *rows(_S.PLANNING, _E.GOAL, _S.PLANNING, _A.TURN_AWAY, _G.STRANGER),
+    *rows(_S.PLANNING, _E.GOAL, _S.PLANNING, _A.TAKE_OVER, _G.SAME),
     *rows(_S.PLANNING, _E.GOAL, _S.DISCARDING, _A.REPLACE),
     # a plan that nobody wants any more must not stay under review
     *rows(_S.DISCARDING, _E.PLANNED, _S.WITHDRAWING, _A.WITHDRAW),
@@ -102,6 +104,7 @@ TABLE: tuple[Row, ...] = (
     *rows(_S.REVIEW, _E.ENDED, _S.FREE, _A.ABORT_PATH),
     *rows(_S.REVIEW, _E.CANCEL, _S.WITHDRAWING, _A.WITHDRAW),
     *rows(_S.REVIEW, _E.GOAL, _S.REVIEW, _A.TURN_AWAY, _G.STRANGER),
+    *rows(_S.REVIEW, _E.GOAL, _S.REVIEW, _A.TAKE_OVER, _G.SAME),
     *rows(_S.REVIEW, _E.GOAL, _S.WITHDRAWING, _A.WITHDRAW_FOR_NEXT),
     # the withdrawal and an approval may cross
     *rows(_S.WITHDRAWING, _E.TURNED_DOWN, _S.STOPPED, _A.PREEMPT),

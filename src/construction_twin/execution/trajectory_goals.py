@@ -63,12 +63,14 @@ class TrajectoryGoal:
         client: Name of the node that sent it: an address, not a proof.
         goal: How far each joint may be off at the end.
         time_tolerance: How much later than planned the arm may be at the goal [s].
+        motion: Whatever is equal for two goals of the same motion.
     """
 
     id: str
     client: str
     goal: Tolerances
     time_tolerance: float
+    motion: object
 
 
 @dataclass(frozen=True)
@@ -167,7 +169,7 @@ class TrajectoryGoals:
             ROWS,
             GoalState.FREE,
             "",
-            conditions({Guard.BUSY: lambda occasion: self._report.state in ACTIVE, Guard.STRANGER: self._is_strange}),
+            conditions({Guard.BUSY: self._is_busy, Guard.STRANGER: self._is_strange, Guard.SAME: self._is_same}),
             {action: self._action(action) for action in Action if action is not Action.NOTHING},
             after=self._after,
         )
@@ -351,8 +353,14 @@ class TrajectoryGoals:
         self._now = now
         self._machine.on(event, Occasion(reason, now))
 
+    def _is_busy(self, occasion: Occasion) -> bool:
+        return self._report.state in ACTIVE
+
     def _is_strange(self, occasion: Occasion) -> bool:
         return self._coming is not None and self._coming.client != self._client
+
+    def _is_same(self, occasion: Occasion) -> bool:
+        return self._coming is not None and self.goal is not None and self._coming.motion == self.goal.motion
 
     def _action(self, action: Action) -> Callable[[Row, Occasion], None]:
         act = getattr(self, f"_{action.name.lower()}")
@@ -384,6 +392,12 @@ class TrajectoryGoals:
             self._end(self._next, Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, REPLACED)
         self._next, self._coming = self._coming, None
 
+    def _take_over(self, _reason: str) -> None:
+        self._finish(Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, REPLACED)
+        self.goal, self._coming = self._coming, None
+        if self._plan is not None:
+            self._accept("")
+
     def _replace(self, _reason: str) -> None:
         self._why = REPLACED
         self._cancel("")
@@ -411,9 +425,6 @@ class TrajectoryGoals:
 
     def _refuse(self, reason: str) -> None:
         self._finish(Ending.REJECTED, ResultCode.INVALID_GOAL, reason)
-
-    def _recall(self, _reason: str) -> None:
-        self._cancel("")
 
     def _preempt(self, _reason: str) -> None:
         self._cancel("")

@@ -39,8 +39,8 @@ REST = (0.0,) * 6
 CANCELLED = Sentence("reason.goal.cancelled")
 
 
-def goal(name: str = "a", client: str = "/move_group") -> TrajectoryGoal:
-    return TrajectoryGoal(name, client, CLOSE, 2.0)
+def goal(name: str = "a", client: str = "/move_group", motion: str = "") -> TrajectoryGoal:
+    return TrajectoryGoal(name, client, CLOSE, 2.0, motion or name)
 
 
 def off_by(error: float) -> Sample:
@@ -373,6 +373,19 @@ class TestAnotherGoal:
             desk.after(0.02, at_rest=True)
         assert asked == ["c"] and "b" in ends and desk.state is GoalState.PLANNING
         assert desk.goals.goal.id == "c"
+
+    def test_of_the_same_motion_keeps_the_place_in_the_review(self, desk):
+        desk.send(goal())
+        for name, before in (("b", "a"), ("c", "b")):
+            end = desk.send(goal(name, motion="a")).end()
+            assert end == End(before, Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, REPLACED)
+        assert desk.planned().effects(Accept)[0].goal_id == "c"
+        end, accepted = desk.send(goal("d", motion="a")).effects()
+        assert (end.goal_id, end.ending, end.sentence) == ("c", Ending.CANCELED, REPLACED)
+        assert accepted.goal_id == "d" and "plan-1 of 2.500 s waits for approval" in accepted.text
+        # once it is approved, another goal is another wish
+        assert desk.executes(ExecutorState.PLAYING).state is GoalState.MOVING
+        assert desk.send(goal("e", motion="a")).effects(Brake) == [Brake(PLAN.id)]
 
     def test_while_moving_the_old_goal_ends_before_the_new_one_is_planned(self, desk):
         desk.moving().send(goal("b"))

@@ -137,6 +137,14 @@ def goal_of(names=ROBOT.joint_names, **fields):
     return goal
 
 
+def test_a_goal_is_known_again_by_its_motion_whatever_its_stamp():
+    goals = [goal_of() for _ in range(3)]
+    goals[1].trajectory.header.stamp = genpy.Time(1)
+    goals[2].trajectory.points = [JointTrajectoryPoint(positions=[0.1] * 6)]
+    first, again, other = (trajectory_goal(goal, "g", "/client", ROBOT, DEFAULTS).motion for goal in goals)
+    assert first == again != other
+
+
 def test_foreign_joints_and_tolerances_that_are_no_numbers_are_refused():
     with pytest.raises(GoalJointsError):
         trajectory_goal(goal_of(["elbow"]), "g", "/client", ROBOT, DEFAULTS)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import json
 import re
 from collections import Counter
 from types import SimpleNamespace
@@ -11,7 +13,8 @@ import pytest
 import rospy
 import tf2_ros
 import yaml
-from construction_twin.msg import Engagement, Signal, ToolSwitch, WorkSegment
+from bridge_bench import Client
+from construction_twin.msg import Engagement, Review, Signal, ToolSwitch, WorkSegment
 from construction_twin.srv import (
     PlanCartesianRequest,
     PlanFromCsvRequest,
@@ -29,13 +32,17 @@ from tf2_msgs.msg import TFMessage
 from unplugged import Unplugged, over_the_wire
 
 from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.link.remote_trajectory import Joints
+from construction_twin.link.remote_view import ViewWriter
+from construction_twin.mqtt.client import Broker
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.ros.messages import convert
 from construction_twin.ros.messages.scene_convert import object_to_msg, scene_to_msg, tf_frame
+from construction_twin.ros.nodes import mqtt_planner
 from construction_twin.ros.nodes import planner as module
 from construction_twin.ros.nodes.planner import NODE, Settings
-from construction_twin.ros.shared import frame_listener
+from construction_twin.ros.shared import frame_listener, request_handler
 from construction_twin.ros.shared.frames import Frames
 from construction_twin.ros.transport import subscriber
 from construction_twin.scene.objects import Scene, SceneObject, product
@@ -58,6 +65,7 @@ class Bench:
         values |= {"max_waypoints": 600}
         patch = monkeypatch.setattr
         patch(module, "neighbour_settings", lambda: None)
+        patch(request_handler, "VERDICT_TIME", 0.0)
         patch(module, "caller_of", lambda _: "a caller")
         patch(
             module,
@@ -183,6 +191,82 @@ def test_once_it_is_free_any_motion_is_planned_and_there_is_no_way_back(bench):
     bench.callbacks["engagement"](Engagement())
     assert bench.work(task()).success
     assert not bench.services["plan_way_back"](TriggerRequest()).success
+
+
+class TestAMotionThatIsSentAgain:
+    """It keeps its place in the review for as long as its plan waits there, whichever way it comes."""
+
+    @pytest.fixture(params=["topic", "service", "mqtt"])
+    def send(self, request, bench, monkeypatch):
+        """Return what sends a motion to joint values and returns the id of its plan."""
+
+        def by_topic(goal) -> str:
+            bench.callbacks["joint_trajectory"](over_the_wire(convert.trajectory_to_msg(motion(bench.pose, goal))))
+            return bench.published["plan_outcome"][-1].plan_id
+
+        def by_service(goal) -> str:
+            answer = bench.services["plan_to_joints"](over_the_wire(PlanToJointsRequest(goal=list(goal))))
+            assert answer.success and answer.plan_hash == bench.published["plan"][-1].hash, answer.message
+            return answer.plan_id
+
+        def planner(**fields):
+            return bench.services["plan_trajectory"](over_the_wire(PlanTrajectoryRequest(**fields)))
+
+        client, numbers = Client(), itertools.count(step=10)
+        planner.resolved_name = "plan_trajectory"
+        monkeypatch.setattr(rospy, "wait_for_service", lambda *_: None)
+        monkeypatch.setattr(mqtt_planner, "time", SimpleNamespace(monotonic=lambda: next(numbers)))
+        joints = Joints(tuple(ROBOT.joint_names), tuple(ROBOT.linear))
+        settings = mqtt_planner.Settings(host="127.0.0.1", port=1, max_trajectory_bytes=4096, view_rate=25.0)
+        broker, writer = Broker("127.0.0.1", 1), ViewWriter("kr120", "cafe", joints)
+        node = mqtt_planner.MqttPlanner(settings, "kr120", joints, broker, client, writer, planner, None)
+
+        def by_mqtt(goal) -> str:
+            motion = {"id": str(next(numbers)), "units": {"angle": "rad", "length": "m", "time": "s"}}
+            motion |= {"joint_names": ROBOT.joint_names, "points": [{"positions": list(q)} for q in (HOME, goal)]}
+            message = SimpleNamespace(topic="twin/kr120/trajectory", payload=json.dumps(motion).encode(), retain=False)
+            node.endpoints[0].on_message(message)
+            node.run_waiting()
+            answer = json.loads(client.published[-1][1])
+            assert (answer["ok"], answer["id"]) == (True, motion["id"]), answer
+            return answer["plan_id"]
+
+        return {"topic": by_topic, "service": by_service, "mqtt": by_mqtt}[request.param]
+
+    def test_is_answered_with_the_plan_that_waits_and_publishes_no_other(self, bench, send):
+        plan = send(RIGHT)
+        assert plan and [send(RIGHT) for _ in range(5)] == [plan] * 5
+        assert [each.id for each in bench.published["plan"]] == [plan] and Unplugged.report().values["repeated"] == 5
+        outcomes = bench.published["plan_outcome"]
+        assert len(outcomes) == 6 and "still waiting for review" in outcomes[-1].message
+        # what another motion has replaced waits no more
+        assert len({plan, send(LEFT), send(RIGHT)}) == len(bench.published["plan"]) == 3
+        bench.show(Scene((), 0.01))
+        assert send(RIGHT) and len(bench.published["plan"]) == 4
+
+    @pytest.mark.parametrize("approved", [True, False])
+    def test_is_a_new_plan_once_its_plan_was_decided_or_voided(self, bench, send, approved):
+        plan = send(RIGHT)
+        bench.callbacks["review"](Review(plan_id="another", approved=approved))
+        assert send(RIGHT) == plan
+        bench.callbacks["review"](Review(plan_id=plan, approved=approved))
+        again = send(RIGHT)
+        assert again != plan and [each.id for each in bench.published["plan"]] == [plan, again]
+        assert send(RIGHT) == again
+
+
+def test_a_motion_is_another_plan_for_another_sender_and_from_another_pose(bench):
+    def sent(source: str) -> str:
+        return bench.services["plan_to_joints"](PlanToJointsRequest(goal=list(LEFT), source=source)).plan_id
+
+    plans = [sent("Ada"), sent("Bob"), sent("Ada")]
+    bench.pose = tuple(np.add(HOME, 1e-3))
+    plans.append(sent("Ada"))
+    assert plans == [each.id for each in bench.published["plan"]] and len(set(plans)) == 4
+
+
+def test_a_task_that_is_asked_for_again_is_a_new_plan_which_the_node_work_waits_for(bench):
+    assert bench.work(task()).plan_id != bench.work(task()).plan_id
 
 
 #: The arm with mass hangs lower than it is told to [rad].

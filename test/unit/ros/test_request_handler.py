@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 from collections import Counter
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +14,7 @@ from planning_cell import HOME, LEFT, QUICK, REQUEST, ROBOT, SELF_COLLISION, Clo
 from construction_twin.planning.pipeline import PlanningPipeline
 from construction_twin.planning.planner import PlannerSettings
 from construction_twin.planning.waypoints import from_points
+from construction_twin.ros.shared import request_handler
 from construction_twin.ros.shared.request_handler import RequestHandler
 from construction_twin.scene.objects import Scene
 
@@ -62,6 +65,18 @@ def test_an_answer_says_why_times_were_replaced():
     answer = cell.handler.answer(lambda asked: cell.pipeline.through(HOME, points, asked, retime=True), REQUEST)
     assert answer.success and "has an acceleration of" in answer.fields["retimed"] and answer.fields["duration"] > 0.2
     assert cell.handler.answer(cell.plan, REQUEST).fields["retimed"] == ""
+
+
+def test_a_verdict_that_is_heard_late_counts(monkeypatch):
+    monkeypatch.setattr(request_handler, "VERDICT_TIME", 60.0)
+    cell = Cell()
+    first = cell.handler.answer(cell.plan, REQUEST).fields["plan_id"]
+
+    def plan(asked):
+        threading.Timer(0.05, cell.handler.on_verdict, [first]).start()
+        return cell.plan(asked)
+
+    assert cell.handler.answer(plan, replace(REQUEST, plan_id="p2")).fields["plan_id"] == "p2"
 
 
 def test_reading_holds_nobody_up():

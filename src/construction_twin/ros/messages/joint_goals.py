@@ -91,6 +91,7 @@ def trajectory_goal(goal, goal_id: str, client: str, robot: RobotModel, defaults
         client,
         defaults.goal.asked(robot, asked),
         seconds or defaults.time_tolerance,
+        (goal.trajectory.joint_names, goal.trajectory.points),
     )
 
 

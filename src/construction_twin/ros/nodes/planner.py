@@ -24,7 +24,7 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.way_back import scene_problem
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
-from construction_twin.msg import Engagement, PlanOutcome
+from construction_twin.msg import Engagement, PlanOutcome, Review
 from construction_twin.msg import Plan as PlanMsg
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.planning.pipeline import PlanningPipeline
@@ -260,6 +260,10 @@ class PlannerNode:
         """Take whether the arm was left inside an engaged segment."""
         self._engagement = msg if msg.engaged else None
 
+    def on_review(self, msg: Review) -> None:
+        """Take a verdict: a plan waits for none any more."""
+        self._requests.on_verdict(msg.plan_id)
+
     def _demand_free(self) -> None:
         left = self._engagement
         if left is not None:
@@ -388,7 +392,7 @@ class PlannerNode:
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
         scene = self._pipeline.scene
-        values = {"plans": self._plans, "scene": scene.hash if scene is not None else "none"}
+        values = {"plans": self._plans, "repeated": self._requests.repeated, "scene": scene.hash if scene else "none"}
         return Report(OK if scene is not None else WARN, self._last, values)
 
 
@@ -411,6 +415,7 @@ INTERFACE = Interface(
     reads=(NewestPose("twin/joint_states"),),
     hears=(
         Subscription("engagement", Engagement, PlannerNode.on_engagement, queue_size=1),
+        Subscription("review", Review, PlannerNode.on_review, queue_size=10),
         Subscription("scene", SceneMsg, PlannerNode.on_scene, queue_size=1),
         Subscription("joint_trajectory", JointTrajectory, PlannerNode.on_trajectory, queue_size=10),
     ),

@@ -19,6 +19,9 @@ from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.scene_change import SceneChange
 
+#: A verdict that was given before a request, or the word that a stop voided a plan, is heard this long after its planning [s].
+VERDICT_TIME = 0.1
+
 
 class OccupiedSpace:
     """The space that the other arm occupies, with the distance that a plan keeps from it.
@@ -82,6 +85,10 @@ class RequestHandler:
         self._publish_outcome = publish_outcome
         self._space = space
         self._demand_free = demand_free
+        # what makes a plan the same as the one that was published last, with that one's id; whether that one was decided
+        self._newest: dict[tuple[str, ...], str] = {}
+        self._decided = threading.Event()
+        self.repeated = 0  # requests that gave the plan that waits, and kept its place
         # one request at a time: `plan` latches one plan, and its outcome belongs to it
         self._busy = threading.Lock()
 
@@ -89,6 +96,11 @@ class RequestHandler:
     def busy(self) -> bool:
         """Whether a plan is being made."""
         return self._busy.locked()
+
+    def on_verdict(self, plan_id: str) -> None:
+        """Take that a plan is not, or no longer, under review."""
+        if plan_id in self._newest.values():
+            self._decided.set()
 
     def answer(self, make_plan: Callable[[PlanRequest], Plan], asked: PlanRequest) -> Outcome:
         """Make and publish a plan; see `answer_read`."""
@@ -144,9 +156,18 @@ class RequestHandler:
         self._pipeline.wait_for_scene(self._scene_timeout)
 
     def _published(self, plan: Plan, asked: PlanRequest, changes: Sequence[SceneChange]) -> Outcome:
-        sentence = self._publish(plan, changes)
-        self._publish_outcome(True, asked, sentence, plan.id)
-        found = {"plan_id": plan.id, "plan_hash": plan.hash, "duration": plan.trajectory.duration}
+        motion = plan.source, plan.hash, plan.scene
+        # the node `work` waits for a new plan of its task, or of the way back
+        plan_id = "" if plan.segments else self._newest.get(motion, "")
+        if plan_id and not self._decided.wait(VERDICT_TIME):
+            self.repeated += 1
+            sentence = f"plan {plan_id} for {plan.source!r}, the same motion, is still waiting for review"
+        else:
+            self._decided.clear()  # before it is published: its verdict may come at once
+            plan_id, self._newest = plan.id, {motion: plan.id}
+            sentence = self._publish(plan, changes)
+        self._publish_outcome(True, asked, sentence, plan_id)
+        found = {"plan_id": plan_id, "plan_hash": plan.hash, "duration": plan.trajectory.duration}
         return Outcome(True, sentence, fields={**found, "fraction": 1.0, "retimed": plan.retimed})
 
     def _failed(self, error: Exception, asked: PlanRequest, sentence: str) -> Outcome:
