@@ -28,6 +28,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.synchronize import Event
 from pathlib import Path
 
+import aiohttp
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -50,7 +51,6 @@ from link_world import (  # noqa: E402
 from mqtt_packets import connect, packet, text  # noqa: E402
 from playwright.sync_api import sync_playwright  # noqa: E402
 from scripted_robot import ScriptedRobot  # noqa: E402
-from websockets.asyncio.client import connect as websocket  # noqa: E402
 
 from construction_twin.core.realtime import request_realtime  # noqa: E402
 from construction_twin.mqtt.client import Broker  # noqa: E402
@@ -134,22 +134,24 @@ async def _subscribe(port: int, count: int, ready: Event, ended: Event) -> None:
     topics = b"".join(text(f"{PREFIX}/+/{topic}") + b"\0" for topic in ("view", "screen", "plan", "scene"))
 
     async def read(number: int) -> None:
-        # addresses of their own: the console takes 16 clients per address
-        async with websocket(
-            url, origin=origin, subprotocols=["mqtt"], compression=None, local_addr=(f"127.0.1.{number + 1}", 0)
-        ) as client:
+        # addresses of their own, as tablets have
+        connector = aiohttp.TCPConnector(local_addr=(f"127.0.1.{number + 1}", 0))
+        async with (
+            aiohttp.ClientSession(connector=connector) as session,
+            session.ws_connect(url, origin=origin, protocols=["mqtt"], max_msg_size=0) as client,
+        ):
             # and names of their own: the broker ends the older of two clients of one name
-            await client.send(connect(client=f"subscriber-{number}"))
-            await client.recv()
-            await client.send(packet(8, b"\0\x01\0" + topics, flags=2))
-            await client.recv()
+            await client.send_bytes(connect(client=f"subscriber-{number}"))
+            await client.receive_bytes()
+            await client.send_bytes(packet(8, b"\0\x01\0" + topics, flags=2))
+            await client.receive_bytes()
             begun.append(number)
             pinged = time.monotonic()
             async for _ in client:
                 # within the broker's keep-alive of 10 s
                 if time.monotonic() - pinged > 3.0:
                     pinged = time.monotonic()
-                    await client.send(packet(12))
+                    await client.send_bytes(packet(12))
 
     async def watch() -> None:
         while not ended.is_set():

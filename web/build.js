@@ -3,9 +3,10 @@
  * console lets browsers keep for ever. Works without a network once `npm ci` has run.
  */
 import {createHash} from "node:crypto";
-import {cp, mkdir, readFile, rename, rm, writeFile} from "node:fs/promises";
+import {cp, mkdir, readdir, readFile, rename, rm, writeFile} from "node:fs/promises";
 import path from "node:path";
 import {fileURLToPath} from "node:url";
+import {gzipSync} from "node:zlib";
 import {build} from "esbuild";
 import {writePages} from "./docs_pages.js";
 import {tableOf} from "./src/sentences.js";
@@ -46,5 +47,9 @@ const [style] = Object.entries(result.metafile.outputs).filter(([, about]) => ab
 await writePages(docs, path.join(fresh, "docs"), style);
 const installed = ["manifest.webmanifest", "icon.svg", "icon_call.svg", "icon_180.png", "icon_192.png", "icon_512.png", "icon_maskable.png"];
 for (const name of installed) await cp(path.join(here, "src", name), path.join(fresh, name));
+// what the console sends to a browser that takes it compressed
+for (const name of await readdir(fresh)) {
+  if (/\.(?:js|css|json|html|svg)$/.test(name)) await writeFile(path.join(fresh, `${name}.gz`), gzipSync(await readFile(path.join(fresh, name))));
+}
 await rm(target, {recursive: true, force: true});
 await rename(fresh, target);

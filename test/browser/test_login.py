@@ -33,8 +33,22 @@ def test_a_wrong_password_is_told_and_opens_nothing(page_of, site, robot):
     expect(page.page.locator(".login input[name=password]")).to_have_value("")
     # who has mistyped gets in
     page.login("one-reviewer-ada", site.password("one-reviewer-ada"))
-    said = site.log.read_text()
-    assert "wrong password for 'one-reviewer-ada'" in said and "logged in as 'one-reviewer-ada'" in said
+    assert "wrong account or password" in site.log.read_text()
+
+
+def test_a_reload_keeps_the_login_of_this_tab_and_logging_out_ends_it(page_of, site, robot):
+    page = page_of("reviewer-ada")
+    page.page.reload()
+    expect(page.page.locator(".account")).to_contain_text("one-reviewer-ada")
+    other = page.context.new_page()
+    other.goto(site.url)
+    expect(other.locator(".login")).to_be_visible()
+    page.page.locator(".menu > summary").click()
+    page.page.locator(".menu-items").get_by_text("Log out").click()
+    expect(page.page.locator(".login")).to_be_visible()
+    page.page.reload()
+    expect(page.page.locator(".login")).to_be_visible()
+    expect(page.page.locator(".login input[name=password]")).to_have_value("")
 
 
 def test_an_account_sees_its_own_robot_only(page_of, site, robot):

@@ -1,14 +1,12 @@
 #!/usr/bin/env python3
-"""A person at the console, without a browser: MQTT through the console's WebSocket, files over HTTP by the login's ticket."""
+"""A person at the console, without a browser: MQTT through the console's WebSocket, files over HTTP by the login's session."""
 
-import contextlib
 import hashlib
 import http.client
 import json
-import socket
 import sys
-import threading
 import uuid
+from urllib.parse import urljoin
 from xml.etree import ElementTree
 
 import paho.mqtt.client as mqtt
@@ -16,8 +14,6 @@ import rospy
 import rostest
 from construction_twin.msg import Execution
 from twin_client import LEFT, RobotTest, Stream, TwinClient, wait
-from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import connect
 
 from construction_twin.core.freshness import parse_moment, staleness
 from construction_twin.core.units import from_wire
@@ -28,7 +24,6 @@ from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.ros.shared.robot_clock import present
 
 PORT = 28466
-ADDRESS = f"http://127.0.0.1:{PORT}"
 TOPICS = Topics("twin", "kr120")
 ACCOUNT = "console"
 HEARD = {
@@ -43,61 +38,29 @@ HEARD = {
 }
 
 
-class Tunnel:
-    """A TCP port of this process whose bytes go through a WebSocket of the console. paho's own WebSockets answer a ping wrongly.
-
-    Attributes:
-        cookie: The ticket that came with the WebSocket.
-    """
-
-    def __init__(self):
-        self._websocket = contextlib.ExitStack()
-        self._remote = self._websocket.enter_context(
-            connect(f"ws://127.0.0.1:{PORT}/mqtt", origin=ADDRESS, subprotocols=["mqtt"])
-        )
-        self.cookie = self._remote.response.headers["Set-Cookie"].split(";")[0]
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.port = self._listener.getsockname()[1]
-        threading.Thread(target=self._serve, daemon=True).start()
-
-    def _serve(self) -> None:
-        with self._listener, contextlib.closing(self._listener.accept()[0]) as local:
-            threading.Thread(target=self._send, args=(local,), daemon=True).start()
-            with contextlib.suppress(ConnectionClosed, OSError):
-                for message in self._remote:
-                    local.sendall(message)
-
-    def _send(self, local: socket.socket) -> None:
-        with contextlib.suppress(ConnectionClosed, OSError):
-            while contents := local.recv(4096):
-                self._remote.send(contents)
-
-    def close(self) -> None:
-        self._websocket.close()
-
-
 class Console:
     """What the page does, in Python."""
 
     def __init__(self):
         self.heard: dict[str, list[dict]] = {name: [] for name in HEARD}
         self._names = {topic: name for name, topic in HEARD.items()}
-        self._tunnel = Tunnel()
-        self.client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2, protocol=mqtt.MQTTv5, client_id=uuid.uuid4().hex)
+        #: The session, which a browser would get with the page.
+        self.cookie = f"console_session={uuid.uuid4().hex}"
+        self.client = mqtt.Client(
+            mqtt.CallbackAPIVersion.VERSION2,
+            protocol=mqtt.MQTTv5,
+            client_id=uuid.uuid4().hex,
+            transport="websockets",
+        )
+        self.client.ws_set_options(path="/mqtt", headers=lambda headers: headers | {"Cookie": self.cookie})
         self.client.on_connect = lambda client, *_: client.subscribe([(topic, 1) for topic in HEARD.values()])
         self.client.on_message = self._on_message
-        self.client.connect_async("127.0.0.1", self._tunnel.port)
+        self.client.connect_async("127.0.0.1", PORT)
         self.client.loop_start()
-
-    @property
-    def cookie(self) -> str:
-        """The ticket for the files of who is logged in."""
-        return self._tunnel.cookie
 
     def close(self) -> None:
         self.client.disconnect()
         self.client.loop_stop()
-        self._tunnel.close()
 
     def _on_message(self, client, data, message) -> None:
         if message.payload:
@@ -144,11 +107,10 @@ class Console:
         return self.heard["review_ack"][count]
 
 
-def fetch(path: str, cookie: str = "") -> tuple[int, bytes]:
+def get(path: str, cookie: str = "") -> http.client.HTTPResponse:
     connection = http.client.HTTPConnection("127.0.0.1", PORT, timeout=10.0)
     connection.request("GET", path, headers={"Cookie": cookie} if cookie else {})
-    answer = connection.getresponse()
-    return answer.status, answer.read()
+    return connection.getresponse()
 
 
 class ConsoleTest(RobotTest):
@@ -187,15 +149,16 @@ class ConsoleTest(RobotTest):
         self.assertTrue(scene["objects"])
 
     def test_the_robot_is_served_to_who_is_logged_in(self):
-        self.assertEqual(fetch("/private/kr120/robot.urdf")[0], 403)
-        cookie = self.console.cookie
-        status, urdf = fetch("/private/kr120/robot.urdf", cookie)
-        self.assertEqual(status, 200)
-        meshes = [mesh.get("filename") for mesh in ElementTree.fromstring(urdf).iter("mesh")]
+        model = "/private/kr120/robot.urdf"
+        self.assertEqual(get(model).status, 403)
+        answer = get(model, self.console.cookie)
+        self.assertEqual(answer.status, 200)
+        meshes = [mesh.get("filename") for mesh in ElementTree.fromstring(answer.read()).iter("mesh")]
         self.assertGreater(len(meshes), 5)
         for path in set(meshes):
-            status, contents = fetch(path, cookie)
-            self.assertEqual((status, hashlib.sha256(contents).hexdigest()), (200, path.split("/")[-1].split(".")[0]))
+            answer = get(urljoin(model, path), self.console.cookie)
+            digest = hashlib.sha256(answer.read()).hexdigest()
+            self.assertEqual((answer.status, digest), (200, path.split("/")[-1].split(".")[0]))
 
     def test_a_motion_is_asked_for_approved_and_carried_out_then_one_is_stopped(self):
         self.begin()

@@ -42,7 +42,7 @@ def write_robot_files(private: Path, robots: tuple[str, ...] = ROBOTS) -> None:
         source = ROOT / mesh.get("filename", "").removeprefix(_PACKAGE)
         name = hashlib.sha256(source.read_bytes()).hexdigest() + source.suffix
         shutil.copy(source, meshes / name)
-        mesh.set("filename", f"/private/mesh/{name}")
+        mesh.set("filename", f"../mesh/{name}")
     for robot in robots:
         (private / robot).mkdir()
         (private / robot / "robot.urdf").write_bytes(ElementTree.tostring(urdf))

@@ -11,10 +11,9 @@ import time
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 
+import aiohttp
 import pytest
 from mqtt_packets import packet, text
-from websockets.asyncio.client import connect as websocket
-from websockets.exceptions import ConnectionClosed
 
 from construction_twin.console.server import ConsoleServer, ServerSettings
 
@@ -55,23 +54,101 @@ def broker_with(folder: Path, port: int, *accounts: str) -> Iterator[None]:
 
 
 @contextlib.asynccontextmanager
-async def serving(served: ServerSettings, port: int) -> AsyncIterator[ConsoleServer]:
+async def serving(served: ServerSettings, port: int) -> AsyncIterator[None]:
     """Serve on loopback until the block ends."""
-    ready, server = asyncio.Event(), ConsoleServer(served)
-    task = asyncio.create_task(server.run("127.0.0.1", port, ready))
+    ready = asyncio.Event()
+    task = asyncio.create_task(ConsoleServer(served).run("127.0.0.1", port, ready.set))
     await asyncio.wait_for(ready.wait(), 10)
     try:
-        yield server
+        yield
     finally:
         task.cancel()
         with contextlib.suppress(asyncio.CancelledError):
-            await task
+            await asyncio.wait_for(task, 10)
 
 
-def browser_at(port: int, address: str = "127.0.0.1", **more):
-    """Return a WebSocket as a page's, from an address of this machine."""
-    values = {"origin": f"http://127.0.0.1:{port}", "subprotocols": ["mqtt"], "compression": None} | more
-    return websocket(f"ws://127.0.0.1:{port}/mqtt", local_addr=(address, 0), **values)
+class Closed(Exception):
+    """The server has closed the WebSocket.
+
+    Attributes:
+        code, reason: Of its close frame; 1006 without one.
+    """
+
+    def __init__(self, code: int, reason: str):
+        self.code, self.reason = code, reason
+        super().__init__(f"{code} {reason}")
+
+
+class Tab:
+    """A WebSocket of a browser, as a page's."""
+
+    def __init__(self, socket: aiohttp.ClientWebSocketResponse):
+        self._socket = socket
+
+    async def send(self, data: bytes | str) -> None:
+        await (self._socket.send_str(data) if isinstance(data, str) else self._socket.send_bytes(data))
+
+    async def recv(self) -> bytes:
+        """Return the next message; Closed when there is none any more."""
+        message = await asyncio.wait_for(self._socket.receive(), 10)
+        if message.type is aiohttp.WSMsgType.BINARY:
+            return message.data
+        raise Closed(self._socket.close_code or 1006, message.extra or "")
+
+    async def leave(self) -> None:
+        await self._socket.close()
+
+    async def closed(self) -> tuple[int, str]:
+        """Wait until the server has closed; return code and reason."""
+        with pytest.raises(Closed) as caught:
+            while True:
+                await self.recv()
+        return caught.value.code, caught.value.reason
+
+
+class Browser:
+    """A browser at an address of this machine: it keeps cookies for all of its tabs.
+
+    Args:
+        url: Of the page.
+        tls: What it trusts.
+    """
+
+    def __init__(self, url: str, address: str = "127.0.0.1", tls=True):
+        self._url, self._tls = url, tls
+        connector = aiohttp.TCPConnector(local_addr=(address, 0))
+        jar = aiohttp.CookieJar(unsafe=True)
+        self._session = aiohttp.ClientSession(connector=connector, cookie_jar=jar)
+
+    async def __aenter__(self) -> Browser:
+        return self
+
+    async def __aexit__(self, *_) -> None:
+        await self._session.close()
+
+    async def get(self, path: str = "", **headers: str) -> tuple[aiohttp.ClientResponse, bytes]:
+        """Return the answer, and its body as it came."""
+        async with self._session.get(self._url + path, headers=headers, ssl=self._tls) as answer:
+            return answer, await answer.read()
+
+    async def status(self, path: str) -> int:
+        return (await self.get(path))[0].status
+
+    @contextlib.asynccontextmanager
+    async def tab(self, origin: str | None = "", protocols=("mqtt",)) -> AsyncIterator[Tab]:
+        """Open a WebSocket; "": of this server's page."""
+        origin = self._url.rstrip("/") if origin == "" else origin
+        async with self._session.ws_connect(
+            self._url + "mqtt", origin=origin, protocols=protocols, ssl=self._tls, max_msg_size=0
+        ) as opened:
+            yield Tab(opened)
+
+
+@contextlib.asynccontextmanager
+async def browser_at(port: int, address: str = "127.0.0.1", **more) -> AsyncIterator[Tab]:
+    """Open a page in a browser of its own."""
+    async with Browser(f"http://127.0.0.1:{port}/", address) as browser, browser.tab(**more) as tab:
+        yield tab
 
 
 def login(user: str = "ada", password: str = "secret") -> bytes:
@@ -80,9 +157,7 @@ def login(user: str = "ada", password: str = "secret") -> bytes:
     )
 
 
-async def closed(client) -> tuple[int, str]:
-    """Wait until the server has closed; return code and reason."""
-    with pytest.raises(ConnectionClosed) as caught:
-        while True:
-            await asyncio.wait_for(client.recv(), 10)
-    return caught.value.rcvd.code, caught.value.rcvd.reason
+async def logs_in(tab: Tab, user: str = "ada") -> None:
+    """Log in, and see it accepted."""
+    await tab.send(login(user))
+    assert await tab.recv() == CONNACK_OK

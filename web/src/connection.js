@@ -16,7 +16,7 @@ const SILENCE = 3000;
 /** Longest wait for the broker's answer to a message [ms]. */
 const ANSWER_WITHIN = 5000;
 /** Close codes of the pipe (console/pipe.py) and the reasons that the page tells. */
-const CLOSED = {4001: "broker_away", 4002: "not_mqtt", 4003: "too_much", 4004: "too_slow"};
+const CLOSED = {4001: "broker_away", 4002: "not_mqtt", 4003: "too_much"};
 /** Reason codes of CONNACK that another attempt with the same account does not change. */
 const REFUSED = [4, 5, 134, 135, 138];
 const NOT_AUTHORIZED = 135;
@@ -42,10 +42,11 @@ export class NotPublished extends Error {
  * @param {object} options
  * @param {string} options.url of the WebSocket
  * @param {string} options.prefix of all topics
+ * @param {Function} [options.keep] called with account and password once the broker has accepted them, with null when they are void
  * @param {Function} [options.connect] as `mqtt.connect`
  * @param {Function} [options.WebSocket]
  */
-export function makeConnection(store, {url, prefix, connect = mqtt.connect, WebSocket = globalThis.WebSocket}) {
+export function makeConnection(store, {url, prefix, keep = () => {}, connect = mqtt.connect, WebSocket = globalThis.WebSocket}) {
   let client = null;
   let state = "off";
   let reason = "";
@@ -60,6 +61,8 @@ export function makeConnection(store, {url, prefix, connect = mqtt.connect, WebS
     if (state === newState && reason === newReason) return;
     state = newState;
     reason = newReason;
+    if (state === "connected" && account !== "") keep([account, password]);
+    if (state === "refused" || state === "off") keep(null);
     store.connection(state);
   }
 

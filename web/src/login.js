@@ -22,12 +22,12 @@ export function make(parent, store, connection, texts) {
   const wrong = add(form, "p", {className: "wrong", role: "alert"});
   add(form, "button", {type: "submit", text: texts("login.enter")});
   add(form, "p", {className: "hint", text: texts("login.hint")});
+  let wasSent = false;
   form.addEventListener("submit", (event) => {
     event.preventDefault();
     setText(wrong, "");
-    const [name, secret] = [account.value.trim(), password.value];
-    password.value = "";
-    connection.login(name, secret);
+    wasSent = true;
+    connection.login(account.value.trim(), password.value);
   });
   // the form covers the line that tells of the connection
   const sentence = () => {
@@ -38,6 +38,9 @@ export function make(parent, store, connection, texts) {
   };
   const show = () => {
     const asked = connection.state === "refused" || connection.state === "off";
+    // not what a browser has filled in before anybody logs in, and not before it can offer to keep it
+    if (asked && wasSent) password.value = "";
+    wasSent &&= !asked;
     if (asked && cover.hidden) {
       cover.hidden = false;
       (account.value ? password : account).focus();

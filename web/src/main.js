@@ -8,17 +8,17 @@ import {makeRights} from "./rights.js";
 import {makeStore} from "./store.js";
 import {languageOf, makeTexts, withoutLanguage} from "./texts.js";
 
-const remembered = (key) => {
+const remembered = (key, storage = "localStorage") => {
   try {
-    return globalThis.localStorage.getItem(key);
+    return globalThis[storage].getItem(key);
   } catch {
     // a browser that keeps nothing for pages: the page works without
     return null;
   }
 };
-const remember = (key, value) => {
+const remember = (key, value, storage = "localStorage") => {
   try {
-    globalThis.localStorage.setItem(key, value);
+    globalThis[storage].setItem(key, value);
   } catch {
     // as above
   }
@@ -50,7 +50,9 @@ const socket = new URL("mqtt", location.href);
 socket.protocol = location.protocol === "https:" ? "wss:" : "ws:";
 socket.search = "";
 socket.hash = "";
-const connection = makeConnection(store, {url: socket.href, prefix: asked.get("prefix") ?? "twin"});
+// the login outlasts a reload of this tab, and goes with the tab
+const keep = (login) => remember("login", JSON.stringify(login ?? []), "sessionStorage");
+const connection = makeConnection(store, {url: socket.href, prefix: asked.get("prefix") ?? "twin", keep});
 store.rightsOf = makeRights(store, connection);
 makePage(document.body, store, connection, texts, panels, {onTheme, onLanguage});
 calls.make(document.querySelector(".header"), store.of("page"), connection, texts);
@@ -58,4 +60,4 @@ login.make(document.body, store, connection, texts);
 // it stood there for whom this script did not reach
 document.querySelector("#loading").remove();
 setInterval(store.tick, 200);
-connection.login();
+connection.login(...JSON.parse(remembered("login", "sessionStorage") ?? "[]"));

@@ -58,8 +58,9 @@ function setUp() {
   }
   const store = makeStore({now: () => 0, check: async (plan) => ({...plan, refused: ""})});
   const states = [];
+  const kept = [];
   const connection = makeConnection(store, {
-    url: "ws://127.0.0.1:1/mqtt", prefix: "twin", WebSocket: FakeSocket,
+    url: "ws://127.0.0.1:1/mqtt", prefix: "twin", WebSocket: FakeSocket, keep: (login) => kept.push(login),
     connect: (url, options) => {
       const client = new FakeClient(url, options);
       clients.push(client);
@@ -67,7 +68,7 @@ function setUp() {
     },
   });
   store.on("connection", () => states.push([connection.state, connection.reason]));
-  return {clients, sockets, store, connection, states};
+  return {clients, sockets, store, connection, states, kept};
 }
 
 beforeEach(() => {
@@ -208,6 +209,25 @@ test("who logs out is not connected and the next login begins anew", async () =>
   assert.equal(connection.account, "");
   assert.equal(clients[0].ended, true);
   await rejects(connection.publish("stop/ada", "kr120", {}), "not_connected");
+});
+
+test("a login is kept once it is accepted, through losses, until it is refused or given up", () => {
+  const {clients, sockets, connection, kept} = setUp();
+  connection.login("ada", "secret");
+  assert.deepEqual(kept, []);
+  clients[0].accept();
+  sockets[0].close(4001);
+  assert.deepEqual(kept, [["ada", "secret"]]);
+  mock.timers.tick(600);
+  clients[1].refuse(135);
+  assert.deepEqual(kept.pop(), null);
+  connection.login("ada", "secret");
+  clients[2].accept();
+  connection.logout();
+  assert.deepEqual(kept.slice(-2), [["ada", "secret"], null]);
+  connection.login();
+  clients[3].accept();
+  assert.equal(kept.at(-1), null);
 });
 
 test("on a broker without accounts answers go to console, and a verdict names no account", () => {

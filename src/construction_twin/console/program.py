@@ -1,20 +1,75 @@
-"""What the program `console` does with its arguments: settings, or a sentence about what is wrong; serving until a signal."""
+"""The program `console`: serves the page, and pipes WebSockets to the broker's TCP port.
+
+Debian's mosquitto has no WebSockets. A broker that has them needs no console for the pipe. It needs `aiohttp`, and says so.
+"""
 
 from __future__ import annotations
 
 import argparse
 import asyncio
+import importlib.util
 import logging
 import signal
 import socket
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from construction_twin.console.given_files import broker_tls, check_rights, own_tls
-from construction_twin.console.pipe import BrokerAddress
-from construction_twin.console.server import SOCKET, ConsoleServer, ServerSettings
-from construction_twin.console.static_files import read_folder
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.network import is_loopback
 from construction_twin.core.sentences import Sentence
+
+if TYPE_CHECKING:
+    from construction_twin.console.server import ServerSettings
+
+#: Not 8080: half of all programs with a page listen there.
+DEFAULT_PORT = 8480
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Serve until a signal; return the exit code."""
+    arguments = _arguments(argv)
+    if importlib.util.find_spec("aiohttp") is None:
+        print("console: the Python package aiohttp is not installed; run setup/setup.sh console")
+        return 1
+    logging.basicConfig(level=logging.INFO, format="console: %(message)s")
+    try:
+        settings = settings_of(arguments)
+    except ConstructionTwinError as error:
+        print(f"console: {error}")
+        return 1
+    try:
+        asyncio.run(_serve(settings, arguments))
+    except asyncio.CancelledError:
+        return 0
+    except OSError as error:
+        print(
+            f"console: {arguments.listen}:{arguments.port}: {error.strerror}; stop what holds it, or give another --port"
+        )
+        return 1
+    return 0
+
+
+def _arguments(argv: list[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="console",
+        description="Pipe WebSockets to the broker's TCP port, and serve a page. Without --certificate only on loopback.",
+    )
+    add = parser.add_argument
+    add("--page", type=Path, help="folder of the page; without it there is none, only the pipe")
+    add("--private", type=Path, help="folder of files for who is logged in: robot, scene, building model")
+    add("--rights", type=Path, help="who has which right, for who is logged in: rights.json, which make_site writes")
+    add("--listen", default="127.0.0.1", metavar="ADDRESS", help="address on which it listens [%(default)s]")
+    add("--port", type=int, default=DEFAULT_PORT, help="TCP port [%(default)s]")
+    add("--certificate", type=Path, help="certificate (PEM); needs --key")
+    add("--key", type=Path, help="its key (PEM)")
+    add("--origin", action="append", default=[], help="a further origin whose pages may connect; may be repeated")
+    add("--broker-host", default="127.0.0.1", help="the broker's address [%(default)s]")
+    add("--broker-port", type=int, default=18830, help="the broker's TCP port [%(default)s]")
+    add("--broker-ca", type=Path, help="certificate of who signed the broker's; with it the broker's connection is TLS")
+    # roslaunch adds __name:= and __log:= for nodes that speak ROS
+    return parser.parse_args([word for word in (sys.argv[1:] if argv is None else argv) if ":=" not in word])
 
 
 def settings_of(arguments: argparse.Namespace) -> ServerSettings:
@@ -23,6 +78,10 @@ def settings_of(arguments: argparse.Namespace) -> ServerSettings:
     Raises:
         ConfigurationError: Naming the argument.
     """
+    # aiohttp is needed from here on only
+    from construction_twin.console.pipe import BrokerAddress
+    from construction_twin.console.server import ServerSettings
+
     if bool(arguments.certificate) != bool(arguments.key):
         raise ConfigurationError("--certificate and --key", None, Sentence("expected.both_or_neither"))
     if not arguments.certificate and not is_loopback(arguments.listen):
@@ -33,55 +92,34 @@ def settings_of(arguments: argparse.Namespace) -> ServerSettings:
         check_rights(arguments.rights)
     if to_broker is None and not is_loopback(arguments.broker_host):
         raise ConfigurationError("--broker-host", arguments.broker_host, Sentence("expected.loopback_ca"))
+    if arguments.page and not arguments.page.is_dir():
+        raise ConfigurationError("--page", str(arguments.page), Sentence("expected.folder"))
     return ServerSettings(
-        read_folder(arguments.page) if arguments.page else {},
+        arguments.page,
         arguments.private,
         BrokerAddress(arguments.broker_host, arguments.broker_port, to_broker),
+        arguments.rights,
         frozenset(arguments.origin),
         own,
-        rights=arguments.rights,
     )
 
 
-async def _serve(server: ConsoleServer, host: str, port: int, address: str) -> None:
+async def _serve(settings: ServerSettings, arguments: argparse.Namespace) -> None:
+    from construction_twin.console.server import SOCKET, ConsoleServer
+
     task = asyncio.current_task()
     assert task is not None
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, task.cancel)
-    ready = asyncio.Event()
-    serving = asyncio.create_task(server.run(host, port, ready))
-    opened = asyncio.create_task(ready.wait())
-    try:
-        await asyncio.wait((serving, opened), return_when=asyncio.FIRST_COMPLETED)
-        if ready.is_set():
-            print(f"console: {address}", flush=True)
-        await serving
-    finally:
-        opened.cancel()
+    await ConsoleServer(settings).run(
+        arguments.listen, arguments.port, lambda: print(f"console: {_address(arguments, SOCKET)}", flush=True)
+    )
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Serve until a signal; return the exit code."""
-    logging.basicConfig(level=logging.INFO, format="console: %(message)s")
-    # one line per connection is ours; the library's would tell every handshake. Its errors are exceptions that nobody foresaw
-    logging.getLogger("websockets").setLevel(logging.ERROR)
-    try:
-        server = ConsoleServer(settings_of(arguments))
-    except ConstructionTwinError as error:
-        print(f"console: {error}")
-        return 1
+def _address(arguments: argparse.Namespace, socket_path: str) -> str:
+    """Return where the page, or the pipe, is reached."""
     scheme = ("http" if arguments.page else "ws") + ("s" if arguments.certificate else "")
-    path = "/" if arguments.page else SOCKET
-    # which nothing can open: this machine's name
+    # in place of what nothing can open: this machine's name
     host = socket.gethostname() if arguments.listen in ("", "0.0.0.0", "::") else arguments.listen
-    address = f"{scheme}://{f'[{host}]' if ':' in host else host}:{arguments.port}{path}"
-    try:
-        asyncio.run(_serve(server, arguments.listen, arguments.port, address))
-    except asyncio.CancelledError:
-        return 0
-    except OSError as error:
-        print(
-            f"console: {arguments.listen}:{arguments.port}: {error.strerror}; stop what holds it, or give another --port"
-        )
-        return 1
-    return 0
+    path = "/" if arguments.page else socket_path
+    return f"{scheme}://{f'[{host}]' if ':' in host else host}:{arguments.port}{path}"

@@ -54,7 +54,7 @@ OPTIONAL = {
     "coacd": "work",
     "shapely": "work",
     "mujoco": "physics",
-    "websockets": "console",
+    "aiohttp": "console",
 }
 GENERATED = {"msg", "srv", "action"}
 #: Given in the launch files: deployment, not behaviour.
@@ -315,8 +315,8 @@ CLOCKS = {
 NETWORK = {"socket", "select", "selectors", "asyncio"}
 #: Modules of the library that talk to a network, or name its addresses and errors.
 SOCKETS = (
-    "broker/start.py console/addresses.py console/listener.py console/pipe.py console/program.py "
-    "console/server.py console/http_connection.py core/network.py gateway/service.py mock/network.py mqtt/client.py "
+    "broker/start.py console/pipe.py console/program.py "
+    "console/server.py core/network.py gateway/service.py mock/network.py mqtt/client.py "
     "mqtt/failures.py mqtt/fast_client.py mqtt/polled_client.py core/udp.py ros/nodes/view.py"
 ).split()
 

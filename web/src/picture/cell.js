@@ -165,7 +165,7 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
     if (template !== null || state.loading !== null || resting || ended) return;
     state.failed = "";
     const done = (async () => {
-      const loaded = await loadRobot(`/private/${encodeURIComponent(name)}/robot.urdf`, (done, all) => {
+      const loaded = await loadRobot(`private/${encodeURIComponent(name)}/robot.urdf`, (done, all) => {
         state.progress = {done, all};
         redraw();
       });
@@ -208,7 +208,7 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
     if (buildingOf === hash || ended) return;
     buildingOf = hash;
     try {
-      const loaded = await loadBuilding(`/private/${encodeURIComponent(name)}/building.glb`);
+      const loaded = await loadBuilding(`private/${encodeURIComponent(name)}/building.glb`);
       if (buildingOf !== hash || ended) return;
       state.lacks = "";
       state.stale = loaded.hash !== hash;

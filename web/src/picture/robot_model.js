@@ -93,7 +93,7 @@ function quietly(read) {
 /**
  * Load a robot.
  *
- * @param {string} url of its URDF, whose meshes are addresses on this server
+ * @param {string} url of its URDF, whose meshes are addresses on this server, relative to it
  * @param {(done: number, all: number) => void} onProgress
  * @returns {Promise<{robot: URDFRobot, lacks: string[]}>} with its meshes, and why some are missing; without any it fails
  */
@@ -102,7 +102,8 @@ export async function loadRobot(url, onProgress) {
   const wanted = [];
   const loader = new URDFLoader();
   loader.parseCollision = false;
-  loader.loadMeshCb = (path, manager, material, done) => wanted.push({path, material, done});
+  const here = new URL(url, location.href);
+  loader.loadMeshCb = (path, manager, material, done) => wanted.push({path: new URL(path, here).href, material, done});
   loader.packages = (name) => {
     throw new ModelError(`a mesh of the package ${name}: expected an address on this server`);
   };

@@ -75,7 +75,7 @@ export function sceneBody(object, onChange) {
   if (geometry !== null) {
     take(new Mesh(geometry, material));
   } else if (object.shape === "mesh" && /^[0-9a-f]{64}$/.test(object.mesh)) {
-    loadMesh(`/private/mesh/${object.mesh}.stl`, material).then((mesh) => {
+    loadMesh(`private/mesh/${object.mesh}.stl`, material).then((mesh) => {
       if (isVector(object.size, 3)) mesh.scale.fromArray(object.size);
       take(mesh);
       onChange();

@@ -247,9 +247,9 @@ def _check_console(given: Given, _robot: RobotModel) -> None:
     """Find what the console needs before it is started again and again without it."""
     if not is_true(given, "console"):
         return
-    if importlib.util.find_spec("websockets") is None:
+    if importlib.util.find_spec("aiohttp") is None:
         raise ConfigurationError(
-            "the Python package websockets", "missing", Sentence("expected.installed", command="setup/setup.sh console")
+            "the Python package aiohttp", "missing", Sentence("expected.installed", command="setup/setup.sh console")
         )
     page = given.get("console_page", "none")
     if page != "none" and not (page.startswith("/") and Path(page, "index.html").is_file()):

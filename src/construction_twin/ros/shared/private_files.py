@@ -46,7 +46,7 @@ def shown_urdf(urdf: str, folder: str) -> ShownUrdf:
 
     Args:
         urdf: Expanded.
-        folder: What stands before a mesh's name, e.g. ``/private/mesh/``.
+        folder: What stands before a mesh's name, e.g. ``../mesh/``.
 
     Raises:
         ElementTree.ParseError: If the text is not XML.
@@ -86,8 +86,8 @@ def _read(path: Path) -> tuple[str, bytes]:
     return hashlib.sha256(contents).hexdigest() + suffix, contents
 
 
-#: Where the console serves meshes.
-MESHES = "/private/mesh/"
+#: Where the meshes are, relative to a robot's model.
+MESHES = "../mesh/"
 
 
 class PrivateFiles:
