@@ -42,7 +42,7 @@ from construction_twin.link.remote_view import (
     Shown,
     ViewWriter,
 )
-from construction_twin.link.speed_limits import PeopleLimit, SpeedLimits, parse_speed
+from construction_twin.link.speed_limits import NOBODY, SpeedLimits, parse_speed
 from construction_twin.mqtt import requests
 from construction_twin.mqtt.client import Broker, make_client, unique_id
 from construction_twin.mqtt.interventions import parse_intervention
@@ -136,7 +136,7 @@ class ScriptedRobot:
         self.urgent: list[dict] = []
         #: How much older than it is what comes shall count [s]: as if it had lain on its way.
         self.delay = 0.0
-        self.speed_limits = SpeedLimits(SpeedLimit(0.5), PeopleLimit(), present())
+        self.speed_limits = SpeedLimits(SpeedLimit(0.5), NOBODY, present())
         self._chain = Chain(self.robot)
         self._inverse = inverse_kinematics(self._chain, IkSettings(), np.random.default_rng(0), time.monotonic)
         self._names = tuple(self.robot.joint_names)

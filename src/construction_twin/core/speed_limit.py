@@ -1,7 +1,6 @@
 """The largest allowed fraction of the speed: what a source asks for, or the fraction for silence when that source is late.
 
-Pure: times are arguments, in ns on a monotonic clock. Standard library only. Not safety rated: it slows a motion down so that less
-often a safety function must stop it.
+Times are arguments, in ns on a monotonic clock. Not safety rated: it slows down so that less often a safety function must stop.
 """
 
 from __future__ import annotations
@@ -27,74 +26,46 @@ class SpeedLimit:
 
     Args:
         deadline: A source that was heard must be heard again within this time [s].
-        silent: Fraction of the speed while it is not, 0 to 1; or the last limit, where that was lower.
+        silent: Fraction of the speed while it is not; or the last limit, where that was lower.
         required: Whether that fraction holds before any source was heard.
 
     Attributes:
-        name: Who was heard last; "" before the first time.
-        fraction: What it asked for, 0 to 1; 1 before the first time.
+        name, fraction: Who was heard last, and what it asked for; "" and 1 before the first time.
         state, limit, reason: As of the last `update`: why, what is allowed, and one sentence for the operator.
     """
 
-    __slots__ = (
-        "_heard_at",
-        "_required",
-        "_sentence_given",
-        "_silent",
-        "_within",
-        "_words",
-        "fraction",
-        "limit",
-        "name",
-        "reason",
-        "state",
-    )
-
     def __init__(self, deadline: float, silent: float = 0.0, required: bool = False):
-        self._within = round(deadline * NANOSECONDS)
+        self.deadline, self._within = deadline, round(deadline * NANOSECONDS)
         self._silent, self._required = silent, required
-        self._heard_at = 0
-        self._words = self._sentence_given = ""
-        self.name, self.fraction = "", 1.0
+        self.name, self.fraction, self._heard_at, self._sentence_heard = "", 1.0, 0, ""
         self.state, self.limit, self.reason = LimitState.UNLIMITED, 1.0, ""
         self.update(0)
-
-    @property
-    def deadline(self) -> float:
-        """The deadline [s]."""
-        return self._within / NANOSECONDS
 
     def hear(self, fraction: float, name: str, now: int) -> None:
         """Take what a source says at `now` [ns]; it counts until the deadline. The caller has checked both."""
         self.fraction, self.name, self._heard_at = fraction, name, now
 
     def accept(self, fraction: float, name: str, now: int, words: str = "", sentence: str = "") -> None:
-        """Take what a source says, unless another source is heard.
+        """Take what a source says, unless another one is heard: two that alternate would change the speed all the time.
 
-        Args:
-            fraction: 0 to 1.
-            name: The source. While one is heard, another one is refused: two alternating sources would change the speed all the
-                time.
-            now: Time of reception [ns].
-            words: Why, as the source says it.
-            sentence: Said in place of the sentence with name and words, of a source that says whose limit it passes on.
+        `words` say why; `sentence` stands in place of one made of them, where the source says whose limit it passes on.
 
         Raises:
             PayloadError: ``speed_limit`` or ``speed_limit_source``; nothing has changed then, and the deadline runs on.
         """
         # written so that a nan does not pass
         if not 0.0 <= fraction <= 1.0:
-            raise PayloadError(
-                "speed_limit", Sentence("executor.refused.limit_fraction", sender=name, fraction=fraction)
-            )
+            wrong = Sentence("executor.refused.limit_fraction", sender=name, fraction=fraction)
+            raise PayloadError("speed_limit", wrong)
         if not name:
             raise PayloadError("speed_limit_source", Sentence("executor.refused.limit_unnamed"))
         if name != self.name and self.is_heard(now):
-            raise PayloadError(
-                "speed_limit_source", Sentence("executor.refused.limit_two", sender=name, other=self.name)
-            )
+            two = Sentence("executor.refused.limit_two", sender=name, other=self.name)
+            raise PayloadError("speed_limit_source", two)
         self.hear(fraction, name, now)
-        self._words, self._sentence_given, self.reason = words.strip(), sentence, ""
+        words = words.strip() or Sentence("executor.speed.no_words")
+        said = Sentence("executor.speed.limit", limit=fraction, name=name, words=words)
+        self._sentence_heard, self.reason = sentence or said, ""
         self.update(now)
 
     def is_heard(self, now: int) -> bool:
@@ -103,7 +74,7 @@ class SpeedLimit:
 
     def is_silent(self, now: int) -> bool:
         """Return whether a source was heard once, and has been silent for longer than the deadline at `now` [ns]."""
-        return bool(self.name) and now - self._heard_at > self._within
+        return bool(self.name) and not self.is_heard(now)
 
     @property
     def fraction_when_silent(self) -> float:
@@ -112,26 +83,24 @@ class SpeedLimit:
 
     def update(self, now: int) -> float:
         """Return the fraction of the planned speed that is allowed at `now` [ns]."""
-        if not self.name:
-            state = LimitState.MISSING if self._required else LimitState.UNLIMITED
-            asked = self._silent if self._required else 1.0
-        elif self.is_heard(now):
+        if self.is_heard(now):
             state, asked = LimitState.HEARD, self.fraction
-        else:
+        elif self.name:
             state, asked = LimitState.SILENT, self.fraction_when_silent
+        elif self._required:
+            state, asked = LimitState.MISSING, self._silent
+        else:
+            state, asked = LimitState.UNLIMITED, 1.0
         # called every cycle: a sentence only when there is something new to say
         if state is not self.state or asked != self.limit or not self.reason:
-            self.state, self.limit = state, asked
-            self.reason = self._sentence()
-        return self.limit
+            self.state, self.limit, self.reason = state, asked, self._sentence(state, asked)
+        return asked
 
-    def _sentence(self) -> str:
-        if self.state is LimitState.UNLIMITED:
+    def _sentence(self, state: LimitState, limit: float) -> str:
+        if state is LimitState.UNLIMITED:
             return Sentence("executor.speed.unlimited")
-        if self.state is LimitState.HEARD:
-            words = self._words or Sentence("executor.speed.no_words")
-            said = Sentence("executor.speed.limit", limit=self.limit, name=self.name, words=words)
-            return self._sentence_given or said
-        if self.state is LimitState.MISSING:
-            return Sentence("executor.speed.missing", limit=self.limit)
-        return Sentence("executor.speed.silent", limit=self.limit, name=self.name, deadline=self.deadline)
+        if state is LimitState.MISSING:
+            return Sentence("executor.speed.missing", limit=limit)
+        if state is LimitState.HEARD:
+            return self._sentence_heard
+        return Sentence("executor.speed.silent", limit=limit, name=self.name, deadline=self.deadline)

@@ -6,7 +6,9 @@ Pure: time is an argument [ns]. Angles in rad (axis space).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
+from construction_twin.core.freshness import Moment, is_newer
 from construction_twin.core.limits import outside_tolerance
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
@@ -26,6 +28,25 @@ OTHER_RUNS = 3
 #: States of a gateway without a controller that it answers, and of one whose arm can be followed but not commanded.
 NO_SESSION = ("no_controller", "joined_running")
 ONLY_POSES = ("read_only", "measuring", "other_cycle")
+#: From the moment when a stop is known to the moment of the first `view` that surely shows it [ns]: the bridge's poll and `link`.
+SHOWN_AFTER = NANOSECONDS // 4
+
+
+class SeenStops:
+    """When the last stop became known; it has to be noted at least as often as it is asked for."""
+
+    def __init__(self) -> None:
+        self._stop: object = None
+        self._shown_from: Moment | None = None
+
+    def note(self, stop: object, now: Moment) -> None:
+        """Take which stop is the last one that is known, by anything that another one differs in."""
+        if stop != self._stop:
+            self._stop, self._shown_from = stop, replace(now, at=now.at + SHOWN_AFTER)
+
+    def was_seen(self, seen: Moment) -> bool:
+        """Return whether a view of this moment has shown the last stop."""
+        return is_newer(seen, self._shown_from)
 
 
 class LinkObservations:

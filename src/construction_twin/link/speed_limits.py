@@ -1,270 +1,166 @@
-"""The speed limit in force: the lowest of what a program and people have set. Pure: times are arguments. Not safety rated.
+"""The speed limit in force: the lowest of what a program and people have set. Times are arguments. Not safety rated.
 
-A program is one source of `speed_limit`, with the deadline that it had when executor and bridge heard it themselves: its silence
-never speeds up. People have one limit in common, whoever of them set it: it stands until a person sets another one, whatever
-becomes of tablet, broker and node. Lowering it acts at once. Raising it is void when what the screen had shown is too old, or of
-before somebody lowered it: nobody raises a limit unseen.
+A program is one source of `speed_limit`, with a deadline: its silence never speeds up. People have one limit in common, whoever of
+them set it: it stands until a person sets another one, whatever becomes of tablet, broker and process. Lowering it acts at once.
+Raising it is void when what the screen had shown is too old, or of before somebody lowered it: nobody raises a limit unseen.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import astuple, dataclass, replace
+from pathlib import Path
 from typing import Any
 
-from construction_twin.core.errors import ConfigurationError, ExpiredError, PayloadError
+from construction_twin.core.errors import ExpiredError, PayloadError
+from construction_twin.core.files import read_file, write_in_place
 from construction_twin.core.freshness import Moment, is_newer, parse_moment, staleness
-from construction_twin.core.reports import SpeedReport
+from construction_twin.core.reports import SpeedChange, SpeedReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.speed_limit import LimitState, SpeedLimit
 from construction_twin.core.units import NANOSECONDS
+from construction_twin.link.observations import SHOWN_AFTER
 from construction_twin.mqtt.json_fields import MAX_TEXT, keys, number, own_id
 
-#: From the moment when a stop is known to the moment of the first `view` that surely shows it [ns]: the bridge's poll and `link`.
-SHOWN_AFTER = NANOSECONDS // 4
-
-
-class SeenStops:
-    """When the last stop became known; it has to be noted at least as often as it is asked for."""
-
-    def __init__(self) -> None:
-        self._stop: object = None
-        self._shown_from: Moment | None = None
-
-    def note(self, stop: object, now: Moment) -> None:
-        """Take which stop is the last one that is known, by anything that another one differs in."""
-        if stop != self._stop:
-            self._stop, self._shown_from = stop, replace(now, at=now.at + SHOWN_AFTER)
-
-    def was_seen(self, seen: Moment) -> bool:
-        """Return whether a view of this moment has shown the last stop."""
-        return is_newer(seen, self._shown_from)
-
-
-#: An unchanged limit is repeated no faster than this [ns].
+#: An unchanged limit is forwarded no faster than this [ns].
 PERIOD = NANOSECONDS // 5
 
 
-class SpeedForwarder:
-    """Forwards what the source of `speed_limit` says, and nothing that it does not say.
-
-    A message is forwarded at most once, except to a session that began after it: the receiver's deadline then runs from
-    where the source's own silence began.
-
-    Args:
-        deadline: A source that was heard this recently is the only one [s]. A message older than this is not sent any more: its
-            source has fallen silent.
-    """
+class SpeedForwarder(SpeedLimit):
+    """Forwards a limit while its source is heard: each message at most once to a session, so that its silence is silence there."""
 
     def __init__(self, deadline: float):
-        self._source = SpeedLimit(deadline)
-        #: The last limit heard; None before the first one.
-        self.limit: float | None = None
+        super().__init__(deadline)
         #: How many were sent: the last message's id, because the gateway takes none that is not newer than all before.
         self.number = 0
-        self._unsent = False
-        # what was sent last, and to which session
-        self._sent_limit = 1.0
-        self._sent_session = ""
-        self._sent_at = 0
-
-    def on_limit(self, limit: float, source: str, now: int) -> None:
-        """Take a message [fraction, 0 to 1] that `source` sent and that came at `now` [ns].
-
-        Raises:
-            PayloadError: ``speed_limit``, or ``speed_limit_source`` while another source is heard: the executor refuses it too.
-        """
-        self._source.accept(limit, source, now)
-        self.limit, self._unsent = limit, True
+        # session and limit that were sent last, when that limit was heard, and when it was sent
+        self._sent = ("", 1.0), 0, 0
 
     def poll(self, session: str, now: int) -> float | None:
         """Return the limit to send now to the armed session `session` ("" for none), or None."""
-        if not session or self.limit is None:
+        if not session or not self.is_heard(now):
             return None
-        if self._source.is_silent(now):
-            # nothing is sent for a silent source, also to a session that begins meanwhile
-            self._unsent = False
+        wanted, (sent, heard_at, sent_at) = (session, self.fraction), self._sent
+        if wanted == sent and (self._heard_at <= heard_at or now - sent_at < PERIOD):
             return None
-        is_new = self._sent_session != session
-        self._unsent |= is_new
-        due = is_new or self.limit != self._sent_limit or now - self._sent_at >= PERIOD
-        if not (self._unsent and due):
-            return None
-        self._unsent, self._sent_limit, self._sent_session, self._sent_at = False, self.limit, session, now
+        self._sent = wanted, self._heard_at, now
         self.number += 1
-        return self.limit
+        return self.fraction
 
 
 #: The least that people may set, a fraction of the planned speed: 0 would be a pause, which has a name and an end of its own.
 LEAST = 0.05
-#: Whose limit is in force; "": nobody limits.
-PEOPLE, PROGRAM, NOBODY = "people", "program", ""
+#: Largest file that is read, and the least that it has [bytes].
+MOST, ROOM = 1 << 16, 4096
+#: Nobody has set one; and what counts where what people had set is not known: a restart raises nothing.
+NOBODY, UNKNOWN = SpeedChange("", 1.0, 1.0, ""), SpeedChange("", LEAST, 1.0, "")
+#: Keys of the file, in the order of the record.
+_KEYS = ("person", "limit", "replaced", "replaced_person", "since")
 
 
-@dataclass(frozen=True)
-class PeopleLimit:
-    """The limit of all people.
+def read_people(path: Path) -> tuple[SpeedChange, str]:
+    """Return what people had set, and why that is not known, or no other could be kept; "" where it is.
 
-    Attributes:
-        limit: Fraction of the planned speed, `LEAST` to 1.
-        person: Who set it; "": nobody has yet, or it is not known.
-        since: ROS time at which it was set [ns].
-        replaced, replaced_person: What it was before, and whose that was.
-        problem: Why it is not what people had set, as a clause; "": it is.
+    The file has its room from the first start on and is written in place, so a disk that is full later takes every limit. Beside it
+    lies a mark that there was one: what is not there any more is not known.
     """
-
-    limit: float = 1.0
-    person: str = ""
-    since: int = 0
-    replaced: float = 1.0
-    replaced_person: str = ""
-    problem: str = ""
-
-    def to_text(self) -> str:
-        """Return what `kept` reads."""
-        return json.dumps({key: value for key, value in asdict(self).items() if key != "problem"}) + "\n"
-
-    @property
-    def reason(self) -> str:
-        """Who limits, as one sentence."""
-        if self.problem:
-            return Sentence("link.speed.unreadable", percent=100 * self.limit, problem=self.problem)
-        return Sentence("link.speed.people", percent=100 * self.limit, person=self.person)
-
-
-def kept(path: str, text: str) -> PeopleLimit:
-    """Return what people had set, from the text of a file.
-
-    Raises:
-        ConfigurationError: It is none of ours.
-    """
+    mark = path.with_suffix(".mark")
     try:
-        found: Any = json.loads(text)
-        made = PeopleLimit(**found)
-        numbers = (made.limit, made.replaced)
-        wrong = made.problem or any(type(each) not in (int, float) or not LEAST <= each <= 1.0 for each in numbers)
-        names = (made.person, made.replaced_person)
-        if wrong or type(made.since) is not int or not all(isinstance(each, str) for each in names):
-            raise ValueError(found)
-    except (ValueError, TypeError) as error:
-        raise ConfigurationError(path, str(error)[:200], Sentence("expected.speed_file", least=LEAST)) from error
-    return made
+        path.parent.mkdir(parents=True, exist_ok=True)
+        is_first = not mark.exists() and not path.exists()
+        mark.touch()
+        people = NOBODY if is_first else _people(json.loads(read_file(path, MOST)))
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        return UNKNOWN, f"{path}: {error}"[:200]
+    problem = write_people(path, people)
+    return UNKNOWN if problem else people, problem
 
 
-def unreadable(problem: str) -> PeopleLimit:
-    """Return what counts in place of a limit that was kept and cannot be read: the least, because a restart raises nothing."""
-    return PeopleLimit(LEAST, problem=problem)
+def _people(found: Mapping[str, Any]) -> SpeedChange:
+    people = SpeedChange(*[found[key] for key in _KEYS])
+    in_range = LEAST <= people.limit <= 1.0 and LEAST <= people.before <= 1.0
+    if [type(each) for each in astuple(people)] != [str, float, float, str, int] or not in_range:
+        raise ValueError(f"expected fractions from {LEAST:g} to 1, names and a time, found {found}")
+    return people
 
 
-def program_text(program: SpeedLimit) -> str:
-    """Return what a node that is started again must know of the program that was heard; "" without one.
-
-    It changes seldom, however often the limit does: of a program that is silent only that counts which is below the fraction for
-    silence.
-    """
-    if not program.name:
-        return ""
-    return f"{int(100 * program.fraction_when_silent) / 100:g} {program.name}"
-
-
-def remembered(program: SpeedLimit, text: str, now: int) -> None:
-    """Let a program count as silent that a node before this one had heard; `text` is of `program_text`, `now` in ns."""
-    fraction, _, name = text.partition(" ")
-    if name:
-        # longer ago than its deadline
-        program.hear(float(fraction), name, now - round(2e9 * program.deadline) - 1)
-        program.update(now)
+def write_people(path: Path, people: SpeedChange) -> str:
+    """Write it; return why that was not possible, "" when it was. What could not be written is not known after a restart."""
+    try:
+        write_in_place(path, json.dumps(dict(zip(_KEYS, astuple(people)))) + "\n", ROOM)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            path.unlink()
+        return Sentence("link.speed.not_written", path=str(path), problem=error.strerror or str(error))
+    return ""
 
 
 class SpeedLimits:
     """Merges one program's limit and that of people; the lowest is in force. Not for use from several threads.
 
     Args:
-        program: What a program says; `remembered` may have told it who was heard before.
-        people: What people had set.
         started: Of this process: what a screen had shown before raises nothing.
+        problem: Why `people` is not what they had set, as a clause; "": it is.
     """
 
-    def __init__(self, program: SpeedLimit, people: PeopleLimit, started: Moment):
-        self._program = program
-        self._people = people
+    def __init__(self, program: SpeedLimit, people: SpeedChange, started: Moment, problem: str = ""):
+        self.program, self.people, self.problem = program, people, problem
         self._lowered = started
 
-    @property
-    def people(self) -> PeopleLimit:
-        """The limit of people."""
-        return self._people
-
-    @property
-    def program(self) -> SpeedLimit:
-        """What a program says, as of the last `report`."""
-        return self._program
-
     def set(self, limit: float, person: str, moment: str, now: Moment, at: int) -> str:
-        """Take the limit that a person sets; return the sentence of the answer.
-
-        Args:
-            limit: Fraction of the planned speed.
-            moment: The newest that the person's screen had received; needed only to raise the limit.
-            at: ROS time [ns].
-
-        Raises:
-            PayloadError: ``values``, ``person``, or ``moment``: none to raise it.
-            ExpiredError: What the screen had shown is too old to raise it, or was lowered since.
-        """
-        before, self._people = self._people, self.asked(limit, person, moment, now, at)
-        if self._people == before:
+        """Take the limit that a person sets; return the sentence of the answer. Arguments and errors are of `asked`."""
+        before, self.people = self.people, self.asked(limit, person, moment, now, at)
+        if self.people is before:
             return Sentence("link.speed.same", percent=100 * limit)
+        self.problem = ""
         if limit <= before.limit:
             self._lowered = replace(now, at=now.at + SHOWN_AFTER)
         whose = before.person or Sentence("link.speed.nobody")
         key = "link.speed.raised" if limit > before.limit else "link.speed.lowered"
         return Sentence(key, percent=100 * limit, before=100 * before.limit, whose=whose)
 
-    def asked(self, limit: float, person: str, moment: str, now: Moment, at: int) -> PeopleLimit:
-        """Return what `set` would make the limit of people; arguments and errors are its own."""
-        # written so that a nan does not pass
-        if not LEAST <= limit <= 1.0:
-            raise PayloadError("values", Sentence("link.payload.speed_limit", found=limit, least=LEAST))
+    def asked(self, limit: float, person: str, moment: str, now: Moment, at: int) -> SpeedChange:
+        """Return what `set` would make the limit of people at the ROS time `at` [ns].
+
+        `moment` is the newest that the person's screen had received; it is needed only to raise the limit.
+
+        Raises:
+            PayloadError: ``values``, ``person``, or ``moment``: none to raise it.
+            ExpiredError: What the screen had shown is too old to raise it, or was lowered since.
+        """
+        _check_limit(limit)
         if not person.strip():
             raise PayloadError("person", Sentence("link.speed.nameless"))
-        before = self._people
-        if limit == before.limit and not before.problem:
+        before = self.people
+        if limit == before.limit and not self.problem:
             return before
         if limit > before.limit:
-            self._check_raise(parse_moment(moment), now)
-        return PeopleLimit(limit, person, at, before.limit, before.person)
-
-    def _check_raise(self, seen: Moment, now: Moment) -> None:
-        if problem := staleness(seen, now):
-            raise ExpiredError(Sentence("executor.void.speed", problem=problem))
-        if not is_newer(seen, self._lowered):
-            raise ExpiredError(Sentence("executor.void.speed_since"))
+            seen = parse_moment(moment)
+            if problem := staleness(seen, now):
+                raise ExpiredError(Sentence("executor.void.speed", problem=problem))
+            if not is_newer(seen, self._lowered):
+                raise ExpiredError(Sentence("executor.void.speed_since"))
+        return SpeedChange(person, limit, before.limit, before.person, at)
 
     def report(self, now: int) -> SpeedReport | None:
         """Return what is in force at `now` [ns, monotonic]; None before anybody has set a limit: nothing is to be repeated then."""
-        program, people = self._program, self._people
+        program, people = self.program, self.people
         allowed = program.update(now)
-        if not program.name and people == PeopleLimit():
+        if not program.name and people == NOBODY:
             return None
-        # nobody was heard, and one is required: what the executor does of itself then holds beside a person's limit, too
-        asks = program.state is not LimitState.UNLIMITED
         limit = min(allowed, people.limit)
-        by = NOBODY if limit == 1.0 else PEOPLE if people.limit <= allowed else PROGRAM
-        reason = people.reason if by == PEOPLE else program.reason if asks else Sentence("link.speed.free")
-        return SpeedReport(
-            limit=limit,
-            by=by,
-            reason=reason,
-            people=people.limit,
-            person=people.person,
-            since=people.since,
-            replaced=people.replaced,
-            replaced_person=people.replaced_person,
-            program=allowed,
-            program_name=program.name,
-        )
+        by = "" if limit == 1.0 else "people" if people.limit <= allowed else "program"
+        reason: str = Sentence("link.speed.people", percent=100 * people.limit, person=people.person)
+        if by != "people":
+            # nobody was heard, and one is required: what the executor does of itself holds beside a person's limit, too
+            asks = program.state is not LimitState.UNLIMITED
+            reason = program.reason if asks else Sentence("link.speed.free")
+        elif self.problem:
+            reason = Sentence("link.speed.unreadable", percent=100 * people.limit, problem=self.problem)
+        set_by_people = people.limit, people.person, people.stamp, people.before, people.whose
+        return SpeedReport(limit, by, reason, *set_by_people, program=allowed, program_name=program.name)
 
 
 #: Longest message [bytes].
@@ -273,12 +169,7 @@ MAX_REQUEST_BYTES = 256
 
 @dataclass(frozen=True)
 class SpeedRequest:
-    """A person's speed limit.
-
-    Attributes:
-        limit: Fraction of the planned speed, `LEAST` to 1.
-        moment: The newest that the screen had received; "" where none was told, or none that can be one.
-    """
+    """A person's speed limit, and the newest moment that the screen had received; "" where none was told, or none that can be."""
 
     id: str
     limit: float
@@ -292,6 +183,10 @@ def parse_speed(document: Mapping[str, Any]) -> SpeedRequest:
     """
     keys(document, "speed", ("id", "limit"), ("id", "limit", "moment"))
     id_, limit, moment = own_id(document["id"], "id"), number(document["limit"], "limit"), document.get("moment")
+    _check_limit(limit)
+    return SpeedRequest(id_, limit, moment if isinstance(moment, str) and len(moment) <= MAX_TEXT else "")
+
+
+def _check_limit(limit: float) -> None:
     if not LEAST <= limit <= 1.0:
         raise PayloadError("values", Sentence("link.payload.speed_limit", found=limit, least=LEAST))
-    return SpeedRequest(id_, limit, moment if isinstance(moment, str) and len(moment) <= MAX_TEXT else "")

@@ -14,25 +14,12 @@ SECOND = 1_000_000_000
 DEADLINE, SILENT = 0.5, 0.1
 
 
-def test_before_the_first_limit_nobody_is_heard_and_nobody_is_silent():
-    source = SpeedLimit(0.5, 0.1)
-    assert (source.name, source.fraction) == ("", 1.0)
-    assert not source.is_heard(0) and not source.is_silent(100 * SECOND)
-
-
 def test_a_source_counts_until_its_deadline_and_is_silent_after_it():
     source = SpeedLimit(0.5, 0.1)
     source.accept(0.4, "camera", SECOND)
     assert source.is_heard(SECOND + SECOND // 2) and not source.is_silent(SECOND + SECOND // 2)
     assert source.is_silent(SECOND + SECOND // 2 + 1) and not source.is_heard(SECOND + SECOND // 2 + 1)
     assert source.deadline == 0.5
-
-
-@pytest.mark.parametrize("last, counts", [(0.4, 0.1), (0.1, 0.1), (0.05, 0.05), (0.0, 0.0)])
-def test_silence_counts_as_the_lower_of_the_last_limit_and_that_for_silence(last, counts):
-    source = SpeedLimit(0.5, 0.1)
-    source.accept(last, "camera", 0)
-    assert source.fraction_when_silent == counts
 
 
 @pytest.mark.parametrize("fraction", [-0.01, 1.01, math.nan, math.inf, -math.inf])
@@ -87,12 +74,3 @@ def test_silence_of_a_source_counts_as_the_lower_of_both_and_is_said(given, afte
     assert "/scanner is silent for more than 0.5 s" in limit.reason
     limit.accept(1.0, "/scanner", SECOND, "")
     assert limit.limit == 1.0 and "no reason given" in limit.reason
-
-
-def test_what_is_refused_changes_nothing():
-    limit = SpeedLimit(DEADLINE, SILENT, required=False)
-    limit.accept(0.4, "/scanner", 0, "")
-    for fraction, source in ((1.1, "/scanner"), (0.9, "/another")):
-        with pytest.raises(PayloadError):
-            limit.accept(fraction, source, 1, "")
-    assert limit.update(2) == 0.4

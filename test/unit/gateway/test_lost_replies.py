@@ -187,6 +187,21 @@ def test_whatever_is_lost_every_correction_that_arrives_is_inside_the_limits(
     assert (cell.count("rsi_sessions"), cell.count("delay_irregular"), cell.count("stops_refused")) == (1, 0, 0)
 
 
+def test_with_a_backlog_after_lost_replies_no_step_is_above_a_lowered_limit():
+    cell = moving(speed_limit_backlog=60.0)
+    cell.lose("nnr" * 40)
+    go_on(cell, 120)
+    for _ in range(20):
+        assert cell.control("speed_limit", value=0.1)[0]
+        go_on(cell, 25)
+    assert cell.state is State.FOLLOWING and cell.gateway.status()["playout"]["put_off_ms"] > 500.0
+    # grace, and time to slow down
+    slowed = steps_of(cell.arrived[-300:])
+    fastest = max(abs(v) / (most * CYCLE) for step, _ in slowed for v, most in zip(step, cell.config.velocity))
+    assert 0.09 < fastest <= 0.1 + 1e-4
+    assert_arrived_within_limits(cell)
+
+
 @pytest.mark.parametrize("cycle", CYCLES)
 def test_replies_lost_while_it_brakes_end_the_braking_where_the_arm_stands(cycle):
     cell = moving(cycle=cycle)

@@ -8,21 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from construction_twin.core.errors import ConfigurationError, ExpiredError, PayloadError
+from construction_twin.core.errors import ExpiredError, PayloadError
 from construction_twin.core.freshness import LIFETIME, Moment
+from construction_twin.core.reports import SpeedChange
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.speed_limit import SpeedLimit
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.speed_limits import (
-    LEAST,
-    SHOWN_AFTER,
-    PeopleLimit,
-    SpeedLimits,
-    kept,
-    program_text,
-    remembered,
-    unreadable,
-)
+from construction_twin.link.observations import SHOWN_AFTER
+from construction_twin.link.speed_limits import LEAST, NOBODY, UNKNOWN, SpeedLimits, read_people, write_people
 
 BOOT = "c0ffee00"
 START = 100 * NANOSECONDS
@@ -30,7 +23,7 @@ START = 100 * NANOSECONDS
 DEADLINE, SILENT = 0.5, 0.1
 
 
-def made(people: PeopleLimit = PeopleLimit(), required: bool = False) -> SpeedLimits:
+def made(people: SpeedChange = NOBODY, required: bool = False) -> SpeedLimits:
     return SpeedLimits(SpeedLimit(DEADLINE, SILENT, required), people, Moment(BOOT, START))
 
 
@@ -131,7 +124,7 @@ def test_nobody_raises_a_limit_that_was_lowered_since_the_screen_had_looked():
 
 
 def test_a_screen_that_has_not_looked_since_the_start_raises_nothing():
-    limits = made(PeopleLimit(0.3, "dora", 1))
+    limits = made(SpeedChange("dora", 0.3, 1.0, "", 1))
     with pytest.raises(ExpiredError):
         set_(limits, 0.5, 1.0, seen=-0.5)
     set_(limits, 0.5, 1.0, seen=0.5)
@@ -140,9 +133,9 @@ def test_a_screen_that_has_not_looked_since_the_start_raises_nothing():
 def test_who_set_it_and_whose_was_replaced_is_known():
     limits = made()
     set_(limits, 0.3, 1.0)
-    assert limits.people == PeopleLimit(0.3, "dora", NANOSECONDS, 1.0, "")
+    assert limits.people == SpeedChange("dora", 0.3, 1.0, "", NANOSECONDS)
     sentence = set_(limits, 0.6, 3.0, person="bob", seen=2.9)
-    assert limits.people == PeopleLimit(0.6, "bob", 3 * NANOSECONDS, 0.3, "dora")
+    assert limits.people == SpeedChange("bob", 0.6, 0.3, "dora", 3 * NANOSECONDS)
     assert isinstance(sentence, Sentence) and sentence.values["whose"] == "dora"
     report = limits.report(START)
     assert (report.person, report.since, report.replaced, report.replaced_person) == ("bob", 3 * 10**9, 0.3, "dora")
@@ -160,7 +153,7 @@ def test_what_is_no_limit_is_refused(limit):
     limits = made()
     with pytest.raises(PayloadError) as caught:
         limits.set(limit, "dora", str(at(1.0)), at(1.0), 1)
-    assert caught.value.reason == "values" and limits.people == PeopleLimit()
+    assert caught.value.reason == "values" and limits.people == NOBODY
     assert caught.value.sentence.key == "link.payload.speed_limit"
 
 
@@ -171,53 +164,43 @@ def test_nobody_limits_without_a_name(person):
     assert caught.value.reason == "person"
 
 
-def test_what_people_set_outlasts_the_node():
-    limits = made()
-    set_(limits, 0.3, 1.0)
-    again = kept("file", limits.people.to_text())
-    assert again == limits.people and in_force(made(again)) == 0.3
+def test_what_people_set_outlasts_the_process(tmp_path):
+    file, limits = tmp_path / "kr120.json", made()
+    assert read_people(file) == (NOBODY, "")
+    set_(limits, 0.35, 1.0)
+    assert write_people(file, limits.people) == ""
+    again, problem = read_people(file)
+    assert (again, problem) == (limits.people, "") and in_force(made(again)) == 0.35
+    written = {"limit": 0.35, "person": "dora", "since": NANOSECONDS, "replaced": 1.0, "replaced_person": ""}
+    assert json.loads(file.read_text()) == written
+
+
+GOOD = '"limit": 0.5, "person": "dora", "since": 1, "replaced": 1.0, "replaced_person": ""'
 
 
 @pytest.mark.parametrize(
     "text",
-    ["", "[]", "{", '{"limit": 2}', '{"limit": 0}', '{"limit": "1"}', '{"limit": true}', '{"limit": NaN}',
-     '{"limt": 0.5}', '{"limit": 0.5, "problem": "x"}', '{"limit": 0.5, "since": "x"}', '{"limit": 0.5, "person": 1}'],
+    ["", "[]", "{", "{}", '{"limit": 0.5}', *(
+        "{" + GOOD.replace(old, new) + "}"
+        for old, new in (("0.5", "2.0"), ("0.5", "0.0"), ("0.5", '"1"'), ("0.5", "true"), ("0.5", "NaN"), ("1.0", "0.0"),
+                         ('"dora"', "1"), ('"since": 1', '"since": "x"'))
+    )],
 )  # fmt: skip
-def test_a_file_of_something_else_is_none(text):
-    with pytest.raises(ConfigurationError, match="file"):
-        kept("file", text)
+def test_a_file_of_something_else_is_none_and_stays_to_be_looked_at(tmp_path, text):
+    file = tmp_path / "kr120.json"
+    file.write_text("{" + GOOD + "}")
+    assert read_people(file) == (SpeedChange("dora", 0.5, 1.0, "", 1), "")
+    file.write_text(text)
+    people, problem = read_people(file)
+    assert people == UNKNOWN and problem.startswith(str(file)) and file.read_text() == text
 
 
 def test_what_cannot_be_read_counts_as_the_least_until_somebody_sets_it():
-    limits = made(unreadable("it is damaged"))
+    limits = SpeedLimits(SpeedLimit(DEADLINE, SILENT), UNKNOWN, Moment(BOOT, START), "it is damaged")
     report = limits.report(START)
     assert (report.limit, report.by) == (LEAST, "people") and "it is damaged" in report.reason
     # the same number by a person is one that a person has set
-    assert set_(limits, LEAST, 1.0) and limits.people.problem == "" and limits.people.person == "dora"
-
-
-def test_a_program_that_was_heard_before_counts_as_silent_after_a_restart():
-    before = SpeedLimit(DEADLINE, SILENT)
-    assert program_text(before) == ""
-    for said, holds in ((0.7, 0.1), (0.05, 0.05), (0.0, 0.0)):
-        before.accept(said, "/separation", START)
-        after = SpeedLimit(DEADLINE, SILENT)
-        remembered(after, program_text(before), START)
-        limits = SpeedLimits(after, PeopleLimit(), Moment(BOOT, START))
-        report = limits.report(START)
-        assert (report.limit, report.program_name) == (holds, "/separation")
-        # it is not taken for one that is heard: another one may come
-        say(limits, 1.0, 0.1, "/other")
-        assert in_force(limits, 0.1) == 1.0
-
-
-def test_what_is_remembered_of_a_program_does_not_change_with_a_sensor():
-    source = SpeedLimit(DEADLINE, SILENT)
-    texts = set()
-    for number in range(10, 101):
-        source.accept(number / 100, "/separation", START)
-        texts.add(program_text(source))
-    assert texts == {"0.1 /separation"}
+    assert set_(limits, LEAST, 1.0) and limits.problem == "" and limits.people.person == "dora"
 
 
 _limit = st.integers(1, 20).map(lambda number: number / 20)
@@ -250,24 +233,13 @@ def test_whatever_happens_only_a_fresh_look_raises_people_s_limit_and_the_lowest
         elif step[0] == "wait":
             now += step[1]
         else:
-            program = SpeedLimit(DEADLINE, SILENT)
-            remembered(program, program_text(limits.program), at(now).at)
-            limits = SpeedLimits(program, kept("file", before.to_text()), at(now))
-            spoken = -100.0
-            assert limits.people == before
+            limits = SpeedLimits(limits.program, before, at(now))
         if step[0] != "people":
             assert limits.people == before, "nothing but a person changes it"
         report = limits.report(at(now).at)
         assert report is None or report.limit == min(report.people, report.program)
-        assert report is not None or (told is None and limits.people == PeopleLimit())
+        assert report is not None or (told is None and limits.people == NOBODY)
         if told is not None:
             heard = now - spoken <= DEADLINE
             assert report.program <= (told if heard else min(told, SILENT))
             assert report.limit <= limits.people.limit
-
-
-def test_the_file_is_plain_json():
-    text = PeopleLimit(0.35, "dora", 12, 1.0, "").to_text()
-    assert json.loads(text) == {
-        "limit": 0.35, "person": "dora", "since": 12, "replaced": 1.0, "replaced_person": "",
-    }  # fmt: skip

@@ -51,7 +51,7 @@ def world(monkeypatch, tmp_path):
 
 def limit(fraction: float) -> SpeedLimitInForce:
     message = SpeedLimitInForce(limit=fraction, reason=f"speed limit {fraction:g} by /sensor: somebody is near")
-    message._connection_header = {"callerid": "/kr120/speed_limits"}
+    message._connection_header = {"callerid": "/kr120/pca_monitor"}
     return message
 
 

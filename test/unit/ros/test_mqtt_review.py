@@ -646,7 +646,7 @@ def limiting(bench, expired=False):
         if fields["moment"]:
             assert free.wait(10.0)
         asked.append(fields)
-        return LimitSpeedResponse(not expired, "as speed_limits says", expired, fields["limit"])
+        return LimitSpeedResponse(not expired, "as pca_monitor says", expired, fields["limit"])
 
     bench.limit_speed.do = limit_speed
     return asked, free
@@ -661,7 +661,7 @@ def test_a_speed_limit_goes_on_in_the_name_of_the_account_and_is_answered(pressi
         "account": "dora",
         "limit": 0.3,
         "ok": True,
-        "reason": "as speed_limits says",
+        "reason": "as pca_monitor says",
         "expired": False,
     }
     assert acks(pressing, "speed") == [answer]

@@ -1,56 +1,57 @@
-"""The node that merges what limits the speed, without a master: what it publishes, keeps and refuses."""
+"""What limits the speed, merged beside the gate, without a master: what is published, kept and refused."""
 
 from __future__ import annotations
 
 import json
 import os
 import threading
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-import rospy
+import yaml
 from construction_twin.msg import SpeedLimit
 from construction_twin.srv import LimitSpeedRequest
 from executor_bench import ROBOT
 from processes import wait_until
 from unplugged import Unplugged
 
-from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.freshness import Moment
-from construction_twin.core.units import NANOSECONDS
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.link.speed_limits import LEAST
-from construction_twin.ros.nodes import speed_limits as module
-from construction_twin.ros.nodes.speed_limits import NODE, PROGRAM, Settings
+from construction_twin.ros.nodes import pca_monitor
+from construction_twin.ros.shared import speed_limits as module
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN
+from construction_twin.ros.shared.speed_limits import PROGRAM
 
 BOOT = "c0ffee00"
 RULES = {"speed_limit_deadline": 0.5, "speed_limit_silent": 0.1, "speed_limit_required": False, "arm": "mock"}
+MONITOR = yaml.safe_load((Path(__file__).resolve().parents[3] / "config" / "pca_monitor.yaml").read_text())
 GATEWAY = {"speed_limit_deadline": 0.5, "speed_limit_silent": 0.1, "speed_limit_grace": 0.5}
 
 
 class Bench:
-    """The node, started again as often as a test likes, on a clock of its own."""
+    """The monitor, started again as often as a test likes, on a clock of its own."""
 
     def __init__(self, monkeypatch, home, executor=RULES, gateway=GATEWAY, arm="mock"):
         self.now, self._patch, self.arm = 100.0, monkeypatch, arm
         patch = monkeypatch.setattr
         # the parameter server is the same for every node
         self.server = {"executor": executor, "gateway": gateway, PROGRAM: ""}
-        self.file = home / "limits" / f"{ROBOT.name}.json"
+        self.file = home / "construction_twin" / "speed_limits" / f"{ROBOT.name}.json"
         monkeypatch.setenv("ROS_HOME", str(home))
         patch(module.time, "monotonic_ns", lambda: round(self.now * NANOSECONDS))
-        # no thread writes here, but `write`
-        patch(module, "PATIENCE", 0.0)
         patch(module, "now_ns", lambda: round(self.now * NANOSECONDS))
         patch(module, "present", lambda: Moment(BOOT, round(self.now * NANOSECONDS)))
-        for name in ("loginfo", "logwarn", "logerr_throttle"):
-            patch(rospy, name, lambda *_: None)
+        # what it records of its gate is another file, of which one process has one
+        record = SimpleNamespace(report=lambda _: None, flush=lambda: None, problem="", values=dict)
+        patch(pca_monitor, "TransitionReport", lambda *_: record)
         self.restart()
 
     def restart(self):
-        settings = Settings(arm=self.arm, folder="limits")
-        self.made = Unplugged(self._patch, NODE, settings, ROBOT, parameters=self.server)
-        self.node = self.made.node
+        settings = pca_monitor.Settings(arm=self.arm, decimals=3, servo_model="", **MONITOR)
+        self.made = Unplugged(self._patch, pca_monitor.NODE, settings, ROBOT, parameters=self.server)
+        self.speed = self.made.node.speed
 
     @property
     def sent(self):
@@ -70,7 +71,7 @@ class Bench:
 
     def later(self, seconds):
         self.now += seconds
-        self.made.timers[0](SimpleNamespace())
+        self.speed.repeat()
 
     @property
     def limit(self):
@@ -85,7 +86,7 @@ def bench(monkeypatch, tmp_path):
 
 def test_nothing_is_published_before_anybody_limits(bench):
     bench.later(1.0)
-    assert bench.sent == [] and bench.node.report().level == OK
+    assert bench.sent == [] and bench.speed.report().level == OK
 
 
 def test_a_program_s_limit_is_in_force_at_once_and_its_silence_counts_as_before(bench):
@@ -96,7 +97,7 @@ def test_a_program_s_limit_is_in_force_at_once_and_its_silence_counts_as_before(
     assert bench.limit == 0.5
     bench.later(0.05)
     assert bench.limit == 0.1 and "silent for more than 0.5 s" in bench.sent[-1].reason
-    assert bench.node.report().level == WARN
+    assert bench.speed.report().level == WARN
     bench.says(1.0)
     assert (bench.limit, bench.sent[-1].by) == (1.0, "")
 
@@ -123,13 +124,8 @@ def test_executor_and_gateway_are_kept_to_the_stricter_of_what_each_was_told(mon
 def test_without_an_arm_there_is_no_gateway_to_ask_and_no_file(monkeypatch, tmp_path):
     bench = Bench(monkeypatch, tmp_path, gateway=None, arm="none")
     bench.sets(0.3)
-    bench.node.write()
+    bench.speed.write()
     assert bench.limit == 0.3 and not bench.file.exists()
-
-
-def test_parameters_of_the_executor_that_make_no_sense_end_the_node_with_a_sentence(monkeypatch, tmp_path):
-    with pytest.raises(ConfigurationError, match="speed_limit_silent"):
-        Bench(monkeypatch, tmp_path, executor=RULES | {"speed_limit_silent": 2.0})
 
 
 def test_what_no_program_may_say_is_refused_and_counted(bench):
@@ -149,7 +145,6 @@ def test_raising_is_sent_with_a_moment_and_names_whose_limit_it_replaces(bench):
     assert answer.success and answer.limit == 0.6 and "dora" in answer.message
     last = bench.sent[-1]
     assert (last.limit, last.person, last.replaced, last.replaced_person) == (0.6, "bob", 0.3, "dora")
-    assert bench.node.report().values["replaced was set by"] == "dora"
     assert [reason for reason, _ in bench.made.refused] == ["moment"]
 
 
@@ -177,39 +172,80 @@ def test_a_raise_that_is_too_old_is_refused_counted_and_said(bench):
     assert [reason for reason, _ in bench.made.refused] == ["too_old"]
 
 
-def test_lowering_is_in_force_before_a_disk_is_asked(bench, monkeypatch):
-    monkeypatch.setattr(os, "write", lambda *_: pytest.fail("the answer waited for a disk"))
-    assert bench.sets(0.3).success and bench.limit == 0.3
+class Disk:
+    """A disk that hangs at each write while it is blocked."""
+
+    def __init__(self, monkeypatch):
+        self.works, self.asked = threading.Event(), threading.Event()
+        write = os.write
+
+        def hang(*given):
+            self.asked.set()
+            return self.works.wait(30.0) and write(*given)
+
+        monkeypatch.setattr(os, "write", hang)
 
 
 def test_the_answer_to_a_lower_limit_waits_for_a_disk_that_is_quick_and_not_for_one_that_hangs(bench, monkeypatch):
     """So a kill right behind the answer raises nothing, and one lower limit holds up no other."""
-    monkeypatch.setattr(module, "PATIENCE", 10.0)
-    running = threading.Event()
-    monkeypatch.setattr(rospy, "is_shutdown", running.is_set)
-    threading.Thread(target=bench.node.run, daemon=True).start()
-    bench.sets(0.3)
-    assert json.loads(bench.file.read_text())["limit"] == 0.3
-    hangs = threading.Event()
-    write = os.write
-    monkeypatch.setattr(os, "write", lambda *given: hangs.wait(30.0) and write(*given))
+    monkeypatch.setattr(module, "PATIENCE", 30.0)
+    assert bench.sets(0.3).success and json.loads(bench.file.read_text())["limit"] == 0.3
+    disk = Disk(monkeypatch)
     monkeypatch.setattr(module, "PATIENCE", 0.05)
     assert bench.sets(0.2).success and bench.sets(0.1).success and bench.limit == 0.1
-    hangs.set()
+    disk.works.set()
     wait_until(lambda: json.loads(bench.file.read_text())["limit"] == 0.1, what="the newest limit on the disk")
-    running.set()
+
+
+def test_while_a_raise_waits_for_the_disk_setpoints_sync_and_lower_limits_go_on(bench, monkeypatch):
+    bench.sets(0.5)
+    bench.later(1.0)
+    disk = Disk(monkeypatch)
+    monkeypatch.setattr(module, "PATIENCE", 0.0)
+    answers = []
+    raising = threading.Thread(target=lambda: answers.append(bench.sets(0.8, moment=bench.shown())))
+    raising.start()
+    assert disk.asked.wait(30.0)
+
+    def cycle():
+        for _ in range(100):
+            bench.now += CYCLE_NS / NANOSECONDS
+            stamp = round(bench.now * NANOSECONDS)
+            bench.made.callbacks["twin/joint_states"](stamp, ROBOT.home)
+            bench.made.callbacks["next/joint_states"](stamp, ROBOT.home)
+        bench.made.node.watch()
+        bench.says(0.4)
+        bench.sets(0.3, "bob")
+        bench.later(0.05)
+
+    cycling = threading.Thread(target=cycle, daemon=True)
+    cycling.start()
+    cycling.join(30.0)
+    assert not cycling.is_alive() and bench.made.published["sync"] and (bench.limit, answers) == (0.3, [])
+    disk.works.set()
+    raising.join(30.0)
+    assert (answers[0].success, bench.limit) == (False, 0.3), "somebody has lowered it meanwhile"
+    wait_until(lambda: json.loads(bench.file.read_text())["limit"] == 0.3, what="the limit in force on the disk")
+
+
+def test_the_monitor_tells_of_a_slow_program_beside_its_gate(bench):
+    assert bench.made.report().values["speed limit"] == "1.000"
+    bench.says(0.5)
+    bench.later(1.0)
+    report = bench.made.report()
+    assert report.level == WARN and "/kr120/separation is silent" in report.sentence
 
 
 def test_what_people_set_outlasts_node_and_launch(bench):
     bench.sets(0.3)
-    bench.node.write()
+    bench.speed.write()
     bench.server[PROGRAM] = ""
     bench.restart()
     bench.later(0.05)
     assert (bench.limit, bench.sent[-1].person) == (0.3, "dora")
     bench.later(1.0)
     bench.sets(1.0, moment=bench.shown())
-    bench.node.write()
+    bench.speed.write()
     bench.restart()
     bench.later(0.05)
     assert (bench.limit, bench.sent[-1].by) == (1.0, ""), "a gateway that had a lower one must hear that it is over"
@@ -217,7 +253,7 @@ def test_what_people_set_outlasts_node_and_launch(bench):
 
 def test_a_raise_is_on_the_disk_before_it_is_in_force(bench, monkeypatch):
     bench.sets(0.3)
-    bench.node.write()
+    bench.speed.write()
     bench.later(1.0)
     write = os.write
     with monkeypatch.context() as watched:
@@ -249,14 +285,14 @@ def full(monkeypatch, path):
 
 def test_on_a_full_disk_a_restart_raises_nothing(bench, monkeypatch):
     bench.sets(0.5)
-    bench.node.write()
+    bench.speed.write()
     full(monkeypatch, bench.file)
     bench.sets(0.06, "a person with a long name")
-    bench.node.write()
+    bench.speed.write()
     bench.restart()
     bench.later(0.05)
     assert (bench.limit, bench.sent[-1].person) == (0.06, "a person with a long name")
-    assert bench.node.report().level == OK
+    assert bench.speed.report().level == OK
 
 
 def test_a_first_limit_on_a_disk_that_was_full_from_the_start_is_the_least(monkeypatch, tmp_path):
@@ -264,7 +300,7 @@ def test_a_first_limit_on_a_disk_that_was_full_from_the_start_is_the_least(monke
         full(patch, tmp_path / "nothing")
         bench = Bench(patch, tmp_path)
         bench.later(1.0)
-        assert bench.limit == LEAST and bench.node.report().level == ERROR
+        assert bench.limit == LEAST and bench.speed.report().level == ERROR
         answer = bench.sets(0.5, moment=bench.shown())
         assert not answer.success and "No space left" in answer.message and answer.limit == LEAST
         bench.restart()
@@ -278,13 +314,13 @@ def test_what_cannot_be_written_at_all_is_obeyed_only_falls_and_is_not_known_aft
         raise OSError(5, "Input/output error")
 
     bench.sets(0.5)
-    bench.node.write()
+    bench.speed.write()
     bench.later(1.0)
     with monkeypatch.context() as broken:
         broken.setattr(os, call, fail)
         assert bench.sets(0.06).success and bench.limit == 0.06
-        bench.node.write()
-        report = bench.node.report()
+        bench.speed.write()
+        report = bench.speed.report()
         assert report.level == ERROR and "Input/output error" in report.sentence
         bench.later(1.0)
         answer = bench.sets(0.5, moment=bench.shown())
@@ -292,14 +328,15 @@ def test_what_cannot_be_written_at_all_is_obeyed_only_falls_and_is_not_known_aft
         assert [reason for reason, _ in bench.made.refused] == ["file"]
     bench.restart()
     bench.later(0.05)
-    assert bench.limit == LEAST and bench.node.report().level == ERROR
+    assert bench.limit == LEAST and bench.speed.report().level == ERROR
 
 
 def test_a_raise_that_is_overtaken_while_it_is_written_is_void_also_on_the_disk(bench, monkeypatch):
     bench.sets(0.3)
-    bench.node.write()
+    bench.speed.write()
     bench.later(1.0)
     write, seen = os.write, bench.shown()
+    monkeypatch.setattr(module, "PATIENCE", 0.0)
 
     def overtaken(*given):
         monkeypatch.setattr(os, "write", write)
@@ -309,30 +346,30 @@ def test_a_raise_that_is_overtaken_while_it_is_written_is_void_also_on_the_disk(
     monkeypatch.setattr(os, "write", overtaken)
     answer = bench.sets(0.8, moment=seen)
     assert (answer.success, answer.expired, bench.limit) == (False, True, 0.1)
-    bench.node.write()
+    bench.speed.write()
     assert json.loads(bench.file.read_text())["limit"] == 0.1
 
 
 def test_a_file_that_is_missing_where_one_was_is_the_least(bench):
-    bench.node.write()
+    bench.speed.write()
     bench.file.unlink()
     bench.restart()
     bench.later(0.05)
-    assert bench.limit == LEAST and bench.node.report().level == ERROR
+    assert bench.limit == LEAST and bench.speed.report().level == ERROR
 
 
 @pytest.mark.parametrize("contents", [b"", b"\xff", b'{"limit": 5}', b"x" * (1 << 17)])
 def test_a_file_that_cannot_be_read_is_the_least_until_a_person_sets_another(bench, contents):
     bench.sets(0.3)
-    bench.node.write()
+    bench.speed.write()
     bench.file.write_bytes(contents)
     bench.restart()
     bench.later(1.0)
-    assert bench.limit == LEAST and bench.node.report().level == ERROR
-    bench.node.write()
+    assert bench.limit == LEAST and bench.speed.report().level == ERROR
+    bench.speed.write()
     assert bench.file.read_bytes() == contents, "what it was stays to be looked at"
     assert bench.sets(0.5, moment=bench.shown()).success
-    bench.node.write()
+    bench.speed.write()
     assert bench.limit == 0.5 and json.loads(bench.file.read_text())["limit"] == 0.5
 
 
@@ -343,19 +380,31 @@ def test_a_file_that_cannot_be_written_is_said_and_tried_again(bench, monkeypatc
     with monkeypatch.context() as broken:
         broken.setattr(os, "write", fail)
         bench.sets(0.3)
-        bench.node.write()
-        report = bench.node.report()
+        bench.speed.write()
+        report = bench.speed.report()
         assert report.level == ERROR and "No space left" in report.sentence and bench.limit == 0.3
-    bench.node.write()
-    assert bench.node.report().level == OK and json.loads(bench.file.read_text())["limit"] == 0.3
+    bench.speed.write()
+    assert bench.speed.report().level == OK and json.loads(bench.file.read_text())["limit"] == 0.3
 
 
-def test_a_program_that_was_heard_counts_as_silent_in_the_node_after_this_one(bench):
-    bench.says(0.05)
+@pytest.mark.parametrize("said, holds", [(0.7, 0.1), (0.05, 0.05), (0.0, 0.0)])
+def test_a_program_that_was_heard_counts_as_silent_in_the_monitor_after_this_one(bench, said, holds):
+    bench.says(said)
     bench.later(0.05)
-    wait_until(lambda: bench.server[PROGRAM] == "0.05 /kr120/separation", what="the memory")
+    wait_until(lambda: bench.server[PROGRAM] == f"{holds:g} /kr120/separation", what="the memory")
     bench.restart()
     bench.later(0.05)
-    assert bench.limit == 0.05 and "silent" in bench.sent[-1].reason
-    bench.says(0.9)
+    assert bench.limit == holds and "silent" in bench.sent[-1].reason
+    # it is not taken for one that is heard: another one may come
+    bench.says(0.9, "/other")
     assert bench.limit == 0.9
+
+
+def test_what_is_remembered_of_a_program_does_not_change_with_a_sensor(bench):
+    written = []
+    for number in range(10, 101):
+        bench.says(number / 100)
+        bench.later(0.05)
+        written.append(bench.server[PROGRAM])
+    wait_until(lambda: bench.server[PROGRAM] == "0.1 /kr120/separation", what="the memory")
+    assert set(written) <= {"", "0.1 /kr120/separation"}

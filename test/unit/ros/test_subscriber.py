@@ -70,7 +70,7 @@ def test_every_stream_that_moves_something_has_one_publisher():
         ("/kr120_b/plan", "/kr120_b/planner"),
         ("mock_rsi/joint_states", None),
         ("speed_limit", None),
-        ("speed_limit_in_force", "/kr120/speed_limits"),
+        ("speed_limit_in_force", "/kr120/pca_monitor"),
     ],
 )
 def test_a_publisher_is_a_node_of_the_stream_s_own_robot(master, topic, publisher):

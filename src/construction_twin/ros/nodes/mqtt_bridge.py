@@ -25,7 +25,8 @@ from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.travel_time import StateCheck
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.bare_supervisor import BareSupervisor
-from construction_twin.link.speed_limits import SeenStops, SpeedForwarder
+from construction_twin.link.observations import SeenStops
+from construction_twin.link.speed_limits import SpeedForwarder
 from construction_twin.link.states import LinkState
 from construction_twin.link.status_values import clock_sentence, controller_sentence, status_values, without_counts
 from construction_twin.link.supervisor import LinkSupervisor
@@ -276,7 +277,7 @@ class MqttBridge:
         source = caller_of(message)
         try:
             with self._lock:
-                self._speed.on_limit(message.limit, source, time.monotonic_ns())
+                self._speed.accept(message.limit, source, time.monotonic_ns())
         except PayloadError as error:
             self._diagnostics.refuse(error.reason, str(error))
 

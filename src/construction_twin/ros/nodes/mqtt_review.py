@@ -346,7 +346,7 @@ class MqttReview:
         request, account = asked
         assert self._limit_speed is not None  # the node runs
         fields = {"limit": request.limit, "person": account, "moment": request.moment}
-        return Outcome.of(call_twice(self._limit_speed, "speed_limits", **fields))
+        return Outcome.of(call_twice(self._limit_speed, "pca_monitor", **fields))
 
     def _publish_answer(self, topic: str, payload: bytes, qos: int) -> None:
         self._client.publish(topic, payload, qos=qos)

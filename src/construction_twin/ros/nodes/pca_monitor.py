@@ -1,4 +1,7 @@
-"""pca_monitor: the pose checking algorithm as the gate between `next/joint_states` and `command/joint_states`."""
+"""pca_monitor: the pose checking algorithm as the gate between `next/joint_states` and `command/joint_states`.
+
+It also merges what limits the speed, beside the gate: see `ros.shared.speed_limits`.
+"""
 
 from __future__ import annotations
 
@@ -24,14 +27,24 @@ from construction_twin.monitor.servo_watch import ServoWatch
 from construction_twin.monitor.settings import Behaviour
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.msg import Execution, Feedback, Hold, Link, Plan, Sync
+from construction_twin.msg import (
+    Execution,
+    Feedback,
+    Hold,
+    Link,
+    Plan,
+    SpeedChange,
+    SpeedLimit,
+    SpeedLimitInForce,
+    Sync,
+)
 from construction_twin.msg import Transition as TransitionMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.launch_arguments import arm_of, decimals_of
 from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
-from construction_twin.ros.shared.params import NodeSettings, robot_file
+from construction_twin.ros.shared.params import NodeSettings, robot_file, ros_home
 from construction_twin.ros.shared.ports import (
     Every,
     Interface,
@@ -42,7 +55,9 @@ from construction_twin.ros.shared.ports import (
     Served,
     SharedParameter,
     Subscription,
+    has_arm,
 )
+from construction_twin.ros.shared.speed_limits import AGAIN, PERIOD, PROGRAM, SpeedLimitService
 from construction_twin.ros.shared.stop_memory import PARAMETER, StopMemory
 from construction_twin.ros.shared.transition_report import TransitionReport
 from construction_twin.ros.transport.joint_stream import now_ns
@@ -51,6 +66,7 @@ from construction_twin.servo.file import read_servos
 from construction_twin.srv import (
     ConfigureGate,
     ConfigureGateRequest,
+    LimitSpeed,
     PlanToJoints,
     PlanToJointsResponse,
 )
@@ -103,6 +119,7 @@ class PcaMonitorNode:
         names: Joint names.
         compares: Whether there is a physical arm.
         diagnostics: Counts what is refused.
+        speed: The speed limit, which the gate knows nothing of.
         stopped_in: The session in which a monitor before this one was STOPPED: the gate stays so until the link tells of another
             session.
     """
@@ -115,6 +132,7 @@ class PcaMonitorNode:
         compares: bool,
         outputs: Outputs,
         diagnostics: NodeDiagnostics,
+        speed: SpeedLimitService,
         stopped_in: str = "",
     ):
         self._gate = gate
@@ -141,6 +159,7 @@ class PcaMonitorNode:
         #: The executor's sentence while a plan is being executed, at rest or not; empty otherwise.
         self._executing = ""
         self._diagnostics = diagnostics
+        self.speed = speed
 
     # -- the path; all times but those of stamps and reports are monotonic
 
@@ -365,8 +384,11 @@ class PcaMonitorNode:
         }
         values |= _servo_values(gate.watch_of_servos)
         level = {SyncState.IN_SYNC: OK, SyncState.STOPPED: ERROR, SyncState.FAULT: ERROR}.get(gate.state, WARN)
-        sentence = "; ".join(filter(None, (f"{gate.state.name}: {gate.reason}", problem)))
-        return Report(ERROR if problem else level, sentence, values | self._outputs.transitions.values())
+        speed = self.speed.report()
+        limited = speed.sentence if speed.level != OK else ""
+        sentence = "; ".join(filter(None, (f"{gate.state.name}: {gate.reason}", problem, limited)))
+        values = {**values, **speed.values, **self._outputs.transitions.values()}
+        return Report(ERROR if problem else max(level, speed.level), sentence, values)
 
 
 def make_gate(settings: Settings, robot: RobotModel, now: int) -> Gate:
@@ -390,7 +412,9 @@ def check(settings: Settings, robot: RobotModel) -> None:
 def start(settings: Settings, robot: RobotModel, ports: Ports) -> PcaMonitorNode:
     """Return the monitor with its parameters, topics and services."""
     names = robot.joint_names
-    compares = settings.arm != "none"
+    compares = has_arm(settings)
+    # without an arm there is no broker, and nobody could raise what was set before
+    kept = ros_home() / "construction_twin" / "speed_limits" / f"{robot.name}.json" if compares else None
     return PcaMonitorNode(
         make_gate(settings, robot, time.monotonic_ns()),
         Behaviour.model_validate(settings.model_dump(include=set(Behaviour.model_fields))),
@@ -406,6 +430,7 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> PcaMonitorNode
             ports.publishers.get("expected/joint_states"),
         ),
         ports.diagnostics,
+        SpeedLimitService(kept, ports),
         ports.parameters[PARAMETER] if compares else "",
     )
 
@@ -432,13 +457,20 @@ def _hold_message(cause: Cause | None, now: int) -> Hold:
 
 INTERFACE = Interface(
     report=PcaMonitorNode.report,
-    parameters=(SharedParameter(PARAMETER, "", kept=True),),
+    parameters=(
+        SharedParameter(PARAMETER, "", kept=True),
+        SharedParameter("executor", {}),
+        SharedParameter("gateway"),
+        SharedParameter(PROGRAM, "", kept=True),
+    ),
     publishes=(
         PosePublication("command/joint_states"),
         PosePublication("expected/joint_states", when=knows_servos),
         Publication("sync", Sync, queue_size=50, latch=True, tcp_nodelay=True),
         Publication("hold", Hold, queue_size=5, latch=True),
         Publication("transitions", TransitionMsg, queue_size=50, latch=True),
+        Publication("speed_limit_in_force", SpeedLimitInForce, queue_size=5, latch=True, tcp_nodelay=True),
+        Publication("speed_change", SpeedChange, queue_size=50),
     ),
     hears=(
         PoseSubscription("twin/joint_states", PcaMonitorNode.on_twin),
@@ -447,11 +479,19 @@ INTERFACE = Interface(
         Subscription("plan", Plan, PcaMonitorNode.on_plan, queue_size=5),
         Subscription("execution", Execution, PcaMonitorNode.on_execution, queue_size=5),
         Subscription("link", Link, PcaMonitorNode.on_link, queue_size=5),
+        Subscription(
+            "speed_limit", SpeedLimit, lambda node, said: node.speed.on_program(said), queue_size=5, tcp_nodelay=True
+        ),
     ),
-    serves=(Served("configure_gate", ConfigureGate, PcaMonitorNode.on_configure, reason="configure_gate"),),
+    serves=(
+        Served("configure_gate", ConfigureGate, PcaMonitorNode.on_configure, reason="configure_gate"),
+        Served("limit_speed", LimitSpeed, lambda node, asked: node.speed.on_limit_speed(asked)),
+    ),
     every=(
         Every(lambda _settings: 1 / SYNC_RATE, lambda node, _ports: node.watch()),
         Every(lambda _settings: WRITE_PERIOD, lambda node, _ports: node.write_transitions()),
+        Every(lambda _settings: PERIOD, lambda node, _ports: node.speed.repeat()),
+        Every(lambda _settings: AGAIN, lambda node, _ports: node.speed.write()),
     ),
 )
 FILE = ConfigFile(

@@ -59,6 +59,6 @@ class StopMemory:
             # XML-RPC takes a plain text only: a sentence has its key in the console and in logs, not here
             self._write(str(session))
         except (OSError, rospy.ROSException, xmlrpc.client.Error, http.client.HTTPException) as error:
-            self.problem = f"that it is stopped would not outlast this node: {self._name} was not written ({error})"
+            self.problem = f"{self._name} was not written, and what it says would not outlast this node ({error})"
             return
         self._written, self.problem = session, ""

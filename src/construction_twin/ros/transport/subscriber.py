@@ -44,8 +44,8 @@ PUBLISHERS = {
     "plan_outcome": "planner",
     "transitions": "pca_monitor",
     "velocities/joint_states": "display",
-    "speed_limit_in_force": "speed_limits",
-    "speed_change": "speed_limits",
+    "speed_limit_in_force": "pca_monitor",
+    "speed_change": "pca_monitor",
 }
 #: Requests that other programs may make: heard from everybody, unless `publishers` names one node.
 FOR_ANYBODY = ("joint_trajectory", "speed_limit")
