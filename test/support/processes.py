@@ -30,14 +30,14 @@ def listens(port: int, host: str = "127.0.0.1") -> bool:
 class BrokerProcess:
     """Debian's mosquitto with the project's configuration on a free port of the loopback interface."""
 
-    def __init__(self):
+    def __init__(self, config: Path = ROOT / "config" / "mosquitto.conf"):
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             self.port = probe.getsockname()[1]
-        self._process = None
+        self._process, self._config = None, config
 
     def start(self) -> None:
-        command = ["/usr/sbin/mosquitto", "-c", str(ROOT / "config" / "mosquitto.conf"), "-p", str(self.port)]
+        command = ["/usr/sbin/mosquitto", "-c", str(self._config), "-p", str(self.port)]
         self._process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
         wait_until(lambda: listens(self.port), what="mosquitto listening")
 

@@ -378,7 +378,7 @@ class GatewayService:
         if reason_code.is_failure:
             self._connection.refused(reason_code)
             return
-        self._connection.connected()
+        self._connection.connected(client, properties)
         log.info("connected to the broker")
         topics = [(self._topics.command, 0), (self._topics.control, 1), (self._topics.stop_by("+"), 1)]
         client.subscribe(subscriptions(client, topics))

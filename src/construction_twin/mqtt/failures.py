@@ -8,9 +8,11 @@ import sys
 from collections.abc import Callable
 
 from paho.mqtt import client as paho
+from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
 from construction_twin.mqtt.client import Broker, watch_answer
+from construction_twin.mqtt.plain_client import PlainClient
 
 #: OpenSSL's numbers of what is wrong with a certificate (X509_V_ERR_...).
 _NOT_YET_VALID, _EXPIRED = 9, 10
@@ -172,10 +174,12 @@ class ConnectionReport:
 
         client.on_connect_fail = failed
 
-    def connected(self) -> None:
-        """Take note that the broker has accepted the connection."""
+    def connected(self, client: PlainClient, properties: Properties | None) -> None:
+        """Take note that the broker has accepted the connection, with the properties of its answer (CONNACK)."""
         self._welcomed = True
         self.sentence = ""
+        client.largest = getattr(properties, "MaximumPacketSize", None)
+        client.on_too_large = self._say
 
     def failed(self, error: OSError) -> None:
         """Report an attempt to connect that raised `error`."""

@@ -179,6 +179,8 @@ class FastClient(PlainClient):
             pairs: User properties; MQTT 3.1.1 has none.
         """
         packet = self._publish_packet(topic.encode(), payload, pairs)
+        if self.is_too_large(topic, len(packet)):
+            return
         with self._writing:
             sock = self._sock
             if sock is None:

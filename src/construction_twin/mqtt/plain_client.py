@@ -26,7 +26,41 @@ def received_pairs(message: paho.MQTTMessage) -> list[tuple[str, str]]:
 
 
 class PlainClient(paho.Client):
-    """A paho client with streams: topics of which many messages come or go per second."""
+    """A paho client with streams: topics of which many messages come or go per second. It sends nothing that is too large.
+
+    Attributes:
+        largest: Longest packet that the broker takes, as it said last [bytes]; None: any.
+        on_too_large: Takes the sentence about a longer one, once per topic.
+    """
+
+    largest: int | None = None
+    on_too_large: Callable[[str], object] | None = None
+
+    def __init__(self, *arguments, **options):
+        super().__init__(*arguments, **options)
+        self._too_large: set[str] = set()
+
+    def publish(self, topic, payload=None, qos=0, retain=False, properties=None) -> paho.MQTTMessageInfo:
+        """Publish as paho does; what is too large for the broker gets `MQTT_ERR_PAYLOAD_SIZE`."""
+        if self.largest is not None:
+            content = payload.encode() if isinstance(payload, str) else payload or b""
+            beside = len(properties.pack()) if properties else int(self.protocol == MQTTProtocolVersion.MQTTv5)
+            length = 2 + len(topic.encode()) + 2 * bool(qos) + beside + len(content)
+            if self.is_too_large(topic, length + 2 + (length > 127) + (length > 16383) + (length > 2097151)):
+                info = paho.MQTTMessageInfo(0)
+                info.rc = MQTTErrorCode.MQTT_ERR_PAYLOAD_SIZE
+                return info
+        return super().publish(topic, payload, qos, retain, properties)
+
+    def is_too_large(self, topic: str, size: int) -> bool:
+        """Return whether a packet [bytes] is longer than what the broker takes, and say so the first time."""
+        if self.largest is None or size <= self.largest:
+            return False
+        if topic not in self._too_large and self.on_too_large is not None:
+            self._too_large.add(topic)
+            said = f"{topic} is not sent: {size} bytes, and the broker takes {self.largest} (its max_packet_size)"
+            self.on_too_large(said)
+        return True
 
     def loop_start(self) -> MQTTErrorCode:
         """Serve the connection in a thread of paho's."""

@@ -15,7 +15,7 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.speed_limit import SpeedLimit
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.observations import SHOWN_AFTER
-from construction_twin.link.speed_limits import LEAST, NOBODY, UNKNOWN, SpeedLimits, read_people, write_people
+from construction_twin.link.speed_limits import NOBODY, UNKNOWN, SpeedLimits, read_people, write_people
 
 BOOT = "c0ffee00"
 START = 100 * NANOSECONDS
@@ -193,14 +193,6 @@ def test_a_file_of_something_else_is_none_and_stays_to_be_looked_at(tmp_path, te
     file.write_text(text)
     people, problem = read_people(file)
     assert people == UNKNOWN and problem.startswith(str(file)) and file.read_text() == text
-
-
-def test_what_cannot_be_read_counts_as_the_least_until_somebody_sets_it():
-    limits = SpeedLimits(SpeedLimit(DEADLINE, SILENT), UNKNOWN, Moment(BOOT, START), "it is damaged")
-    report = limits.report(START)
-    assert (report.limit, report.by) == (LEAST, "people") and "it is damaged" in report.reason
-    # the same number by a person is one that a person has set
-    assert set_(limits, LEAST, 1.0) and limits.problem == "" and limits.people.person == "dora"
 
 
 _limit = st.integers(1, 20).map(lambda number: number / 20)

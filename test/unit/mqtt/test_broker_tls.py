@@ -38,14 +38,14 @@ class Attempt:
         self.client = make_client(broker, unique_id("one", "attempt"), "unused/attempt")
         report.watch(self.client)
         self.client.on_connect = lambda c, u, f, code, p: (
-            report.refused(code) if code.is_failure else self._welcomed(report)
+            report.refused(code) if code.is_failure else self._welcomed(report, c, p)
         )
         self.client.on_disconnect = lambda c, u, f, code, p: report.lost(code)
         self.client.connect_async(broker.host, broker.port, broker.keepalive)
 
-    def _welcomed(self, report: ConnectionReport) -> None:
+    def _welcomed(self, report: ConnectionReport, *answer) -> None:
         self.welcome = True
-        report.connected()
+        report.connected(*answer)
 
     def __enter__(self) -> Attempt:
         self.client.loop_start()
@@ -198,7 +198,7 @@ def test_a_failure_that_repeats_is_said_once_until_it_changes():
     for _ in range(3):
         report.failed(ConnectionRefusedError(111, "Connection refused"))
     report.failed(TimeoutError("timed out"))
-    report.connected()
+    report.connected(make_client(broker, "id", "status"), None)
     assert report.sentence == ""
     report.failed(ConnectionRefusedError(111, "Connection refused"))
     assert [("nobody listens" in sentence, "no answer" in sentence) for sentence in said] == [

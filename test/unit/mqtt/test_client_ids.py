@@ -56,7 +56,7 @@ class Program:
     def _on_connect(self, client, userdata, flags, reason_code, properties) -> None:
         assert not reason_code.is_failure, str(reason_code)
         self.welcomes += 1
-        self.report.connected()
+        self.report.connected(client, properties)
 
     def __enter__(self) -> Program:
         wait_until(lambda: self.welcomes, what="the broker's welcome")

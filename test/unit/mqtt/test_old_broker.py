@@ -105,7 +105,7 @@ class LoopClient:
 
 def listen(client, report: ConnectionReport) -> None:
     """Report as bridge and gateway do."""
-    client.on_connect = lambda c, u, f, code, p: report.refused(code) if code.is_failure else report.connected()
+    client.on_connect = lambda c, u, f, code, p: report.refused(code) if code.is_failure else report.connected(c, p)
     client.on_disconnect = lambda c, u, f, code, p: report.lost(code)
 
 

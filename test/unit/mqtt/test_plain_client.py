@@ -7,12 +7,14 @@ import threading
 
 import pytest
 from paho.mqtt import __version__ as paho_version
-from processes import ROOT, wait_until
+from paho.mqtt.enums import MQTTErrorCode
+from processes import ROOT, BrokerProcess, wait_until
 from service_cell import PATIENT, cell, motion, stream
 
 from construction_twin.gateway import service as gateway_service
 from construction_twin.mqtt import fast_client
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
+from construction_twin.mqtt.failures import ConnectionReport
 from construction_twin.mqtt.fast_client import DirectClient, FastClient, is_tested
 from construction_twin.mqtt.plain_client import PlainClient
 
@@ -85,6 +87,32 @@ def test_a_stream_arrives_whole_in_order_and_with_its_properties(broker, topics,
     assert [payload for payload, _, _ in got[:200]] == [b"+%03d.000" % number for number in range(200)]
     # only MQTT 5 shows the flag on what is published while one listens
     assert got[200] == (b"kept", [], protocol == "5")
+
+
+def test_what_is_larger_than_the_broker_takes_is_not_sent_and_said_once_with_both_sizes(tmp_path, topics, kind):
+    config = tmp_path / "mosquitto.conf"
+    config.write_text((ROOT / "config" / "mosquitto.conf").read_text() + "\nmax_packet_size 2000\n")
+    process, said, lost = BrokerProcess(config), [], []
+    process.start()
+    report = ConnectionReport(Broker(port=process.port), said.append)
+    client = make_client(Broker(port=process.port), unique_id("a", "s"), "w/1", direct=True)
+    client.on_connect = lambda c, u, f, code, properties: report.connected(c, properties)
+    client.on_disconnect = lambda *rest: lost.append(rest)
+    client.connect_async("127.0.0.1", process.port)
+    client.loop_start()
+    wait_until(lambda: client.largest == 2000, what="the broker's limit")
+    # header 3, length of the topic 2, id 2, no properties 1
+    most = 2000 - 8 - len(topics.status)
+    for _ in range(2):
+        assert client.publish(topics.status, b"x" * (most + 1), 1).rc == MQTTErrorCode.MQTT_ERR_PAYLOAD_SIZE
+        client.send_stream(topics.command, b"x" * 2000, [("seq", "1")])
+    fits = client.publish(topics.status, b"x" * most, 1)
+    fits.wait_for_publish(10.0)
+    client.disconnect()
+    client.loop_stop()
+    process.kill()
+    assert fits.is_published() and [each[3].is_failure for each in lost] == [False]
+    assert len(said) == 2 and f"{topics.status} is not sent: 2001 bytes, and the broker takes 2000" in said[0]
 
 
 def test_an_armed_gateway_carries_out_the_stream_and_reports_states(broker, topics, kind, monkeypatch):

@@ -405,12 +405,12 @@ class TestStopped:
         run(world, node, 40)
         assert world.gate.state is SyncState.IN_SYNC
 
-    def test_the_one_in_its_place_reads_that_at_its_start(self, world, tmp_path):
-        topics = {each.topic: world.topic(each.topic) for each in module.INTERFACE.publishes}
+    def test_the_one_in_its_place_reads_that_at_its_start(self, world, tmp_path, monkeypatch):
+        monkeypatch.setenv("ROS_HOME", str(tmp_path))
         ports = SimpleNamespace(
-            publishers=topics,
+            publishers={each.topic: world.topic(each.topic) for each in module.INTERFACE.publishes},
             diagnostics=SimpleNamespace(refuse=lambda *said: None),
-            parameters={PARAMETER: "s1"},
+            parameters={each.name: each.default for each in module.INTERFACE.parameters} | {PARAMETER: "s1"},
             keeper=lambda name: lambda session: None,
         )
         given = {"arm": "mock", "servo_model": "", "decimals": 3, "transition_file": str(tmp_path / "t.jsonl")}

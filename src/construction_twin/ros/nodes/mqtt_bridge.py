@@ -356,7 +356,7 @@ class MqttBridge:
         if reason_code.is_failure:
             self._connection.refused(reason_code)
             return
-        self._connection.connected()
+        self._connection.connected(client, properties)
         client.subscribe(
             subscriptions(
                 client,

@@ -273,7 +273,7 @@ class MqttPlanner:
         if reason_code.is_failure:
             self._connection.refused(reason_code)
             return
-        self._connection.connected()
+        self._connection.connected(client, properties)
         if topics := [(endpoint.topic, endpoint.qos) for endpoint in self.endpoints]:
             client.subscribe(subscriptions(client, topics))
         # the broker answers it, and so shows whether this account may write here

@@ -305,7 +305,7 @@ class MqttReview:
         if reason_code.is_failure:
             self._connection.refused(reason_code)
             return
-        self._connection.connected()
+        self._connection.connected(client, properties)
         self._seen = b""
         topics = [self._topics.plan, *(endpoint.topic for endpoint in self.endpoints)]
         client.subscribe(subscriptions(client, [(topic, 1) for topic in topics]))
