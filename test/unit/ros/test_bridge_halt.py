@@ -163,7 +163,8 @@ def test_a_master_that_does_not_keep_that_is_shown(clocks):
     bench.arm_and_rest()
     bench.bridge.on_halt(None)
     bench.step()
-    wait_until(lambda: "waits_for_person was not written (nobody there)" in bench.bridge.report().sentence)
+    said = "waits_for_person was not written, and what it says would not outlast this node (nobody there)"
+    wait_until(lambda: said in bench.bridge.report().sentence)
     assert bench.bridge.report().level == WARN
 
 
