@@ -148,7 +148,7 @@ class BringupTest(RobotTest):
         self.assertEqual(run.returncode, 1)
         said = run.stderr.splitlines()[-1]
         self.assertTrue(
-            said.startswith(f"preflight: robot:=kr120: it runs already on {uri}: /kr120/executor on "), said
+            said.startswith(f"preflight: robot:=kr120: it runs already on {uri}: /kr120/display on "), said
         )
         self.assertNotIn("Traceback", run.stderr)
         self.assertEqual(running(nodes, uri), before)

@@ -56,7 +56,7 @@ HEARD_BY = {
     "engagement": {"planner"},
     "tool_command": {"mqtt_bridge"},
     "tool": {"executor"},
-    "review": set(),
+    "review": {"planner"},
     "sync": {"executor", "mqtt_bridge"},
     "hold": set(),
     "approval_obstacle": set(),
