@@ -41,8 +41,14 @@ def broker_of(settings: MqttSettings) -> Broker:
 def report_of(broker: Broker, said: DeferredLog | None = None) -> ConnectionReport:
     """Return a report that goes to the node's log; with `said` when that is written, so that the MQTT thread waits for no disk."""
     if said is None:
-        return ConnectionReport(broker, lambda sentence: rospy.logerr("%s", sentence))
-    return ConnectionReport(broker, lambda sentence: said.add(rospy.logerr, "%s", sentence))
+        return ConnectionReport(broker, _log)
+    return ConnectionReport(broker, lambda sentence: said.add(_log, sentence))
+
+
+def _log(sentence: str) -> None:
+    # where all is ended together the broker may be gone first: nobody has to look after that
+    if not rospy.is_shutdown():
+        rospy.logerr("%s", sentence)
 
 
 def connect(
