@@ -147,9 +147,7 @@ class BringupTest(RobotTest):
         run = subprocess.run(second, capture_output=True, text=True, timeout=60.0)
         self.assertEqual(run.returncode, 1)
         said = run.stderr.splitlines()[-1]
-        self.assertTrue(
-            said.startswith(f"preflight: robot:=kr120: it runs already on {uri}: /kr120/display on "), said
-        )
+        self.assertTrue(said.startswith(f"preflight: robot:=kr120: it runs already on {uri}: /kr120/display on "), said)
         self.assertNotIn("Traceback", run.stderr)
         self.assertEqual(running(nodes, uri), before)
         self.assertEqual(self.client.link.session, session)
