@@ -110,12 +110,15 @@ class DisplayNode:
 
     def _publish_static_frames(self, settings: Settings) -> None:
         now = to_time(now_ns())
-        trees = ["physical", "preview"]
+        trees = ["preview", *(["physical"] if has_arm(settings) else [])]
         trees += ["simulated"] if is_simulated(settings) else []
         trees += ["expected"] if knows_servos(settings) else []
         transforms = self._frames.of_the_twin(self._prefix("twin"), now)
         for tree in trees:
             transforms += self._frames.still(self._prefix(tree), now)
+        if not has_arm(settings):
+            # nothing moves below it, but the words on the monitor's state stand there
+            transforms += self._frames.of_the_twin(self._prefix("physical"), now)
         self._publishers["/tf_static"].publish(TFMessage(transforms))
 
     # -- poses
