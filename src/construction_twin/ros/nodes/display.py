@@ -117,7 +117,7 @@ class DisplayNode:
         for tree in trees:
             transforms += self._frames.still(self._prefix(tree), now)
         if not has_arm(settings):
-            # nothing moves below it, but the words on the monitor's state stand there
+            # the root alone: nothing below it would move, and the links at its end would be a tree of their own
             transforms += self._frames.of_the_twin(self._prefix("physical"), now)
         self._publishers["/tf_static"].publish(TFMessage(transforms))
 

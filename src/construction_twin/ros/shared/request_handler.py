@@ -92,11 +92,6 @@ class RequestHandler:
         # one request at a time: `plan` latches one plan, and its outcome belongs to it
         self._busy = threading.Lock()
 
-    @property
-    def busy(self) -> bool:
-        """Whether a plan is being made."""
-        return self._busy.locked()
-
     def on_verdict(self, plan_id: str) -> None:
         """Take that a plan is not, or no longer, under review."""
         if plan_id in self._newest.values():
