@@ -183,7 +183,7 @@ class MqttBridge:
         self._client = client
         # what tells of a halt, and cannot fail it
         self._side_effects, self._log_queue = SideEffects(), DeferredLog()
-        self._connection = report_of(broker, self._log_queue)
+        self._connection = report_of(broker)
         # why only a person leads on, for the bridge after this one
         self._waits = waits
         self._memory = StopMemory(waits, remember, WAITS)

@@ -144,7 +144,7 @@ class MqttReview:
         self.outlets = Outlets(
             self._publish_answer, lambda reason, sentence: self.refuse(reason, sentence), safety=True
         )
-        self._connection = report_of(broker, self.outlets.log)
+        self._connection = report_of(broker)
         self.approvals, self.rejections, self._answers = (RequestQueue(WAITING) for _ in range(3))
         # what may raise the limit never holds up what lowers it
         self._raises, self._limits = RequestQueue(WAITING), RequestQueue(WAITING)

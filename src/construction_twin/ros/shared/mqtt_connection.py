@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Mapping
 
 import pydantic
@@ -12,8 +13,10 @@ from construction_twin.mqtt.account import load_account
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.failures import ConnectionReport
 from construction_twin.mqtt.plain_client import PlainClient
-from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.params import NodeSettings
+
+#: How long a node waits before it says that the broker is gone [s]: one Ctrl-C ends both, and the broker is often first.
+GRACE = 1.0
 
 
 class MqttSettings(NodeSettings):
@@ -38,17 +41,15 @@ def broker_of(settings: MqttSettings) -> Broker:
     return Broker(settings.host, settings.port, settings.protocol, account=account)
 
 
-def report_of(broker: Broker, said: DeferredLog | None = None) -> ConnectionReport:
-    """Return a report that goes to the node's log; with `said` when that is written, so that the MQTT thread waits for no disk."""
-    if said is None:
-        return ConnectionReport(broker, _log)
-    return ConnectionReport(broker, lambda sentence: said.add(_log, sentence))
+def report_of(broker: Broker) -> ConnectionReport:
+    """Return a report that goes to the node's log, from a thread that may wait for a disk."""
+    return ConnectionReport(broker, _say_later)
 
 
-def _log(sentence: str) -> None:
-    # where all is ended together the broker may be gone first: nobody has to look after that
-    if not rospy.is_shutdown():
-        rospy.logerr("%s", sentence)
+def _say_later(sentence: str) -> None:
+    timer = threading.Timer(GRACE, lambda: rospy.is_shutdown() or rospy.logerr("%s", sentence))
+    timer.daemon = True
+    timer.start()
 
 
 def connect(
