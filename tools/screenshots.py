@@ -48,7 +48,7 @@ READY, DRAWN = 180.0, 150.0
 #: Time between two checks of what is drawn [s]: rviz draws without a graphics card and needs the processor.
 LOOK = 0.5
 #: Least fraction of the picture's width and height that the arm covers.
-LARGE = 0.2
+LARGE = 0.15
 GOAL = (-40.0, -70.0, 75.0, 20.0, 60.0, -40.0)
 #: The arm alone, large.
 NEAR = {"Distance": 4.0, "Focal Point": {"X": 0.65, "Y": 0.0, "Z": 1.05}}
