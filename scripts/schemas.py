@@ -26,8 +26,8 @@ from construction_twin.mqtt.requests import (
     ANSWER,
     IK,
     PLAN_REQUEST,
+    RAISE_SPEED,
     REVIEW,
-    SPEED,
     STOP,
     Answer,
     RequestKind,
@@ -56,7 +56,7 @@ CHECKED: dict[str, Any] = {
     "IK_ACK": IK,
     "ANSWER_ACK": ANSWER,
     "ACKNOWLEDGE_ACK": ACKNOWLEDGE,
-    "SPEED_ACK": SPEED,
+    "SPEED_ACK": RAISE_SPEED,
     "MESSAGES": Sequence[Message],
 }
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 from playwright.sync_api import Page, expect
 from processes import wait_until
 
@@ -15,8 +17,9 @@ def page_of_dora(page_of, site) -> Page:
 
 
 def limits(robot) -> list[tuple[float, bool]]:
-    """Return what was asked for in order, and whether with a moment."""
-    return [(said["limit"], "moment" in said) for said in robot.payloads("speed/dora")]
+    """Return what was asked for in order, and whether to raise it."""
+    asked = [(topic, json.loads(payload)) for topic, payload in list(robot.heard) if topic.endswith("_speed/dora")]
+    return [(said["limit"], topic.startswith("raise")) for topic, said in asked]
 
 
 def drag(page: Page, *percents: int) -> None:

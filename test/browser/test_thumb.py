@@ -223,7 +223,7 @@ def test_a_thumb_that_scrolls_presses_nothing(page_of, site, robot):
     expect(panel.locator(".verdict-checks[open]")).to_have_count(0)
     expect(panel.locator(".speed-slider")).to_have_value("100")
     expect(panel.locator(".speed-result")).to_have_text("")
-    assert not robot.payloads("speed") and not robot.payloads("review")
+    assert not robot.payloads("lower_speed") and not robot.payloads("review")
     # and who means the slider is heard: a finger that goes along it
     at = panel.locator(".speed-slider").bounding_box()
     assert at is not None
@@ -232,4 +232,4 @@ def test_a_thumb_that_scrolls_presses_nothing(page_of, site, robot):
     thumb.slide((x, y), (x + at["width"] / 5, y))
     thumb.up()
     expect(panel.locator(".speed-result")).to_contain_text("done")
-    assert robot.payloads("speed")
+    assert robot.payloads("lower_speed")

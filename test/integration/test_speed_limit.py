@@ -54,7 +54,8 @@ class Tablet:
         """Ask for a limit; return the answer."""
         self._asked += 1
         id_ = f"limit {self._asked}"
-        self._client.publish("twin/kr120/speed/dora", json.dumps({"id": id_, "limit": fraction, **more}), qos=1)
+        kind = "raise" if "moment" in more else "lower"
+        self._client.publish(f"twin/kr120/{kind}_speed/dora", json.dumps({"id": id_, "limit": fraction, **more}), qos=1)
         wait(lambda: id_ in self._answers, "an answer on speed/ack")
         return self._answers[id_]
 

@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from plan_samples import make_report
@@ -382,7 +383,8 @@ class ScriptedRobot:
             self._root + "override_rehearsal/+",
             self._root + "plan_request/+",
             self._root + "ik/+",
-            self._root + "speed/+",
+            self._root + "lower_speed/+",
+            self._root + "raise_speed/+",
         ]
         client.subscribe([(topic, 1) for topic in asked] + [(topic, 0) for topic in self._listened])
         with self._lock:
@@ -403,7 +405,8 @@ class ScriptedRobot:
         answer: dict[str, Callable[[str, bytes, bool], None]] = {
             "review": self._on_review, "override_rehearsal": self._on_override,
             "plan_request": self._on_plan_request, "ik": self._on_ik,
-            "speed": self._on_speed,
+            "lower_speed": partial(self._on_speed, requests.LOWER_SPEED),
+            "raise_speed": partial(self._on_speed, requests.RAISE_SPEED),
         }  # fmt: skip
         with self._lock:
             if verb in ("stop", "pause", "resume"):
@@ -486,16 +489,16 @@ class ScriptedRobot:
             reason = f"this robot of a test plans no {asked.kind}"
             self._answer(requests.PLAN_REQUEST, account, False, reason, **known)
 
-    def _on_speed(self, account: str, payload: bytes, retained: bool) -> None:
+    def _on_speed(self, kind: RequestKind, account: str, payload: bytes, retained: bool) -> None:
         id_, now = "", present()
         try:
-            asked = parse_speed(read_document(payload, retained, "speed", MAX_BYTES))
+            asked = parse_speed(read_document(payload, retained, kind.name, MAX_BYTES), kind)
             id_, now = asked.id, Moment(now.origin, now.at + round(self.delay * 1e9))
             reason, ok = self.speed_limits.set(asked.limit, account, asked.moment, now, time.time_ns()), True
         except (PayloadError, ExpiredError) as error:
             reason, ok = str(error), False
         known = {"id": id_, "limit": self.speed_limits.people.limit, "expired": bool(self.delay) and not ok}
-        self._answer(requests.SPEED, account, ok, reason, **known)
+        self._answer(kind, account, ok, reason, **known)
 
     def _too_old(self, moment: str) -> str:
         """Return why what repeats a moment is void, as if it had lain on its way for `delay`."""

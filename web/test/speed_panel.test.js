@@ -71,7 +71,7 @@ test("lowering goes out at once while dragging, paced, without a moment", async 
   await it.pass(PACE + 50);
   assert.deepEqual(it.payloads().map(({limit}) => limit), [0.8, 0.5]);
   const {topic, robot, payload, qos} = it.connection.sent[1];
-  assert.deepEqual([topic, robot, qos, Object.keys(payload)], ["speed/dora", "kr120", 1, ["id", "limit"]]);
+  assert.deepEqual([topic, robot, qos, Object.keys(payload)], ["lower_speed/dora", "kr120", 1, ["id", "limit"]]);
   await it.hear("kr120", "speed/ack", {id: payload.id, account: "dora", limit: 0.5, ok: true, reason: "it is lowered", expired: false});
   assert.equal(it.text(".speed-result"), "14:05:12 Lower to 50 %: done (it is lowered).");
 });

@@ -22,7 +22,8 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.speed_limit import LimitState, SpeedLimit
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.observations import SHOWN_AFTER
-from construction_twin.mqtt.json_fields import MAX_TEXT, keys, number, own_id
+from construction_twin.mqtt.json_fields import keys, number, own_id
+from construction_twin.mqtt.requests import RequestKind
 
 #: An unchanged limit is forwarded no faster than this [ns].
 PERIOD = NANOSECONDS // 5
@@ -124,10 +125,10 @@ class SpeedLimits:
     def asked(self, limit: float, person: str, moment: str, now: Moment, at: int) -> SpeedChange:
         """Return what `set` would make the limit of people at the ROS time `at` [ns].
 
-        `moment` is the newest that the person's screen had received; it is needed only to raise the limit.
+        `moment` is the newest that the person's screen had received: with it the limit is only raised, without it only lowered.
 
         Raises:
-            PayloadError: ``values``, ``person``, or ``moment``: none to raise it.
+            PayloadError: ``values``, ``person``, ``moment``, or ``direction``.
             ExpiredError: What the screen had shown is too old to raise it, or was lowered since.
         """
         _check_limit(limit)
@@ -136,7 +137,15 @@ class SpeedLimits:
         before = self.people
         if limit == before.limit and not self.problem:
             return before
-        if limit > before.limit:
+        if not moment and limit > before.limit:
+            raise PayloadError(
+                "direction", Sentence("link.speed.would_raise", percent=100 * limit, before=100 * before.limit)
+            )
+        if moment and limit < before.limit:
+            raise PayloadError(
+                "direction", Sentence("link.speed.would_lower", percent=100 * limit, before=100 * before.limit)
+            )
+        if moment:
             seen = parse_moment(moment)
             if problem := staleness(seen, now):
                 raise ExpiredError(Sentence("executor.void.speed", problem=problem))
@@ -169,22 +178,22 @@ MAX_REQUEST_BYTES = 256
 
 @dataclass(frozen=True)
 class SpeedRequest:
-    """A person's speed limit, and the newest moment that the screen had received; "" where none was told, or none that can be."""
+    """A person's speed limit; to raise it the newest moment that the screen had received, "" to lower it."""
 
     id: str
     limit: float
     moment: str
 
 
-def parse_speed(document: Mapping[str, Any]) -> SpeedRequest:
-    """Return the limit in a document of `read_document`; PayloadError (``format`` or ``values``).
+def parse_speed(document: Mapping[str, Any], kind: RequestKind) -> SpeedRequest:
+    """Return the limit in a document of `read_document`; PayloadError (``format``, ``values`` or ``moment``).
 
-    A moment that makes no sense refuses nothing here: a lower limit must not be lost by it.
+    A moment to lower it is not read: a lower limit must not be lost by it.
     """
-    keys(document, "speed", ("id", "limit"), ("id", "limit", "moment"))
-    id_, limit, moment = own_id(document["id"], "id"), number(document["limit"], "limit"), document.get("moment")
+    keys(document, kind.name, ("id", "limit"), ("id", "limit", "moment"))
+    id_, limit = own_id(document["id"], "id"), number(document["limit"], "limit")
     _check_limit(limit)
-    return SpeedRequest(id_, limit, moment if isinstance(moment, str) and len(moment) <= MAX_TEXT else "")
+    return SpeedRequest(id_, limit, str(parse_moment(document.get("moment"))) if kind.starts else "")
 
 
 def _check_limit(limit: float) -> None:

@@ -76,8 +76,8 @@ class RequestKind:
         qos: Of request and answer.
         pace: How often one account may ask; None: as often as it likes. Kinds of one pace that wait in one queue have it together.
             What comes too often is told when to try again; of QoS 0, where a newer one follows anyway, it is not even read.
-        starts: Of what is pressed: it starts motion, repeats the moment that its screen had received, and is carried out once;
-            any other may be carried out twice.
+        starts: It starts motion or makes it faster, and repeats the moment that its screen had received; what is pressed is
+            carried out once then, any other may be carried out twice.
         by: Who carries out what is pressed; a stop the gateway too.
     """
 
@@ -131,8 +131,9 @@ PRESSED = (STOP, PAUSE, RESUME, RESET, ARM)
 #: Answers a question of the work; takes note of a message.
 ANSWER = RequestKind("answer", "answer", "answer/{}", "answer/ack", _ANSWERED)
 ACKNOWLEDGE = RequestKind("acknowledge", "acknowledge", "acknowledge/{}", "acknowledge/ack", _ACKNOWLEDGED)
-#: Lowers people's speed limit, or raises it: then it needs its moment. A right of its own.
-SPEED = RequestKind("speed", "speed", "speed/{}", "speed/ack", _LIMITED)
+#: Lowers people's speed limit; raises it, and needs its moment.
+LOWER_SPEED = RequestKind("lower_speed", "speed", "lower_speed/{}", "speed/ack", _LIMITED)
+RAISE_SPEED = RequestKind("raise_speed", "speed", "raise_speed/{}", "speed/ack", _LIMITED, starts=True)
 PLAN_REQUEST = RequestKind(
     "plan_request", "plan_request", "plan_request/{}", "plan_request/ack", _PLANNED, pace=_PLANNING
 )
@@ -142,7 +143,8 @@ NAMELESS_TRAJECTORY = RequestKind("trajectory", "trajectory", "trajectory", "tra
 TRAJECTORY = RequestKind("trajectory", "trajectory", "trajectory/from/{}", "trajectory/ack", _CHECKED, pace=_PLANNING)
 #: In the order of the broker's rules.
 REQUESTS = (
-    NAMELESS_REVIEW, REVIEW, OVERRIDE, *PRESSED, ANSWER, ACKNOWLEDGE, SPEED, PLAN_REQUEST, IK, NAMELESS_TRAJECTORY, TRAJECTORY,
+    NAMELESS_REVIEW, REVIEW, OVERRIDE, *PRESSED, ANSWER, ACKNOWLEDGE, LOWER_SPEED, RAISE_SPEED, PLAN_REQUEST, IK,
+    NAMELESS_TRAJECTORY, TRAJECTORY,
 )  # fmt: skip
 
 #: Answers per second, and at once, to what an account sends that cannot be read, or that is a stop of what stands stopped. What can

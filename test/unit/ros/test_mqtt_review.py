@@ -205,7 +205,8 @@ REFUSED = [
     ("review/bob", "review/ack", NAMED | {"plan_id": 5}, {"plan_id": "", "plan_hash": "cafe"}),
     ("override_rehearsal/bob", "override_rehearsal/ack", NAMED | {"moment": MOMENT}, NAMED),
     ("answer/bob", "answer/ack", {"id": "7", "task": "t"}, {"id": "7", "task": "t"}),
-    ("speed/bob", "speed/ack", {"id": "7", "limit": 0}, {"id": "7"}),
+    ("lower_speed/bob", "speed/ack", {"id": "7", "limit": 0}, {"id": "7"}),
+    ("raise_speed/bob", "speed/ack", {"id": "7", "limit": 0.9}, {"id": "7"}),
     ("resume/bob", "pause/ack", {"id": "x" * 65}, {"id": ""}),
     ("resume/bob", "pause/ack", ["7"], {"id": ""}),
 ]
@@ -654,7 +655,7 @@ def limiting(bench, expired=False):
 
 def test_a_speed_limit_goes_on_in_the_name_of_the_account_and_is_answered(pressing):
     asked, _ = limiting(pressing)
-    pressing.deliver("speed/dora", b'{"id": "7", "limit": 0.3}')
+    pressing.deliver("lower_speed/dora", json.dumps({"id": "7", "limit": 0.3, "moment": MOMENT}).encode())
     wait_until(lambda: acks(pressing, "speed"), what="an answer")
     answer = {
         "id": "7",
@@ -671,7 +672,7 @@ def test_a_speed_limit_goes_on_in_the_name_of_the_account_and_is_answered(pressi
 
 def test_that_a_raise_was_too_old_comes_back(pressing):
     asked, _ = limiting(pressing, expired=True)
-    pressing.deliver("speed/dora", json.dumps({"id": "7", "limit": 0.9, "moment": MOMENT}).encode())
+    pressing.deliver("raise_speed/dora", json.dumps({"id": "7", "limit": 0.9, "moment": MOMENT}).encode())
     wait_until(lambda: acks(pressing, "speed"), what="an answer")
     assert [(answer["ok"], answer["expired"]) for answer in acks(pressing, "speed")] == [(False, True)]
     assert asked[0]["moment"] == MOMENT
@@ -680,8 +681,8 @@ def test_that_a_raise_was_too_old_comes_back(pressing):
 def test_a_lower_limit_waits_for_no_raise(pressing):
     asked, free = limiting(pressing)
     free.clear()
-    pressing.deliver("speed/dora", json.dumps({"id": "1", "limit": 0.9, "moment": MOMENT}).encode())
-    pressing.deliver("speed/dora", b'{"id": "2", "limit": 0.2}')
+    pressing.deliver("raise_speed/dora", json.dumps({"id": "1", "limit": 0.9, "moment": MOMENT}).encode())
+    pressing.deliver("lower_speed/dora", b'{"id": "2", "limit": 0.2}')
     wait_until(lambda: acks(pressing, "speed"), what="an answer")
     assert [fields["limit"] for fields in asked] == [0.2]
     free.set()
@@ -699,7 +700,7 @@ def test_a_lower_limit_waits_for_no_raise(pressing):
 )
 def test_a_speed_limit_that_is_not_as_described_is_refused_counted_and_answered(pressing, payload, retain, reason):
     asked, _ = limiting(pressing)
-    pressing.deliver("speed/dora", payload, retain)
+    pressing.deliver("lower_speed/dora", payload, retain)
     assert [(answer["ok"], answer["limit"]) for answer in acks(pressing, "speed")] == [(False, 0.0)]
     assert asked == [] and pressing.made.refused == {reason: 1}
 

@@ -135,7 +135,7 @@ def test_each_limit_that_a_person_has_set_is_told_for_the_record(bench):
     bench.sets(0.6, "bob", bench.shown())
     # the same again, and what is refused, has changed nothing
     bench.sets(0.6, "ada")
-    assert bench.sets(0.9, "ada").limit == 0.6 and [reason for reason, _ in bench.made.refused] == ["moment"]
+    assert bench.sets(0.9, "ada").limit == 0.6 and [reason for reason, _ in bench.made.refused] == ["direction"]
     told = bench.made.published["speed_change"]
     assert [(each.person, each.limit, each.before, each.whose, each.stamp.to_sec()) for each in told] == [
         ("dora", 0.3, 1.0, "", 100.0),

@@ -69,7 +69,7 @@ export function make(parent, store, connection, texts, {now, every, time = brows
     const message = {id, limit: limit / 100, ...(kind === "raise" ? {moment} : {})};
     // to raise makes the arm faster: who sees nothing of it must look first
     const publish = kind === "raise" && moment === "" ? Promise.reject(Object.assign(new Error("nothing of the robot is shown"), {reason: "not_shown"}))
-      : connection.publish(connection.own("speed"), robot, message);
+      : connection.publish(connection.own(`${kind}_speed`), robot, message);
     publish.then(() => "taken", (error) => error.reason ?? "not_connected").then((word) => take(robot, speed.heardBroker(recordOf(robot), id, word)));
   };
   const look = (robot) => {
@@ -180,7 +180,7 @@ export function make(parent, store, connection, texts, {now, every, time = brows
     if (view !== null) look(robot);
     if (robot === store.selected) show();
   });
-  store.on("speed_ack", (robot, answer) => take(robot, speed.answered(recordOf(robot), answer, connection.own("speed").split("/")[1] ?? "")));
+  store.on("speed_ack", (robot, answer) => take(robot, speed.answered(recordOf(robot), answer, connection.own("raise_speed").split("/")[1] ?? "")));
   every(TICK_EVERY, () => {
     for (const robot of records.keys()) look(robot);
   });

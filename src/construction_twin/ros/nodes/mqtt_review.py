@@ -11,6 +11,7 @@ import time
 from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import rospy
 from std_srvs.srv import Trigger
@@ -40,11 +41,12 @@ from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.mqtt.requests import (
     ANSWER,
     BRIDGE,
+    LOWER_SPEED,
     NAMELESS_REVIEW,
     OVERRIDE,
     PRESSED,
+    RAISE_SPEED,
     REVIEW,
-    SPEED,
     RequestKind,
 )
 from construction_twin.msg import Link, Plan, PlanCaller, Rehearsal, Review
@@ -146,7 +148,7 @@ class MqttReview:
         )
         self._connection = report_of(broker)
         self.approvals, self.rejections, self._answers = (RequestQueue(WAITING) for _ in range(3))
-        # what may raise the limit never holds up what lowers it
+        # what raises the limit never holds up what lowers it
         self._raises, self._limits = RequestQueue(WAITING), RequestQueue(WAITING)
         self.interventions = remote_interventions(topics, interventions, self._pressed, self.outlets)
         self.endpoints: tuple[Endpoint, ...] = (
@@ -158,11 +160,8 @@ class MqttReview:
                 ANSWER, topics, _read_answer, self._give_answer, RequestCounts("answers"), self.outlets,
                 lambda asked: f"answer to a question of the work by MQTT account {asked[1]}", lambda _: self._answers,
             ),
-            Endpoint(
-                SPEED, topics, _read_speed, self._set_speed, self._speeds, self.outlets,
-                lambda asked: f"speed limit {asked[0].limit:g} by MQTT account {asked[1]}",
-                lambda asked: self._raises if asked[0].moment else self._limits,
-            ),
+            self._speed_endpoint(LOWER_SPEED, self._limits),
+            self._speed_endpoint(RAISE_SPEED, self._raises),
         )  # fmt: skip
         self._diagnostics = diagnostics
 
@@ -174,6 +173,12 @@ class MqttReview:
             kind, self._topics, read, _refuse_nameless if nameless else self._call_executor,
             self._verdicts, self.outlets, _describe,
             None if nameless else lambda review: self.approvals if review.approve else self.rejections,
+        )  # fmt: skip
+
+    def _speed_endpoint(self, kind: RequestKind, queue: RequestQueue) -> Endpoint[tuple[SpeedRequest, str]]:
+        return Endpoint(
+            kind, self._topics, partial(_read_speed, kind), self._set_speed, self._speeds, self.outlets,
+            lambda asked: f"speed limit {asked[0].limit:g} by MQTT account {asked[1]}", lambda _: queue,
         )  # fmt: skip
 
     def connect(self) -> None:
@@ -389,8 +394,8 @@ def _read_answer(incoming: Incoming) -> tuple[AnswerRequest, str]:
     return parse_answer(incoming.read_document("answer", MAX_BYTES)), incoming.account
 
 
-def _read_speed(incoming: Incoming) -> tuple[SpeedRequest, str]:
-    return parse_speed(incoming.read_document("speed", MAX_REQUEST_BYTES)), incoming.account
+def _read_speed(kind: RequestKind, incoming: Incoming) -> tuple[SpeedRequest, str]:
+    return parse_speed(incoming.read_document(kind.name, MAX_REQUEST_BYTES), kind), incoming.account
 
 
 def _describe(review: ReviewRequest) -> str:
