@@ -342,7 +342,7 @@ def test_axe_finds_nothing_serious_light_or_dark(page_of, robot):
         page.page.locator(".verdict-checks summary").click()
         for scheme in ("light", "dark"):
             page.page.emulate_media(color_scheme=scheme)
-            for area in ("verdict", "tasks", "plots", "plan", "messages"):
+            for area in ("verdict", "tasks", "motion", "plan", "messages"):
                 page.tab(area)
                 assert not serious(page), area
     finally:

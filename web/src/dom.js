@@ -21,6 +21,14 @@ export function add(parent, tag, {text, className, on = {}, ...attributes} = {})
   return element;
 }
 
+/** Make an element of a drawing and append it; `svg` begins one. */
+export function addDrawing(parent, tag, attributes = {}) {
+  const element = parent.ownerDocument.createElementNS("http://www.w3.org/2000/svg", tag);
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
+  parent.append(element);
+  return element;
+}
+
 /** Make a button; `type` is button, so that no form is ever sent. */
 export function button(parent, text, onClick, options = {}) {
   return add(parent, "button", {text, type: "button", ...options, on: {click: onClick, ...options.on}});

@@ -11,7 +11,7 @@ import {makeTabs} from "./tabs.js";
 /** Areas that are always there, in the order in which a keyboard or a screen reader goes through them. */
 export const ALWAYS = ["status", "picture", "stop"];
 /** Areas that share one place beside the picture, a tab each; the first is open at first. */
-const TABS = ["verdict", "motion", "plan", "tasks", "messages", "plots"];
+const TABS = ["verdict", "motion", "plan", "tasks", "messages"];
 const AREAS = [...ALWAYS, ...TABS];
 /** Areas whose panels are made and told before the others, whatever becomes of those. */
 const FIRST = ["stop", "status"];

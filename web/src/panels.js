@@ -5,7 +5,6 @@ import * as picture from "./picture/picture.js";
 import * as motion from "./panels/motion.js";
 import * as plan from "./panels/plan.js";
 import * as playback from "./panels/playback.js";
-import * as plots from "./panels/plots.js";
 import * as progress from "./panels/progress.js";
 import * as speed from "./panels/speed.js";
 import * as status from "./panels/status.js";
@@ -24,5 +23,4 @@ export const panels = {
   plan: [plan],
   tasks: [tasks],
   messages: [messages],
-  plots: [plots],
 };

@@ -119,7 +119,7 @@ test("of a plan's waypoints a person gets every second or tenth, and the last", 
 function panel(module, options = {}, means = {}) {
   const timers = [];
   const page = fakePage({account: "ada", ...options});
-  module.make(page.parent, page.store, page.connection, page.texts, {every: (_, call) => timers.push(call), ...means});
+  module.make(page.parent, page.store, page.connection, page.texts, {now: () => 0, every: (_, call) => timers.push(call), ...means});
   const text = (selector) => page.parent.querySelector(selector).textContent;
   return {...page, text, tick: () => timers.forEach((call) => call()), find: (selector) => page.parent.querySelector(selector)};
 }
@@ -203,6 +203,28 @@ test("where the servos should have the arm is shown while that is known", async 
   await it.hear("kr120", "view", standing());
   it.tick();
   assert.equal(it.find(".motion").classList.contains("has-expected"), false);
+});
+
+test("the curve has the largest difference of the last minute, and what is allowed", async () => {
+  const clock = {at: 0};
+  const it = panel(motion, {}, {fetchText: async () => URDF, parse, now: () => clock.at});
+  const hear = async (at, error) => {
+    clock.at = at;
+    await it.hear("kr120", "view", standing({sync: {...view().sync, error: [0, 0, 0, 0, 0, 0, error], threshold: Array(7).fill(0.02)}}));
+    it.tick();
+    return it.text(".motion-curve figcaption");
+  };
+  const heights = () => it.find(".motion-curve polyline").getAttribute("points").split(" ").map((point) => Number(point.split(",")[1]));
+  assert.match(await hear(0, -0.03), /150 % now, 150 % at most/);
+  // of one step the largest stays
+  assert.match(await hear(100, 0.01), /150 % now/);
+  assert.match(await hear(30000, 0.01), /50 % now, 150 % at most/);
+  assert.deepEqual(heights(), [0.091, 0.697]);
+  assert.match(await hear(60000, 0), /0 % now, 50 % at most/);
+  clock.at = 70000;
+  await it.hear("kr120", "view", standing({sync: null}));
+  it.tick();
+  assert.match(it.text(".motion-curve figcaption"), /– now, 50 % at most/);
 });
 
 test("mode and override are shown where the controller sends them, else that it does not", async () => {

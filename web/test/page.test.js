@@ -68,7 +68,7 @@ test("stop and state are made first, and told before the others", async () => {
       store.on("view", () => order.push(`${name} view`));
     },
   });
-  const it = framed(Object.fromEntries(["picture", "plots", "status", "stop", "verdict"].map((name) => [name, noting(name)])));
+  const it = framed(Object.fromEntries(["picture", "motion", "status", "stop", "verdict"].map((name) => [name, noting(name)])));
   assert.deepEqual(order.slice(0, 2), ["stop", "status"]);
   await it.hear("kr120", "view", view());
   assert.deepEqual(order.slice(5, 7), ["stop view", "status view"]);

@@ -1,10 +1,9 @@
-/** The panels plan, tasks and plots, in a document without a browser. */
+/** The panels plan and tasks, in a document without a browser. */
 import assert from "node:assert/strict";
 import {readFileSync} from "node:fs";
 import {test} from "node:test";
 import {DOMParser} from "linkedom";
 import * as plan from "../src/panels/plan.js";
-import * as plots from "../src/panels/plots.js";
 import * as tasks from "../src/panels/tasks.js";
 import {counts, group, isAskable, nextTask, stateOfElement, taskOfElement, waitsFor} from "../src/work/task_list.js";
 import {fakePage, view} from "./support/fake.js";
@@ -490,27 +489,4 @@ test("a refused right is told with the account", async () => {
   page.click(page.find(".tasks-next .plan-ask"));
   await settle();
   assert.match(page.find(".plan-answer").textContent, /kr120-viewer/);
-});
-
-// -- plots
-
-test("plots keep samples while they are folded, and export them", async () => {
-  const page = fakePage();
-  const saved = [];
-  page.time = 50;
-  plots.make(page.parent, page.store, page.connection, page.texts, {
-    now: () => page.time, isSeen: () => false, save: (name, text) => saved.push([name, text]),
-  });
-  for (let number = 0; number < 30; number += 1) {
-    page.time += 0.041;
-    await page.hear("kr120", "view", view({sync: {...view().sync, error: [0.01 * number, 0]}}));
-  }
-  page.store.select("kr120");
-  page.click([...page.parent.querySelectorAll("button")].at(-1));
-  const [name, text] = saved[0];
-  assert.match(name, /^kr120_.*\.csv$/);
-  const rows = text.trim().split("\r\n");
-  assert.equal(rows.length, 31);
-  assert.match(rows[0], /^seconds,stamp_s,error_joint_a1_deg,error_joint_a2_deg,round_trip_ms,late_replies/);
-  assert.ok(Math.abs(Number(rows[30].split(",")[2]) - 0.29 * (180 / Math.PI)) < 1e-4);
 });

@@ -2,7 +2,7 @@
  * Where the arm is, always: each joint within its limits, twin and arm, and by how much they differ; where the arm's servos should have
  * it, while somebody knows that; the twin's tool; operating mode and override of the controller. Limits and tool come from the robot's model. Shown ten times a second at most, and while it is open.
  */
-import {add, clear, setText} from "../dom.js";
+import {add, addDrawing, clear, setText} from "../dom.js";
 import {axesOf} from "../planning/axes.js";
 import {shown} from "../planning/joints.js";
 import {MEANS, readModel, shortNames} from "../planning/model.js";
@@ -16,10 +16,28 @@ const COLUMNS = ["joint", "range", ...VALUES];
 /** Marks on a joint's bar, the uppermost last. */
 const MARKS = ["arm", "twin", "expected"];
 const TOOL = ["x", "y", "z", "a", "b", "c"];
+/** The curve has the largest value of each step [ms], and so many steps: a minute. */
+const STEP = 500;
+const STEPS = 120;
+
+/** Return the largest difference of twin and arm as a part of what the gate allows; null: not known. */
+export function deviationOf({online, sync}) {
+  const parts = online && sync ? sync.error.map((error, k) => Math.abs(error) / sync.threshold[k]).filter(Number.isFinite) : [];
+  return parts.length ? Math.max(...parts) : null;
+}
+
+/** Return what is kept of one robot's deviations, [[step, largest], ...], with one more. */
+function withDeviation(kept, at, value) {
+  const step = Math.floor(at / STEP);
+  const last = kept.at(-1);
+  const added = last?.[0] === step ? [...kept.slice(0, -1), [step, Math.max(last[1], value)]] : [...kept, [step, value]];
+  return added.filter(([each]) => each > step - STEPS);
+}
 
 /** Make the panel. */
-export function make(parent, store, connection, texts, {every, ...means} = {...browser, ...MEANS}) {
+export function make(parent, store, connection, texts, {now, every, ...means} = {...browser, ...MEANS}) {
   const models = new Map();
+  const deviations = new Map();
   // it scrolls, and has nothing else in it that a keyboard reaches
   parent.setAttribute("tabindex", "0");
   const area = add(parent, "div", {className: "motion"});
@@ -29,7 +47,12 @@ export function make(parent, store, connection, texts, {every, ...means} = {...b
     add(group, "dt", {text: texts(`axes.${name}`)});
     return add(group, "dd", {text: UNKNOWN});
   };
-  const [mode, override, apart] = [factOf("mode"), factOf("override"), factOf("apart")];
+  const [mode, override, apart, trip, late] = ["mode", "override", "apart", "round_trip", "late"].map(factOf);
+  const curve = add(area, "figure", {className: "motion-curve"});
+  const curveText = add(curve, "figcaption");
+  const drawing = addDrawing(curve, "svg", {viewBox: `0 0 ${STEPS} 1`, preserveAspectRatio: "none", "aria-hidden": "true"});
+  const bound = addDrawing(drawing, "path");
+  const line = addDrawing(drawing, "polyline");
   const table = add(area, "div", {className: "motion-axes", role: "table", "aria-label": texts("axes.title")});
   const key = add(area, "p", {className: "motion-key"});
   for (const name of ["twin", "arm", "expected"]) {
@@ -119,6 +142,18 @@ export function make(parent, store, connection, texts, {every, ...means} = {...b
     setText(apart, distance === null ? UNKNOWN : `${(1000 * distance).toFixed(1)} mm`);
   };
 
+  /** Draw the last minute; where nothing was known the line goes straight on. */
+  const showCurve = (robot) => {
+    const kept = deviations.get(robot) ?? [];
+    const newest = Math.floor(now() / STEP);
+    const top = 1.1 * Math.max(1, ...kept.map(([, value]) => value));
+    bound.setAttribute("d", `M0 ${1 - 1 / top}H${STEPS}`);
+    line.setAttribute("points", kept.map(([step, value]) => `${STEPS - 1 - newest + step},${(1 - value / top).toFixed(3)}`).join(" "));
+    const percent = (value) => (value === undefined ? UNKNOWN : `${(100 * value).toFixed(0)} %`);
+    const [last] = kept.slice(-1).filter(([step]) => newest - step < 3);
+    setText(curveText, texts("axes.deviation", {now: percent(last?.[1]), most: percent(kept.length ? Math.max(...kept.map(([, value]) => value)) : undefined)}));
+  };
+
   const show = () => {
     dirty = false;
     const robot = store.robot(store.selected);
@@ -133,6 +168,7 @@ export function make(parent, store, connection, texts, {every, ...means} = {...b
     const mine = models.get(robot.name);
     axesOf(view, mine?.model?.joints ?? null).forEach((axis, k) => showRow(rows[k], axis));
     showTool(view, mine);
+    showCurve(robot.name);
     setText(note, mine?.trouble ? texts("axes.no_limits", {why: mine.trouble}) : "");
     const told = (value, unit = "") => {
       if (view.link === null) return texts("axes.unknown");
@@ -140,12 +176,16 @@ export function make(parent, store, connection, texts, {every, ...means} = {...b
     };
     setText(mode, told(view.link?.controller?.mode));
     setText(override, told(view.link?.controller?.override_percent, " %"));
+    setText(trip, told(view.link?.round_trip_ms?.toFixed(1), " ms"));
+    setText(late, told(view.link?.late));
   };
 
   const isOpen = () => (parent.tab?.isOpen() ?? true) && parent.ownerDocument.visibilityState !== "hidden";
   parent.tab?.onOpen(show);
-  store.on("view", (robot) => {
+  store.on("view", (robot, view) => {
     if (robot === store.selected) dirty = true;
+    const deviation = view === null ? null : deviationOf(view);
+    if (deviation !== null) deviations.set(robot, withDeviation(deviations.get(robot) ?? [], now(), deviation));
     load(robot);
   });
   store.on("connection", () => {

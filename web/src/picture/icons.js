@@ -1,6 +1,7 @@
 /** Drawings on the buttons of the picture: lines on a square of 24. */
 
-const SVG = "http://www.w3.org/2000/svg";
+import {addDrawing} from "../dom.js";
+
 const LINES = {
   home: ["M4 9V5a1 1 0 0 1 1-1h4", "M15 4h4a1 1 0 0 1 1 1v4", "M20 15v4a1 1 0 0 1-1 1h-4", "M9 20H5a1 1 0 0 1-1-1v-4", "M12 8.2l3.4 1.9v3.8L12 15.8l-3.4-1.9v-3.8z"],
   front: ["M12 3l8 4.5v9L12 21l-8-4.5v-9z", "M12 12l8-4.5", "M12 12v9", "M12 12L4 7.5", "M6.2 10.6v4.8M8.2 11.8v4.6M10 12.8v4.6"],
@@ -13,12 +14,6 @@ const LINES = {
 
 /** Draw one of them on a button. */
 export function drawIcon(button, what) {
-  const drawing = button.ownerDocument.createElementNS(SVG, "svg");
-  for (const [name, value] of [["viewBox", "0 0 24 24"], ["aria-hidden", "true"], ["focusable", "false"]]) drawing.setAttribute(name, value);
-  for (const line of LINES[what]) {
-    const path = button.ownerDocument.createElementNS(SVG, "path");
-    path.setAttribute("d", line);
-    drawing.append(path);
-  }
-  button.append(drawing);
+  const drawing = addDrawing(button, "svg", {viewBox: "0 0 24 24", "aria-hidden": "true"});
+  for (const line of LINES[what]) addDrawing(drawing, "path", {d: line});
 }
