@@ -6,23 +6,8 @@ import {makePage} from "./page.js";
 import {panels} from "./panels.js";
 import {makeRights} from "./rights.js";
 import {makeStore} from "./store.js";
+import {remember, remembered, storageOf} from "./storage.js";
 import {languageOf, makeTexts, withoutLanguage} from "./texts.js";
-
-const remembered = (key, storage = "localStorage") => {
-  try {
-    return globalThis[storage].getItem(key);
-  } catch {
-    // a browser that keeps nothing for pages: the page works without
-    return null;
-  }
-};
-const remember = (key, value, storage = "localStorage") => {
-  try {
-    globalThis[storage].setItem(key, value);
-  } catch {
-    // as above
-  }
-};
 
 const root = document.documentElement;
 const asked = new URLSearchParams(location.search);
@@ -51,7 +36,7 @@ socket.protocol = location.protocol === "https:" ? "wss:" : "ws:";
 socket.search = "";
 socket.hash = "";
 // the login outlasts a reload of this tab, and goes with the tab
-const keep = (login) => remember("login", JSON.stringify(login ?? []), "sessionStorage");
+const keep = (login) => remember("login", JSON.stringify(login ?? []), storageOf("sessionStorage"));
 const connection = makeConnection(store, {url: socket.href, prefix: asked.get("prefix") ?? "twin", keep});
 store.rightsOf = makeRights(store, connection);
 makePage(document.body, store, connection, texts, panels, {onTheme, onLanguage});
@@ -60,4 +45,4 @@ login.make(document.body, store, connection, texts);
 // it stood there for whom this script did not reach
 document.querySelector("#loading").remove();
 setInterval(store.tick, 200);
-connection.login(...JSON.parse(remembered("login", "sessionStorage") ?? "[]"));
+connection.login(...JSON.parse(remembered("login", storageOf("sessionStorage")) ?? "[]"));

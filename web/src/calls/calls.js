@@ -1,24 +1,43 @@
 /**
  * Calls a person to the page while it runs: sound, vibration, title, badge and icon, and the screen stays on while a plan waits. For what,
  * and when it rings, is state.js. It calls for every robot, whichever is selected. A device that is locked or asleep runs no page, and
- * is not called: nothing here can change that, and the settings say so.
+ * is not called.
  */
 import {add, button, setText} from "../dom.js";
 import {browser} from "../panels/clock.js";
-import {ownStorage} from "../planning/poses.js";
-import {makeAwake} from "./awake.js";
-import {load, save} from "./settings.js";
+import {remember, remembered, storageOf} from "../storage.js";
 import {BEATS, makeSound} from "./sound.js";
 import * as state from "./state.js";
 
 /** How often it is looked what is due [ms]. */
 const EVERY = 250;
-/** The line about the sound goes after so long [ms]: a finger that is lifted must find what it has touched where it was. */
-const LINE_STAYS = 1200;
 const ICONS = {quiet: "icon.svg", calling: "icon_call.svg"};
+/** Whether this device rings is kept in this browser. */
+const KEY = "construction_twin.calls";
+const OFF = "off";
 
 /**
- * Make the button with its settings, and begin to call.
+ * Keep the screen on while it is wanted, where the browser can (over HTTPS only); it takes that back whenever the page is hidden.
+ *
+ * @param {object} [wakeLock] as `navigator.wakeLock`
+ * @returns {(wanted: boolean) => Promise<void>} asks or gives up as is wanted now; call it again when the page is in front again
+ */
+export function makeAwake(wakeLock, isVisible) {
+  let lock = null;
+  let last = Promise.resolve();
+  return (wanted) => {
+    // one after the other: a lock that comes late is given up too. A refused one (an empty battery) is asked for the next time
+    last = last.then(async () => {
+      if (!wanted) await lock?.release();
+      const isHeld = lock !== null && !lock.released;
+      lock = !wanted ? null : isHeld || !isVisible() ? lock : await wakeLock?.request("screen") ?? null;
+    }).catch(() => {});
+    return last;
+  };
+}
+
+/**
+ * Make the button that turns calls on and off, and begin to call.
  *
  * @param {Element} parent the page's header
  * @param {object} store see store.js
@@ -28,172 +47,86 @@ const ICONS = {quiet: "icon.svg", calling: "icon_call.svg"};
  */
 export function make(parent, store, connection, texts, means = {}) {
   const {
-    now = browser.now, every = browser.every, Audio = globalThis.AudioContext, navigator = globalThis.navigator, storage = ownStorage(),
+    now = browser.now, every = browser.every, Audio = globalThis.AudioContext, navigator = globalThis.navigator, storage = storageOf(),
   } = means;
   const document = parent.ownerDocument;
   const isVisible = () => document.visibilityState !== "hidden";
-  let settings = load(storage);
+  let isOn = remembered(KEY, storage) !== OFF;
   let calls = state.begin();
-  let shownTitle = "";
-  let shownCount = 0;
-  let wasReady = false;
-  let unlockedAt = -Infinity;
+  let shown = "";
+  let wantsScreen = false;
 
   const sound = makeSound(Audio, () => show());
   const awake = makeAwake(navigator.wakeLock, isVisible);
-
-  // -- what a person sees and presses
-
   const line = add(parent, "span", {className: "calls-line", role: "status"});
   // before the account, so that nothing that can be pressed moves when it goes
   parent.querySelector(".account")?.before(line);
-  const opener = button(parent, "", () => open(panel.hidden), {className: "calls-open", "aria-expanded": "false", "aria-controls": "calls-panel"});
-  add(opener, "span", {className: "calls-bell", "aria-hidden": "true"});
-  const openerText = add(opener, "span");
-  const panel = add(parent, "section", {id: "calls-panel", className: "calls-panel", "aria-labelledby": "calls-title", hidden: true});
-  parent.after(panel);
-  add(panel, "h2", {id: "calls-title", text: texts("calls.title")});
-  const choices = add(panel, "div");
-  const onBox = checkbox("on", () => change({on: onBox.checked}));
-  const awakeBox = checkbox("awake", () => change({awake: awakeBox.checked}));
-  const sounds = add(panel, "div");
-  const volumeLabel = add(sounds, "label", {className: "calls-volume"});
-  add(volumeLabel, "span", {text: texts("calls.volume")});
-  const volume = add(volumeLabel, "input", {type: "range", min: "0", max: "100", step: "5"});
-  const volumeText = add(volumeLabel, "span", {className: "calls-percent"});
-  const tests = add(sounds, "div", {className: "calls-tests", role: "group", "aria-labelledby": "calls-test"});
-  add(tests, "span", {id: "calls-test", text: texts("calls.test")});
-  for (const kind of state.KINDS) button(tests, texts(`calls.word.${kind}`), () => onTest(kind));
-  const heard = add(sounds, "p", {className: "calls-note", role: "status"});
-  const notes = add(panel, "div", {className: "calls-notes"});
-  const notKept = add(notes, "p", {className: "calls-note", text: texts("calls.not_kept"), hidden: true});
-  add(notes, "p", {className: "calls-note", text: texts("calls.limits")});
-  button(notes, texts("calls.close"), () => open(false), {className: "calls-close"});
+  const toggle = button(parent, "", onToggle, {className: "calls-open"});
+  add(toggle, "span", {className: "calls-bell", "aria-hidden": "true"});
+  const toggleText = add(toggle, "span");
 
-  function checkbox(name, onChange) {
-    const label = add(choices, "label", {className: "calls-check"});
-    const box = add(label, "input", {type: "checkbox", on: {change: onChange}});
-    add(label, "span", {text: texts(`calls.${name}`)});
-    return box;
+  function onToggle() {
+    isOn = !isOn;
+    remember(KEY, isOn ? "on" : OFF, storage);
+    // who turns it on hears what it sounds like; the press is the touch that a browser wants, and its answer takes a moment
+    if (isOn) sound.unlock().then(() => ring("plan"));
+    both();
   }
 
-  function open(wanted) {
-    if (panel.hidden !== wanted) return;
-    panel.hidden = !wanted;
-    opener.setAttribute("aria-expanded", String(wanted));
-    setText(heard, "");
-    if (!wanted && panel.contains(document.activeElement)) opener.focus();
-  }
-
-  function change(changed) {
-    settings = {...settings, ...changed};
-    notKept.hidden = save(storage, settings);
-    act();
-    show();
-  }
-
-  function onTest(kind) {
-    // pressing it is the touch that a browser wants, and its answer takes a moment
-    sound.unlock();
-    const ring = () => {
-      const isHeard = sound.play(kind, settings.volume);
-      const vibrates = vibrate(kind);
-      const silent = settings.volume === 0 ? "zero" : sound.state === "none" ? "none" : "blocked";
-      setText(heard, texts(isHeard ? "calls.sounds" : vibrates ? "calls.vibrates" : `calls.silent.${silent}`));
-    };
-    if (sound.state === "ready") ring();
-    else setTimeout(ring, EVERY);
-  }
-
-  volume.addEventListener("input", () => change({volume: Number(volume.value) / 100}));
-
-  function vibrate(kind) {
-    if (typeof navigator.vibrate !== "function" || navigator.userActivation?.hasBeenActive === false) return false;
-    return navigator.vibrate(BEATS[kind]);
-  }
-
-  /** The icon in the tab; of two files, because a picture made here would be another source than this server. */
-  function setIcon(name) {
-    const link = document.querySelector('link[rel="icon"]');
-    if (link !== null && link.getAttribute("href") !== name) link.setAttribute("href", name);
-  }
-
-  function setBadge(count) {
-    const done = count === 0 ? navigator.clearAppBadge?.() : navigator.setAppBadge?.(count);
-    // it may be refused; then there is none
-    done?.catch(() => {});
+  function ring(kind) {
+    sound.play(kind);
+    if (navigator.userActivation?.hasBeenActive !== false) navigator.vibrate?.(BEATS[kind]);
   }
 
   /** Show what is so; nothing is changed that is so already. */
   function show() {
     const there = state.present(calls);
+    const count = there.length;
+    const locked = isOn && sound.state === "locked";
+    const key = JSON.stringify([count, there[0]?.kind, connection.state, isOn, locked]);
+    if (key === shown) return;
+    shown = key;
     const title = texts("page.title");
-    const offline = connection.state === "lost";
-    const wanted = offline ? texts("calls.offline", {title})
-      : there.length ? texts("calls.waits", {count: there.length, what: texts(`calls.word.${there[0].kind}`), title}) : title;
-    if (wanted !== shownTitle) document.title = wanted;
-    shownTitle = wanted;
-    if (there.length !== shownCount) {
-      setBadge(there.length);
-      setIcon(there.length ? ICONS.calling : ICONS.quiet);
-    }
-    shownCount = there.length;
-    const ready = sound.state === "ready";
-    if (ready && !wasReady) unlockedAt = now();
-    wasReady = ready;
-    const locked = settings.on && settings.volume > 0 && sound.state === "locked";
-    const wasLocked = settings.on && now() - unlockedAt < LINE_STAYS && line.textContent !== "";
-    if (locked || !wasLocked) setText(line, locked ? texts("calls.locked") : "");
-    line.classList.toggle("is-over", !locked);
-    setText(openerText, texts(settings.on ? "calls.button_on" : "calls.button_off"));
-    opener.classList.toggle("is-off", !settings.on);
-    opener.classList.toggle("is-calling", there.length > 0);
-    onBox.checked = settings.on;
-    awakeBox.checked = settings.awake && awake.can;
-    awakeBox.disabled = !awake.can;
-    volume.disabled = !settings.on || sound.state === "none";
-    const percent = Math.round(100 * settings.volume);
-    if (Number(volume.value) !== percent) volume.value = String(percent);
-    setText(volumeText, `${percent} %`);
+    document.title = connection.state === "lost" ? texts("calls.offline", {title})
+      : count ? texts("calls.waits", {count, what: texts(`calls.word.${there[0].kind}`), title}) : title;
+    // it may be refused; then there is none
+    (count ? navigator.setAppBadge?.(count) : navigator.clearAppBadge?.())?.catch(() => {});
+    // of two files, because a picture made here would be another source than this server
+    document.querySelector('link[rel="icon"]')?.setAttribute("href", count ? ICONS.calling : ICONS.quiet);
+    setText(line, locked ? texts("calls.locked") : "");
+    setText(toggleText, texts(isOn ? "calls.button_on" : "calls.button_off"));
+    toggle.classList.toggle("is-off", !isOn);
+    toggle.classList.toggle("is-calling", count > 0);
   }
 
-  // -- when
-
   /** Look at what waits, and call. */
-  function act() {
+  function both() {
     calls = state.renewed(calls, store.robots.map((name) => store.robot(name)), now());
     const {state: after, kind} = state.rung(calls, now());
     calls = after;
-    if (kind !== "" && settings.on) {
-      sound.play(kind, settings.volume);
-      vibrate(kind);
-    }
-    awake.want(settings.awake && state.present(calls).some((call) => call.kind === "plan"));
+    if (kind !== "" && isOn) ring(kind);
+    const wants = isOn && state.present(calls).some((call) => call.kind === "plan");
+    if (wants !== wantsScreen) awake(wants);
+    wantsScreen = wants;
+    show();
   }
 
-  const both = () => {
-    act();
-    show();
-  };
-  const onTouch = () => {
-    if (settings.on) sound.unlock();
+  const look = () => {
     calls = state.looked(calls);
   };
-  for (const event of ["pointerdown", "keydown"]) document.addEventListener(event, onTouch, {capture: true, passive: true});
+  for (const event of ["pointerdown", "keydown"]) {
+    document.addEventListener(event, () => {
+      if (isOn) sound.unlock();
+      look();
+    }, {capture: true, passive: true});
+  }
   document.addEventListener("visibilitychange", () => {
     if (!isVisible()) return;
-    calls = state.looked(calls);
-    awake.shown();
+    look();
+    awake(wantsScreen);
     both();
   });
-  document.defaultView?.addEventListener("focus", () => {
-    calls = state.looked(calls);
-  });
-  for (const each of [opener, panel]) {
-    each.addEventListener("keydown", (event) => {
-      if (event.key === "Escape") open(false);
-    });
-  }
+  document.defaultView?.addEventListener("focus", look);
   store.on("acted", (robot, {topic}) => {
     calls = state.acted(calls, robot, topic, now());
   });
@@ -201,6 +134,6 @@ export function make(parent, store, connection, texts, means = {}) {
   for (const kind of ["plan", "screen", "tasks", "messages", "connection", "old"]) store.on(kind, both);
   every(EVERY, both);
   // a browser may let a page that is installed sound without a touch
-  if (settings.on) sound.open();
+  if (isOn) sound.open();
   both();
 }

@@ -15,8 +15,8 @@ export const TONES = {
 };
 /** What a device that vibrates does [ms]: on, off, on. */
 export const BEATS = {hold: [400, 150, 400], question: [120, 80, 120, 80, 120], plan: [200, 120, 200], message: [150]};
-/** Loudest amplitude of a tone: far from what a small loudspeaker distorts. */
-const LOUDEST = 0.5;
+/** Amplitude of a tone: far from what a small loudspeaker distorts. */
+const LOUD = 0.3;
 const ATTACK = 0.02;
 
 /**
@@ -44,31 +44,29 @@ export function makeSound(Context, onChange) {
     open,
 
     /** A person has touched the page: from now on it may sound. */
-    unlock() {
+    async unlock() {
       open();
-      if (context !== null && context.state !== "running") context.resume().then(onChange, onChange);
+      // a browser that refuses stays silent
+      if (context !== null && context.state !== "running") await context.resume().catch(() => {});
+      onChange();
     },
 
-    /** Play a kind; volume from 0 to 1. Returns whether it can be heard. */
-    play(kind, volume) {
-      if (context?.state !== "running" || volume <= 0) return false;
-      // loudness is heard by its logarithm
-      const peak = LOUDEST * volume * volume;
+    /** Play a kind, where it can be heard. */
+    play(kind) {
+      if (context?.state !== "running") return;
       for (const [pitch, begin, length] of TONES[kind]) {
         const at = context.currentTime + 0.05 + begin;
         const tone = context.createOscillator();
         const level = context.createGain();
-        tone.type = "sine";
         tone.frequency.value = pitch;
         level.gain.setValueAtTime(0, at);
-        level.gain.linearRampToValueAtTime(peak, at + ATTACK);
-        level.gain.exponentialRampToValueAtTime(peak / 100, at + length);
+        level.gain.linearRampToValueAtTime(LOUD, at + ATTACK);
+        level.gain.exponentialRampToValueAtTime(LOUD / 100, at + length);
         level.gain.linearRampToValueAtTime(0, at + length + ATTACK);
         tone.connect(level).connect(context.destination);
         tone.start(at);
         tone.stop(at + length + 2 * ATTACK);
       }
-      return true;
     },
   };
 }

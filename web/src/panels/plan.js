@@ -10,7 +10,8 @@ import {ends as chainEnds, forward} from "../planning/chain.js";
 import {Goal} from "../planning/goal.js";
 import {IkFollower} from "../planning/ik_follower.js";
 import {ends, fromShown, limits, shown, typed, unit} from "../planning/joints.js";
-import {LONGEST, ownStorage, Poses} from "../planning/poses.js";
+import {LONGEST, Poses} from "../planning/poses.js";
+import {storageOf} from "../storage.js";
 import {showAsking} from "./asking_line.js";
 import {makeToolFields} from "./tool_fields.js";
 
@@ -50,7 +51,7 @@ export function make(parent, store, connection, texts, means = {}) {
   const {
     fetchText = fetchFile,
     parse = (text) => new DOMParser().parseFromString(text, "text/xml"),
-    storage = ownStorage(),
+    storage = storageOf(),
     now = () => performance.now() / 1000,
   } = means;
   const desks = new Map();

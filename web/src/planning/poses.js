@@ -1,19 +1,11 @@
 // Saved poses, by name and robot, in this browser only. What is read is checked: it may be of another version, or broken.
 
+import {remember, remembered} from "../storage.js";
 import {isInside} from "./joints.js";
 
 export const MOST = 50;
 export const LONGEST = 40;
 const KEY = "construction_twin.poses.";
-
-// The browser's storage; null where it is forbidden: then already the name throws.
-export function ownStorage() {
-  try {
-    return globalThis.localStorage;
-  } catch {
-    return null;
-  }
-}
 
 export class Poses {
   // storage: localStorage, or what behaves as it; null: nothing is kept
@@ -21,7 +13,7 @@ export class Poses {
     this._storage = storage;
     this._key = KEY + robot;
     this._joints = joints;
-    const {poses, dropped} = read(this._stored(), joints);
+    const {poses, dropped} = read(remembered(this._key, storage), joints);
     this.list = poses;
     // how many could not be used: not of these joints, outside of their limits, or not readable
     this.dropped = dropped;
@@ -46,21 +38,8 @@ export class Poses {
     return this.list.find((pose) => pose.name === name) ?? null;
   }
 
-  _stored() {
-    try {
-      return this._storage.getItem(this._key);
-    } catch {
-      // a browser may forbid it; then nothing was saved, and saving says so
-      return null;
-    }
-  }
-
   _keep(list) {
-    try {
-      this._storage.setItem(this._key, JSON.stringify(list));
-    } catch {
-      return "storage";
-    }
+    if (!remember(this._key, JSON.stringify(list), this._storage)) return "storage";
     this.list = list;
     return "";
   }
