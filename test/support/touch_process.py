@@ -21,7 +21,7 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.objects import product
-from construction_twin.work import processes
+from construction_twin.work import process
 from construction_twin.work.jobs import TaskMotions
 from construction_twin.work.motions import Failed, PlanBuilder, Search
 from construction_twin.work.process import Process
@@ -127,7 +127,7 @@ PROCESS = Process(
         "Point": Override(("points",), "IfcLabel", "point to touch [m]: `0 0 0.1`", lambda value: (numbers(value),)),
     },
     check_recipe=check_recipe,
-    mass=lambda job, name, recipe, tool: job.mass,
+    mass=lambda job, name, recipe, tool: job.element.mass,
     acts=TOUCH,
     check=check,
     plan=plan,
@@ -145,5 +145,5 @@ def recipes_file(folder: Path, **changes: object) -> Path:
 def known() -> Iterator[None]:
     """A fixture of a module, in which this process is known: other tests compare what is known with the documents."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(processes.MODULES, NAME, "touch_process")
+        patch.setitem(process.MODULES, NAME, "touch_process")
         yield

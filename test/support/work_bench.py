@@ -38,11 +38,11 @@ from construction_twin.ros.nodes import work as module
 from construction_twin.ros.shared.work_listener import WorkListener
 from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.work.events import Entry
 from construction_twin.work.ledger import read_entries
 from construction_twin.work.racks import Slot, StockPlan
 from construction_twin.work.schedule import Job, Schedule
 from construction_twin.work.task_board import ElementFacts, Prepared, TaskBoard
+from construction_twin.work.task_memory import Entry
 
 TASK, ELEMENT = "T1", "E1"
 _CHAIN = Chain(ROBOT)

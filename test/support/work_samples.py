@@ -19,7 +19,7 @@ from construction_twin.robot.tool import ToolFile, read_tool
 from construction_twin.scene.objects import SceneObject
 from construction_twin.scene.self_collision import SelfCollision, read_self_collision
 from construction_twin.work.building import Body, BuildingModel, Element
-from construction_twin.work.jobs import WorkJob, bare_job
+from construction_twin.work.jobs import WorkJob
 from construction_twin.work.motions import TaskLimits
 from construction_twin.work.recipes import Recipes, read_recipes
 from construction_twin.work.schedule import Job
@@ -147,7 +147,7 @@ def planner(
 def job(one: Element, **changes: object) -> WorkJob:
     """Return the job of an element whose stock is its place."""
     here = one.model_T_element
-    made = replace(bare_job(one, "task"), bodies=box_pieces(one), base_T_stock=here, base_T_goal=here)
+    made = WorkJob("task", one, bodies=box_pieces(one), base_T_stock=here, base_T_goal=here)
     return replace(made, **changes)
 
 

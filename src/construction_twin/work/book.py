@@ -12,8 +12,16 @@ from types import MappingProxyType
 
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import LedgerError
-from construction_twin.work.events import ACCEPTED, CHANGED, NOT_IN_MODEL, OF_NO_TASK, OPENED, PLANNED, Entry
-from construction_twin.work.task_memory import TaskMemory
+from construction_twin.work.task_memory import (
+    ACCEPTED,
+    CHANGED,
+    NOT_IN_MODEL,
+    OF_NO_TASK,
+    OPENED,
+    PLANNED,
+    Entry,
+    TaskMemory,
+)
 from construction_twin.work.task_states import SETTLED, UNDER_WAY, TaskEvent, TaskState
 
 _FREED, _BLOCKED = Entry(TaskEvent.FREED.value), Entry(TaskEvent.BLOCKED.value)
@@ -24,7 +32,6 @@ class Present:
     """What the present model says of a task's element.
 
     Attributes:
-        element: GlobalId.
         digest: SHA-256 of all that a person is asked about when it changes: GlobalId, name, class, shape, place; empty: no shape.
     """
 
@@ -84,12 +91,7 @@ class Book:
         return replace(self, tasks=tasks, found=found)
 
     def check(self, entry: Entry) -> None:
-        """Refuse what does not fit the present states, before it is written.
-
-        Raises:
-            LedgerError: If there is no such task.
-            NotNow: If it does not fit the states.
-        """
+        """Refuse what does not fit the present states, before it is written."""
         if entry.event in OF_NO_TASK:
             return
         if entry.task not in self.tasks and not entry.former and entry.event != TaskEvent.FOUND.value:
@@ -150,9 +152,6 @@ class Book:
         """Return the events after which no task of the schedule counts with what it has done to another element than it has now.
 
         What it has left of that one goes by the element's own id, as of a task that is no more.
-
-        Args:
-            present: As of `doubts`.
         """
         found = []
         for task, memory in self.tasks.items():
@@ -176,12 +175,6 @@ class Book:
         """Return the events by which a person is asked about what was touched for another version of model or schedule.
 
         What was placed is not asked about again where nothing has changed since it was placed or answered.
-
-        Args:
-            model: SHA-256 of the present one.
-            placing: The task of the present schedule that places each element.
-            standing: The elements that stand in the present model without a task that places them.
-            present: What the model says of the element of each task of the schedule.
         """
         found, called = [], {(each.name, each.ifc_class) for each in present.values()}
         for task, memory in self.tasks.items():

@@ -96,9 +96,7 @@ def summary(results: Sequence[TaskResult], held: int, decisions: Sequence[Decisi
     """Return the figures of ``work.json``.
 
     Args:
-        results: In the order of the schedule.
         held: Plans that were stopped, held or dropped under way.
-        decisions: In the order of time.
     """
     placed = [one for one in results if math.isfinite(one.deviation_mm)]
     times = [one.planning for one in results if one.plans]
@@ -181,10 +179,6 @@ def write_report(
 
     Where no picture in space can be drawn, a sentence of the page says why.
 
-    Args:
-        results: In the order of the schedule.
-        scene: What stands now.
-
     Raises OSError.
     """
     figures = folder / "work.json"
@@ -207,7 +201,6 @@ def draw(scene: Scene, built: Mapping[str, str], title: str, slanted: np.ndarray
     """Return a picture of the elements from above, and beside it one in space; those that were built in green, in stock in yellow.
 
     Args:
-        built: Names of the elements that stand at their places, by GlobalId.
         slanted: Of `in_space`, 8 bits; None: there is none.
     """
     figure = Figure(figsize=(13.0, 6.5) if slanted is not None else (7.0, 6.5))
@@ -246,9 +239,6 @@ def in_space(scene: Scene, built: Mapping[str, str]) -> np.ndarray | None:
     """Return a picture of the elements in space, drawn as films of rehearsals are; None: there is no element.
 
     Neighbours have different shades, and every edge is drawn.
-
-    Args:
-        built: As of `draw`.
 
     Raises:
         ConstructionTwinError: If the set-up's group ``physics`` is missing, or nothing draws here: one sentence.

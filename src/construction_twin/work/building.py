@@ -22,37 +22,37 @@ Value = str | float | int | bool | None
 
 
 @dataclass(frozen=True, eq=False)
-class Extrusion:
-    """A body that is a profile moved along a straight line.
-
-    Attributes:
-        outline: Shape (k, 2). Corners of the profile, counter-clockwise, not repeated at the end [m].
-        holes: Each of shape (k, 2). Corners of its holes, clockwise [m].
-        element_T_profile: Where the profile's plane is.
-        direction: Shape (3,). Unit vector in the profile's frame along which it is moved; need not be its normal.
-        depth: [m], above 0.
-    """
-
-    outline: np.ndarray
-    holes: tuple[np.ndarray, ...]
-    element_T_profile: Pose
-    direction: np.ndarray
-    depth: float
-
-
-@dataclass(frozen=True, eq=False)
 class Body:
-    """One closed body of an element.
+    """One body of an element.
 
     Attributes:
-        vertices: Shape (n, 3). In the element's frame [m].
+        vertices: Shape (n, 3). In the element's frame, those at the same place are one [m].
         triangles: Shape (m, 3). Indices of vertices; outward normals by the right hand.
-        extrusion: What the body is exactly; None: anything else, or an extrusion that something was cut from.
     """
 
     vertices: np.ndarray
     triangles: np.ndarray
-    extrusion: Extrusion | None = None
+
+    @cached_property
+    def is_closed(self) -> bool:
+        """Whether each edge of each triangle is met exactly once in the other direction."""
+        if len(self.triangles) == 0:
+            return False
+        ends = [self.triangles[:, [0, 1]], self.triangles[:, [1, 2]], self.triangles[:, [2, 0]]]
+        edges = np.concatenate(ends).astype(np.int64)
+        count = int(self.triangles.max()) + 1
+        forward = np.sort(edges[:, 0] * count + edges[:, 1])
+        backward = np.sort(edges[:, 1] * count + edges[:, 0])
+        return bool((forward[1:] != forward[:-1]).all() and np.array_equal(forward, backward))
+
+    @property
+    def volume(self) -> float:
+        """The enclosed volume [m³]; negative when the normals of a closed surface point inwards."""
+        if len(self.triangles) == 0:
+            return 0.0
+        # around a vertex of its own: far from the origin the products would cancel out
+        a, b, c = (self.vertices[self.triangles[:, k]] - self.vertices[self.triangles[0, 0]] for k in range(3))
+        return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,16 +96,13 @@ class Task:
     """One task of the schedule.
 
     Attributes:
-        id: GlobalId.
         parent: GlobalId of the task it nests in; empty: none.
         products: GlobalIds of the elements it makes (outputs), in the file's order.
-        inputs: GlobalIds of what it works on.
         robots: Names of the resources assigned to it; empty: any robot.
         start: Scheduled, ISO 8601; empty: not said.
         duration: [s]
         kind: ``makes``: places its products, or works on them; ``takes_down``: removes its products and inputs; ``other``: neither
             (maintenance, moving).
-        completed: It was done before this work.
         properties: Of its own property set `recipe.PROPERTY_SET`: how the arm does it, before what its elements say.
     """
 
@@ -145,11 +142,8 @@ class BuildingModel:
     """One IFC file.
 
     Attributes:
-        file: Its name.
-        digest: SHA-256 of its contents.
         schema: ``IFC2X3``, ``IFC4``, ``IFC4X3``.
         unit: Metres per length unit of the file.
-        elements: By GlobalId, in the file's order.
         tasks: By GlobalId, in the file's order; empty: it has no schedule.
         notes: One sentence for each thing that was left out or understood in a way that the user should know.
         remarks: The same by the id of the element or task that they are about, of those that there are any of.
@@ -167,11 +161,7 @@ class BuildingModel:
     remarks: Mapping[str, tuple[str, ...]] = field(default_factory=dict, repr=False)
 
     def element(self, global_id: str) -> Element:
-        """Return the element of that GlobalId.
-
-        Raises:
-            BuildingError: If there is none.
-        """
+        """Return the element of that GlobalId."""
         if global_id not in self.elements:
             raise BuildingError(
                 self.file, f"element {global_id!r}", "none of that GlobalId", Sentence("expected.work.element")

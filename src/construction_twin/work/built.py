@@ -60,10 +60,6 @@ def as_built(base_T_tool0: Pose, base_T_tool0_planned: Pose, tool0_T_element: Po
     """Return where an element stands that the arm let go of.
 
     An element that was planned to be set down turned by a symmetry of its shape is one that is not turned: its frame is told as if.
-
-    Args:
-        base_T_tool0, base_T_tool0_planned: Of the flange when it let go: measured, and planned.
-        base_T_goal: Where the model has it.
     """
     planned = product(base_T_tool0_planned, tool0_T_element)
     built = product(base_T_tool0, tool0_T_element)
@@ -87,7 +83,6 @@ def objects_of(
         bodies: Convex pieces ``<GlobalId>/0``, ..., in the element's frame; of a placed element as it was placed.
         memory: Of the task that places it; None: no task does, it stands where the model has it.
         base_T_stock: None: it does not lie in its stock, even if it was not taken.
-        link: What carries the tool.
     """
     if memory is None:
         return at(bodies, base_T_goal)
@@ -107,12 +102,7 @@ def at(bodies: Sequence[SceneObject], pose: Pose, link: str = "") -> tuple[Scene
 
 
 def change(scene: Scene, wanted: Mapping[str, SceneObject], left_alone: Collection[str]) -> SceneChange:
-    """Return what has to change so that the work's objects are the wanted ones; others are not touched.
-
-    Args:
-        wanted: By name.
-        left_alone: GlobalIds of elements whose objects stay as they are.
-    """
+    """Return what has to change so that the work's objects are the wanted ones; others are not touched."""
     there = {item.name: item for item in scene.objects}
     put = tuple(item for name, item in wanted.items() if name not in there or there[name].contents() != item.contents())
     mine = [name for name in there if "/" in name and name.split("/", 1)[0] not in left_alone]

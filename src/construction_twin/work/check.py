@@ -22,7 +22,7 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.scene.objects import Scene, product
 from construction_twin.scene.self_collision import SelfCollision
 from construction_twin.work.jobs import TaskMotions, WorkJob
-from construction_twin.work.processes import process_of
+from construction_twin.work.process import process_of
 from construction_twin.work.recipe import DEFAULT
 from construction_twin.work.schedule import Job
 from construction_twin.work.site import pose_of
@@ -38,8 +38,6 @@ class CheckedTask:
     """What was found for one job.
 
     Attributes:
-        number: In the order of the schedule, from 0.
-        job, name: Id of the job, name of its task.
         grip: How it is done, see `TaskMotions.method`, or the method that came furthest; empty: none.
         track: Value of the first linear joint where the process acts at the element's place [m]; None: the robot has none, or
             there is no plan.
@@ -49,7 +47,6 @@ class CheckedTask:
         stage, reason: What was not possible, and why; empty if it is possible.
         remarks: What a person should know of the task or its element, as the model was read.
         path: Length 3. The tool's centre point in the base [m].
-        process: Name of its process.
     """
 
     number: int
@@ -75,9 +72,6 @@ class Checker:
     """Plans every job of a schedule on its own. Not for use from several threads at once.
 
     Args:
-        settings: Of the free ways.
-        layout: With the elements of `jobs`, in their order.
-        jobs: In the order of the schedule; those whose element has no geometry are not possible.
         clock: Returns seconds from any fixed origin.
         removals: What people take down: gone for the jobs that wait for it, an obstacle for all others.
     """

@@ -36,14 +36,7 @@ TOOL = "tool/"
 
 
 def tool_objects(tool: ToolFile, link: str) -> tuple[SceneObject, ...]:
-    """Return a tool's shapes as objects of the scene that a link carries, ``tool/<shape>``.
-
-    Args:
-        link: The robot's tip link.
-
-    Raises:
-        SceneError: If a shape's size or mesh cannot be used.
-    """
+    """Return a tool's shapes as objects of the scene that a link carries, ``tool/<shape>``."""
     return tuple(_tool_object(tool, name, shape, link) for name, shape in tool.tool.shapes.items())
 
 
@@ -71,7 +64,6 @@ class Shapes:
         Args:
             moving: In a frame of their own.
             way: Of that frame, at most `STEP` apart and without a turn.
-            others: Those that stand.
             padding: Of the scene [m].
         """
         found = []
@@ -108,7 +100,6 @@ class Shapes:
 
         Args:
             items: What would fall, in a frame.
-            others: Those that stand.
             up: Shape (3,). Against gravity, a unit vector in the base.
         """
         sunk = Pose(base_T_frame.position - FALL * up, base_T_frame.rotation)

@@ -28,7 +28,6 @@ def decomposed(
         vertices: Shape (v, 3). [m]
         triangles: Shape (t, 3), integers
         concavity: How concave a piece may be [m].
-        most: Pieces.
         seconds: Longest time of the process [s].
     """
     size = float(np.ptp(vertices, axis=0).max())

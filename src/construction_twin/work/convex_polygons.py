@@ -28,9 +28,6 @@ def convex_polygons(outline: np.ndarray, holes: tuple[np.ndarray, ...] = ()) -> 
     Returns:
         Each of shape (k, 2). Counterclockwise, the first corner not repeated. Their corners are those of the outline and, where it
         was cut in strips, points on its edges.
-
-    Raises:
-        WorkError: If the outline crosses itself, has no area, or a hole leaves it.
     """
     whole = shapely.Polygon(outline, holes)
     if not whole.is_valid or not whole.area > 0:

@@ -1,8 +1,8 @@
 """An element of a building as objects of the scene: few convex pieces that hold all of it and reach little beyond. Metres.
 
-Each body is tried in this order: the extrusion or prism that it is, divided exactly by its profile; one convex hull; divided
-exactly by planes of its own faces; coacd; its surface with a margin. Each result is checked; the first that holds the body and
-reaches no further beyond it than the bound is taken. Mesh files are named by their contents, results by what they were made from.
+Each body is tried in this order: the prism that it is, divided exactly by its profile; one convex hull; divided exactly by planes
+of its own faces; coacd; its surface with a margin. The first that holds the body and reaches no further beyond it than the bound is
+taken. Mesh files are named by their contents, results by what they were made from.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from construction_twin.scene.mesh_file import MOST_TRIANGLES
 from construction_twin.scene.objects import SceneObject
 from construction_twin.scene.solids import hull_solid, mesh_of, parts, solid, welded
 from construction_twin.scene.triangle_mesh import hull_mesh
-from construction_twin.work.building import Body, Element, Extrusion
+from construction_twin.work.building import Body, Element
 from construction_twin.work.convex_decomposition import decomposed
 from construction_twin.work.convex_polygons import convex_polygons
 
@@ -116,7 +116,7 @@ def across(axis: np.ndarray) -> np.ndarray:
 
 
 #: Changes when the same body would give other pieces.
-_VERSION = 2
+_VERSION = 3
 #: Triangles beyond which a body is not divided.
 _MOST_DIVIDED = 20_000
 #: Triangles beyond which a body is not divided by planes of its faces: they are those of curved faces.
@@ -154,7 +154,6 @@ class ElementShape:
     """One element as objects of the scene.
 
     Attributes:
-        element: GlobalId.
         objects: ``<GlobalId>/0``, ``<GlobalId>/1``, ...; poses in the element's frame, `link` empty.
         excess: How far they reach beyond the element, at most, where measured [m]; of a surface its margin.
         ways: How each body was made: ``profile``, ``hull``, ``cut``, ``coacd``, ``surface``.
@@ -215,16 +214,6 @@ def _shape(element: str, bodies: tuple[Body, ...], folder: Path, settings: BodyS
 
 def _digest(body: Body, settings: BodySettings) -> str:
     parts_of = [np.asarray(body.vertices, dtype=float), np.asarray(body.triangles, dtype=np.int64)]
-    if body.extrusion is not None:
-        pose = body.extrusion.element_T_profile
-        parts_of += [
-            body.extrusion.outline,
-            *body.extrusion.holes,
-            pose.position,
-            pose.rotation,
-            body.extrusion.direction,
-        ]
-        parts_of.append(np.array([body.extrusion.depth]))
     text = hashlib.sha256(json.dumps([_VERSION, asdict(settings), [list(part.shape) for part in parts_of]]).encode())
     for part in parts_of:
         text.update(np.ascontiguousarray(part).tobytes())
@@ -312,49 +301,25 @@ def _one_hull(vertices: np.ndarray):
 
 
 def _profile_pieces(body: Body, most: int) -> list[np.ndarray] | None:
-    """Return the corners of the convex prisms that an extrusion consists of; None if the body is none, or of too many."""
-    try:
-        if body.extrusion is not None:
-            found = [_prisms(body.extrusion)]
-        else:
-            known = prism(np.asarray(body.vertices, dtype=float), np.asarray(body.triangles))
-            if known is None:
-                return None
-            frame, profile, depth = known
-            found = [
-                _extruded(convex_polygons(*_rings(part)), frame[:3, :3], frame[:3, 3], np.array((0.0, 0.0, depth)))
-                for part in shapely.get_parts(profile)
-            ]
-    except WorkError:
-        # an outline that crosses itself: the triangles say what the body is
+    """Return the corners of the convex prisms that a prism consists of; None if the body is none, or of too many."""
+    known = prism(np.asarray(body.vertices, dtype=float), np.asarray(body.triangles))
+    if known is None:
         return None
-    pieces = [points for group in found for points in group]
-    return pieces if 0 < len(pieces) <= most else None
+    frame, profile, depth = known
+    pieces = []
+    for part in shapely.get_parts(profile):
+        for polygon in convex_polygons(*_rings(part)):
+            flat = np.column_stack([polygon, np.zeros(len(polygon))])
+            pieces.append(np.concatenate([flat, flat + (0.0, 0.0, depth)]) @ frame[:3, :3].T + frame[:3, 3])
+    return pieces if len(pieces) <= most else None
 
 
 def _rings(part: shapely.Polygon) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-    def ring(line) -> np.ndarray:
-        # without the corners that the triangles of the end left on straight edges
-        simple = np.array(shapely.simplify(line, 1e-9).coords)[:-1]
-        return simple
-
-    return ring(part.exterior), tuple(ring(line) for line in part.interiors)
-
-
-def _prisms(extrusion: Extrusion) -> list[np.ndarray]:
-    pose = extrusion.element_T_profile
-    along = np.asarray(extrusion.direction, dtype=float) * extrusion.depth
-    return _extruded(convex_polygons(extrusion.outline, extrusion.holes), pose.rotation, pose.position, along)
-
-
-def _extruded(
-    polygons: list[np.ndarray], rotation: np.ndarray, position: np.ndarray, along: np.ndarray
-) -> list[np.ndarray]:
-    pieces = []
-    for polygon in polygons:
-        flat = np.column_stack([polygon, np.zeros(len(polygon))])
-        pieces.append(np.concatenate([flat, flat + along]) @ np.asarray(rotation).T + position)
-    return pieces
+    # without the corners that the triangles of the end left on straight edges
+    exterior, *interiors = (
+        np.array(shapely.simplify(line, 1e-9).coords)[:-1] for line in (part.exterior, *part.interiors)
+    )
+    return exterior, tuple(interiors)
 
 
 def _judged(

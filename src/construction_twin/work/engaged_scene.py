@@ -19,11 +19,7 @@ from construction_twin.scene.scene_change import SceneChange
 
 @dataclass(frozen=True, eq=False)
 class Due:
-    """What is to be done about the scene: a change, or a sentence that says why none is known; neither: the scene is right.
-
-    Attributes:
-        after: Hash of the scene that it leads to.
-    """
+    """What is to be done about the scene: a change, or a sentence that says why none is known; neither: the scene is right."""
 
     change: SceneChange | None = None
     after: str = ""
@@ -42,12 +38,8 @@ def due(
     """Return what is to be done so that an engaged arm can go back.
 
     Args:
-        scene: The present one.
         segments: Of the plan that ended inside; empty: it is not known any more.
-        changes: What each of them does to the scene.
-        earlier: Those seen before, the newest first.
         element: GlobalId of the element that the task places; empty: not known.
-        forms: Its objects as the ledger can have them: in its stock, in the grip, at its place.
     """
     if scene.hash in left.scenes:
         return Due()

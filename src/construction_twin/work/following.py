@@ -16,8 +16,7 @@ from construction_twin.review.record import Fate
 from construction_twin.robot.segments import Segment
 from construction_twin.robot.tool import Tool
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.work.events import Entry
-from construction_twin.work.task_memory import TaskMemory
+from construction_twin.work.task_memory import Entry, TaskMemory
 from construction_twin.work.task_states import UNDER_WAY, TaskEvent, TaskState
 
 #: Outcome of a plan that reached its end.
@@ -46,7 +45,6 @@ class GripReading:
     """What the tool says of its grip.
 
     Attributes:
-        known: The outputs have been read back.
         closed: An output commands it to hold, or an input says that it does; meaningless where it is not known.
         commanded: The outputs that command it to hold, as they read back; empty where it is not known.
     """
@@ -64,12 +62,7 @@ class GripReading:
 def followed(
     plan_id: str, memory: TaskMemory, segments: Sequence[Segment], changes: Sequence[SceneChange], tool: Tool
 ) -> Followed:
-    """Return a plan of a task as it is followed: where it grips the element, and where it lets go of it.
-
-    Args:
-        memory: Of the plan's task.
-        changes: What each of its segments does to the scene.
-    """
+    """Return a plan of a task as it is followed: where it grips the element, and where it lets go of it."""
     grips, releases = -1, -1
     for number, (segment, change) in enumerate(zip(segments, changes)):
         for switch in segment.switches:
@@ -99,11 +92,7 @@ def grip_of(tool: Tool, outputs: Mapping[str, bool], inputs: Mapping[str, bool])
 
 
 class _Events:
-    """Collects the events of one task; its state after them is computed as the ledger computes it.
-
-    Attributes:
-        memory: What they leave of the task.
-    """
+    """Collects the events of one task; its state after them is computed as the ledger computes it."""
 
     def __init__(self, memory: TaskMemory, plan: str):
         self.memory, self._plan = memory, plan
@@ -134,7 +123,6 @@ def follow(
 
     Args:
         as_built: Length 7 or 0. Where the element stands if it is let go now; empty: not known.
-        source: Where that comes from, `events.MEASURED` or `events.PLANNED`.
         confirmed: The plan has ended at the end of the report's segment, and the tool did there what was asked of it.
     """
     if report.plan_id != plan.id or memory.state not in (TaskState.PLANNED, *UNDER_WAY):
@@ -186,11 +174,7 @@ def _end(events: _Events, plan: Followed, report: ExecutionReport, grip: GripRea
 
 
 def after_restart(memory: TaskMemory, fate: Fate, grip: GripReading) -> list[Entry]:
-    """Return the events of a task whose plan the executor does not report any more, or never did.
-
-    Args:
-        fate: Of the plan that the ledger names.
-    """
+    """Return the events of a task whose plan the executor does not report any more, or never did."""
     events = _Events(memory, fate.plan or memory.plan)
     if memory.state is TaskState.PLANNED:
         if fate.under_review:

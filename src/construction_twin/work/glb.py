@@ -27,10 +27,7 @@ class ShownElement:
     """An element of the file.
 
     Attributes:
-        id: Its GlobalId; the node's name.
-        name: For a person.
         triangles: Shape (t, 3, 3). Corners in the element's frame [m].
-        base_T_element: Where the model has it.
     """
 
     id: str
@@ -40,11 +37,7 @@ class ShownElement:
 
 
 def glb(elements: Iterable[ShownElement], model_hash: str) -> bytes:
-    """Return the file; elements without triangles are left out.
-
-    Args:
-        model_hash: SHA-256 of the model's own file, as in `work/tasks`: who shows the tasks in this file compares the two.
-    """
+    """Return the file; elements without triangles are left out."""
     nodes: list[dict] = []
     meshes: list[dict] = []
     accessors: list[dict] = []

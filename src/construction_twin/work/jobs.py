@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 
 import numpy as np
 
@@ -22,11 +21,7 @@ class WorkJob:
     """What is to be done with one element. By which process, its recipe says.
 
     Attributes:
-        task: Id of the task.
-        element: GlobalId of the element; its scene objects are called ``<element>/0``, ``<element>/1``, ...
-        properties: The element's property sets, for recipes and ``CTwin_RobotTask``.
-        bodies: The element's convex pieces, named as above, their poses in the element's frame, `link` empty.
-        mass: [kg]
+        bodies: Convex pieces ``<GlobalId>/0``, ``<GlobalId>/1``, ..., their poses in the element's frame, `link` empty.
         base_T_stock: ``base_T_element`` in its stock; None: its process does not move it, it stands at its place.
         base_T_goal: ``base_T_element`` at its place: as designed where it is placed, as built where it stands.
         supports: Names of scene objects that the element may touch where it is put down, and of those that it lies on in the stock.
@@ -35,15 +30,10 @@ class WorkJob:
     """
 
     task: str
-    element: str
-    element_name: str
-    ifc_class: str
-    type_name: str
-    properties: dict
-    bodies: tuple[SceneObject, ...]
-    mass: float | None
-    base_T_stock: Pose | None
-    base_T_goal: Pose
+    element: Element
+    bodies: tuple[SceneObject, ...] = ()
+    base_T_stock: Pose | None = None
+    base_T_goal: Pose = Pose(np.zeros(3), np.eye(3))
     supports: tuple[str, ...] = ()
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
     task_properties: Mapping[str, Value] = field(default_factory=dict)
@@ -51,16 +41,9 @@ class WorkJob:
     @property
     def called(self) -> str:
         """The element in a sentence."""
-        return f"element {self.element_name!r} ({self.element})" if self.element_name else f"element {self.element}"
-
-
-def bare_job(element: Element, task: str = "", task_properties: Mapping[str, Value] = MappingProxyType({})) -> WorkJob:
-    """Return the job of an element as far as its recipe is concerned: without bodies, where it is, and what it touches."""
-    properties = {name: dict(values) for name, values in element.properties.items()}
-    return WorkJob(
-        task or element.id, element.id, element.name, element.ifc_class, element.type_name, properties, (), element.mass,
-        None, Pose(np.zeros(3), np.eye(3)), task_properties=dict(task_properties),
-    )  # fmt: skip
+        return (
+            f"element {self.element.name!r} ({self.element.id})" if self.element.name else f"element {self.element.id}"
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,8 +22,7 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import LedgerError
 from construction_twin.scene.objects import SceneObject
 from construction_twin.work.book import Book, Present, fold
-from construction_twin.work.events import CHANGED, MENDED, OPENED, Entry, entry_of
-from construction_twin.work.task_memory import NotNow
+from construction_twin.work.task_memory import CHANGED, MENDED, OPENED, Entry, NotNow, entry_of
 
 #: Largest ledger that is read [bytes].
 LARGEST = 256 * 2**20
@@ -33,16 +32,8 @@ class Ledger:
     """The file, and what its events say. Not for several threads at once.
 
     Args:
-        after: See `Book`.
-        model: SHA-256 of the model's file.
         clock: Returns the time since 1970 in UTC [ns].
-        cell: Path of the cell file, for the record.
-        placing, standing: As of `Book.doubts`.
         robot: Its name, in whose frame the poses are.
-        present: As of `Book.doubts`.
-
-    Attributes:
-        book: What all lines so far say.
 
     Raises:
         LedgerError: If the file cannot be read or written, or a line of it cannot be true.
@@ -113,11 +104,7 @@ class Ledger:
     # -- bodies
 
     def keep(self, bodies: Sequence[SceneObject]) -> str:
-        """Keep an element's pieces, whatever becomes of model and cache; return their digest. They are on the disk then.
-
-        Raises:
-            LedgerError: If they cannot be written.
-        """
+        """Keep an element's pieces, whatever becomes of model and cache; return their digest. They are on the disk then."""
         try:
             for item in bodies:
                 if item.mesh:
@@ -142,11 +129,7 @@ class Ledger:
                 os.close(handle)
 
     def body(self, element: str, digest: str) -> tuple[SceneObject, ...]:
-        """Return the pieces of an element that were kept, called ``<element>/0``, ..., in its frame.
-
-        Raises:
-            LedgerError: If they are not there, or not what they were.
-        """
+        """Return the pieces of an element that were kept, called ``<element>/0``, ..., in its frame."""
         path = self._bodies / f"{digest}.json"
         try:
             content = path.read_bytes()
@@ -192,11 +175,7 @@ def _problem(error: ConfigurationError, path: str) -> str:
 
 
 def replay(path: Path, after: Mapping[str, tuple[str, ...]]) -> Book:
-    """Return what the lines of a ledger say.
-
-    Raises:
-        LedgerError: Naming the line.
-    """
+    """Return what the lines of a ledger say."""
     book = fold(after)
     for number, entry in enumerate(read_entries(path), start=1):
         if number == 1 and entry.event != OPENED:
@@ -209,11 +188,7 @@ def replay(path: Path, after: Mapping[str, tuple[str, ...]]) -> Book:
 
 
 def read_entries(path: Path) -> Iterator[Entry]:
-    """Read the lines of a ledger.
-
-    Raises:
-        LedgerError: Naming the line that is none of a ledger.
-    """
+    """Read the lines of a ledger."""
     try:
         lines = read_lines(path)
     except ConfigurationError as error:

@@ -64,7 +64,6 @@ class Failed(Exception):
     Attributes:
         stage: What was not possible: a segment, `process.REACH`, or another word of the process.
         method: Of the attempt; empty: none.
-        hopeless: No other method can do better.
     """
 
     def __init__(self, stage: str, method: str, reason: str, hopeless: bool = False):
@@ -99,14 +98,9 @@ class Search:
     """One planning: what is asked, what it is planned with, and the motions that an attempt is made of.
 
     Attributes:
-        job: What is to be done.
-        name, recipe: Of its recipe, the process's own kind.
         start: Shape (n,). Where the arm stands.
-        scene: The present one.
         held: ``tool0_T_element`` of an element that is in the grip already; None: it is where the job has it.
         began: By the clock [s].
-        planner: Of the free ways.
-        shapes: Kept between plannings.
     """
 
     job: WorkJob
@@ -140,10 +134,7 @@ class Search:
         """Refuse a pose of the flange that the arm does not reach at all.
 
         Args:
-            where: For people.
             room: Returns how far the flange may be from there with another method [m].
-
-        Raises Failed.
         """
         try:
             self.solver.nearest(pose, self.start)
@@ -156,10 +147,7 @@ class Search:
     def solutions(
         self, pose: Pose, seed: np.ndarray, scene: Scene, stage: str, method: str, where: str
     ) -> list[np.ndarray]:
-        """Return joint solutions of a pose of the flange that touch nothing, the nearest first.
-
-        Raises Failed.
-        """
+        """Return joint solutions of a pose of the flange that touch nothing, the nearest first."""
         world = self.worlds.of(scene)
         try:
             found = [solution.q for solution in self.solver.all(pose, seed)]
@@ -174,20 +162,14 @@ class Search:
         return free
 
     def line(self, start: np.ndarray, pose: Pose, scale: float, scene: Scene, stage: str, method: str) -> Trajectory:
-        """Return the straight way of the flange to a pose, checked for limits, contacts and depth of what may touch.
-
-        Raises Failed.
-        """
+        """Return the straight way of the flange to a pose, checked for limits, contacts and depth of what may touch."""
         try:
             return self._line(start, pose, scale, self.worlds.of(scene))
         except (PlanningError, KinematicsError) as error:
             raise Failed(stage, method, str(error)) from error
 
     def free(self, start: np.ndarray, goal: np.ndarray, scale: float, scene: Scene, stage: str, method: str) -> Free:
-        """Return a free way between two joint vectors.
-
-        Raises Failed.
-        """
+        """Return a free way between two joint vectors."""
         world = self.worlds.of(scene)
         try:
             plan = self.planner.plan_to_joints(start, goal, PlanRequest("work", speed_scale=scale), world)
@@ -198,10 +180,7 @@ class Search:
         return Free(trajectory, plan.report.clearance.distance)
 
     def demand_free(self, q: np.ndarray, scene: Scene, stage: str, method: str, where: str) -> None:
-        """Refuse joint values at which something touches.
-
-        Raises Failed.
-        """
+        """Refuse joint values at which something touches."""
         contact = self.worlds.of(scene).contact(q)
         if contact is not None:
             one, other = contact.between
@@ -265,7 +244,6 @@ class PlanBuilder:
         """Add a segment.
 
         Args:
-            after: The scene after its switches.
             clearance: Of a free way [m]; None: to be computed.
         """
         change = difference(self._scenes[-1], after)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from construction_twin.core.sentences import Sentence
 
@@ -49,3 +49,10 @@ def _quoted(text: str, known: Mapping[str, str]) -> str:
             parts += [before[: 2 - len(name)], name]
             at = found.start()
     return "".join((*parts, text[at:]))
+
+
+def first_few(names: Iterable[str], most: int = 10) -> str:
+    """Return the first `most` names with commas between them, and how many more there are."""
+    every = tuple(names)
+    first = ", ".join(every[:most])
+    return Sentence("work.and_more", listed=first, count=len(every) - most) if len(every) > most else first

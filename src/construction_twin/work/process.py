@@ -9,11 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
 from typing import Any
 
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 from construction_twin.robot.tool import Tool
 from construction_twin.work.jobs import TaskMotions, WorkJob
-from construction_twin.work.recipe import Override, Recipe
+from construction_twin.work.recipe import DEFAULT, Override, Recipe
 
 #: The stage of every process at which the arm does not get there at all.
 REACH = "reach"
@@ -27,7 +31,6 @@ class Process:
         moves: It takes the element from its stock to its place. Then the element needs a rack, lies there before, is carried in
             between, and a person is asked where it is. Else it stands at its place all the time, and a person is asked whether the
             task was carried out.
-        recipe: Of its recipes.
         overrides: By its name, each property of an element in the model that replaces a key of its recipe.
         check_recipe: Takes a recipe, the tool, and file and name of the recipe; raises ConfigurationError when that tool cannot do
             it.
@@ -47,3 +50,15 @@ class Process:
     acts: str
     check: Callable[[Any], None]
     plan: Callable[[Any], TaskMotions]
+
+
+#: Module of each process; its `PROCESS` is the process.
+MODULES = {DEFAULT: "construction_twin.work.place.process"}
+
+
+@cache
+def process_of(name: str) -> Process:
+    """Return a process by its name; ConfigurationError for one that is not known."""
+    if name not in MODULES:
+        raise ConfigurationError("process", name, Sentence("expected.one_of", known=", ".join(MODULES)))
+    return import_module(MODULES[name]).PROCESS

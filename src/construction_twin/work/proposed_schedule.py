@@ -18,8 +18,8 @@ import numpy as np
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import ScheduleError
 from construction_twin.work.building import BuildingModel, Element, Sequence, Task
-from construction_twin.work.first_few import first_few
-from construction_twin.work.workpieces import workpieces
+from construction_twin.work.names import first_few
+from construction_twin.work.wholes import workpieces
 
 _DIGITS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz_$"
 _IDS = uuid.UUID("5b0f6c3e-9d1a-4b52-8a35-6c1f7d2e9b40")
@@ -48,7 +48,6 @@ class ProposedSchedule:
     Attributes:
         tasks: One that nests all, and one per element, in an order in which they can be built.
         sequences: ``FINISH_START``; the fewest that say all.
-        notes: What was not certain, with ids.
     """
 
     tasks: tuple[Task, ...]
@@ -62,14 +61,7 @@ class ProposedSchedule:
 
 
 def propose(model: BuildingModel) -> ProposedSchedule:
-    """Return an order in which a model's elements can be built.
-
-    Args:
-        model: Its workpieces (`workpieces.workpieces`) get a place in the order; what else is there is taken as there before.
-
-    Raises:
-        ScheduleError: If it has no workpiece.
-    """
+    """Return an order in which a model's elements can be built."""
     solids = [_Solid(model.elements[identifier]) for identifier in workpieces(model)]
     if not solids:
         raise ScheduleError(Sentence("work.order.nothing", file=model.file))

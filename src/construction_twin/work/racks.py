@@ -25,8 +25,6 @@ class Slot:
     """Where one element lies in stock.
 
     Attributes:
-        number: Of the slot in the rack, from 0.
-        load: How often the slot was filled before.
         surface: The scene's object that it lies on; empty: none.
     """
 
@@ -68,11 +66,7 @@ class StockPlan:
         )
 
     def instead_of(self, element: str, taken: Collection[str]) -> str:
-        """Return the element of a later load that counts as delivered where this one is to lie again; empty: there is none.
-
-        Args:
-            taken: As of `present`; this one may be among them.
-        """
+        """Return the element of a later load that counts as delivered where this one is to lie again; empty: there is none."""
         slot = self.slots.get(element)
         if slot is None:
             return ""
@@ -93,12 +87,7 @@ def plan_stock(
     """Give every element a slot.
 
     Args:
-        order: GlobalIds of the elements to be placed, in the order in which they are needed.
         corners: Mapping of str to array, shape (n, 3). Points of each element that enclose it, in its own frame [m].
-
-    Raises:
-        ConfigurationError: If an element has no rack, or a rack more elements than slots.
-        BuildingError: If the model does not say where an element is delivered.
     """
     base_T_model = inverse(site.model_T_base(building))
     members: dict[str, list[Element]] = {name: [] for name in site.file.racks}

@@ -5,14 +5,14 @@ Metres, seconds; a process adds its own keys, see `process.Process.recipe`.
 
 from __future__ import annotations
 
+import fnmatch
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
 import pydantic
 
-from construction_twin.work.building import Value
-from construction_twin.work.matching import Match
+from construction_twin.work.building import Element, Value
 
 #: The model's own property set for this package.
 PROPERTY_SET = "CTwin_RobotTask"
@@ -24,6 +24,8 @@ DEFAULT = "place"
 Finite = Annotated[float, pydantic.Field(allow_inf_nan=False, ge=-1e4, le=1e4)]
 Length = Annotated[float, pydantic.Field(allow_inf_nan=False, gt=0.0, le=10.0)]
 Scale = Annotated[float, pydantic.Field(gt=0.0, le=1.0)]
+#: ``Pset_Name.Property``
+_Property = Annotated[str, pydantic.Field(pattern=r"^[^.]+\.[^.]+$")]
 
 
 class Strict(pydantic.BaseModel):
@@ -32,12 +34,48 @@ class Strict(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
 
+class Match(Strict):
+    """What an element must be; everything that is given must hold. Nothing given: every element.
+
+    Attributes:
+        ifc_class: One of these: ``IfcMember``.
+        type_name, name: Patterns with ``*`` and ``?``, upper and lower case alike; empty: any.
+        elements: GlobalIds or whole names, one of these.
+        properties: ``Pset_MemberCommon.Reference: S1``: the property must have exactly this value.
+    """
+
+    ifc_class: tuple[str, ...] = ()
+    type_name: str = ""
+    name: str = ""
+    elements: tuple[str, ...] = ()
+    properties: dict[_Property, bool | int | float | str] = {}
+
+    def fits(self, element: Element) -> bool:
+        """Return whether an element is meant."""
+        if self.ifc_class and element.ifc_class not in self.ifc_class:
+            return False
+        if not (_like(element.type_name, self.type_name) and _like(element.name, self.name)):
+            return False
+        if self.elements and element.id not in self.elements and element.name not in self.elements:
+            return False
+        return all(_holds(element.properties, path, value) for path, value in self.properties.items())
+
+
+def _like(text: str, pattern: str) -> bool:
+    return not pattern or fnmatch.fnmatchcase(text.casefold(), pattern.casefold())
+
+
+def _holds(properties: Mapping[str, Mapping[str, Value]], path: str, value: bool | float | str) -> bool:
+    group, _, name = path.partition(".")
+    found = properties.get(group, {}).get(name)
+    # True == 1 in Python, but not in a model
+    return found == value and isinstance(found, bool) == isinstance(value, bool)
+
+
 class Recipe(Strict):
     """How elements of one kind are worked on.
 
     Attributes:
-        match: Which elements.
-        process: Name of the process, see `processes`.
         speed: Of the tool on the straight ways [m/s].
         free_speed_scale: Fraction of the joints' limits on the free ways.
         penetration: How deep bodies that may touch may be in each other, by rounding and by inexact pieces [m].
@@ -52,14 +90,7 @@ class Recipe(Strict):
 
 @dataclass(frozen=True)
 class Override:
-    """A property of an element in the model that replaces a key of its recipe.
-
-    Attributes:
-        key: The key of the recipe that it replaces.
-        ifc_type: Type of its value.
-        meaning: For documents.
-        read: From the property's value to the key's.
-    """
+    """A property of an element in the model that replaces a key of its recipe."""
 
     key: tuple[str, ...]
     ifc_type: str

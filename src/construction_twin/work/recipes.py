@@ -22,8 +22,8 @@ from construction_twin.core.validation import configuration_error, wrong_value
 from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.robot.tool import Tool
 from construction_twin.work.building import Element, Task, Value
-from construction_twin.work.jobs import WorkJob, bare_job
-from construction_twin.work.processes import MODULES, process_of
+from construction_twin.work.jobs import WorkJob
+from construction_twin.work.process import MODULES, process_of
 from construction_twin.work.recipe import DEFAULT, PROPERTY_SET, RECIPE, Recipe, Strict
 
 #: Property of it that is read by racks of the kind `delivered`. But for this one and `RECIPE` they are the process's own,
@@ -39,17 +39,6 @@ _TYPES: Mapping[str, tuple[type, ...]] = {
 
 
 @dataclass(frozen=True)
-class _Matched:
-    """A job as `matching` asks."""
-
-    id: str
-    ifc_class: str
-    name: str
-    type_name: str
-    properties: Mapping[str, Mapping[str, Value]]
-
-
-@dataclass(frozen=True)
 class Recipes:
     """The recipes of one file, in their order."""
 
@@ -62,10 +51,9 @@ class Recipes:
         Raises:
             TaskPlanningError: If no recipe fits, or a property of `PROPERTY_SET` is wrong.
         """
-        asked = _Matched(job.element, job.ifc_class, job.element_name, job.type_name, job.properties)
-        own = {name: value for name, value in job.properties.get(PROPERTY_SET, {}).items() if name != "id"}
+        own = {name: value for name, value in job.element.properties.get(PROPERTY_SET, {}).items() if name != "id"}
         of_task = self._named(job, job.task_properties)
-        name = of_task or self._named(job, own) or self._first(job, asked)
+        name = of_task or self._named(job, own) or self._first(job)
         recipe = self.recipes[name]
         if of_task:
             # what the element says to the process of another task is not for this one
@@ -79,15 +67,12 @@ class Recipes:
         Without a right recipe it is `DEFAULT`: why it is wrong is told when it is planned.
         """
         try:
-            return self.of(bare_job(element, "", task.properties if task is not None else {}))[1].process
+            return self.of(WorkJob(element.id, element, task_properties=task.properties if task else {}))[1].process
         except TaskPlanningError:
             return DEFAULT
 
     def check_tool(self, tool: Tool) -> None:
-        """Check that a tool can do what every recipe asks of it.
-
-        Raises ConfigurationError.
-        """
+        """Check that a tool can do what every recipe asks of it."""
         for name, recipe in self.recipes.items():
             process_of(recipe.process).check_recipe(recipe, tool, f"{self.file}/recipes/{name}")
 
@@ -105,11 +90,12 @@ class Recipes:
             )
         return str(name)
 
-    def _first(self, job: WorkJob, asked: _Matched) -> str:
+    def _first(self, job: WorkJob) -> str:
+        element = job.element
         for name, recipe in self.recipes.items():
-            if recipe.match.fits(asked):
+            if recipe.match.fits(element):
                 return name
-        kind = f"{job.ifc_class} {job.type_name!r}" if job.type_name else job.ifc_class
+        kind = f"{element.ifc_class} {element.type_name!r}" if element.type_name else element.ifc_class
         values = {"file": str(self.file), "element": job.called, "kind": kind, "property_set": PROPERTY_SET}
         raise TaskPlanningError(job.task, Sentence("work.cannot.no_recipe", **values))
 
@@ -147,11 +133,7 @@ class Recipes:
 
 
 def read_recipes(path: str | Path) -> Recipes:
-    """Read a recipes file.
-
-    Raises:
-        ConfigurationError: Naming file, key, value and what was expected.
-    """
+    """Read a recipes file."""
     try:
         description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:

@@ -21,17 +21,17 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
+from graphlib import CycleError, TopologicalSorter
 from types import MappingProxyType
 
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import ScheduleError
 from construction_twin.work.building import BuildingModel, Element, Sequence, Task
-from construction_twin.work.first_few import first_few
-from construction_twin.work.processes import process_of
+from construction_twin.work.names import first_few
+from construction_twin.work.process import process_of
 from construction_twin.work.proposed_schedule import propose
 from construction_twin.work.recipe import DEFAULT, RECIPE
-from construction_twin.work.wholes import parts_of
-from construction_twin.work.workpieces import workpieces
+from construction_twin.work.wholes import parts_of, workpieces
 
 _KINDS = {"FINISH_START": True, "FINISH_FINISH": True, "START_START": False, "START_FINISH": False}
 #: Takes an element and a task; returns the process by which the task works on it.
@@ -43,7 +43,6 @@ class Wait:
     """What a job waits for.
 
     Attributes:
-        job: Id of another job.
         finished: It must be finished; else it must have started.
         lag: Time that must have passed since [s], at least 0.
     """
@@ -63,7 +62,6 @@ class Job:
             element's stands behind it: ``Panel up: stud 3``.
         robots: Who may do it, the task's own or else those of the tasks it nests in; empty: any.
         after: Empty: it may start at once.
-        process: Name of its process.
     """
 
     id: str
@@ -85,7 +83,6 @@ class Blocker:
     """Why a job may not start yet.
 
     Attributes:
-        job: What it waits for.
         finished: That must be finished; else it must have started.
         remaining: Rest of the lag [s]; None: that has not happened yet.
     """
@@ -137,16 +134,7 @@ class Schedule:
     def of(
         cls, model: BuildingModel, proposed: bool = False, process: ProcessOf = lambda element, task: DEFAULT
     ) -> Schedule:
-        """Return the schedule of a model.
-
-        Args:
-            proposed: Its tasks come from `proposed_schedule`.
-            process: As of `recipes.Recipes.process`; by default every task places.
-
-        Raises:
-            ScheduleError: With the ids: no tasks at all, tasks that wait for or nest in each other in a circle, an element placed
-                twice, a sequence or a nesting with a task that is not there.
-        """
+        """Return the schedule of a model."""
         reading = _Reading(model, process)
         everything = reading.jobs()
         unmade = reading.unmade(everything)
@@ -165,11 +153,7 @@ class Schedule:
         )
 
     def job(self, identifier: str) -> Job:
-        """Return the job of that id.
-
-        Raises:
-            ScheduleError: If there is none.
-        """
+        """Return the job of that id."""
         if identifier not in self._by_id:
             raise ScheduleError(Sentence("work.order.no_job", id=repr(identifier)), (identifier,))
         return self._by_id[identifier]
@@ -180,12 +164,8 @@ class Schedule:
         """Return what a job still waits for; empty: it may start.
 
         Args:
-            identifier: Of the job.
             started, finished: When [s], by job id; a job that is finished need not be in `started`.
             now: [s]
-
-        Raises:
-            ScheduleError: If there is no such job.
         """
         found = []
         for wait in self.job(identifier).after:
@@ -544,37 +524,13 @@ class _Reading:
         return gates
 
     def _topological(self, before: dict[tuple[str, int], list[tuple[str, int]]]) -> list[tuple[str, int]]:
-        """Return the nodes so that each comes after those before it.
-
-        Raises:
-            ScheduleError: If they form a circle.
-        """
-        missing = {node: len(sources) for node, sources in before.items()}
-        into: dict[tuple[str, int], list[tuple[str, int]]] = {node: [] for node in before}
-        for node, sources in before.items():
-            for source in sources:
-                into[source].append(node)
-        ready = [node for node, count in missing.items() if count == 0]
-        order = []
-        while ready:
-            node = ready.pop()
-            order.append(node)
-            for target in into[node]:
-                missing[target] -= 1
-                if missing[target] == 0:
-                    ready.append(target)
-        if len(order) == len(before):
-            return order
-        # every node that is left has one before it that is left: going back must come round
-        at = next(node for node, count in missing.items() if count > 0)
-        seen: dict[tuple[str, int], None] = {}
-        while at not in seen:
-            seen[at] = None
-            at = next(source for source in before[at] if missing[source] > 0)
-        nodes = list(seen)[list(seen).index(at) :]
-        circle = tuple(dict.fromkeys(identifier for identifier, _ in reversed(nodes)))
-        names = ", ".join(f"{identifier} ({self._tasks[identifier].name!r})" for identifier in circle)
-        raise ScheduleError(Sentence("work.order.circle", tasks=names), circle)
+        """Return the nodes so that each comes after those before it."""
+        try:
+            return list(TopologicalSorter(before).static_order())
+        except CycleError as error:
+            circle = tuple(dict.fromkeys(identifier for identifier, _ in error.args[1]))
+            names = ", ".join(f"{identifier} ({self._tasks[identifier].name!r})" for identifier in circle)
+            raise ScheduleError(Sentence("work.order.circle", tasks=names), circle) from error
 
 
 def _merged(first: _Waits, second: _Waits, lag: float) -> _Waits:

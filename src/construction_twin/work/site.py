@@ -24,8 +24,7 @@ from construction_twin.robot.tool import ToolFile, read_tool
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.work.building import BuildingModel, Element
-from construction_twin.work.matching import Match
-from construction_twin.work.recipe import PROPERTY_SET
+from construction_twin.work.recipe import PROPERTY_SET, Match, Strict
 from construction_twin.work.recipes import DELIVERED, Recipes, read_recipes
 
 #: Poses of the file are this close to the origin [m]; in binary fractions a map's coordinates would cost accuracy.
@@ -37,11 +36,7 @@ _Vector = tuple[_Finite, _Finite, _Finite]
 _RackName = Annotated[str, pydantic.Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
 
 
-class _Strict(pydantic.BaseModel):
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
-
-
-class _Rack(_Strict):
+class _Rack(Strict):
     """What every rack has.
 
     Attributes:
@@ -114,11 +109,10 @@ class DeliveredRack(_Rack):
 Rack = Annotated[GridRack | StackRack | ListRack | DeliveredRack, pydantic.Field(discriminator="kind")]
 
 
-class CellFile(_Strict):
+class CellFile(Strict):
     """The keys of a cell file, each explained in config/work/timber_panel.yaml.
 
     Attributes:
-        tool, recipes, scene: Files, relative to this one.
         model_T_base: Where the robot's base_link is in the model.
         base_element: GlobalId or name of the element of the model that stands for the robot's base_link; empty: `model_T_base` is
             given.
@@ -142,11 +136,7 @@ class CellFile(_Strict):
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """A cell, read.
-
-    Attributes:
-        scene: Without tool and elements.
-    """
+    """A cell, read."""
 
     path: str
     file: CellFile
@@ -155,11 +145,7 @@ class Site:
     scene: Scene
 
     def model_T_base(self, building: BuildingModel) -> Pose:
-        """Return where the robot's base_link is in a model.
-
-        Raises:
-            ConfigurationError: If the element that stands for the base is not in the model, or not the only one of its name.
-        """
+        """Return where the robot's base_link is in a model."""
         if self.file.model_T_base is not None:
             return pose_of(self.file.model_T_base)
         return self.base(building).model_T_element
@@ -180,12 +166,7 @@ class Site:
 
 
 def read_site(path: str | Path) -> Site:
-    """Read a cell file and the files that it names.
-
-    Raises:
-        ConfigurationError: Naming file, key, value and what was expected; also for its tool and recipes.
-        SceneError: If its scene cannot be used.
-    """
+    """Read a cell file and the files that it names."""
     try:
         description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:

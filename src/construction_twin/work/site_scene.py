@@ -17,7 +17,7 @@ from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.work.building import BuildingModel
 from construction_twin.work.contacts import Shapes, tool_objects
 from construction_twin.work.convex_bodies import Pieces
-from construction_twin.work.jobs import WorkJob, bare_job
+from construction_twin.work.jobs import WorkJob
 from construction_twin.work.racks import Slot, StockPlan, plan_stock
 from construction_twin.work.schedule import Job
 from construction_twin.work.site import Site, inverse
@@ -45,8 +45,6 @@ class Layout:
 
     Args:
         pieces: Convex pieces of each element in `order`, in its own frame, called ``<GlobalId>/<number>``.
-        order: GlobalIds of the elements that are worked on, in the order in which they are needed.
-        link: The robot's tip link, which carries the tool.
         standing: Pieces, as above, of the elements that stand where the model has them and that no task makes, see `work.standing`.
         jobs: Who works on them; by default one for each, called as the element, by the process of the element's own recipe.
 
@@ -54,9 +52,6 @@ class Layout:
         standing: What stands from the beginning, fixed, in the robot's base_link.
         stays: The elements in `order` that no job moves: they stand at their place all the time.
         comes_after: Elements that are placed before what stands is there, by its GlobalId, see `wholes.comes_after`.
-
-    Raises:
-        ConfigurationError, BuildingError: See `racks.plan_stock`.
     """
 
     def __init__(
@@ -131,8 +126,6 @@ class Layout:
         """Return the job of an element.
 
         Args:
-            element: GlobalId.
-            scene: The present one.
             task: Id of the job; empty, or one that the layout does not know: its first one.
         """
         asked = self._jobs.get(task) or next(job for job in self._jobs.values() if job.element == element)
@@ -150,13 +143,15 @@ class Layout:
         }
         x, y, z = map(float, self._base_T_model.rotation[:, 2])
         fixed = {*self.site.file.supports, *([] if slot is None else [slot.surface])} & set(scene.names)
-        return replace(
-            bare_job(built, task, {} if of_task is None else of_task.properties),
+        return WorkJob(
+            task or element,
+            built,
             bodies=self._pieces[element],
             base_T_stock=None if slot is None else slot.base_T_element,
             base_T_goal=goal,
             supports=tuple(sorted(beside | fixed)),
             up=(x, y, z),
+            task_properties={} if of_task is None else of_task.properties,
         )
 
     def _stands(self, element: str, scene: Scene) -> Pose:

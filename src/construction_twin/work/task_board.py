@@ -25,13 +25,12 @@ from construction_twin.scene.objects import SceneObject
 from construction_twin.work.book import Book, Present, placed_elsewhere
 from construction_twin.work.built import Deviation, at, deviation, objects_of, placed_at, pose_of_tuple, pose_tuple
 from construction_twin.work.convex_bodies import Pieces
-from construction_twin.work.events import ACCEPTED, NOT_IN_MODEL, PLANNED, Entry
 from construction_twin.work.following import GripReading, known_of, question
 from construction_twin.work.ledger import Ledger, body_digest, replay
 from construction_twin.work.names import labels, named
 from construction_twin.work.racks import StockPlan
 from construction_twin.work.schedule import Job, Schedule
-from construction_twin.work.task_memory import TaskMemory
+from construction_twin.work.task_memory import ACCEPTED, NOT_IN_MODEL, PLANNED, Entry, TaskMemory
 from construction_twin.work.task_states import (
     ANSWERS_FOR_ALL,
     ANSWERS_OF_FORMER,
@@ -88,15 +87,9 @@ class Prepared:
     """A model in its cell, read.
 
     Attributes:
-        model, digest: Name of the file, SHA-256 of its contents.
-        cell: Path of the cell file.
-        schedule_digest: SHA-256 of what a person accepts.
-        elements: By GlobalId, those that are to be placed.
         tool_objects: The tool's shapes, carried by the arm's tip link.
-        notes: Sentences for the user.
         unplannable: Why an element can never be planned, by GlobalId; it has no slot.
         standing: What stands where the model has it, and no task makes.
-        scheduled: By id of the job.
         comes_after: Elements that are placed before such an element is there, by its GlobalId, of those that wait for any.
     """
 
@@ -190,16 +183,8 @@ def removed_command(task: str) -> str:
 class TaskBoard:
     """Answers what can be done, and takes what people say. Not for several threads at once.
 
-    Args:
-        ledger: Of this model and robot.
-        robot: Name of the robot.
-        tip_link: Link that carries the tool.
-
     Attributes:
         failures: Why a task could not be planned when it was tried last, by id; not on the disk.
-
-    Raises:
-        LedgerError: If the body of something placed is not where the ledger keeps it.
     """
 
     def __init__(self, prepared: Prepared, ledger: Ledger, robot: str, tip_link: str):
@@ -221,8 +206,6 @@ class TaskBoard:
         """Write an event of a task, with the task's element; when this returns it is on the disk.
 
         The first one, and each that is about to be handled, says what the element is, so that it can stand without its model.
-
-        Raises as `Ledger.add`.
         """
         task, memory = entry.task, self.book.tasks[entry.task]
         handled = entry.event == TaskEvent.OFFERED.value and not memory.in_grip
@@ -251,10 +234,7 @@ class TaskBoard:
         return FROM_PERSON if self.book.accepted == self.prepared.schedule_digest else PROPOSED
 
     def accept(self, person: str, reason: str) -> str:
-        """Take a person's word that the proposed schedule is right; return a sentence.
-
-        Raises WorkRefused.
-        """
+        """Take a person's word that the proposed schedule is right."""
         if self.schedule_word != PROPOSED:
             raise WorkRefused(Sentence(f"work.accept_nothing.{self.schedule_word}"))
         self._named(person)
@@ -355,10 +335,7 @@ class TaskBoard:
     # -- what people say
 
     def skip(self, task: str, person: str, reason: str) -> str:
-        """Take a task out: others no longer wait for it; return a sentence.
-
-        Raises WorkRefused.
-        """
+        """Take a task out: others no longer wait for it."""
         state = self._memory(task, person).state
         if state is TaskState.ASKS:
             raise WorkRefused(self._asking("work.asks_first", task))
@@ -371,10 +348,7 @@ class TaskBoard:
         return Sentence(key, task=self.title(task))
 
     def removed(self, task: str, person: str, reason: str) -> str:
-        """Take a person's word that what a removal takes down, or what was placed, is gone, and no obstacle; return a sentence.
-
-        Raises WorkRefused.
-        """
+        """Take a person's word that what a removal takes down, or what was placed, is gone, and no obstacle."""
         memory = self._memory(task, person, former=True)
         if task in self.prepared.removals:
             if memory.state is TaskState.DONE:
@@ -386,10 +360,7 @@ class TaskBoard:
         return Sentence("work.removed", person=person, element=name)
 
     def redo(self, task: str, person: str, reason: str) -> str:
-        """Have a task done again, its element back in stock; of one that counts as carried, have it asked about; return a sentence.
-
-        Raises WorkRefused.
-        """
+        """Have a task done again, its element back in stock; of one that counts as carried, have it asked about."""
         state = self._memory(task, person).state
         if state is TaskState.CARRIED:
             self.add(Entry("unknown", task, person=person, reason=reason or Sentence("work.redo_doubt")))
@@ -423,8 +394,6 @@ class TaskBoard:
 
         Args:
             shown: The question as the person saw it; empty: it is not compared.
-
-        Raises WorkRefused.
         """
         memory = self._memory(task, person, former=True)
         possible = self._answers(task)
@@ -449,10 +418,7 @@ class TaskBoard:
         return sentence
 
     def answer_all(self, answer: str, person: str, reason: str) -> str:
-        """Answer, with what leaves it an obstacle, what is asked of all that was placed and can be answered so; return a sentence.
-
-        Raises WorkRefused.
-        """
+        """Answer, with what leaves it an obstacle, what is asked of all that was placed and can be answered so."""
         self._named(person)
         if answer not in ANSWERS_FOR_ALL:
             raise WorkRefused(Sentence("work.answer_one", answer=repr(answer), answers=", ".join(ANSWERS_FOR_ALL)))
@@ -476,11 +442,7 @@ class TaskBoard:
         self.ledger.add(replace(entry, element=self.element_of(heir), person=person))
 
     def look_around(self) -> None:
-        """Have it asked about what other ledgers of the folder say was placed, where it is of this model or at a place of it.
-
-        Raises:
-            LedgerError: If one of them cannot be read.
-        """
+        """Have it asked about what other ledgers of the folder say was placed, where it is of this model or at a place of it."""
         for path in sorted(self.ledger.path.parent.glob("*.jsonl")):
             if path == self.ledger.path:
                 continue
@@ -510,10 +472,7 @@ class TaskBoard:
         self.ledger.add(replace(placed_elsewhere("found", task, memory, source=source), former=""))
 
     def measured(self, element: str, pose: Pose, person: str, reason: str) -> Deviation:
-        """Take where an element really is.
-
-        Raises WorkRefused.
-        """
+        """Take where an element really is."""
         self._named(person)
         task = self.prepared.schedule.placing.get(element)
         if task is None:
@@ -840,11 +799,7 @@ class TaskBoard:
         return Job(task, task, memory.name, memory.element, (), ())
 
     def _memory(self, task: str, person: str, former: bool = False) -> TaskMemory:
-        """Return what is known of a task of which a person says something; refuse one that there is not, or nobody's word.
-
-        Args:
-            former: It may be one that the schedule does not have any more.
-        """
+        """Return what is known of a task of which a person says something; refuse one that there is not, or nobody's word."""
         if task not in self.book.after and task not in self.book.former:
             raise WorkRefused(Sentence("work.no_task", task=repr(task)))
         if task not in self.book.after and not former:

@@ -24,7 +24,7 @@ from construction_twin.scene.self_collision import SelfCollision
 from construction_twin.work.contacts import Shapes, tool_objects
 from construction_twin.work.jobs import TaskMotions, WorkJob
 from construction_twin.work.motions import Failed, Search, TaskLimits, Worlds
-from construction_twin.work.processes import process_of
+from construction_twin.work.process import process_of
 from construction_twin.work.recipes import Recipes
 
 
@@ -34,7 +34,6 @@ class TaskPlanner:
     The same job from the same pose in the same scene gives the same plan, unless a budget runs out.
 
     Args:
-        settings: Of the free ways.
         clock: Returns seconds from any fixed origin.
     """
 
@@ -68,12 +67,8 @@ class TaskPlanner:
 
         Args:
             start: Length n. Where the arm stands.
-            scene: The present one: with the tool (`contacts.tool_objects`), and the element where the job has it or in the grip.
             held: ``tool0_T_element`` of an element that is in the grip already, as `TaskMotions.tool0_T_element` of the plan that
                 gripped it: the rest of the task is planned.
-
-        Raises:
-            TaskPlanningError: With the part that was not possible with the method that came furthest, and why.
         """
         began = self._clock()
         name, recipe = self._recipes.of(job)

@@ -6,13 +6,51 @@ after what it is on. Metres, kilograms.
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
 
-from construction_twin.kinematics.chain import Pose
-from construction_twin.work.building import Body, Element, Task
-from construction_twin.work.workpieces import is_workpiece
+from construction_twin.work.building import Body, BuildingModel, Element, Task
+
+#: Classes of elements that are delivered in one piece.
+CLASSES = (
+    "IfcMember",
+    "IfcBeam",
+    "IfcColumn",
+    "IfcPlate",
+    "IfcCovering",
+    "IfcBuildingElementPart",
+    "IfcSlab",
+    "IfcBuildingElementProxy",
+    "IfcProxy",
+    "IfcWall",
+    "IfcElementAssembly",
+)
+
+
+def plain_class(ifc_class: str) -> str:
+    """Return a class without the cases that IFC2x3 and IFC4 make classes of: ``IfcWall`` for ``IfcWallStandardCase``."""
+    return re.sub("(StandardCase|ElementedCase)$", "", ifc_class)
+
+
+def is_workpiece(element: Element, has_parts: bool) -> bool:
+    """Return whether an element is a workpiece."""
+    # what stands already is no workpiece
+    kind = plain_class(element.ifc_class)
+    if not element.bodies or element.status or kind not in CLASSES:
+        return False
+    # a wall of several bodies, or what is made of parts, is built and not placed
+    return not (has_parts and kind in ("IfcWall", "IfcElementAssembly")) and (
+        kind != "IfcWall" or len(element.bodies) == 1
+    )
+
+
+def workpieces(model: BuildingModel) -> tuple[str, ...]:
+    """Return which elements the robot places: GlobalIds in the file's order."""
+    parents = {element.assembly for element in model.elements.values() if element.bodies}
+    return tuple(element.id for element in model.elements.values() if is_workpiece(element, element.id in parents))
+
 
 #: Parts that join their whole to others: they come after it, but for those of a whole that comes from a factory.
 _JOINS = ("IfcFastener", "IfcMechanicalFastener")
@@ -65,9 +103,6 @@ def comes_after(elements: Mapping[str, Element], placed: Collection[str]) -> dic
 
     It waits for what it is on or a part of; where that is not placed itself, for all of its parts that are. A workpiece that is a
     part of what is built of parts waits for none of them: people place it when they like.
-
-    Args:
-        placed: GlobalIds of the elements that tasks place.
     """
     of_whole: dict[str, set[str]] = defaultdict(set)
     for one in placed:
@@ -148,9 +183,4 @@ def _moved(whole: Element, part: Element) -> Iterator[Body]:
     rotation = whole.model_T_element.rotation.T @ part.model_T_element.rotation
     position = whole.model_T_element.rotation.T @ (part.model_T_element.position - whole.model_T_element.position)
     for body in part.bodies:
-        extrusion = body.extrusion
-        if extrusion is not None:
-            at = extrusion.element_T_profile
-            pose = Pose(rotation @ at.position + position, rotation @ at.rotation)
-            extrusion = replace(extrusion, element_T_profile=pose)
-        yield Body(body.vertices @ rotation.T + position, body.triangles, extrusion)
+        yield Body(body.vertices @ rotation.T + position, body.triangles)

@@ -25,14 +25,13 @@ from construction_twin.work.built import pose_of_tuple
 from construction_twin.work.contacts import tool_objects
 from construction_twin.work.element_bodies import element_shapes, element_triangles
 from construction_twin.work.ifc.reading import read_building
-from construction_twin.work.jobs import TaskMotions, bare_job
-from construction_twin.work.placement import check_placement
-from construction_twin.work.processes import process_of
+from construction_twin.work.jobs import TaskMotions, WorkJob
+from construction_twin.work.process import process_of
 from construction_twin.work.proposed_schedule import propose
 from construction_twin.work.schedule import Schedule
 from construction_twin.work.site import Site, pose_of, read_site
 from construction_twin.work.site_scene import Layout
-from construction_twin.work.standing import standing
+from construction_twin.work.standing import check_placement, standing
 from construction_twin.work.task_board import ElementFacts, Prepared, Scheduled
 from construction_twin.work.task_planner import TaskPlanner
 
@@ -56,16 +55,7 @@ _SESSIONS: list[_Session] = []
 def prepare(
     model: str, cell: str, robot: RobotModel, self_collision: str, planner: Mapping[str, Any], cache: str
 ) -> Prepared:
-    """Read a model and its cell.
-
-    Args:
-        model, cell, self_collision: Paths.
-        planner: Parameters of the planner node; those of `PlannerSettings` are used.
-        cache: Folder for what takes long to compute.
-
-    Raises:
-        ConstructionTwinError: What is wrong with which file.
-    """
+    """Read a model and its cell."""
     site = read_site(cell)
     building = read_building(model, Path(cache) / "models")
     proposed = not building.tasks
@@ -145,7 +135,7 @@ def _mass(site: Site, building: BuildingModel, schedule: Schedule, element: Elem
     """Return the mass that an element is planned with [kg]; None: nobody says, or its recipe is wrong, which planning tells."""
     placing = schedule.placing.get(element.id)
     task = building.tasks.get(schedule.job(placing).task) if placing else None
-    job = bare_job(element, "", task.properties if task is not None else {})
+    job = WorkJob(element.id, element, task_properties=task.properties if task is not None else {})
     try:
         name, recipe = site.recipes.of(job)
         return process_of(recipe.process).mass(job, name, recipe, site.tool.tool)
@@ -166,9 +156,7 @@ def plan(task: str, element: str, start: tuple[float, ...], scene: Scene, held: 
     """Plan a task.
 
     Args:
-        task, element: Ids.
         start: Length n. Where the arm stands.
-        scene: The present one.
         held: Length 7 or 0. ``tool0_T_element`` of an element that is in the grip already; empty: it lies in its stock.
 
     Raises TaskPlanningError.

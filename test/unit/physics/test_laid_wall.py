@@ -57,7 +57,7 @@ def question(laid, standing: tuple[str, ...], unweighed: tuple[str, ...] = ()) -
         Segment(segment.name, float(end), segment.engaged, (), (), before.hash, after.hash)
         for segment, end, before, after in zip(motions.segments, ends, motions.scenes, motions.scenes[1:])
     )
-    masses = {"tool": work_samples.tool().tool.mass} | {one: 3.5 for one in (*lying, motions.job.element)}
+    masses = {"tool": work_samples.tool().tool.mass} | {one: 3.5 for one in (*lying, motions.job.element.id)}
     scenes = {scene.hash: scene for scene in motions.scenes}
     return Question(plan_of(whole, motions.scenes[0], segments), scenes, masses, "i", standing, unweighed)
 
@@ -76,7 +76,7 @@ def test_the_next_element_is_laid_and_no_other_moves(laid, rehearsal):
     report = answer(rehearsal, asked)
     assert (report.state, report.reasons) == (PASSED, ())
     (own,) = report.objects
-    assert own.name == motions.job.element and own.moved < 0.001 and own.resting
+    assert own.name == motions.job.element.id and own.moved < 0.001 and own.resting
     assert not [remark.key for remark in report.remarks if remark.key.startswith("rehearsal.")]
     assert repr(replace(answer(rehearsal, asked), took=0.0, settle_took=0.0)) == repr(
         replace(report, took=0.0, settle_took=0.0)

@@ -16,7 +16,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.collision_bodies import scene_geometry
 from construction_twin.scene.containment import points_on
 from construction_twin.scene.solids import mesh_of
-from construction_twin.work.building import Body, Element, Extrusion
+from construction_twin.work.building import Body, Element
 from construction_twin.work.convex_bodies import Pieces
 from construction_twin.work.element_bodies import BodySettings, ElementShape, element_shapes
 
@@ -40,8 +40,8 @@ HOLLOW = {
 }  # fmt: skip
 
 
-def body_of(solid: M, extrusion: Extrusion | None = None) -> Body:
-    return Body(*mesh_of(solid), extrusion)
+def body_of(solid: M) -> Body:
+    return Body(*mesh_of(solid))
 
 
 def element(*bodies: Body, name: str = "2O2Fr$t4X7Zf8NOew3FLOH") -> Element:
@@ -82,27 +82,6 @@ def test_objects_are_named_after_the_element_and_boxes_are_boxes(tmp_path):
     np.testing.assert_allclose(first.size, (0.06, 0.12, 2.4), atol=1e-12)
     np.testing.assert_allclose(first.position, (0.03, 0.06, 1.2), atol=1e-12)
     assert not list(tmp_path.glob("*.obj"))
-
-
-def test_an_extrusion_is_divided_by_its_profile(tmp_path):
-    outline = np.array([(0, 0), (0.2, 0), (0.2, 0.02), (0.02, 0.02), (0.02, 0.1), (0, 0.1)], dtype=float)
-    turned = Pose(np.array((1.0, 2.0, 3.0)), np.array([(0, 0, 1), (1, 0, 0), (0, 1, 0)], dtype=float))
-    extrusion = Extrusion(outline, (), turned, np.array((0.0, 0.0, -1.0)), 2.5)
-    solid = manifold3d.CrossSection([outline]).extrude(2.5).mirror((0, 0, 1))
-    vertices, triangles = mesh_of(solid)
-    shape = element_shape(element(Body(vertices @ turned.rotation.T + turned.position, triangles, extrusion)), tmp_path)
-    assert shape.ways == ("profile",) and shape.excess <= 1e-6
-    assert [item.shape for item in shape.objects] == ["box", "box"]
-    volume = sum(float(np.prod(item.size)) for item in shape.objects)
-    assert volume == pytest.approx(solid.volume(), rel=1e-6)
-
-
-def test_an_extrusion_that_is_not_its_triangles_is_not_believed(tmp_path):
-    outline = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], dtype=float)
-    short = Extrusion(outline, (), HERE, np.array((0.0, 0.0, 1.0)), 0.5)
-    shape = element_shape(element(body_of(M.cube((1.0, 1.0, 1.0)), short)), tmp_path)
-    assert Pieces(shape.objects).contain(np.array([(0.5, 0.5, 1.0)])).all()
-    assert shape.ways == ("hull",)
 
 
 def test_a_wedge_is_one_solid_mesh_with_all_digits(tmp_path):

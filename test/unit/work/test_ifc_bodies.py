@@ -9,7 +9,6 @@ from sentence_checks import key_of
 
 from construction_twin.work.ifc.reader import read_ifc
 from construction_twin.work.ifc.representations import bounds
-from construction_twin.work.mesh_checks import is_closed, volume
 
 BOX = [(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
 
@@ -55,7 +54,7 @@ def plate(model, name, *faces):
 
 def whole(element):
     """Volume of its bodies [m³]."""
-    return sum(volume(body.vertices, body.triangles) for body in element.bodies)
+    return sum(body.volume for body in element.bodies)
 
 
 def extent(element):
@@ -196,7 +195,7 @@ def test_an_opening_flush_with_its_wall_leaves_no_skin(read):
     wall = model.box("wall", (3.0, 0.3, 2.6), at=(0.1, 0.7, 0.3), kind="IfcWall")
     model.opening(wall, (0.9, 0.3, 1.2), at=(1.0 / 3.0, 0.0, 0.8))
     (body,) = read(model)["wall"].bodies
-    assert is_closed(body.triangles) and len(body.triangles) == 32
+    assert body.is_closed and len(body.triangles) == 32
 
 
 def test_a_box_that_stands_for_flat_faces_is_that_of_their_points():

@@ -8,8 +8,7 @@ from ifc_models import IfcModel
 from sentence_checks import has_parts
 
 from construction_twin.work.ifc.reader import read_ifc
-from construction_twin.work.mesh_checks import is_closed, volume
-from construction_twin.work.workpieces import workpieces
+from construction_twin.work.wholes import workpieces
 
 SCHEMAS = ("IFC2X3", "IFC4", "IFC4X3")
 
@@ -53,12 +52,8 @@ def test_a_box_is_the_same_in_every_unit_and_schema(read, schema, unit):
     (body,) = element.bodies
     low, high = corners(body)
     assert np.concatenate([low, high]) == pytest.approx([-0.05, -0.03, 0, 0.05, 0.03, 2.4], abs=1e-9)
-    assert is_closed(body.triangles)
-    assert volume(body.vertices, body.triangles) == pytest.approx(0.1 * 0.06 * 2.4)
-    assert body.extrusion.depth == pytest.approx(2.4)
-    assert body.extrusion.outline == pytest.approx(
-        np.array([[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]])
-    )
+    assert body.is_closed
+    assert body.volume == pytest.approx(0.1 * 0.06 * 2.4)
 
 
 def test_placements_are_multiplied_up_to_the_model(read):
@@ -77,7 +72,7 @@ def test_placements_are_multiplied_up_to_the_model(read):
     assert workpieces(found) == (part.GlobalId,)
 
 
-def test_mapped_items_are_extrusions_wherever_they_are_put(read):
+def test_mapped_items_are_bodies_wherever_they_are_put(read):
     model = IfcModel()
     source = model.representation(model.extrusion(model.rectangle(0.2, 0.1), 1.0))
     mapped = model.representation(
@@ -85,71 +80,17 @@ def test_mapped_items_are_extrusions_wherever_they_are_put(read):
     )
     model.element("IfcBeam", "beam", mapped)
     first, second = sorted(only(read(model)).bodies, key=lambda body: body.vertices[:, 0].mean())
-    assert (first.extrusion.depth, second.extrusion.depth) == pytest.approx((1.0, 2.0))
-    assert second.extrusion.element_T_profile.position == pytest.approx([5.0, 0.0, 0.0])
-    assert np.ptp(second.extrusion.outline, axis=0) == pytest.approx([0.4, 0.2])
+    assert np.concatenate(corners(first)) == pytest.approx([-0.1, -0.05, 0.0, 0.1, 0.05, 1.0])
+    assert np.concatenate(corners(second)) == pytest.approx([4.8, -0.1, 0.0, 5.2, 0.1, 2.0])
 
 
-def test_what_something_is_cut_from_is_no_extrusion(read):
+def test_an_opening_is_cut_out(read):
     model = IfcModel()
     wall = model.box("wall", (4.0, 0.2, 2.5), kind="IfcWall")
     model.opening(wall, (1.0, 1.0, 1.0), at=(0.0, 0.0, 0.5))
     found = only(read(model))
     (body,) = found.bodies
-    assert body.extrusion is None
-    assert volume(body.vertices, body.triangles) == pytest.approx(4 * 0.2 * 2.5 - 0.2)
-
-
-PROFILES = {
-    "IfcRectangleHollowProfileDef": {"XDim": 0.1, "YDim": 0.06, "WallThickness": 0.005},
-    "IfcRoundedRectangleProfileDef": {"XDim": 0.1, "YDim": 0.06, "RoundingRadius": 0.01},
-    "IfcCircleProfileDef": {"Radius": 0.05},
-    "IfcCircleHollowProfileDef": {"Radius": 0.05, "WallThickness": 0.005},
-    "IfcEllipseProfileDef": {"SemiAxis1": 0.05, "SemiAxis2": 0.03},
-    "IfcTrapeziumProfileDef": {"BottomXDim": 0.1, "TopXDim": 0.05, "YDim": 0.06, "TopXOffset": 0.01},
-    "IfcIShapeProfileDef": {
-        "OverallWidth": 0.1, "OverallDepth": 0.2, "WebThickness": 0.006, "FlangeThickness": 0.01, "FilletRadius": 0.012,
-    },
-    "IfcLShapeProfileDef": {"Depth": 0.1, "Width": 0.05, "Thickness": 0.008, "FilletRadius": 0.006},
-    "IfcTShapeProfileDef": {
-        "Depth": 0.1, "FlangeWidth": 0.08, "WebThickness": 0.008, "FlangeThickness": 0.009, "FilletRadius": 0.005,
-    },
-    "IfcUShapeProfileDef": {
-        "Depth": 0.1, "FlangeWidth": 0.05, "WebThickness": 0.006, "FlangeThickness": 0.009, "FilletRadius": 0.008,
-    },
-    "IfcCShapeProfileDef": {"Depth": 0.2, "Width": 0.08, "WallThickness": 0.003, "Girth": 0.02},
-    "IfcZShapeProfileDef": {"Depth": 0.1, "FlangeWidth": 0.05, "WebThickness": 0.006, "FlangeThickness": 0.007},
-}  # fmt: skip
-
-
-def test_every_closed_profile_becomes_a_polygon_that_contains_it(read):
-    model = IfcModel()
-    for kind, lengths in PROFILES.items():
-        model.element("IfcMember", kind, model.profile(kind, **lengths))
-    for element in read(model).elements.values():
-        (body,) = element.bodies
-        given = body.extrusion
-        assert given is not None, element.name
-        # every corner of the kernel's triangles is inside of the polygon's box, and the kernel's volume is not larger
-        assert (given.outline.min(axis=0) <= body.vertices[:, :2].min(axis=0) + 1e-9).all(), element.name
-        assert (given.outline.max(axis=0) >= body.vertices[:, :2].max(axis=0) - 1e-9).all(), element.name
-        area = sum(_area(loop) for loop in (given.outline, *given.holes))
-        assert area >= volume(body.vertices, body.triangles) - 1e-12, element.name
-        assert _area(given.outline) > 0 and all(_area(hole) < 0 for hole in given.holes), element.name
-
-
-def _area(loop):
-    x, y = loop.T
-    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
-
-
-def test_a_circle_is_around_and_its_hole_within(read):
-    model = IfcModel()
-    model.element("IfcMember", "pipe", model.profile("IfcCircleHollowProfileDef", Radius=0.05, WallThickness=0.005))
-    given = only(read(model)).bodies[0].extrusion
-    middles = (given.outline + np.roll(given.outline, 1, axis=0)) / 2
-    assert np.linalg.norm(middles, axis=1).min() >= 0.05 - 1e-12
-    assert np.linalg.norm(given.holes[0], axis=1).max() <= 0.045 + 1e-12
+    assert body.volume == pytest.approx(4 * 0.2 * 2.5 - 0.2)
 
 
 def test_a_hole_of_a_polygon_is_a_hole(read):
@@ -157,16 +98,7 @@ def test_a_hole_of_a_polygon_is_a_hole(read):
     profile = model.polygon([(0, 0), (0, 2), (2, 2), (2, 0)], [(0.5, 0.5), (1.5, 0.5), (1.5, 1.5), (0.5, 1.5)])
     model.element("IfcSlab", "slab", profile)
     (body,) = only(read(model)).bodies
-    assert _area(body.extrusion.outline) == pytest.approx(4) and _area(body.extrusion.holes[0]) == pytest.approx(-1)
-    assert volume(body.vertices, body.triangles) == pytest.approx(3)
-
-
-def test_a_slanting_extrusion_keeps_its_direction(read):
-    model = IfcModel()
-    model.element("IfcMember", "rafter", model.extrusion(model.rectangle(0.1, 0.1), 2.0, direction=(1, 0, 1)))
-    given = only(read(model)).bodies[0].extrusion
-    assert given.direction == pytest.approx([0.5**0.5, 0, 0.5**0.5])
-    assert given.depth == pytest.approx(2.0)
+    assert body.volume == pytest.approx(3)
 
 
 def test_values_are_si_and_the_elements_win_over_the_types(read):

@@ -7,7 +7,7 @@ from sentence_checks import has_parts
 
 from construction_twin.core.work_errors import PlacementError
 from construction_twin.kinematics.chain import Pose
-from construction_twin.work.placement import check_placement
+from construction_twin.work.standing import check_placement
 
 HERE = Pose(np.zeros(3), np.eye(3))
 NEAR, OUT, LOST = (element(name, box((x, 0, 0), (x + 1, 1, 1))) for name, x in (("near", 1), ("out", 5), ("lost", 200)))

@@ -39,10 +39,9 @@ from construction_twin.review.record import Fate
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import product
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.work import processes
+from construction_twin.work import process
 from construction_twin.work.check import Checker
 from construction_twin.work.check_report import cell_picture, row
-from construction_twin.work.events import Entry
 from construction_twin.work.following import GripReading, after_restart, question
 from construction_twin.work.ledger import Ledger
 from construction_twin.work.racks import StockPlan
@@ -50,7 +49,7 @@ from construction_twin.work.recipes import read_recipes
 from construction_twin.work.schedule import Job, Schedule
 from construction_twin.work.site import pose_of
 from construction_twin.work.task_board import Prepared
-from construction_twin.work.task_memory import NotNow, TaskMemory
+from construction_twin.work.task_memory import Entry, NotNow, TaskMemory
 from construction_twin.work.task_states import TaskState
 
 HOME = np.array(robot().home)
@@ -243,6 +242,6 @@ def test_a_process_that_this_program_does_not_have_is_refused_with_its_line(tmp_
     one = ledger(tmp_path / "l")
     one.add(Entry("offered", "T", "E", offer="o", process="touch"))
     one.close()
-    monkeypatch.delitem(processes.MODULES, "touch")
+    monkeypatch.delitem(process.MODULES, "touch")
     with pytest.raises(LedgerError, match="line 2 is none of a ledger: process 'touch'; expected one of place"):
         ledger(tmp_path / "l")

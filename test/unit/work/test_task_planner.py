@@ -82,7 +82,7 @@ def test_the_tool_is_switched_where_it_touches_and_asked_while_it_carries(plans)
 def test_a_carry_is_engaged_when_the_recipe_says_so(work):
     scene = work.scene()
     job = work.job_for("brick0", scene)
-    asked = replace(job, properties={"CTwin_RobotTask": {"CarryEngaged": True}})
+    asked = replace(job, element=replace(job.element, properties={"CTwin_RobotTask": {"CarryEngaged": True}}))
     assert parts(planner().plan(asked, HOME, scene))["carry"].engaged
 
 
@@ -206,7 +206,9 @@ def test_a_tool_beside_a_neighbour_needs_the_recipes_word(tmp_path):
     job = found.job_for("b1", scene)
     with pytest.raises(TaskPlanningError, check=because("work.cannot.would_touch", first="tool/cups")):
         planner().plan(job, HOME, scene)
-    plan = planner().plan(replace(job, properties={"CTwin_RobotTask": {"Beside": "cups"}}), HOME, scene)
+    plan = planner().plan(
+        replace(job, element=replace(job.element, properties={"CTwin_RobotTask": {"Beside": "cups"}})), HOME, scene
+    )
     cups = scenes(plan)["set down"].get("tool/cups")
     assert {"b0/0", "b2/0"} & set(cups.touch) and "floor" not in cups.touch
     assert scenes(plan)["carry"].get("tool/cups").touch == ("link_6",)

@@ -30,12 +30,12 @@ from construction_twin.work import worker_functions
 from construction_twin.work.build_report import TaskResult, summary
 from construction_twin.work.building import Sequence, Task
 from construction_twin.work.built import change, pose_tuple
-from construction_twin.work.events import Entry
 from construction_twin.work.ifc.reading import read_building
 from construction_twin.work.ledger import Ledger, read_entries
 from construction_twin.work.schedule import Job, Schedule, Wait
 from construction_twin.work.site import pose_of
 from construction_twin.work.task_board import TaskBoard, WorkRefused
+from construction_twin.work.task_memory import Entry
 
 PLANNER = yaml.safe_load((ROOT / "config/planner.yaml").read_text())
 PLACE, TOUCH = "T1", "T2"

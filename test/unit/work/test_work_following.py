@@ -14,7 +14,6 @@ from construction_twin.review.record import Fate
 from construction_twin.robot.segments import Segment, Switch
 from construction_twin.scene.objects import SceneObject
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.work.events import Entry
 from construction_twin.work.following import (
     FINISHED,
     Followed,
@@ -27,7 +26,7 @@ from construction_twin.work.following import (
     question,
 )
 from construction_twin.work.ledger import Ledger
-from construction_twin.work.task_memory import TaskMemory
+from construction_twin.work.task_memory import Entry, TaskMemory
 from construction_twin.work.task_states import PLANNABLE, SETTLED, TaskState
 
 HELD_AS = (0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 1.0)

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 
 from construction_twin.core.work_errors import LedgerError
 from construction_twin.work.book import fold
-from construction_twin.work.events import Entry
 from construction_twin.work.ledger import Ledger, read_entries
-from construction_twin.work.task_memory import NotNow, TaskMemory
+from construction_twin.work.task_memory import Entry, NotNow, TaskMemory
 from construction_twin.work.task_states import (
     PLANNABLE,
     ROWS,

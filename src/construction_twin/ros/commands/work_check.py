@@ -34,10 +34,10 @@ from construction_twin.scene.objects import SceneObject
 from construction_twin.work.building import BuildingModel
 from construction_twin.work.check_report import as_json, cell_picture, row, why
 from construction_twin.work.ifc.reading import read_building
-from construction_twin.work.placement import check_placement
 from construction_twin.work.proposed_schedule import propose
 from construction_twin.work.schedule import Job, Schedule
 from construction_twin.work.site import Site, pose_of, read_site
+from construction_twin.work.standing import check_placement
 from construction_twin.work.worker import WorkerError
 
 #: By how much bodies may be larger than their element without being told [m].

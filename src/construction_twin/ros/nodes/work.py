@@ -72,12 +72,12 @@ from construction_twin.srv import (
 )
 from construction_twin.views.work_markers import DrawnElement, work_picture
 from construction_twin.work.built import change, pose_tuple
-from construction_twin.work.events import Entry
 from construction_twin.work.glb import ShownElement, glb
 from construction_twin.work.jobs import TaskMotions
 from construction_twin.work.ledger import Ledger
 from construction_twin.work.recipe import DEFAULT
 from construction_twin.work.task_board import Prepared, TaskBoard, WorkRefused
+from construction_twin.work.task_memory import Entry
 from construction_twin.work.task_states import TaskState
 from construction_twin.work.worker import Worker, WorkerError
 

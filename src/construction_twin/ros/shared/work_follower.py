@@ -18,10 +18,9 @@ from construction_twin.ros.messages.convert import trajectory_from_msg
 from construction_twin.ros.shared.work_listener import KnownPlan, WorkListener
 from construction_twin.work import engaged_scene, following
 from construction_twin.work.built import as_built, pose_of_tuple, pose_tuple
-from construction_twin.work.events import MEASURED, PLANNED, Entry
 from construction_twin.work.following import Followed, GripReading
 from construction_twin.work.task_board import TaskBoard
-from construction_twin.work.task_memory import TaskMemory
+from construction_twin.work.task_memory import MEASURED, PLANNED, Entry, TaskMemory
 from construction_twin.work.task_states import UNDER_WAY, TaskState
 
 

@@ -39,10 +39,8 @@ class Said:
     """One entry of a log.
 
     Attributes:
-        text: Short.
         code: Of the kind of message; empty: none.
         about: GlobalId; empty: of none.
-        numbers: Of the instances that it names.
         offset: Into the contents; None: it has none.
     """
 
@@ -72,10 +70,7 @@ def entries(log: str) -> Iterator[Said]:
 
 
 def check_complete(said: Iterable[Said], contents: bytes, name: str) -> None:
-    """Check that every instance that is referred to is in the file.
-
-    Raises BuildingError.
-    """
+    """Check that every instance that is referred to is in the file."""
     dropped = {line_at(contents, entry.offset)[0] for entry in said if entry.offset is not None}
     for entry in said:
         if "'ENDSEC'" in entry.text:

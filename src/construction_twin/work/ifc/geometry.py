@@ -1,12 +1,12 @@
-"""Bodies of products as triangles, by ifcopenshell's geometry kernel, and as extrusions where they are one.
+"""Bodies of products as triangles, by ifcopenshell's geometry kernel, in the element's frame [m].
 
-Triangles are in the element's frame [m], openings cut out (by manifold3d: the kernel leaves away what it cannot cut). An extrusion
-is given only when its bounding box and volume are those of the kernel's triangles: the two know nothing of each other. For a body
-that nobody can be sure of stands its bounding box.
+Openings are cut out by manifold3d: the kernel leaves away what it cannot cut. The bounding box stands for a body that nobody can be
+sure of.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -20,20 +20,9 @@ from scipy.sparse.csgraph import connected_components
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.scene.solids import mesh_of, solid
-from construction_twin.work.building import Body, Extrusion
+from construction_twin.work.building import Body
 from construction_twin.work.ifc.notes import Misread, Notes, Where
-from construction_twin.work.ifc.profiles import is_curved
-from construction_twin.work.ifc.representations import (
-    Item,
-    Items,
-    body_of,
-    bounds,
-    corners_of,
-    crosses_itself,
-    extent,
-    extrusion,
-)
-from construction_twin.work.mesh_checks import is_closed, volume
+from construction_twin.work.ifc.representations import Items, body_of, bounds
 
 #: Triangles of a file.
 MOST_TRIANGLES = 8_000_000
@@ -42,11 +31,6 @@ FARTHEST = 1e8
 #: Largest distance of the triangles from a curved surface [m]; they lie inside of a convex one.
 DEFLECTION = 0.001
 _ANGLE = 0.5
-#: By how much an extrusion's box [m, at 1 m] and volume may differ from the triangles'; where curves were replaced, as a part of
-#: the volume without holes.
-_SAME = 1e-5
-_SAME_VOLUME = 1e-5
-_CURVED_VOLUME = 0.06
 #: By how much an opening is larger than it is given [m], so that no skin is left where a face of it lies in one of the element's.
 _GROWN = 1e-7
 #: By what part of it openings take volume away at least.
@@ -72,7 +56,6 @@ class Shape:
     """What the kernel made of a product.
 
     Attributes:
-        id: The product's.
         bodies: In the frame of `model_T_shape`.
         model_T_shape: Shape (4, 4) [m]; None: the element's own frame.
         doubt: Why the bodies are not one workpiece as the model says, and what stands for it: the box around everything it can
@@ -106,13 +89,8 @@ def shapes(
     """Make the bodies of products; one of which nothing is made has none, and is doubted.
 
     Args:
-        name: For messages.
-        bodies: Body representation by the product's id.
         openings: What is cut from a product, by its id, and whether that is an opening of its own: else of what it is a part of.
         unit: Metres per length unit.
-        progress: Takes how many are done, of how many.
-
-    Raises BuildingError.
     """
     items = Items(name)
     for representation in bodies.values():
@@ -181,17 +159,13 @@ def _made(file: ifcopenshell.file, name: str, bodies: Mapping[int, ifcopenshell.
 
 
 def _shape(
-    made: _Made, items: list[Item], openings: Sequence[tuple[int, bool]], holes: Mapping[int, _Made],
+    made: _Made, items: list[ifcopenshell.entity_instance], openings: Sequence[tuple[int, bool]], holes: Mapping[int, _Made],
     unit: float, about: str, notes: Notes,
 ) -> Shape:  # fmt: skip
-    bodies = tuple(_bodies(made, [] if openings else items, unit, about, notes))
+    bodies = tuple(_bodies(made, [] if openings else items, about, notes))
     shape = Shape(made.id, bodies, made.matrix)
-    if crossed := _crossed(items, unit):
-        return replace(
-            shape, bodies=(box(np.concatenate([made.vertices, *crossed])),), doubt=Sentence("ifc.doubt.crossed")
-        )
     if less := _less(items, made.owners):
-        return shape.doubted(Sentence("ifc.doubt.less", problem=less), *(bounds(item.entity) * unit for item in items))
+        return shape.doubted(Sentence("ifc.doubt.less", problem=less), *(bounds(item) * unit for item in items))
     if not all(map(_is_simple, bodies)):
         return shape.doubted(Sentence("ifc.doubt.within"))
     if openings:
@@ -201,7 +175,7 @@ def _shape(
         shape = replace(shape, bodies=cut)
         if (pieces := pieces_of(cut)) > 1:
             return replace(shape, doubt=Sentence("ifc.doubt.in_pieces", count=pieces))
-    whole = sum(volume(body.vertices, body.triangles) for body in shape.bodies if is_closed(body.triangles))
+    whole = sum(body.volume for body in shape.bodies if body.is_closed)
     if whole > _hull_volume(made.vertices) * (1.0 + _OVERLAP):
         return shape.doubted(Sentence("ifc.doubt.more"))
     return shape
@@ -213,20 +187,19 @@ def _hull_volume(vertices: np.ndarray) -> float:
 
 def _is_simple(body: Body) -> bool:
     """Return whether no part of a closed body lies within another one but as a cavity, turned inwards."""
-    pieces = _split(body.triangles) if is_closed(body.triangles) else []
+    pieces = [Body(body.vertices, piece) for piece in _split(body.triangles)] if body.is_closed else []
     if len(pieces) < 2:
         return True
     whole, cavities = manifold3d.Manifold(), manifold3d.Manifold()
     for piece in pieces:
-        found = solid(body.vertices, piece)
+        found = solid(piece.vertices, piece.triangles)
         if found is None:
             return False
-        if volume(body.vertices, piece) > 0:
+        if piece.volume > 0:
             whole += found
         else:
             cavities += found
-    enclosed = volume(body.vertices, body.triangles)
-    return abs((whole - cavities).volume() - enclosed) <= _ROUNDING * enclosed
+    return abs((whole - cavities).volume() - body.volume) <= _ROUNDING * body.volume
 
 
 def _cut(shape: Shape, openings: Sequence[tuple[int, bool]], holes: Mapping[int, _Made]) -> tuple[Body, ...] | None:
@@ -263,13 +236,11 @@ def pieces_of(bodies: Sequence[Body]) -> int:
     return int(connected_components(touching, directed=False)[0]) if pieces else 0
 
 
-def _less(items: list[Item], owners: np.ndarray) -> str:
+def _less(items: list[ifcopenshell.entity_instance], owners: np.ndarray) -> str:
     """Return the items with a surface that gave no triangle, as ``#12=IfcExtrudedAreaSolid``; empty: there is none."""
     made = set(owners.tolist())
     missing = [
-        f"#{item.entity.id()}={item.entity.is_a()}"
-        for item in items
-        if _has_surface(item.entity) and made.isdisjoint(_numbers(item.entity))
+        f"#{item.id()}={item.is_a()}" for item in items if _has_surface(item) and made.isdisjoint(_numbers(item))
     ]
     return ", ".join(dict.fromkeys(missing[:3]))
 
@@ -283,12 +254,6 @@ def _numbers(item: ifcopenshell.entity_instance) -> set[int]:
     parts = (getattr(item, name, ()) or () for name in ("TreeRootExpression", "FbsmFaces", "SbsmBoundary"))
     flat = (each for part in parts for each in (part if isinstance(part, tuple) else (part,)))
     return {item.id(), *(each.id() for each in flat)}
-
-
-def _crossed(items: list[Item], unit: float) -> list[np.ndarray]:
-    """Return the corners of the extrusions whose profile crosses itself."""
-    given = (extrusion(item, unit) for item in items)
-    return [corners_of(each) for each in given if each is not None and crosses_itself(each)]
 
 
 def box(points: np.ndarray) -> Body:
@@ -333,10 +298,7 @@ def _arrays(geometry: object) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def check_mesh(name: str, product: ifcopenshell.entity_instance, vertices: np.ndarray, total: int) -> None:
-    """Check what the kernel made.
-
-    Raises BuildingError.
-    """
+    """Check what the kernel made."""
     what = Sentence("ifc.element", id=repr(product.GlobalId))
     if total > MOST_TRIANGLES:
         raise BuildingError(name, what, Sentence("ifc.found.triangles", most=MOST_TRIANGLES), Sentence("ifc.less"))
@@ -344,20 +306,16 @@ def check_mesh(name: str, product: ifcopenshell.entity_instance, vertices: np.nd
         raise BuildingError(name, what, Sentence("ifc.found.corners"), Sentence("ifc.at_most", most=FARTHEST))
 
 
-def _bodies(made: _Made, items: list[Item], unit: float, about: str, notes: Notes) -> Iterator[Body]:
-    exact: dict[int, list[tuple[Extrusion | None, bool]]] = {}
-    for item in items:
-        curved = item.entity.is_a("IfcSweptAreaSolid") and is_curved(item.entity.SweptArea)
-        exact.setdefault(item.entity.id(), []).append((extrusion(item, unit), curved))
+def _bodies(made: _Made, items: list[ifcopenshell.entity_instance], about: str, notes: Notes) -> Iterator[Body]:
+    copies = Counter(item.id() for item in items)
     for owner in dict.fromkeys(made.owners.tolist()):
         part = made.triangles[made.owners == owner]
-        candidates = exact.get(owner, [])
         # the same item, mapped several times
-        for each in _split(part) if len(candidates) > 1 else [part]:
+        for each in _split(part) if copies[owner] > 1 else [part]:
             used, corners = np.unique(each, return_inverse=True)
             body = _oriented(made.vertices[used], corners.reshape(-1, 3).astype(np.int32), about, notes)
             if body is not None:
-                yield Body(body.vertices, body.triangles, _agreeing(body, candidates))
+                yield body
 
 
 def _split(triangles: np.ndarray) -> list[np.ndarray]:
@@ -370,44 +328,20 @@ def _split(triangles: np.ndarray) -> list[np.ndarray]:
 
 
 def _oriented(vertices: np.ndarray, triangles: np.ndarray, about: str, notes: Notes) -> Body | None:
-    vertices, triangles = _welded(vertices, triangles)
-    if len(triangles) == 0:
-        notes.add(Sentence("ifc.note.no_extent"), about)
-        return None
-    if not is_closed(triangles):
+    body = _welded(vertices, triangles)
+    if len(body.triangles) and not body.is_closed:
         notes.add(Sentence("ifc.note.not_closed"), about)
-        return Body(vertices, triangles)
-    enclosed = volume(vertices, triangles)
+        return body
+    enclosed = body.volume
     if abs(enclosed) < 1e-15:
         notes.add(Sentence("ifc.note.no_extent"), about)
         return None
-    return Body(vertices, triangles if enclosed > 0 else np.ascontiguousarray(triangles[:, ::-1]))
+    return body if enclosed > 0 else Body(body.vertices, np.ascontiguousarray(body.triangles[:, ::-1]))
 
 
-def _welded(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _welded(vertices: np.ndarray, triangles: np.ndarray) -> Body:
     """Vertices at the same place are one; triangles that have two corners there are none."""
     places, index = np.unique(vertices, axis=0, return_inverse=True)
     triangles = index.reshape(-1)[triangles].astype(np.int32)
     a, b, c = triangles.T
-    return places, np.ascontiguousarray(triangles[(a != b) & (b != c) & (c != a)])
-
-
-def _agreeing(body: Body, candidates: list[tuple[Extrusion | None, bool]]) -> Extrusion | None:
-    if not candidates or not is_closed(body.triangles):
-        return None
-    low, high = body.vertices.min(axis=0), body.vertices.max(axis=0)
-    enclosed = volume(body.vertices, body.triangles)
-    for given, curved in candidates:
-        if given is None:
-            continue
-        least, most, whole, outer = extent(given)
-        off = max(np.abs(least - low).max(), np.abs(most - high).max())
-        scale = max(1.0, float(np.abs([low, high]).max()))
-        if off <= _SAME * scale and abs(whole - enclosed) <= _SAME_VOLUME * whole + 1e-9:
-            return given
-        # polygons around curves contain what the triangles approximate from within
-        around = (least <= low + _SAME * scale).all() and (most >= high - _SAME * scale).all()
-        near = off <= 0.02 * float((high - low).max()) + 2 * DEFLECTION
-        if curved and around and near and -1e-6 * outer <= whole - enclosed <= _CURVED_VOLUME * outer:
-            return given
-    return None
+    return Body(places, np.ascontiguousarray(triangles[(a != b) & (b != c) & (c != a)]))

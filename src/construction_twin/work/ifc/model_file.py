@@ -23,7 +23,7 @@ from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.building import BuildingModel, Element
 
 #: Of the form below and of what the reader understands: another number, and what is in a cache is read anew.
-VERSION = 7
+VERSION = 8
 #: Largest file [bytes].
 MOST_BYTES = 1 << 30
 #: Longest text about what is wrong with one [characters].
@@ -35,12 +35,7 @@ _MODEL: TypeAdapter[tuple[BuildingModel]] = TypeAdapter(
 
 
 def save(model: BuildingModel, path: Path) -> None:
-    """Write a model.
-
-    Raises:
-        BuildingError: If it is larger than what would be read again.
-        OSError: If it cannot be written.
-    """
+    """Write a model."""
     arrays: dict[str, list[np.ndarray]] = {"numbers": [np.empty(0)], "indices": [np.empty(0, np.int32)]}
     places = dict.fromkeys(arrays, 0)
 
@@ -70,10 +65,6 @@ def save(model: BuildingModel, path: Path) -> None:
 
 def load(path: Path, file: str, digest: str) -> BuildingModel:
     """Read a model.
-
-    Args:
-        file: Name of the IFC file.
-        digest: SHA-256 of the IFC file that it must be of.
 
     Raises:
         BuildingError: If it is not what `save` writes.
@@ -150,15 +141,10 @@ def _with_key(text: str) -> str:
 
 def _check(element: Element) -> None:
     """Check the shapes of an element's arrays, and that its triangles have the corners that they name."""
-    poses = [element.model_T_element, *(body.extrusion.element_T_profile for body in element.bodies if body.extrusion)]
-    wanted: list[tuple[np.ndarray, tuple[int, ...]]] = []
-    for pose in poses:
-        wanted += [(pose.position, (3,)), (pose.rotation, (3, 3))]
+    pose = element.model_T_element
+    wanted: list[tuple[np.ndarray, tuple[int, ...]]] = [(pose.position, (3,)), (pose.rotation, (3, 3))]
     for body in element.bodies:
         wanted += [(body.vertices, (-1, 3)), (body.triangles, (-1, 3))]
-        if body.extrusion is not None:
-            wanted += [(loop, (-1, 2)) for loop in (body.extrusion.outline, *body.extrusion.holes)]
-            wanted.append((body.extrusion.direction, (3,)))
     for array, shape in wanted:
         if array.ndim != len(shape) or any(size not in (-1, have) for size, have in zip(shape, array.shape)):
             raise ValueError(

@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
-from construction_twin.work.first_few import first_few
+from construction_twin.work.names import first_few
 
 _NAMED = 5
 #: Remarks of one element or task.
@@ -71,10 +71,6 @@ class Misread(BuildingError):
 
 class Where:
     """Says which file and entity cannot be read, when ifcopenshell raises an exception of its own.
-
-    Args:
-        file: Name for messages.
-        entity: Anything that prints as what is being read, a cheap one: it is made for each entity.
 
     Note:
         A broken file can make ifcopenshell raise almost anything (a value of another type than the schema's makes Python code that

@@ -13,7 +13,6 @@ from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.building import Body, Value
 from construction_twin.work.ifc.notes import Notes, Where, label
 from construction_twin.work.ifc.units import KINDS, Units, si_factor
-from construction_twin.work.mesh_checks import is_closed, volume
 
 Sets = dict[str, dict[str, Value]]
 
@@ -159,8 +158,7 @@ def read_mass(
 
     One that its volume cannot have is noted.
     """
-    closed = bool(bodies) and all(is_closed(body.triangles) for body in bodies)
-    whole = sum(volume(body.vertices, body.triangles) for body in bodies) if closed else 0.0
+    whole = sum(body.volume for body in bodies) if all(body.is_closed for body in bodies) else 0.0
     for quantity in _WEIGHTS:
         for name, values in sets.items():
             value = values.get(quantity)

@@ -23,17 +23,74 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.work.building import Body, BuildingModel, Element, Task
 from construction_twin.work.ifc.doubts import Doubts, check_complete, entries
 from construction_twin.work.ifc.geometry import NO_UNIT_CODES, Shape, shapes
-from construction_twin.work.ifc.notes import Misread, Notes, Where
-from construction_twin.work.ifc.placements import Placements, check_rigid
+from construction_twin.work.ifc.notes import Misread, Notes, Where, label
 from construction_twin.work.ifc.properties import HEAVIEST, read_mass, read_material, read_properties, read_status
 from construction_twin.work.ifc.relations import Relations, read_relations
 from construction_twin.work.ifc.representations import body_of, bounds
 from construction_twin.work.ifc.step_text import for_parser
 from construction_twin.work.ifc.tasks import Groups, read_tasks, unique_id
 from construction_twin.work.ifc.units import Units, read_units
-from construction_twin.work.mesh_checks import volume
-from construction_twin.work.wholes import in_one_piece
-from construction_twin.work.workpieces import is_workpiece
+from construction_twin.work.wholes import in_one_piece, is_workpiece
+
+#: Farther from the origin [m] no model is; map coordinates reach 1e7.
+FARTHEST = 1e8
+
+
+class Placements:
+    """Placements of a file, each computed once.
+
+    Args:
+        unit: Metres per length unit.
+    """
+
+    def __init__(self, name: str, unit: float):
+        self._name, self._unit = name, unit
+        self._known: dict[int, np.ndarray | None] = {}
+
+    def matrix(self, product: ifcopenshell.entity_instance) -> np.ndarray | None:
+        """Return ``model_T_element`` of a product [m], shape (4, 4); None: on a grid or alignment, which the kernel knows."""
+        with Where(self._name, product):
+            placement = product.ObjectPlacement
+        if placement is None:
+            return np.eye(4)
+        chain: dict[int, ifcopenshell.entity_instance] = {}
+        while placement is not None and placement.id() not in self._known:
+            if placement.id() in chain:
+                raise BuildingError(
+                    self._name, label(placement), Sentence("ifc.found.relative"), Sentence("ifc.no_loop")
+                )
+            chain[placement.id()] = placement
+            with Where(self._name, placement):
+                placement = placement.PlacementRelTo if placement.is_a("IfcLocalPlacement") else None
+        parent = np.eye(4) if placement is None else self._known[placement.id()]
+        for each in reversed(chain.values()):
+            parent = self._step(parent, each)
+            self._known[each.id()] = parent
+        return parent
+
+    def _step(self, parent: np.ndarray | None, placement: ifcopenshell.entity_instance) -> np.ndarray | None:
+        if parent is None or not placement.is_a("IfcLocalPlacement"):
+            return None
+        with Where(self._name, placement), np.errstate(all="ignore"):
+            relative = np.array(
+                ifcopenshell.util.placement.get_axis2placement(placement.RelativePlacement), dtype=float
+            )
+            relative[:3, 3] *= self._unit
+            # IFC's x axis is the given one projected at right angles to z
+            relative[:3, 0] = np.cross(relative[:3, 1], relative[:3, 2])
+            matrix = parent @ relative
+        check_rigid(self._name, placement, matrix)
+        return matrix
+
+
+def check_rigid(name: str, entity: object, matrix: np.ndarray) -> None:
+    """Check that a matrix is a rotation and a shift that a building can have."""
+    if not np.isfinite(matrix).all() or not np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-6):
+        raise BuildingError(name, label(entity), Sentence("ifc.found.axes"), Sentence("ifc.no_axes"))
+    if np.abs(matrix[:3, 3]).max() > FARTHEST:
+        far = Sentence("ifc.found.far", distance=float(np.abs(matrix[:3, 3]).max()))
+        raise BuildingError(name, label(entity), far, Sentence("ifc.at_most", most=FARTHEST))
+
 
 #: Entities whose meaning the work would need, and what is not done with them.
 _UNREAD = {
@@ -99,13 +156,7 @@ class _Found:
 
 
 def read_ifc(path: str | Path, most_bytes: int, progress: Progress = lambda *_: None) -> BuildingModel:
-    """Read a file.
-
-    Args:
-        most_bytes: Largest file.
-
-    Raises BuildingError.
-    """
+    """Read a file."""
     name = Path(path).name
     progress("open", 0, 1)
     contents = _contents(path, name, most_bytes)
@@ -312,11 +363,7 @@ def _note_more(
 
 
 def _take_kernel_log(found: _Found) -> None:
-    """Note what the kernel said of shapes, and doubt those that it said it of.
-
-    Raises:
-        BuildingError: If the kernel does not know in which unit the lengths are.
-    """
+    """Note what the kernel said of shapes, and doubt those that it said it of."""
     for entry in entries(ifcopenshell.get_log()):
         if entry.code in NO_UNIT_CODES:
             raise BuildingError(found.name, Sentence("ifc.project_units"), entry.text, Sentence("ifc.kernel_unit"))
@@ -416,10 +463,7 @@ def _in_frame(shape: Shape, matrix: np.ndarray) -> tuple[Body, ...]:
     offset = np.linalg.inv(matrix) @ shape.model_T_shape
     if np.allclose(offset, np.eye(4), atol=1e-6):
         return shape.bodies
-    return tuple(
-        replace(body, vertices=body.vertices @ offset[:3, :3].T + offset[:3, 3], extrusion=None)
-        for body in shape.bodies
-    )
+    return tuple(Body(body.vertices @ offset[:3, :3].T + offset[:3, 3], body.triangles) for body in shape.bodies)
 
 
 def _hand_down_status(elements: dict[str, Element], notes: Notes) -> None:
@@ -450,4 +494,4 @@ def _without_doubles(elements: dict[str, Element], notes: Notes) -> dict[str, El
 
 
 def _volume(element: Element) -> float:
-    return sum(abs(volume(body.vertices, body.triangles)) for body in element.bodies)
+    return sum(abs(body.volume) for body in element.bodies)

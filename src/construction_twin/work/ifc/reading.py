@@ -40,7 +40,6 @@ class Bounds:
     """What the reading of one file may take.
 
     Attributes:
-        file_bytes: Largest file.
         memory_bytes: Address space of the process, of which the libraries take about 1 GiB.
         cpu: Processor time [s].
         wall: Time until it is ended [s]; more than `cpu`, for a machine that does something else as well.
@@ -62,7 +61,6 @@ def read_building(
 
     Args:
         cache: Folder in which what was read is kept, by the file's SHA-256; made if it is not there. None: it is read every time.
-        progress: For a progress bar; not called when the model comes from the cache.
 
     Raises:
         BuildingError: One sentence: what is wrong with the file, or which bound its reading went over.

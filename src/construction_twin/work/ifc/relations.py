@@ -26,9 +26,6 @@ class Relations:
     """Parents by the id of the part.
 
     Attributes:
-        whole: What a part is aggregated or nested into.
-        container: Spatial element that holds an element.
-        openings: What is cut from an element.
         on: What something fills, covers, projects from or fastens.
         members: What a group or a part of the site holds, by its own id.
     """
@@ -75,11 +72,7 @@ class Relations:
 
 
 def read_relations(file: ifcopenshell.file, name: str) -> Relations:
-    """Read them.
-
-    Raises:
-        BuildingError: If something is part of itself.
-    """
+    """Read them."""
     whole: dict[int, ifcopenshell.entity_instance] = {}
     members: _Entities = defaultdict(list)
     # in IFC2x3 both are subtypes of IfcRelDecomposes; nesting of tasks and resources is read with them, for its loops

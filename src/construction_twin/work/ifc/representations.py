@@ -1,4 +1,4 @@
-"""Which representation of a product is its body, what it is made of, and which of that is an extrusion.
+"""Which representation of a product is its body, what it is made of, and how far that reaches.
 
 Mapped items are followed here before the geometry kernel does: a loop, or a few lines that mean a million copies, is refused.
 """
@@ -6,19 +6,13 @@ Mapped items are followed here before the geometry kernel does: a loop, or a few
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import ifcopenshell
-import ifcopenshell.util.placement
 import numpy as np
-import shapely
 
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
-from construction_twin.kinematics.chain import Pose
-from construction_twin.work.building import Extrusion
 from construction_twin.work.ifc.notes import Where, label
-from construction_twin.work.ifc.profiles import outlines, signed_area
 
 #: Identifiers of representations that are a body, the best first.
 _BODIES = ("Body", "Body-FallBack", "Facetation", "Tessellation", "Mesh")
@@ -50,18 +44,6 @@ MOST_ITEMS = 100_000
 DEEPEST = 200
 
 
-@dataclass(frozen=True)
-class Item:
-    """One item of a representation, mapped items resolved.
-
-    Attributes:
-        placement: Shape (4, 4). Where mapped items put it, in the file's units; None: nowhere that is computed here.
-    """
-
-    entity: ifcopenshell.entity_instance
-    placement: np.ndarray | None
-
-
 def body_of(product: ifcopenshell.entity_instance) -> ifcopenshell.entity_instance | None:
     """Return a product's body representation; None: it has none."""
     definition = getattr(product, "Representation", None)
@@ -84,10 +66,7 @@ class Items:
         self._counts: dict[int, int] = {}
 
     def check(self, representation: ifcopenshell.entity_instance) -> None:
-        """Check that a representation is no loop and of bounded size.
-
-        Raises BuildingError.
-        """
+        """Check that a representation is no loop and of bounded size."""
         self._count(representation, ())
 
     def _count(self, node: ifcopenshell.entity_instance, path: tuple[int, ...]) -> int:
@@ -113,10 +92,10 @@ class Items:
         self._counts[node.id()] = count
         return count
 
-    def resolved(self, representation: ifcopenshell.entity_instance) -> list[Item]:
-        """Return what a representation that was checked is made of."""
-        with Where(self._name, representation), np.errstate(all="ignore"):
-            return _resolved(representation, np.eye(4))
+    def resolved(self, representation: ifcopenshell.entity_instance) -> list[ifcopenshell.entity_instance]:
+        """Return the items of a representation that was checked, those of mapped items in their place."""
+        with Where(self._name, representation):
+            return list(_resolved(representation))
 
 
 def _parts(node: ifcopenshell.entity_instance) -> tuple[ifcopenshell.entity_instance, ...]:
@@ -131,76 +110,12 @@ def _parts(node: ifcopenshell.entity_instance) -> tuple[ifcopenshell.entity_inst
     return ()
 
 
-def _resolved(representation: ifcopenshell.entity_instance, placement: np.ndarray | None) -> list[Item]:
-    found = []
+def _resolved(representation: ifcopenshell.entity_instance) -> Iterator[ifcopenshell.entity_instance]:
     for item in representation.Items:
-        if not item.is_a("IfcMappedItem"):
-            found.append(Item(item, placement))
-            continue
-        inner = None
-        if placement is not None and item.MappingTarget.is_a("IfcCartesianTransformationOperator3D"):
-            inner = placement @ ifcopenshell.util.placement.get_mappeditem_transformation(item)
-        found += _resolved(item.MappingSource.MappedRepresentation, inner)
-    return found
-
-
-def extrusion(item: Item, unit: float) -> Extrusion | None:
-    """Return an item as an extrusion in the element's frame; None: it is none, or its profile becomes no polygon.
-
-    Args:
-        unit: Metres per length unit.
-    """
-    solid = item.entity
-    if solid.is_a() != "IfcExtrudedAreaSolid" or item.placement is None:
-        return None
-    if (profile := outlines(solid.SweptArea)) is None:
-        return None
-    placement = item.placement
-    if solid.Position is not None:
-        placement = placement @ ifcopenshell.util.placement.get_axis2placement(solid.Position)
-    direction = np.array(solid.ExtrudedDirection.DirectionRatios, dtype=float)
-    return _moved(profile, placement, direction / np.linalg.norm(direction) * solid.Depth, unit)
-
-
-def _moved(
-    profile: tuple[np.ndarray, tuple[np.ndarray, ...]], placement: np.ndarray, sweep: np.ndarray, unit: float
-) -> Extrusion | None:
-    """The extrusion in a right-handed orthonormal frame, whatever scale and mirror the placement has."""
-    linear = placement[:3, :3] * unit
-    x = linear[:, 0] / np.linalg.norm(linear[:, 0])
-    z = np.cross(x, linear[:, 1])
-    z = z / np.linalg.norm(z)
-    rotation = np.column_stack([x, np.cross(z, x), z])
-    flat = (rotation.T @ linear)[:2, :2]
-    moved = rotation.T @ linear @ sweep
-    depth = float(np.linalg.norm(moved))
-    if not np.isfinite(rotation).all() or not np.isfinite(depth) or depth <= 0 or abs(moved[2]) < 1e-6 * depth:
-        return None
-    outline, holes = (profile[0] @ flat.T, tuple(hole @ flat.T for hole in profile[1]))
-    if np.linalg.det(flat) < 0:
-        outline, holes = outline[::-1], tuple(hole[::-1] for hole in holes)
-    pose = Pose(placement[:3, 3] * unit, rotation)
-    return Extrusion(np.ascontiguousarray(outline), tuple(map(np.ascontiguousarray, holes)), pose, moved / depth, depth)
-
-
-def extent(given: Extrusion) -> tuple[np.ndarray, np.ndarray, float, float]:
-    """Return an extrusion's bounding box in the element's frame and its volumes, to compare it with triangles.
-
-    Returns:
-        low, high: Shape (3,). [m]
-        volume, outer: With its holes, and as if it had none [m³].
-    """
-    corners = corners_of(given)
-    outer, *holes = (signed_area(loop) for loop in (given.outline, *given.holes))
-    length = given.depth * abs(float(given.direction[2]))
-    return corners.min(axis=0), corners.max(axis=0), (outer + sum(holes)) * length, outer * length
-
-
-def corners_of(given: Extrusion) -> np.ndarray:
-    """Return the corners of an extrusion's outline at both of its ends, in the element's frame [m], shape (2 k, 3)."""
-    flat = np.column_stack([given.outline, np.zeros(len(given.outline))])
-    corners = np.concatenate([flat, flat + given.direction * given.depth])
-    return corners @ given.element_T_profile.rotation.T + given.element_T_profile.position
+        if item.is_a("IfcMappedItem"):
+            yield from _resolved(item.MappingSource.MappedRepresentation)
+        else:
+            yield item
 
 
 def bounds(node: ifcopenshell.entity_instance) -> np.ndarray:
@@ -263,8 +178,3 @@ def _reach_of(value: object, name: str, known: dict[int, float]) -> float:
         return max((_reach_of(each, name, known) for each in value), default=0.0)
     # the largest coordinate of a point is within its distance
     return 2.0 * abs(value) if isinstance(value, float) and name.startswith("Coord") else 0.0
-
-
-def crosses_itself(given: Extrusion) -> bool:
-    """Return whether the profile of an extrusion crosses itself: nobody can say then what of it is solid."""
-    return not shapely.Polygon(given.outline, given.holes).is_valid

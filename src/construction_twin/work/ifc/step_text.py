@@ -31,10 +31,7 @@ _SCHEMA = re.compile(rb"FILE_SCHEMA\s*\(\s*\(\s*'([^']*)'")
 
 
 def check_form(contents: bytes, name: str) -> None:
-    """Check that contents are a STEP file from its beginning to its end.
-
-    Raises BuildingError.
-    """
+    """Check that contents are a STEP file from its beginning to its end."""
     begun = _from_start(contents)
     if not begun.startswith(_MAGIC):
         shown = Sentence("ifc.found.begins", contents=repr(contents[:20])) if contents else Sentence("ifc.found.empty")
@@ -54,11 +51,7 @@ def _from_start(contents: bytes) -> bytes:
 
 
 def for_parser(contents: bytes, name: str, notes: Notes) -> bytes:
-    """Return contents as the parser reads all of them; letters that it would drop are noted.
-
-    Raises:
-        BuildingError: If the file is of a schema that nothing here reads.
-    """
+    """Return contents as the parser reads all of them; letters that it would drop are noted."""
     return _in_ascii(_of_last_publication(contents, name), notes)
 
 

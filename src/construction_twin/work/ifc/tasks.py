@@ -80,9 +80,6 @@ class _Assigned:
 class Groups:
     """What tasks are assigned to: elements, and groups and parts of the site, which become records of their own.
 
-    Args:
-        ids: Id of the element's record, by the entity's id.
-
     Attributes:
         elements: Records of the groups and parts of the site that tasks are assigned to, by their ids.
     """
@@ -118,11 +115,7 @@ def read_tasks(
     """Read tasks and sequences.
 
     Args:
-        name: For messages.
         given: Ids of elements that a task builds where it has them as inputs only.
-        units: The project's.
-
-    Raises BuildingError.
     """
     assigned = _assigned(file, name, notes)
     every = sorted(file.by_type("IfcTask"), key=lambda task: task.id())

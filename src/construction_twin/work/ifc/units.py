@@ -68,11 +68,7 @@ class Units:
 
 
 def read_units(file: ifcopenshell.file, name: str, notes: Notes) -> Units:
-    """Read the project's units.
-
-    Raises:
-        BuildingError: If there is no project, no length unit, or one that no building is drawn in.
-    """
+    """Read the project's units."""
     projects = file.by_type("IfcProject")
     if not projects:
         raise BuildingError(name, "IFCPROJECT", Sentence("ifc.found.none"), Sentence("ifc.a_project"))

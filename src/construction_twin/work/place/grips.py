@@ -30,7 +30,7 @@ _SKIN = 5e-4
 _UP = math.radians(30.0)
 #: A face lies along an axis if its normal is within this angle of it [rad].
 _ALONG = math.radians(5.0)
-_AXES = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
+AXES = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,6 @@ class Grip:
         element_T_tcp: Where the tool's centre point is at the element in its stock; z into the face.
         element_T_turned: The frame in the element that takes the place of its own from the grip on: another one only for an element
             that is the same body when it is turned.
-        cups: That hold.
     """
 
     name: str
@@ -56,7 +55,6 @@ class GripSearch:
     """What was found, and why not more.
 
     Attributes:
-        grips: The best first.
         reason: Why the candidate that came furthest was left out, as a part of a sentence; for when there is no grip.
     """
 
@@ -170,11 +168,11 @@ def _looks(normal: np.ndarray, word: str, up: np.ndarray) -> bool:
         return True
     if word == "up":
         return float(normal @ up) >= math.cos(_UP)
-    return float(normal @ _AXES[word]) >= math.cos(_ALONG)
+    return float(normal @ AXES[word]) >= math.cos(_ALONG)
 
 
 def _axis_name(normal: np.ndarray) -> str:
-    for name, axis in _AXES.items():
+    for name, axis in AXES.items():
         if float(normal @ axis) >= math.cos(_ALONG):
             return name
     return "face " + " ".join(f"{value:.2f}" for value in normal)

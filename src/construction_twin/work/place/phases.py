@@ -17,11 +17,9 @@ from construction_twin.robot.tool import ToolFile
 from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.work.contacts import TOOL, Shapes, changed, straight, tool_objects, touching
 from construction_twin.work.jobs import WorkJob
-from construction_twin.work.place.grips import Grip
+from construction_twin.work.place.grips import AXES, Grip
 from construction_twin.work.place.recipe import Direction, PlaceRecipe
 from construction_twin.work.site import inverse, pose_of
-
-_AXES = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,11 +28,8 @@ class Ways:
 
     Attributes:
         before: Before the tool goes to the element in the stock.
-        stock: Where it grips.
         lifted, above: Where the free way with the element begins and ends.
-        goal: Where it lets go.
         after: Where the tool has gone away from the element.
-        tool0_T_element: How the element is held.
     """
 
     before: Pose
@@ -48,11 +43,7 @@ class Ways:
 
 @dataclass(frozen=True, eq=False)
 class Scenes:
-    """The scene of each part of a task.
-
-    Attributes:
-        fetch, approach, lift, carry, set_down, retreat, done: In this order.
-    """
+    """The scene of each part of a task."""
 
     fetch: Scene
     approach: Scene
@@ -89,15 +80,11 @@ def ways(job: WorkJob, grip: Grip, recipe: PlaceRecipe, tool: ToolFile, leave: n
 
 
 def direction(asked: Direction, base_T_element: Pose) -> np.ndarray:
-    """Return a direction of a recipe as a unit vector in the base_link, shape (3,).
-
-    Raises:
-        ConfigurationError: Of a vector without a length.
-    """
+    """Return a direction of a recipe as a unit vector in the base_link, shape (3,)."""
     if asked == "up":
         return np.array([0.0, 0.0, 1.0])
     if isinstance(asked, str):
-        return base_T_element.rotation @ np.array(_AXES[asked], dtype=float)
+        return base_T_element.rotation @ np.array(AXES[asked], dtype=float)
     vector = np.array(asked, dtype=float)
     length = float(np.linalg.norm(vector))
     if length == 0.0:
@@ -112,7 +99,6 @@ def scenes(
 
     Args:
         scene: The present one: with the tool's shapes and the element in stock.
-        link: The robot's tip link.
     """
     bare = tool_objects(tool, link)
     own = {item.name for item in job.bodies}

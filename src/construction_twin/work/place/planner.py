@@ -42,10 +42,7 @@ _NEAR_LIMIT = 0.01
 
 
 def check(search: Search) -> None:
-    """Refuse what cannot be placed at all: by its mass, or because it is neither in its stock nor, where it is held, in the grip.
-
-    Raises TaskPlanningError.
-    """
+    """Refuse what cannot be placed at all: by its mass, or because it is neither in its stock nor, if held, in the grip."""
     job = search.job
     mass_of(job, search.name, search.recipe, search.tool.tool)
     if job.base_T_stock is None:
@@ -123,7 +120,7 @@ def _check_stock(search: Search) -> None:
     assert job.base_T_stock is not None
     present = {item.name: item for item in search.scene.objects}
     if not job.bodies:
-        raise TaskPlanningError(job.task, Sentence("work.cannot.no_bodies", element=job.element))
+        raise TaskPlanningError(job.task, Sentence("work.cannot.no_bodies", element=job.element.id))
     for item in job.bodies:
         found = present.get(item.name)
         if found is None:
@@ -142,7 +139,7 @@ def _falls(search: Search) -> str:
     others = [item for item in search.scene.objects if not item.link and item.name not in own]
     if recipe.place.fastened or search.shapes.holder(job.bodies, job.base_T_goal, others, np.array(job.up)):
         return ""
-    return Sentence("work.cannot.falls", element=job.element_name or job.element, gap=1e3 * FALL)
+    return Sentence("work.cannot.falls", element=job.element.name or job.element.id, gap=1e3 * FALL)
 
 
 def _with_grip(search: Search, grip: Grip) -> TaskMotions:

@@ -164,8 +164,8 @@ def mass_of(job: WorkJob, name: str, recipe: PlaceRecipe, tool: Tool) -> float:
     Raises:
         TaskPlanningError: If it is not known, or too large for tool or load.
     """
-    own = job.properties.get(PROPERTY_SET, {})
-    mass = recipe.mass if "Mass" in own or job.mass is None else job.mass
+    own = job.element.properties.get(PROPERTY_SET, {})
+    mass = recipe.mass if "Mass" in own or job.element.mass is None else job.element.mass
     if mass is None:
         raise TaskPlanningError(
             job.task,
@@ -183,11 +183,7 @@ def mass_of(job: WorkJob, name: str, recipe: PlaceRecipe, tool: Tool) -> float:
 
 
 def check_tool(recipe: PlaceRecipe, tool: Tool, where: str) -> None:
-    """Check that a recipe names shapes that the tool has.
-
-    Raises:
-        ConfigurationError: Naming key and shape.
-    """
+    """Check that a recipe names shapes that the tool has."""
     for key, shapes in (("touching", recipe.grips.touching), ("beside", recipe.grips.beside)):
         for shape in shapes:
             if shape not in tool.shapes:
