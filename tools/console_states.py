@@ -186,7 +186,7 @@ STATES = (
     State("motion", lambda robot, page: page.tab("motion")),
     State("messages", lambda robot, page: page.tab("messages")),
     State("old", _old),
-    State("viewer", _review, account="one-viewer-vic"),
+    State("viewer", _review, account="vic"),
 )
 
 

@@ -49,7 +49,7 @@ def robot(site) -> Iterator[ScriptedRobot]:
 def _picture_page(browser, _started_site) -> Iterator[ConsolePage]:
     """A reviewer's page with a picture, which software draws: small, and with one robot's meshes loaded once."""
     page = ConsolePage(browser, _started_site.url, size=(900, 700), picture=True).open()
-    page.login("one-reviewer-ada", _started_site.password("one-reviewer-ada"))
+    page.login("ada", _started_site.password("ada"))
     yield page
     errors = list(page.errors)
     page.close()
@@ -66,14 +66,14 @@ def seen(_picture_page, robot) -> ConsolePage:
 
 @pytest.fixture
 def page_of(browser, site) -> Iterator[Callable[..., ConsolePage]]:
-    """Returns a page that is logged in as a person, e.g. `reviewer-ada`; fails if it has had an exception by the end."""
+    """Returns a page that is logged in as a person, e.g. `ada`; fails if it has had an exception by the end."""
     opened: list[ConsolePage] = []
 
     def open_page(person: str = "", query: str = "", **more) -> ConsolePage:
         page = ConsolePage(browser, site.url, **more).open(query)
         opened.append(page)
         if person:
-            page.login(f"one-{person}", site.password(f"one-{person}"))
+            page.login(person, site.password(person))
         return page
 
     yield open_page

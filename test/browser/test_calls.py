@@ -42,7 +42,7 @@ def device_of(browser, site: ConsoleSite) -> Iterator[Callable[..., ConsolePage]
         page = ConsolePage(browser, site.url, **more)
         page.context.add_init_script(_SPY)
         opened.append(page.open(query))
-        return page.login(f"one-{person}", site.password(f"one-{person}"))
+        return page.login(person, site.password(person))
 
     yield open_page
     errors = [error for page in opened for error in page.errors]
@@ -52,7 +52,7 @@ def device_of(browser, site: ConsoleSite) -> Iterator[Callable[..., ConsolePage]
 
 
 def test_a_plan_that_waits_is_heard_felt_and_seen_and_the_screen_stays_on(device_of, robot):
-    page = device_of("reviewer-ada")
+    page = device_of("ada")
     icon = page.page.locator('link[rel="icon"]')
     expect(page.page).to_have_title("construction_twin console")
     # typing the password was the touch that a browser wants
@@ -69,7 +69,7 @@ def test_a_plan_that_waits_is_heard_felt_and_seen_and_the_screen_stays_on(device
 
 
 def test_calls_can_be_turned_off_by_everybody(device_of, robot):
-    page = device_of("reviewer-ada", size=PHONE, color_scheme="light")
+    page = device_of("ada", size=PHONE, color_scheme="light")
     bell = page.page.locator(".calls-open")
     for scheme in ("light", "dark"):
         page.page.emulate_media(color_scheme=scheme)

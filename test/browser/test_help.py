@@ -6,7 +6,7 @@ from playwright.sync_api import expect
 
 
 def test_a_line_leads_to_its_page_of_the_docs(page_of, robot):
-    page = page_of("reviewer-ada", query="?language=de")
+    page = page_of("ada", query="?language=de")
     with page.page.expect_popup() as opened:
         page.page.get_by_role("link", name="Mehr zu: Bewegung").click()
     manual = opened.value

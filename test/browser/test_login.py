@@ -25,21 +25,21 @@ def test_where_the_page_s_script_or_its_words_do_not_arrive_a_line_says_what_to_
 
 def test_a_wrong_password_is_told_and_opens_nothing(page_of, site, robot):
     page = page_of()
-    page.try_login("one-reviewer-ada", "guess")
+    page.try_login("ada", "guess")
     expect(page.page.locator(".login .wrong")).to_have_text("The broker refuses this account or its password.")
     expect(page.page.locator(".robots button")).to_have_count(0)
     assert page.page.evaluate("async () => (await fetch('/private/one/robot.urdf')).status") == 403
     # and the password is not kept in the field
     expect(page.page.locator(".login input[name=password]")).to_have_value("")
     # who has mistyped gets in
-    page.login("one-reviewer-ada", site.password("one-reviewer-ada"))
+    page.login("ada", site.password("ada"))
     assert "wrong account or password" in site.log.read_text()
 
 
 def test_a_reload_keeps_the_login_of_this_tab_and_logging_out_ends_it(page_of, site, robot):
-    page = page_of("reviewer-ada")
+    page = page_of("ada")
     page.page.reload()
-    expect(page.page.locator(".account")).to_contain_text("one-reviewer-ada")
+    expect(page.page.locator(".account")).to_contain_text("ada")
     other = page.context.new_page()
     other.goto(site.url)
     expect(other.locator(".login")).to_be_visible()
@@ -52,7 +52,7 @@ def test_a_reload_keeps_the_login_of_this_tab_and_logging_out_ends_it(page_of, s
 
 
 def test_an_account_sees_its_own_robot_only(page_of, site, robot):
-    page = page_of("reviewer-ada")
+    page = page_of("ada")
     with site.robot("two"):
         # what comes through now comes after what the other one has said
         robot.show_plan(source="robot one")

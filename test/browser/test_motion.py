@@ -16,7 +16,7 @@ UPRIGHT, PHONE = (800, 1280), (390, 844)
 
 
 def test_while_a_plan_is_played_its_name_progress_rest_and_speed_are_shown(page_of, robot):
-    page = page_of("reviewer-ada")
+    page = page_of("ada")
     progress = page.page.locator(".progress")
     expect(progress).to_be_hidden()
     robot.show_plan(duration=40.0, source="Pia's wall")
@@ -35,7 +35,7 @@ def test_while_a_plan_is_played_its_name_progress_rest_and_speed_are_shown(page_
 
 
 def test_joints_and_tool_are_where_the_robot_has_them_and_a_difference_is_told(page_of, robot):
-    page = page_of("viewer-vic")
+    page = page_of("vic")
     page.tab("motion")
     robot.twin = np.array([0.4, -1.2, 1.1, 0.5, 0.9, -0.7])
     rows = page.page.locator(".motion-row:not(.motion-head)")
@@ -61,7 +61,7 @@ def test_joints_and_tool_are_where_the_robot_has_them_and_a_difference_is_told(p
 
 @pytest.mark.parametrize("size", [UPRIGHT, PHONE], ids=["upright", "phone"])
 def test_where_the_servos_should_have_the_arm_stands_beside_twin_and_arm(page_of, robot, size):
-    page = page_of("viewer-vic")
+    page = page_of("vic")
     page.page.set_viewport_size({"width": size[0], "height": size[1]})
     page.tab("motion")
     robot.twin, robot.arm_error = np.array([0.4, -1.2, 1.1, 0.5, 0.9, -0.7]), np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -84,7 +84,7 @@ def test_where_the_servos_should_have_the_arm_stands_beside_twin_and_arm(page_of
 
 
 def test_mode_and_override_are_what_the_controller_sends_or_not_sent(page_of, robot):
-    page = page_of("viewer-vic", "?language=de")
+    page = page_of("vic", "?language=de")
     facts = page.tab("motion").locator(".motion-facts dd")
     expect(facts.nth(0)).to_have_text("nicht gesendet")
     expect(facts.nth(1)).to_have_text("nicht gesendet")
@@ -95,7 +95,7 @@ def test_mode_and_override_are_what_the_controller_sends_or_not_sent(page_of, ro
 
 
 def test_a_goal_of_the_tool_is_typed_and_asked_for(page_of, robot):
-    page = page_of("planner-pia")
+    page = page_of("pia")
     page.tab("plan").locator(".plan-begin").click()
     page.page.locator(".plan-tool summary").click()
     fields = page.page.locator(".plan-tool-fields input")
@@ -107,7 +107,7 @@ def test_a_goal_of_the_tool_is_typed_and_asked_for(page_of, robot):
     expect(page.page.locator(".plan-reach")).to_contain_text("The arm gets there and touches nothing.")
     page.page.locator("#plan .plan-ask").click()
     expect(page.page.locator("#plan .plan-answer")).to_contain_text("There is a plan")
-    (request,) = robot.payloads("plan_request/one-planner-pia")
+    (request,) = robot.payloads("plan_request/pia")
     found = robot.tool(list(request["joints"].values()))
     assert np.allclose(found, [*robot.tool(robot.twin)[:2], height / 1000], atol=1e-3)
     assert robot.state == "IDLE"
@@ -120,7 +120,7 @@ def test_a_goal_of_the_tool_is_typed_and_asked_for(page_of, robot):
 
 
 def test_everybody_can_use_them_and_nothing_is_wider_than_the_screen(page_of, robot):
-    page = page_of("planner-pia", size=PHONE, color_scheme="light")
+    page = page_of("pia", size=PHONE, color_scheme="light")
     robot.arm_error = np.array([0.0, 0.05, 0.0, 0.0, 0.0, 0.0])
     robot.show_plan()
     axes = {"plan": ".plan-tool", "motion": "#motion", "verdict": ".waypoints"}

@@ -48,7 +48,7 @@ def test_a_network_that_is_cut_for_half_a_minute_is_told_at_once_and_nothing_is_
     browser = launch(playwright, program)
     try:
         page = ConsolePage(browser, site.url).open()
-        page.login("one-reviewer-ada", site.password("one-reviewer-ada"))
+        page.login("ada", site.password("ada"))
         robot.show_plan()
         page.look()
         page.press_approve()

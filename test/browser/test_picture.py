@@ -125,13 +125,13 @@ def test_a_plan_that_was_played_to_its_end_in_the_picture_may_be_approved(seen, 
     assert np.allclose(drawn["plan"]["tool"], robot.tool(plan.goal), atol=_FINE)
     seen.hold_approve()
     expect(seen.notice).to_contain_text("accepted")
-    assert robot.verdicts == [("one-reviewer-ada", "approved", plan.id)]
+    assert robot.verdicts == [("ada", "approved", plan.id)]
     # nothing but the motion moves the arm on the screen
     seen.wait_drawn("one", f"Math.abs(it.twin.joints.joint_a1 - {plan.goal[0]}) < 1e-6")
 
 
 def test_nothing_is_played_or_approved_in_a_picture_that_is_too_small(page_of, robot):
-    page = page_of("reviewer-ada", picture=True, size=PHONE)
+    page = page_of("ada", picture=True, size=PHONE)
     page.wait_drawn("one")
     # that an approval was accepted is news until the motion has ended: longer than a busy machine takes to look
     robot.show_plan(duration=4.0)
@@ -156,7 +156,7 @@ def test_nothing_is_played_or_approved_in_a_picture_that_is_too_small(page_of, r
 
 
 def test_graphics_that_the_browser_takes_away_show_nothing_until_they_are_given_back(page_of, robot):
-    page = page_of("reviewer-ada", picture=True, size=SMALL)
+    page = page_of("ada", picture=True, size=SMALL)
     page.wait_drawn("one")
     robot.show_plan(duration=0.5)
     hint, note = page.page.locator(".verdict-hint"), page.page.locator(".picture-note")
@@ -177,7 +177,7 @@ def test_graphics_that_the_browser_takes_away_show_nothing_until_they_are_given_
 
 
 def test_a_plan_that_was_played_where_no_picture_is_was_not_looked_at(page_of, robot):
-    page = page_of("reviewer-ada")
+    page = page_of("ada")
     robot.show_plan(duration=0.5)
     page.page.locator(".playback-play").click()
     expect(page.page.locator(".playback-time")).to_contain_text("0.5 s of 0.5 s")
@@ -225,7 +225,7 @@ def test_two_robots_are_shown_at_once_and_each_is_its_own(tmp_path, browser):
 
 def test_the_tool_is_dragged_to_a_goal_and_the_planner_is_asked_for_the_way(page_of, robot):
     """From the picture to the plan and back: handle, questions for joint values, ghost, request, path."""
-    page = page_of("planner-pia", picture=True, size=SMALL)
+    page = page_of("pia", picture=True, size=SMALL)
     page.wait_drawn("one")
     page.tab("plan").locator(".plan-begin").click()
     begin = np.array(page.wait_drawn("one", "it.handle !== null")["handle"]["position"])
@@ -240,11 +240,11 @@ def test_the_tool_is_dragged_to_a_goal_and_the_planner_is_asked_for_the_way(page
     # at home the tool's z axis points down
     assert np.linalg.norm(end - begin) > 0.1 and np.allclose(end[:2], begin[:2], atol=1e-3)
     assert np.allclose(drawn["goal"]["tool"], end, atol=1e-3)
-    questions = [asked for asked in robot.payloads("ik/one-planner-pia") if "seed" in asked]
+    questions = [asked for asked in robot.payloads("ik/pia") if "seed" in asked]
     assert np.allclose(questions[-1]["position"], end, atol=_FINE)
     page.page.locator("#plan .plan-ask").click()
     expect(page.page.locator("#plan .plan-answer")).to_contain_text("There is a plan")
-    (request,) = robot.payloads("plan_request/one-planner-pia")
+    (request,) = robot.payloads("plan_request/pia")
     assert np.allclose(robot.tool(list(request["joints"].values())), end, atol=1e-3)
     assert robot.plan is not None and robot.state == "IDLE"
     drawn = page.wait_drawn("one", "it.path !== null")
@@ -300,7 +300,7 @@ def coloured(picture: np.ndarray, colour: int) -> int:
 
 def test_in_a_small_picture_everything_has_its_place(page_of, robot):
     width, height = 300, 180
-    page = page_of("reviewer-ada", picture=True, size=(1280, 800))
+    page = page_of("ada", picture=True, size=(1280, 800))
     robot.show_plan()
     page.wait_drawn("one", "it.path !== null")
     page.page.evaluate(
@@ -334,7 +334,7 @@ def test_in_a_small_picture_everything_has_its_place(page_of, robot):
 
 
 def test_axe_finds_nothing_serious_light_or_dark(page_of, robot):
-    page = page_of("reviewer-ada", size=PHONE, color_scheme="light")
+    page = page_of("ada", size=PHONE, color_scheme="light")
     robot.show_plan()
     robot.publish("work/tasks", json.dumps(TASKS).encode(), retain=True)
     try:
@@ -374,7 +374,7 @@ SCREENS = ((1280, 800), (844, 390), (390, 844))
 @pytest.mark.parametrize("size", SCREENS, ids=lambda size: f"{size[0]}x{size[1]}")
 def test_sentence_picture_verdict_and_stop_are_in_view_together(page_of, robot, size):
     # the longer words
-    page = page_of("reviewer-ada", "?language=de", size=size, picture=True)
+    page = page_of("ada", "?language=de", size=size, picture=True)
     page.wait_drawn("one")
     robot.show_plan()
     expect(page.page.locator(".verdict")).to_be_visible()
@@ -408,7 +408,7 @@ def test_sentence_picture_verdict_and_stop_are_in_view_together(page_of, robot, 
 
 
 def test_nothing_moves_when_the_sentence_grows(page_of, robot):
-    page = page_of("reviewer-ada", size=PHONE)
+    page = page_of("ada", size=PHONE)
     robot.show_plan()
     expect(page.page.locator(".verdict")).to_be_visible()
     places = """() => ['.stop-stop', '.verdict-approve', '#picture']

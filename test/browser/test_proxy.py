@@ -52,7 +52,7 @@ def test_the_page_works_below_a_path_behind_a_proxy_and_a_reload_keeps_the_login
     try:
         # without the slash at the end the proxy adds it
         page.page.goto(proxied.rstrip("/"))
-        page.login("one-reviewer-ada", site.password("one-reviewer-ada"))
+        page.login("ada", site.password("ada"))
         page.wait_drawn("one")
         robot.show_plan()
         page.play_to_end()
@@ -60,7 +60,7 @@ def test_the_page_works_below_a_path_behind_a_proxy_and_a_reload_keeps_the_login
         expect(page.notice).to_contain_text("accepted")
         page.page.reload()
         page.wait_drawn("one")
-        expect(page.page.locator(".account")).to_contain_text("one-reviewer-ada")
+        expect(page.page.locator(".account")).to_contain_text("ada")
         (cookie,) = page.context.cookies()
         assert (cookie["path"], cookie["httpOnly"], cookie["secure"], cookie["sameSite"]) == (
             "/cell1",

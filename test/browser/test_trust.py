@@ -51,7 +51,7 @@ def foreign_page(tmp_path) -> Iterator[str]:
 
 
 def test_a_page_of_another_origin_gets_no_connection_and_no_file(page_of, site, robot, foreign_page):
-    page = page_of("reviewer-ada")
+    page = page_of("ada")
     # in the same browser, so with the same cookies
     other = page.context.new_page()
     other.goto(foreign_page)
@@ -78,7 +78,7 @@ def test_a_page_of_another_origin_gets_no_connection_and_no_file(page_of, site, 
 
 
 def test_a_console_that_is_restarted_is_found_again_and_nothing_of_before_is_sent(page_of, site, robot):
-    page = page_of("reviewer-ada")
+    page = page_of("ada")
     look_at_a_plan(page, robot)
     site.stop_console()
     try:
@@ -101,7 +101,7 @@ def test_a_console_that_is_restarted_is_found_again_and_nothing_of_before_is_sen
 
 
 def test_the_policy_keeps_scripts_of_others_and_inline_ones_out(page_of, site, robot):
-    page = page_of("viewer-vic")
+    page = page_of("vic")
     ran = page.page.evaluate(
         """async () => {
           const script = document.createElement("script");

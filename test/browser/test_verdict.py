@@ -24,20 +24,20 @@ def words(key: str, **values: str) -> str:
 
 
 def test_an_approved_plan_moves_the_arm_and_the_record_has_the_account(page_of, robot):
-    page = page_of("reviewer-ada")
+    page = page_of("ada")
     plan, begin = robot.show_plan(), robot.twin.copy()
     expect(page.approve_button).to_be_disabled()
     page.look()
     page.hold_approve()
     expect(page.notice).to_contain_text("accepted")
     wait_until(lambda: robot.state == "IDLE" and abs(robot.twin - begin).max() > 0.5, PATIENCE_S, "the motion")
-    assert robot.verdicts == [("one-reviewer-ada", "approved", plan.id)]
-    (said,) = robot.payloads("review/one-reviewer-ada")
+    assert robot.verdicts == [("ada", "approved", plan.id)]
+    (said,) = robot.payloads("review/ada")
     assert (said["plan_id"], said["plan_hash"], said["verdict"]) == (plan.id, plan.hash, "approved")
 
 
 def test_a_press_that_is_too_short_or_too_early_approves_nothing(page_of, robot):
-    page = page_of("reviewer-ada")
+    page = page_of("ada")
     robot.show_plan()
     # not looked at yet
     expect(page.approve_button).to_be_disabled()
@@ -54,7 +54,7 @@ def test_a_press_that_is_too_short_or_too_early_approves_nothing(page_of, robot)
 
 
 def test_a_rejection_comes_with_its_reason(page_of, robot):
-    page = page_of("reviewer-ada")
+    page = page_of("ada")
     plan = robot.show_plan()
     expect(page.page.locator(".verdict-reject")).to_be_disabled()
     page.reject("the table stands elsewhere")
@@ -66,7 +66,7 @@ def test_a_rejection_comes_with_its_reason(page_of, robot):
 
 
 def test_a_plan_that_is_not_what_its_hash_says_cannot_be_approved(page_of, robot):
-    page = page_of("reviewer-ada")
+    page = page_of("ada")
     plan = robot.show_plan()
     expect(page.page.locator(".verdict")).to_be_visible()
     # one number of one waypoint is another, as a broken or a wicked program would send it
@@ -78,7 +78,7 @@ def test_a_plan_that_is_not_what_its_hash_says_cannot_be_approved(page_of, robot
 
 
 def test_a_stop_in_the_middle_of_a_motion_stops_it_and_says_by_whom(page_of, robot):
-    page = page_of("reviewer-ada")
+    page = page_of("ada")
     robot.show_plan(duration=60.0)
     page.look()
     page.hold_approve()
@@ -91,12 +91,12 @@ def test_a_stop_in_the_middle_of_a_motion_stops_it_and_says_by_whom(page_of, rob
     page.intervene("stop")
     expect(page.stop_result).to_contain_text("Stop: carried out")
     assert robot.state == "IDLE"
-    assert [topic for topic, _ in robot.heard if topic.startswith("stop")] == ["stop/one-reviewer-ada"]
+    assert [topic for topic, _ in robot.heard if topic.startswith("stop")] == ["stop/ada"]
     expect(page.page.locator(".stop-not-emergency")).to_contain_text("not an emergency stop")
 
 
 def test_what_lay_on_its_way_starts_nothing_and_who_looks_again_can_ask_anew(page_of, robot):
-    page = page_of("reviewer-ada", "?language=de")
+    page = page_of("ada", "?language=de")
     plan = robot.show_plan(duration=60.0)
     robot.delay = 6.0
     page.look()
@@ -122,7 +122,7 @@ def test_what_lay_on_its_way_starts_nothing_and_who_looks_again_can_ask_anew(pag
     page.intervene("stop")
     wait_until(lambda: robot.state == "IDLE", PATIENCE_S, "the stop")
     # a wish for a plan, by whom may ask for one
-    planner = page_of("planner-pia", "?language=de").tab("plan")
+    planner = page_of("pia", "?language=de").tab("plan")
     planner.locator(".plan-begin").click()
     planner.locator(".plan-ask").click()
     expect(planner.locator(".plan-answer")).to_contain_text(words("plan.answer.expired"))
@@ -143,10 +143,10 @@ def _overloaded(robot, plan) -> None:
 def test_who_has_the_right_approves_in_spite_of_the_rehearsal_with_a_reason(page_of, robot, site):
     plan = robot.show_plan()
     _overloaded(robot, plan)
-    # a reviewer may not: not in spite of it
-    other = page_of("reviewer-ada", "?language=de")
+    # who may not approve may not in spite of it either
+    other = page_of("pia", "?language=de")
     other.tab("verdict")
-    expect(other.page.locator(".override-hint")).to_have_text(words("verdict.override.who", who="dora"))
+    expect(other.page.locator(".verdict-hint")).to_have_text(words("verdict.blocked.right", who="ada, bob, dora, pat"))
     expect(other.page.locator(".override-approve")).to_be_hidden()
     expect(other.approve_button).to_be_disabled()
     page = page_of(query="?language=de")
@@ -175,11 +175,11 @@ def test_who_has_the_right_approves_in_spite_of_the_rehearsal_with_a_reason(page
 @pytest.mark.parametrize(
     ("person", "may_act"),
     (
-        ("viewer-vic", False),
-        ("planner-pia", True),
+        ("vic", False),
+        ("pia", True),
     ),
 )
-def test_each_role_may_do_what_the_broker_lets_it_do_and_is_told_the_rest(page_of, robot, person, may_act):
+def test_each_account_may_do_what_the_broker_lets_it_do_and_is_told_the_rest(page_of, robot, person, may_act):
     page = page_of(person)
     robot.show_plan()
     if may_act:
@@ -188,7 +188,7 @@ def test_each_role_may_do_what_the_broker_lets_it_do_and_is_told_the_rest(page_o
     else:
         expect(page.page.locator(".stop-stop")).to_be_hidden()
         expect(page.page.locator(".stop-who")).to_contain_text(
-            "This account cannot stop. Who can: ada, bob, dora, pat, pia, sam."
+            "This account cannot stop. Who can: ada, bob, dora, pat, pia."
         )
     page.page.locator(".verdict-checks summary").click()
     expect(page.page.locator(".verdict-hint")).to_contain_text(
@@ -201,7 +201,9 @@ def test_each_role_may_do_what_the_broker_lets_it_do_and_is_told_the_rest(page_o
         plan.locator(".plan-ask").click()
         expect(plan.locator(".plan-answer")).to_contain_text("There is a plan")
     else:
-        expect(plan.locator(".plan-told")).to_have_text("This account may not ask for plans. Who can: dora, pat, pia.")
+        expect(plan.locator(".plan-told")).to_have_text(
+            "This account may not ask for plans. Who can: ada, bob, dora, pat, pia."
+        )
         expect(plan.locator(".plan-begin")).to_be_hidden()
     assert bool(robot.payloads("stop")) == bool(robot.payloads("plan_request")) == may_act
     assert not robot.payloads("review")
@@ -210,7 +212,7 @@ def test_each_role_may_do_what_the_broker_lets_it_do_and_is_told_the_rest(page_o
 
 
 def test_of_two_tablets_that_approve_at_once_one_wins_and_the_other_is_told(page_of, robot):
-    ada, bob = page_of("reviewer-ada"), page_of("reviewer-bob")
+    ada, bob = page_of("ada"), page_of("bob")
     # again, with another plan, where this machine was too busy for two presses of a second at once
     for _ in range(5):
         robot.verdicts.clear()
@@ -238,7 +240,7 @@ def test_of_two_tablets_that_approve_at_once_one_wins_and_the_other_is_told(page
 
 
 def test_another_plan_that_comes_while_the_button_is_held_is_not_approved_with_it(page_of, robot):
-    page = page_of("reviewer-ada")
+    page = page_of("ada")
     robot.show_plan()
     page.look()
     page.press_approve()
@@ -256,7 +258,7 @@ def test_another_plan_that_comes_while_the_button_is_held_is_not_approved_with_i
 
 
 def test_what_a_plan_says_is_shown_as_text_and_never_as_markup(page_of, robot):
-    page = page_of("reviewer-ada")
+    page = page_of("ada")
     robot.show_plan(source='<img src=x onerror="document.title=1"><b id=evil>bold</b>')
     expect(page.page.locator(".verdict-title")).to_contain_text("<b id=evil>bold</b>")
     assert page.page.locator("#evil").count() == 0

@@ -93,7 +93,7 @@ def in_view(place: list[float]) -> bool:
 
 @pytest.mark.parametrize("size", (WIDE, NARROW), ids=lambda size: f"{size[0]}x{size[1]}")
 def test_an_element_leads_to_its_task_and_a_task_to_its_element(page_of, robot, size):
-    page = page_of("reviewer-ada", size=size, picture=True)
+    page = page_of("ada", size=size, picture=True)
     page.wait_drawn("one", f"it.elements.length === {COUNT}")
     panel, verdict = page.page.locator("#tasks"), page.page.locator("#verdict")
     if size is WIDE:
@@ -134,7 +134,7 @@ def test_an_element_leads_to_its_task_and_a_task_to_its_element(page_of, robot, 
 
 @pytest.mark.parametrize("size", (WIDE, NARROW), ids=lambda size: f"{size[0]}x{size[1]}")
 def test_the_tasks_scroll_in_one_place_and_the_page_not_at_all(page_of, robot, size):
-    page = page_of("reviewer-ada", "?language=de", size=size)
+    page = page_of("ada", "?language=de", size=size)
     page.tab("tasks")
     expect(page.page.locator(".task")).to_have_count(COUNT)
     task(page, 3).click()
@@ -153,7 +153,7 @@ def test_the_tasks_scroll_in_one_place_and_the_page_not_at_all(page_of, robot, s
 
 def test_a_tab_that_gets_a_place_of_its_own_leaves_the_others_theirs(page_of, robot):
     """A tablet that is turned: what stood in the tabs' place before the tasks stands there again."""
-    page = page_of("reviewer-ada", size=(800, 1280))
+    page = page_of("ada", size=(800, 1280))
     page.tab("motion")
     page.tab("tasks")
     expect(page.page.locator("#motion")).to_be_hidden()
@@ -167,7 +167,7 @@ def test_a_tab_that_gets_a_place_of_its_own_leaves_the_others_theirs(page_of, ro
 
 
 def test_the_menu_closes_on_a_press_outside_and_on_escape(page_of, robot):
-    page = page_of("reviewer-ada", size=NARROW)
+    page = page_of("ada", size=NARROW)
     opener, items = page.page.locator(".menu > summary"), page.page.locator(".menu-items")
     for close in (
         lambda: page.page.locator("#status").click(position={"x": 5, "y": 5}),

@@ -34,7 +34,7 @@ class SiteTest(unittest.TestCase):
         cls.addClassCleanup(shutil.rmtree, cls.folder)
         site = cls.folder / "site"
         arguments = ["--host", "localhost", "--robot", "kr120", "--port", str(PORT), "--listen", "127.0.0.1"]
-        assert make_site([str(site), *arguments, "--planner", "ada", "--reviewer", "anna"]) == 0
+        assert make_site([str(site), *arguments, "--person", "ada:operate", "--person", "anna:operate,approve"]) == 0
         command = ["roslaunch", "construction_twin", "bringup.launch", f"broker_config:={site}/broker/mosquitto.conf",
                    "broker_host:=localhost", f"broker_port:={PORT}", "rsi_port:=49260",
                    f"bridge_account:={site}/accounts/kr120-bridge/account.json",
@@ -53,9 +53,9 @@ class SiteTest(unittest.TestCase):
             raise AssertionError(f"{error}\n{''.join(cls.output)[-3000:]}") from None
         rospy.init_node("test_site")
         cls.client = TwinClient()
-        cls.tablet = Tablet(site / "accounts/kr120-reviewer-anna/account.json", PORT, TOPICS)
+        cls.tablet = Tablet(site / "accounts/anna/account.json", PORT, TOPICS)
         cls.addClassCleanup(cls.tablet.client.disconnect)
-        cls.planner = RemotePlanner(site / "accounts/kr120-planner-ada/account.json", PORT, TOPICS)
+        cls.planner = RemotePlanner(site / "accounts/ada/account.json", PORT, TOPICS)
         cls.addClassCleanup(cls.planner.client.disconnect)
 
     @staticmethod
@@ -99,7 +99,7 @@ class SiteTest(unittest.TestCase):
             wait(lambda: (self.tablet.plan or {}).get("id") == answer["plan_id"], "the plan at the tablet")
             plan = self.tablet.plan
             self.assertEqual(plan["hash"], answer["plan_hash"])
-            self.assertEqual(plan["source"], "MQTT account kr120-planner-ada, which says it is 'facade 7'")
+            self.assertEqual(plan["source"], "MQTT account ada, which says it is 'facade 7'")
             self.assertTrue((arm.positions() == still[0]).all(), "the arm moved before anybody had approved")
             seen = len(self.planner.views)
             self.assertTrue(self.tablet.verdict(plan, "approved")["ok"])
@@ -140,7 +140,7 @@ class SiteTest(unittest.TestCase):
             wait(lambda: abs(arm.positions()[-1] - still).max() > 0.02, "motion")
             answer = self.tablet.press("stop", "gateway")
             self.assertTrue(answer["ok"], answer)
-            self.assertEqual(answer["account"], "kr120-reviewer-anna")
+            self.assertEqual(answer["account"], "anna")
             # by the executor, or by the gate that closes when the gateway brakes: whichever is first
             wait(lambda: self.client.execution.outcome in ("stopped", "held", "dropped"), "the end of the plan")
             wait(lambda: not self.client.armed(), "the end of the session")
@@ -148,8 +148,8 @@ class SiteTest(unittest.TestCase):
             arm.wait_for_more(100)
             last = arm.positions()[-100:]
             self.assertTrue((last == last[0]).all(), "the arm moves on after the stop")
-        self.assertIn("kr120-reviewer-anna", self.client.link.reason)
-        self.assertEqual(self.client.gateway_counters()["stop_by"], "kr120-reviewer-anna")
+        self.assertIn("anna", self.client.link.reason)
+        self.assertEqual(self.client.gateway_counters()["stop_by"], "anna")
         # the right to stop is no right to go on: the reset is the bridge's
         for verb in ("reset", "arm", "speed_limit"):
             control = Control("1", "any", verb, 1.0).to_json()

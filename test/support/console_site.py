@@ -13,7 +13,6 @@ from processes import ROOT, BrokerProcess, listens, wait_until
 from scripted_robot import VIEW, XACRO, ScriptedRobot
 from site_broker import ROBOTS, SiteBroker, free_ports
 
-from construction_twin.broker.access import RIGHTS, Grant, Person
 from construction_twin.mqtt.client import Broker
 from construction_twin.robot.urdf import expand_xacro
 
@@ -22,12 +21,11 @@ PAGE = ROOT / ".ws/console/page"
 _PACKAGE = "package://construction_twin/"
 #: Person with one account for every robot.
 PERSON = "pat"
-#: Who may do what in the tests: role and names.
-PEOPLE = {
-    "reviewers": ("ada", "bob"), "viewers": ("vic",), "stoppers": ("sam",), "planners": ("pia",),
-    # who may do everything, at every robot
-    "persons": (Person("dora", (Grant(RIGHTS),)), Person(PERSON, (Grant(("review", "pause", "plan_request")),))),
-}  # fmt: skip
+#: Who may do what in the tests.
+PEOPLE = (
+    *("ada:operate,approve@one", "bob:operate,approve@one", "vic:look@one", "pia:operate@one"),
+    *("dora:operate,approve,reset", f"{PERSON}:operate,approve"),
+)
 
 
 def write_robot_files(private: Path, robots: tuple[str, ...] = ROBOTS) -> None:
@@ -120,8 +118,7 @@ class ConsoleSite:
             plc=False,
             certificates=False,
             consoles=names,
-            console_port=self.port,
-            **PEOPLE,
+            persons=PEOPLE,
         )
         self.url = f"https://{host}:{self.port}/"
         self.log = folder / "console.log"

@@ -5,18 +5,17 @@
 
 const LISTING = "private/rights.json";
 
-/** Return the list, if it is one, else null: `robots` by name, rights by name, people's names by their accounts. */
+/** Return the list, if it is one, else null: by robot and person the rights, of look, operate, approve, reset. */
 export function readRights(document) {
   const isObject = (value) => typeof value === "object" && value !== null && !Array.isArray(value);
-  if (!isObject(document) || !isObject(document.robots)) return null;
-  for (const rights of Object.values(document.robots)) {
-    if (!isObject(rights)) return null;
-    for (const people of Object.values(rights)) {
-      if (!isObject(people) || !Object.values(people).every((name) => typeof name === "string")) return null;
-    }
-  }
-  return document.robots;
+  const isList = isObject(document) && isObject(document.robots) && Object.values(document.robots).every(
+    (people) => isObject(people) && Object.values(people).every((rights) => Array.isArray(rights)),
+  );
+  return isList ? document.robots : null;
 }
+
+/** Return whether these rights are enough: a stop comes with every one but `look`. */
+const isEnough = (rights, right) => (right === "stop" ? rights.some((each) => each !== "look") : rights.includes(right));
 
 /**
  * Make what knows the rights of this page's account. It asks again with each login.
@@ -53,14 +52,14 @@ export function makeRights(store, connection, get = (path) => fetch(path)) {
   return {
     /** Whether this account has a right at a robot: true, false, or null where that is not known. */
     may(robot, right) {
-      const people = robots?.[robot]?.[right];
-      return people === undefined ? null : Object.hasOwn(people, connection.account);
+      const people = robots?.[robot];
+      return people === undefined ? null : Object.hasOwn(people, connection.account) && isEnough(people[connection.account], right);
     },
 
-    /** The names of the others who have it, each once; empty where that is not known. */
+    /** The names of the others who have it; empty where that is not known. */
     who(robot, right) {
-      const people = Object.entries(robots?.[robot]?.[right] ?? {}).filter(([account]) => account !== connection.account);
-      return [...new Set(people.map(([, name]) => name))].sort();
+      const others = Object.entries(robots?.[robot] ?? {}).filter(([name, rights]) => name !== connection.account && isEnough(rights, right));
+      return others.map(([name]) => name).sort();
     },
   };
 }

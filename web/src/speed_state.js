@@ -23,7 +23,7 @@ export const FORGOTTEN_AFTER = 10000;
 
 /** Return the record before anything was touched. */
 export function idle() {
-  return {wanted: null, touchedAt: 0, unsent: false, sentAt: -Infinity, lowered: null, heldAt: null, of: null, noRight: false, message: nothing()};
+  return {wanted: null, touchedAt: 0, unsent: false, sentAt: -Infinity, lowered: null, heldAt: null, of: null, denied: [], message: nothing()};
 }
 
 function nothing() {
@@ -102,8 +102,8 @@ export function sent(record, kind, limit, id, at) {
 export function heardBroker(record, id, word) {
   if (id !== record.message.id) return record;
   const failed = word !== "taken";
-  const noRight = record.noRight || word === "refused";
-  return {...record, noRight, message: {...record.message, broker: word}, ...(failed ? {lowered: null} : {})};
+  const denied = word === "refused" ? [...record.denied, record.message.kind] : record.denied;
+  return {...record, denied, message: {...record.message, broker: word}, ...(failed ? {lowered: null} : {})};
 }
 
 /** Return the record after an answer {id, account, ok, reason, expired}; one to another message changes nothing. */
@@ -131,7 +131,7 @@ export function passed(record, people, at) {
 
 /** Return the record after the connection has changed: nothing that was begun goes on, and another account may have the right. */
 export function connectionChanged(record) {
-  return {...record, wanted: null, unsent: false, lowered: null, heldAt: null, noRight: false};
+  return {...record, wanted: null, unsent: false, lowered: null, heldAt: null, denied: []};
 }
 
 /** Return what became of the newest message, as one of the words above. */
@@ -147,10 +147,9 @@ export function outcome({message: {id, broker, answer, late}}) {
   return broker === "sending" ? "sending" : "waiting";
 }
 
-/** Return why nothing may be set now, as one word, or "": offline, old, none (the robot knows no such limit), right. */
-export function blocked(record, {connected, view, old}) {
+/** Return why nothing can be set now, as one word, or "": offline, old, none (the robot knows no such limit). */
+export function blocked({connected, view, old}) {
   if (!connected) return "offline";
   if (view === null || old || !view.online) return "old";
-  if (view.speed === undefined) return "none";
-  return record.noRight ? "right" : "";
+  return view.speed === undefined ? "none" : "";
 }

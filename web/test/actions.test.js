@@ -111,15 +111,15 @@ test("who may not is told who can", async () => {
 // -- rights
 
 test("a list is what it should be, or none", () => {
-  assert.equal(readRights({robots: {one: {stop: {ada: "ada"}}}}).one.stop.ada, "ada");
-  for (const wrong of [null, [], {}, {robots: []}, {robots: {one: 1}}, {robots: {one: {stop: ["ada"]}}}, {robots: {one: {stop: {ada: 1}}}}]) {
+  assert.deepEqual(readRights({robots: {one: {ada: ["look"]}}}).one.ada, ["look"]);
+  for (const wrong of [null, [], {}, {robots: []}, {robots: {one: 1}}, {robots: {one: ["ada"]}}, {robots: {one: {ada: "look"}}}]) {
     assert.equal(readRights(wrong), null);
   }
 });
 
 test("rights are those of the account by the list, and unknown without one", async () => {
   const page = fakePage({account: "ada"});
-  let answer = {ok: true, json: async () => ({robots: {kr120: {stop: {ada: "ada", "kr120-stopper-bob": "bob"}, reset: {}}}})};
+  let answer = {ok: true, json: async () => ({robots: {kr120: {ada: ["look", "operate"], bob: ["look", "reset"], vic: ["look"]}}})};
   const told = [];
   page.store.on("rights", (_, list) => told.push(list !== null));
   const rights = makeRights(page.store, page.connection, async () => answer);

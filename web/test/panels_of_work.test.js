@@ -51,8 +51,8 @@ async function planPanel({account = "kr120-planner-ada", refuse = null, rights =
 
 /** Rights as the list of the site says: who may plan here, by account. */
 const listed = (people) => ({
-  may: (_, right) => (right === "plan_request" ? Object.hasOwn(people, "kr120-planner-ada") : null),
-  who: (_, right) => (right === "plan_request" ? Object.entries(people).filter(([account]) => account !== "kr120-planner-ada").map(([, name]) => name) : []),
+  may: (_, right) => (right === "operate" ? Object.hasOwn(people, "kr120-planner-ada") : null),
+  who: (_, right) => (right === "operate" ? Object.entries(people).filter(([account]) => account !== "kr120-planner-ada").map(([, name]) => name) : []),
 });
 
 test("nothing is tried to find out a right; a person sets a goal where the robot is", async () => {
@@ -450,7 +450,7 @@ test("a question is answered by holding, in the name of the account, with the qu
 
 test("who may not answer reads who can", async () => {
   const page = await tasksPanel(undefined, "vic");
-  page.store.rightsOf = {may: (_, right) => right !== "answer", who: () => ["ada"]};
+  page.store.rightsOf = {may: (_, right) => right !== "operate", who: () => ["ada"]};
   page.store.rights({});
   assert.equal(page.find(".tasks-answer"), null);
   assert.match(page.find(".tasks-answers").textContent, /Who can answer: ada/);

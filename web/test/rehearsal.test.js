@@ -85,7 +85,7 @@ test("a message that is no rehearsal is refused", async () => {
 const AGAINST = "plan p1 has failed its rehearsal: the flange carries 240.0 kg; the arm is rated for 120.0 kg";
 const FAILED = {...REHEARSAL, state: "failed", reasons: ["the flange carries 240.0 kg; the arm is rated for 120.0 kg"]};
 /** Who has the right, and the name of the account. */
-const RIGHTS = {override_rehearsal: {ada: "ada", grace: "Grace"}};
+const RIGHTS = {approve: {ada: "ada", grace: "Grace"}};
 
 /** A page whose plan was looked at and is held back by its rehearsal, or by what `obstacle` says. */
 async function held({account = "ada", language = "en", obstacle = AGAINST, rights = RIGHTS, rehearsal = FAILED} = {}) {
@@ -165,16 +165,16 @@ test("a press that is let go too early, or that meets another word of the rehear
   assert.deepEqual(it.connection.sent, []);
 });
 
-test("who may not is told who can, and cannot press; where nobody is listed that is said", async () => {
+test("who may not is told who can approve, and is offered nothing; where nobody is listed that is said", async () => {
   const it = await held({account: "vic"});
-  assert.equal(it.text(".override-hint"), it.texts("verdict.override.who", {who: "ada, Grace"}));
-  assert.equal(it.find(".override-approve").hidden, true);
+  assert.equal(it.find(".override").hidden, true);
+  assert.equal(it.text(".verdict-hint"), it.texts("verdict.blocked.right", {who: "ada, Grace"}));
   it.give();
   it.press();
   await it.pass(1500);
   assert.deepEqual(it.connection.sent, []);
-  const none = await held({account: "vic", rights: {override_rehearsal: {}}});
-  assert.equal(none.text(".override-hint"), none.texts("verdict.override.nobody"));
+  const none = await held({account: "vic", rights: {approve: {}}});
+  assert.equal(none.text(".verdict-hint"), none.texts("verdict.blocked.nobody"));
 });
 
 for (const obstacle of ["", "the executor is EXECUTING: a plan is played"]) {

@@ -148,20 +148,39 @@ test("without a connection nothing can be set, and it is said", async () => {
   assert.match(it.text(".speed-hint"), /Nothing of the robot is shown now/);
 });
 
-test("an account whose right the broker has refused cannot set it, until another one logs in", async () => {
-  const it = await page();
+test("what the broker has refused is offered no more, until another one logs in", async () => {
+  const it = await page({}, byDora(0.8));
   it.connection.refuse("refused");
   it.drag(50);
   await it.settle();
   assert.match(it.text(".speed-result"), /did NOT go out: this account does not have the right/);
+  assert.equal(it.find(".speed-slider").value, "80", "it stands where the robot's limit is");
+  assert.match(it.text(".speed-hint"), /may raise the limit, not lower it/);
+  it.drag(90);
+  it.fire(it.find(".speed-raise"), "pointerdown", {button: 0});
+  await it.pass(1100);
   assert.equal(it.find(".speed-slider").disabled, true);
   assert.match(it.text(".speed-hint"), /does not have the right/);
-  assert.equal(it.find(".speed-slider").value, "100", "it stands where the robot's limit is");
   it.connection.refuse(null);
   it.connection.change("connected");
   await it.says(said());
   assert.equal(it.find(".speed-slider").disabled, false);
 });
+
+for (const [right, percent, other, only] of [["operate", 50, 90, /may lower the limit, not raise it/], ["approve", 90, 50, /may raise the limit, not lower it/]]) {
+  test(`an account with the right ${right} alone sets it one way`, async () => {
+    const it = await page({}, byDora(0.8));
+    it.store.rightsOf = {may: (_, each) => each === right, who: () => []};
+    it.store.rights({});
+    assert.match(it.text(".speed-hint"), only);
+    it.drag(other);
+    assert.equal(it.find(".speed-slider").value, "80");
+    it.drag(percent);
+    it.fire(it.find(".speed-raise"), "pointerdown", {button: 0});
+    await it.pass(1100);
+    assert.deepEqual(it.payloads().map(({limit}) => limit), [percent / 100]);
+  });
+}
 
 test("a second without an answer is told", async () => {
   const it = await page();

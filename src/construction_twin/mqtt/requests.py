@@ -70,7 +70,7 @@ class RequestKind:
     """A kind of request.
 
     Attributes:
-        right: What an account needs to publish it; "": no account of a site may.
+        right: What an account needs to publish it, of `broker.access.RIGHTS`; "stop": any but `look`; "": no account of a site may.
         topic, ack: Where it comes in and is answered, below ``<prefix>/<robot>/``; ``{}`` is the account.
         answer: Which fields of `Answer` it has, in their order.
         qos: Of request and answer.
@@ -114,33 +114,28 @@ _CHECKED = ("id", "sender", "ok", "reason", "plan_id", "plan_hash", "duration", 
 
 #: A verdict in no name, on a broker without accounts.
 NAMELESS_REVIEW = RequestKind("review", "", "review", "review/ack", _VERDICT)
-REVIEW = RequestKind("review", "review", "review/{}", "review/ack", _VERDICT)
-#: An approval although a rehearsal is required that is missing or was no pass; it approves nothing else. A right of its own.
-OVERRIDE = RequestKind(
-    "override_rehearsal", "override_rehearsal", "override_rehearsal/{}", "override_rehearsal/ack", _VERDICT
-)
+REVIEW = RequestKind("review", "approve", "review/{}", "review/ack", _VERDICT)
+#: An approval although a rehearsal is required that is missing or was no pass; it approves nothing else.
+OVERRIDE = RequestKind("override_rehearsal", "approve", "override_rehearsal/{}", "override_rehearsal/ack", _VERDICT)
 STOP = RequestKind("stop", "stop", "stop/{}", "stop/ack", _PRESSED)
-PAUSE = RequestKind("pause", "pause", "pause/{}", "pause/ack", _PRESSED)
-RESUME = RequestKind("resume", "pause", "resume/{}", "pause/ack", _PRESSED, starts=True)
-#: Lifts a stop or fault and starts over from the arm's pose; begins a session where nothing needs to move for it. Rights of their
-#: own: whoever may stop does not have them.
+PAUSE = RequestKind("pause", "operate", "pause/{}", "pause/ack", _PRESSED)
+RESUME = RequestKind("resume", "approve", "resume/{}", "pause/ack", _PRESSED, starts=True)
+#: Lifts a stop or fault and starts over from the arm's pose; begins a session where nothing needs to move for it.
 RESET = RequestKind("reset", "reset", "reset/{}", "reset/ack", _PRESSED, starts=True, by=BRIDGE)
-ARM = RequestKind("arm", "arm", "arm/{}", "arm/ack", _PRESSED, starts=True, by=BRIDGE)
+ARM = RequestKind("arm", "reset", "arm/{}", "arm/ack", _PRESSED, starts=True, by=BRIDGE)
 #: What is pressed: an `Intervention`, which a service of the same name carries out.
 PRESSED = (STOP, PAUSE, RESUME, RESET, ARM)
 #: Answers a question of the work; takes note of a message.
-ANSWER = RequestKind("answer", "answer", "answer/{}", "answer/ack", _ANSWERED)
-ACKNOWLEDGE = RequestKind("acknowledge", "acknowledge", "acknowledge/{}", "acknowledge/ack", _ACKNOWLEDGED)
+ANSWER = RequestKind("answer", "operate", "answer/{}", "answer/ack", _ANSWERED)
+ACKNOWLEDGE = RequestKind("acknowledge", "operate", "acknowledge/{}", "acknowledge/ack", _ACKNOWLEDGED)
 #: Lowers people's speed limit; raises it, and needs its moment.
-LOWER_SPEED = RequestKind("lower_speed", "speed", "lower_speed/{}", "speed/ack", _LIMITED)
-RAISE_SPEED = RequestKind("raise_speed", "speed", "raise_speed/{}", "speed/ack", _LIMITED, starts=True)
-PLAN_REQUEST = RequestKind(
-    "plan_request", "plan_request", "plan_request/{}", "plan_request/ack", _PLANNED, pace=_PLANNING
-)
-IK = RequestKind("ik", "plan_request", "ik/{}", "ik/ack/{}", _REACHED, qos=0, pace=Pace(15))
+LOWER_SPEED = RequestKind("lower_speed", "operate", "lower_speed/{}", "speed/ack", _LIMITED)
+RAISE_SPEED = RequestKind("raise_speed", "approve", "raise_speed/{}", "speed/ack", _LIMITED, starts=True)
+PLAN_REQUEST = RequestKind("plan_request", "operate", "plan_request/{}", "plan_request/ack", _PLANNED, pace=_PLANNING)
+IK = RequestKind("ik", "operate", "ik/{}", "ik/ack/{}", _REACHED, qos=0, pace=Pace(15))
 #: A motion in no name; the account of the topic below is shown to the reviewer.
-NAMELESS_TRAJECTORY = RequestKind("trajectory", "trajectory", "trajectory", "trajectory/ack", _CHECKED, pace=_PLANNING)
-TRAJECTORY = RequestKind("trajectory", "trajectory", "trajectory/from/{}", "trajectory/ack", _CHECKED, pace=_PLANNING)
+NAMELESS_TRAJECTORY = RequestKind("trajectory", "operate", "trajectory", "trajectory/ack", _CHECKED, pace=_PLANNING)
+TRAJECTORY = RequestKind("trajectory", "operate", "trajectory/from/{}", "trajectory/ack", _CHECKED, pace=_PLANNING)
 #: In the order of the broker's rules.
 REQUESTS = (
     NAMELESS_REVIEW, REVIEW, OVERRIDE, *PRESSED, ANSWER, ACKNOWLEDGE, LOWER_SPEED, RAISE_SPEED, PLAN_REQUEST, IK,

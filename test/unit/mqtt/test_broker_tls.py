@@ -108,7 +108,7 @@ def test_an_unknown_user_is_refused(site):
 
 
 def test_the_password_of_one_account_does_not_open_another(site):
-    account = replace(site.account("one-viewer"), user="one-bridge")
+    account = replace(site.account("vic"), user="one-bridge")
     assert "'one-bridge'" in refusal(site.broker(account))
 
 
@@ -163,7 +163,7 @@ def test_the_port_for_certificates_takes_no_password(site):
 def test_a_certificate_for_a_name_without_rules_may_do_nothing(site, tmp_path):
     account = signed(site, tmp_path / "client", "stranger", Authority(site.folder / "ca", "", ()))
     stranger = Listener(site.broker(account), "#", "stranger")
-    viewer = Listener(site.broker(site.account("one-viewer")), "#", "viewer")
+    viewer = Listener(site.broker(site.account("vic")), "#", "viewer")
     gateway = Listener(site.broker(site.account("one-gateway")), "#", "gateway")
     try:
         assert stranger.publish("twin/one/command", b"x").value == 135
@@ -224,7 +224,7 @@ def test_other_failures_are_one_sentence_with_the_address(error, said):
 
 def test_a_program_with_the_account_of_another_role_says_that_it_may_not_publish(site):
     said: list[str] = []
-    broker = site.broker(site.account("one-viewer"))
+    broker = site.broker(site.account("vic"))
     report = ConnectionReport(broker, said.append)
     client = make_client(broker, unique_id("one", "wrong"), "twin/one/status")
 
@@ -239,7 +239,7 @@ def test_a_program_with_the_account_of_another_role_says_that_it_may_not_publish
     finally:
         client.disconnect()
         client.loop_stop()
-    assert "does not let one-viewer publish on twin/one/status" in said[0] and client.on_publish is None
+    assert "does not let vic publish on twin/one/status" in said[0] and client.on_publish is None
 
 
 # -- the gateway as it is started on the cell PC
@@ -258,7 +258,7 @@ def run_gateway(site, tmp_path, name: str, host: str = "localhost") -> subproces
 
 
 def test_the_gateway_s_program_tells_its_status_through_tls_and_ends_with_its_last_words(site, tmp_path):
-    viewer = Listener(site.broker(site.account("one-viewer")), "twin/one/status", "viewer")
+    viewer = Listener(site.broker(site.account("vic")), "twin/one/status", "viewer")
     process = run_gateway(site, tmp_path, "one-gateway")
     try:
         wait_until(

@@ -34,7 +34,7 @@ SECRET = "0123456789abcdef"
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    site = SiteBroker(tmp_path_factory.mktemp("site"), viewers=("vic",))
+    site = SiteBroker(tmp_path_factory.mktemp("site"))
     site.start()
     yield site
     site.stop()
@@ -93,7 +93,7 @@ def thief(broker: Broker, client_id: str) -> paho.Client:
 
 def test_whoever_has_learned_an_id_takes_the_connection_away_once_and_that_is_said(site):
     bridge = site.broker(site.account("one-bridge"))
-    viewer = site.broker(site.account("one-viewer-vic"))
+    viewer = site.broker(site.account("vic"))
     with Program(bridge, ID) as program:
         first = thief(viewer, ID)
         wait_until(lambda: program.welcomes == 2, what="the bridge's return")

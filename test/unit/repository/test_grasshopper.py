@@ -92,7 +92,7 @@ class Cell:
     """A site's broker, our node with its real client, and what it hears from ROS."""
 
     def __init__(self, folder):
-        self.site = SiteBroker(folder, robots=("kr120",), planners=("ada",))
+        self.site = SiteBroker(folder, robots=("kr120",), persons=("ada:operate",))
         self.site.start()
         self.planner = Planner()
         self.refusals = Refusals(None)
@@ -163,7 +163,7 @@ def session(cell, python, tmp_path_factory):
     """What a designer saw."""
     urdf = tmp_path_factory.mktemp("urdf") / "kr120.urdf"
     urdf.write_text(expand_xacro(str(XACRO), {}))
-    account = cell.site.folder / "accounts/kr120-planner-ada/account.json"
+    account = cell.site.folder / "accounts/ada/account.json"
     schema = urdf.with_name("view.schema.json")
     schema.write_text(schemas.view_schema())
     return run(python, "designer", cell.site.site.port, account, urdf, schema)
@@ -198,7 +198,7 @@ def test_the_motion_that_is_reviewed_passes_the_designer_s_frames(session, cell)
 
 
 def test_the_reviewer_reads_which_account_sent_it(session, cell):
-    assert cell.planner.sources[0] == "MQTT account kr120-planner-ada, which says it is 'Ada'"
+    assert cell.planner.sources[0] == "MQTT account ada, which says it is 'Ada'"
 
 
 def test_a_component_that_runs_again_sends_nothing_again(session, cell):
@@ -217,7 +217,7 @@ def test_a_view_that_was_lost_comes_back_when_the_broker_does(cell, python, tmp_
     """compas_eve subscribes once, and a broker that was started again has forgotten it."""
     urdf = tmp_path / "kr120.urdf"
     urdf.write_text(expand_xacro(str(XACRO), {}))
-    account = cell.site.folder / "accounts/kr120-planner-ada/account.json"
+    account = cell.site.folder / "accounts/ada/account.json"
     command = [python, SESSION, "patient", str(cell.site.site.port), str(account), str(urdf)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as session:
         try:

@@ -247,7 +247,7 @@ def test_with_a_site_s_gateway_account_it_says_its_word_and_its_pose(tmp_path):
     command += ["--topics", "twin/one", "--user", account.user, "--password-file", account.password_file]
     plc = subprocess.Popen([*command, "--ca-file", account.ca_file], stdout=subprocess.DEVNULL)
     try:
-        viewer = Listener(site.broker(site.account("one-viewer")), "twin/one/#")
+        viewer = Listener(site.broker(site.account("vic")), "twin/one/#")
         wait_until(lambda: ("twin/one/status", b"ready") in viewer.messages, 20.0, "`ready`")
         wait_until(lambda: ("twin/one/state", CODEC.encode(HOME)) in viewer.messages, what="a pose")
         plc.send_signal(signal.SIGTERM)

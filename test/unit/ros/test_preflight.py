@@ -274,7 +274,7 @@ def test_a_taken_port_is_refused_before_anything_starts():
 @pytest.fixture(scope="module")
 def console_site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("site")
-    options = ("--host", "localhost", "--robot", "kr120", "--reviewer", "ada", "--console", "localhost")
+    options = ("--host", "localhost", "--robot", "kr120", "--person", "ada:approve", "--console", "localhost")
     assert make_site.main([str(folder), *options]) == 0
     return folder / "console"
 

@@ -56,13 +56,13 @@ export function make(parent, store, connection, texts, clock = browser) {
     const found = outcome(press);
     const open = robot?.old === false && connection.state === "connected" ? waitsFor(robot.view) : [];
     const waits = open.length > 0;
-    const may = (verb) => store.rightsOf.may(store.selected, verb);
+    const may = store.rightsOf.may(store.selected, "reset") !== false;
     box.hidden = !waits && !BAD.includes(found);
     for (const verb of VERBS) {
-      buttons[verb].hidden = !open.includes(verb) || may(verb) === false;
+      buttons[verb].hidden = !open.includes(verb) || !may;
       buttons[verb].disabled = !open.includes(verb) || found === "sending" || found === "waiting";
     }
-    const none = waits && open.every((verb) => may(verb) === false);
+    const none = waits && !may;
     whose.hidden = !none;
     const who = none ? store.rightsOf.who(store.selected, "reset") : [];
     setText(whose, none ? texts(who.length ? "actions.who" : "actions.nobody", {who: who.join(", ")}) : "");

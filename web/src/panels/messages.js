@@ -26,7 +26,7 @@ export function make(parent, store, connection, texts, {when = timeOf} = {}) {
     const count = unread(messages).length;
     parent.tab?.mark(count ? String(count) : "");
     none.hidden = messages.length > 0;
-    const may = store.rightsOf.may(store.selected, "acknowledge") !== false && connection.state === "connected";
+    const may = store.rightsOf.may(store.selected, "operate") !== false && connection.state === "connected";
     clear(list);
     for (const message of [...messages].reverse()) {
       const {line, until} = message;

@@ -128,7 +128,7 @@ export function make(parent, store, connection, texts, means = {}) {
   }
 
   function mayPlan(robot) {
-    return store.rightsOf.may(robot, "plan_request") !== false && desk(robot).broker !== "refused";
+    return store.rightsOf.may(robot, "operate") !== false && desk(robot).broker !== "refused";
   }
 
   function presentJoints(robot) {
@@ -198,7 +198,7 @@ export function make(parent, store, connection, texts, means = {}) {
       mine.asked.set(question.id, {position: question.position, quaternion: question.orientation});
       while (mine.asked.size > 8) mine.asked.delete(mine.asked.keys().next().value);
       // one with QoS 0 that the broker's rules refuse disappears without a word
-      const qos = mine.broker === "taken" || store.rightsOf.may(robot, "plan_request") ? 0 : 1;
+      const qos = mine.broker === "taken" || store.rightsOf.may(robot, "operate") ? 0 : 1;
       connection.publish(topic("ik", connection.account), robot, question, {qos}).then(
         () => {
           if (qos === 1) mine.broker = "taken";
@@ -314,9 +314,9 @@ export function make(parent, store, connection, texts, means = {}) {
   }
 
   function whoPlans(robot) {
-    const who = store.rightsOf.who(robot, "plan_request");
+    const who = store.rightsOf.who(robot, "operate");
     if (who.length > 0) return texts("plan.who", {who: who.join(", ")});
-    if (store.rightsOf.may(robot, "plan_request") === false) return texts("plan.nobody");
+    if (store.rightsOf.may(robot, "operate") === false) return texts("plan.nobody");
     return texts("plan.forbidden", {account: connection.account || "-"});
   }
 

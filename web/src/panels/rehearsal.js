@@ -99,14 +99,13 @@ export function make(parent, texts) {
  * Make the part with which a person approves in spite of the rehearsal.
  *
  * @param {{press: () => void, release: () => void, changed: () => void}} then
- * @returns `reason()`, `clear()` and `show({open, may, who, why, held})`: whether it is offered at all, whether this account may, who
- *   else can, why not now ("": it can be pressed), and for which part of the second it has been held (null: it is not)
+ * @returns `reason()`, `clear()` and `show({open, why, held})`: whether it is offered at all, why not now ("": it can be pressed), and
+ *   for which part of the second it has been held (null: it is not)
  */
 export function makeOverride(parent, texts, {press, release, changed}) {
   const part = add(parent, "fieldset", {className: "override", hidden: true});
   add(part, "legend", {text: texts("verdict.override.title")});
   const reason = makeReason(part, texts, "verdict.override.why", REASONS, changed);
-  const fields = [...part.querySelectorAll("input, select")];
   const approve = add(part, "button", {type: "button", className: "override-approve", "aria-describedby": "override-hint", disabled: true});
   add(approve, "span", {className: "verdict-fill", "aria-hidden": "true"});
   const words = add(approve, "span", {className: "override-text"});
@@ -117,17 +116,15 @@ export function makeOverride(parent, texts, {press, release, changed}) {
   return {
     reason: reason.said,
     clear: reason.clear,
-    show({open, may, who, why, held}) {
+    show({open, why, held}) {
       part.hidden = !open;
-      for (const field of [approve, ...fields]) field.hidden = !may;
       reason.disable(held !== null);
       const missing = why === "" && reason.said() === "" ? "reason" : why;
-      approve.disabled = !may || missing !== "";
+      approve.disabled = !open || missing !== "";
       approve.classList.toggle("is-pressing", held !== null);
       approve.style.setProperty("--held", (held ?? 0).toFixed(3));
       setText(words, texts(held === null ? "verdict.override.approve" : "verdict.keep"));
-      const key = !may ? (who.length ? "who" : "nobody") : missing === "reason" ? "reason" : "hint";
-      setText(hint, missing !== "" && missing !== "reason" && may ? texts(`verdict.blocked.${missing}`) : texts(`verdict.override.${key}`, {who: who.join(", ")}));
+      setText(hint, texts(missing === "" ? "verdict.override.hint" : missing === "reason" ? "verdict.override.reason" : `verdict.blocked.${missing}`));
     },
   };
 }

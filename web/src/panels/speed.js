@@ -10,6 +10,8 @@ import {browser} from "./clock.js";
 const TICK_EVERY = 50;
 /** A finger that has gone so far along the slider drags it [px]. */
 const ALONG = 10;
+/** The right that each way needs. */
+const RIGHT = {lower: "operate", raise: "approve"};
 const BAD = ["refused", "expired", "silent", "not_sent", "no_right", "unknown"];
 
 /** Return what the robot says of the limit in force, as sentences. */
@@ -50,10 +52,11 @@ export function make(parent, store, connection, texts, {now, every, time = brows
   const recordOf = (robot) => records.get(robot) ?? speed.idle();
   const peopleOf = (robot) => speed.percentOf(store.robot(robot)?.view?.speed?.people ?? 1);
   const place = () => speed.handle(recordOf(store.selected), peopleOf(store.selected));
+  const may = (robot, kind) => store.rightsOf.may(robot, RIGHT[kind]) !== false && !recordOf(robot).denied.includes(kind);
   const why = (robot) => {
     const found = store.robot(robot);
-    if (store.rightsOf.may(robot, "speed") === false) return "right";
-    return speed.blocked(recordOf(robot), {connected: connection.state === "connected", view: found?.view ?? null, old: found?.old ?? true});
+    if (!may(robot, "lower") && !may(robot, "raise")) return "right";
+    return speed.blocked({connected: connection.state === "connected", view: found?.view ?? null, old: found?.old ?? true});
   };
   const take = (robot, record) => {
     if (robot === "") return;
@@ -88,7 +91,9 @@ export function make(parent, store, connection, texts, {now, every, time = brows
   const move = (limit) => {
     const robot = store.selected;
     if (robot === "" || why(robot) !== "") return;
-    take(robot, speed.moved(recordOf(robot), limit, peopleOf(robot), now()));
+    const people = peopleOf(robot);
+    const way = Math.sign(limit - speed.known(recordOf(robot), people));
+    take(robot, way === 0 || may(robot, way < 0 ? "lower" : "raise") ? speed.moved(recordOf(robot), limit, people, now()) : recordOf(robot));
     look(robot);
   };
 
@@ -108,13 +113,16 @@ export function make(parent, store, connection, texts, {now, every, time = brows
     if (finger === null && Number(slider.value) !== at) slider.value = String(at);
     slider.setAttribute("aria-valuetext", texts("speed.percent", {percent: String(at)}));
     setText(shown, texts("speed.percent", {percent: String(at)}));
-    slider.disabled = less.disabled = more.disabled = reason !== "";
+    slider.disabled = reason !== "";
+    less.disabled = slider.disabled || !may(robot, "lower");
+    more.disabled = slider.disabled || !may(robot, "raise");
     const higher = speed.raise(record, people);
     confirm.hidden = higher === null || reason !== "";
     confirm.style.setProperty("--held", speed.progress(record, now()).toFixed(3));
     if (higher !== null) setText(confirmText, texts(record.heldAt === null ? "speed.raise" : "speed.keep", {percent: String(higher)}));
-    hint.hidden = reason === "" && higher === null;
-    if (!hint.hidden) setText(hint, texts(reason === "" ? "speed.hint" : `speed.blocked.${reason}`));
+    const only = less.disabled === more.disabled ? "" : less.disabled ? "raise" : "lower";
+    hint.hidden = reason === "" && higher === null && only === "";
+    if (!hint.hidden) setText(hint, texts(reason !== "" ? `speed.blocked.${reason}` : higher === null ? `speed.only.${only}` : "speed.hint"));
     showResult(robot, record);
   };
   const showResult = (robot, record) => {

@@ -11,7 +11,7 @@ import {browser} from "./clock.js";
 
 const VERBS = ["stop", "pause", "resume"];
 /** The right that a verb needs. */
-const RIGHT = {stop: "stop", pause: "pause", resume: "pause"};
+const RIGHT = {stop: "stop", pause: "operate", resume: "approve"};
 const BAD = ["refused", "expired", "silent", "not_sent", "no_right", "unknown"];
 
 /** Make the panel. */

@@ -177,14 +177,14 @@ export function make(parent, store, connection, texts, {now = () => performance.
   function showQuestion(task) {
     const robot = store.selected;
     const text = task?.question ?? "";
-    const may = store.rightsOf.may(robot, "answer") !== false;
+    const may = store.rightsOf.may(robot, "operate") !== false;
     question.hidden = text === "";
     const key = JSON.stringify([robot, task?.id, text, task?.answers, may]);
     if (asked !== key) {
       asked = key;
       clear(choices);
       setText(ask, text === "" ? "" : texts("tasks.question", {question: texts.reason(text)}));
-      const who = may ? [] : store.rightsOf.who(robot, "answer");
+      const who = may ? [] : store.rightsOf.who(robot, "operate");
       if (text !== "" && !may) add(choices, "p", {text: texts(who.length ? "tasks.who_answers" : "tasks.nobody_answers", {who: who.join(", ")})});
       for (const answer of may && text !== "" ? task.answers ?? [] : []) {
         const words = `work.answer.${answer}`;

@@ -187,11 +187,11 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     }
     showRehearsal(area.hidden ? null : rehearsalOf(found, store.robot(robot).rehearsal));
     const named = reviewer() !== "";
-    const may = store.rightsOf.may(robot, "review") !== false;
+    const may = store.rightsOf.may(robot, "approve") !== false;
     const why = may ? verdict.blocked(machine) || (named ? "" : "name") : "right";
-    const who = may ? [] : store.rightsOf.who(robot, "review");
+    const who = may ? [] : store.rightsOf.who(robot, "approve");
     const pressing = machine.state === "pressing" && !machine.override;
-    showOverride(machine, named);
+    showOverride(machine, named, may);
     nameLabel.hidden = connection.account !== "";
     approve.disabled = why !== "";
     approve.classList.toggle("is-pressing", pressing);
@@ -218,16 +218,13 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   const heldFor = ({pressedAt}) => Math.min(1, (now() - pressedAt) / verdict.HELD_FOR);
 
   /** What may be pressed in spite of the rehearsal; while that is on its way it stays where it is. */
-  const showOverride = (machine, named) => {
-    const robot = store.selected;
-    const may = store.rightsOf.may(robot, "override_rehearsal") !== false;
+  const showOverride = (machine, named, may) => {
     const sent = machine.sent?.override === true;
-    const open = !area.hidden && (sent || (["open", "pressing"].includes(machine.state) && machine.overridable));
+    const open = !area.hidden && may && (sent || (["open", "pressing"].includes(machine.state) && machine.overridable));
     // the other button cannot be pressed then, and on a phone it would stand before this one
-    approve.hidden = open && may;
+    approve.hidden = open;
     override.show({
-      open, may,
-      who: may ? [] : store.rightsOf.who(robot, "override_rehearsal"),
+      open,
       why: sent ? "sending" : verdict.blocked(machine, true) || (named ? "" : "name"),
       held: machine.state === "pressing" && machine.override ? heldFor(machine) : null,
     });

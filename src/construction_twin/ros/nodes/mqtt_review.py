@@ -176,10 +176,10 @@ class MqttReview:
         )  # fmt: skip
 
     def _speed_endpoint(self, kind: RequestKind, queue: RequestQueue) -> Endpoint[tuple[SpeedRequest, str]]:
+        read = partial(_read_speed, kind)
         return Endpoint(
-            kind, self._topics, partial(_read_speed, kind), self._set_speed, self._speeds, self.outlets,
-            lambda asked: f"speed limit {asked[0].limit:g} by MQTT account {asked[1]}", lambda _: queue,
-        )  # fmt: skip
+            kind, self._topics, read, self._set_speed, self._speeds, self.outlets, _describe_speed, lambda _: queue
+        )
 
     def connect(self) -> None:
         """Connect to the broker, and serve the connection in a thread of its own."""
@@ -396,6 +396,10 @@ def _read_answer(incoming: Incoming) -> tuple[AnswerRequest, str]:
 
 def _read_speed(kind: RequestKind, incoming: Incoming) -> tuple[SpeedRequest, str]:
     return parse_speed(incoming.read_document(kind.name, MAX_REQUEST_BYTES), kind), incoming.account
+
+
+def _describe_speed(asked: tuple[SpeedRequest, str]) -> str:
+    return f"speed limit {asked[0].limit:g} by MQTT account {asked[1]}"
 
 
 def _describe(review: ReviewRequest) -> str:
