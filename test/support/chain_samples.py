@@ -18,7 +18,7 @@ from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.plan import Plan
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.servo.model import ServoModel
-from construction_twin.twin.backend import KinematicBackend, TwinBackend
+from construction_twin.twin.virtual_robot import KinematicBackend, TwinBackend
 
 ROOT = Path(__file__).resolve().parents[2]
 ROBOT = read_robot_files(ROOT / "urdf" / "kr120r2500.urdf.xacro", ROOT / "config" / "kr120.yaml")

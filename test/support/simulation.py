@@ -40,8 +40,7 @@ from construction_twin.review.plan_under_review import Verdict
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 from construction_twin.servo.model import ServoModel
-from construction_twin.twin.backend import KinematicBackend, TwinBackend
-from construction_twin.twin.virtual_robot import VirtualRobot
+from construction_twin.twin.virtual_robot import KinematicBackend, TwinBackend, VirtualRobot
 
 #: Simulated time begins here [ns]: stamps as large as real ones, so that rounding is as real.
 EPOCH = 1_790_000_000 * NANOSECONDS

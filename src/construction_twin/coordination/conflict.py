@@ -22,12 +22,7 @@ _ROUNDING = 1e-4
 
 
 class Copies:
-    """Copies of one shape, as arrays.
-
-    Args:
-        places: Index of each in the list that it was taken from, ascending.
-        items: All of the same geometry.
-    """
+    """Copies of one shape, as arrays."""
 
     def __init__(self, places: Sequence[int], items: Sequence[Obstacle]):
         self.places = np.array(places)
@@ -102,7 +97,6 @@ def first_contact(own: Sequence[Copies], others: Sequence[Copies], padding: floa
     other pair of copies of the same two bodies.
 
     Args:
-        own, others: See `copies`.
         padding: Distance to keep, on top of what both obstacles have [m].
 
     Returns:
@@ -180,7 +174,6 @@ class PathCheck:
     """The result of comparing a plan's path with the other arm, as far as it has been compared.
 
     Attributes:
-        conflict: The first one found so far.
         fraction: Fraction of the path that has been compared with the space that the other arm occupies; 1: all of it.
     """
 
@@ -211,9 +204,6 @@ class OwnPath:
     """A plan of ours as copies of our arm, compared with the other arm in steps, so that no single call takes long.
 
     What was once found clear stays clear: the rest of our path only gets shorter, and so does the rest of the other arm's path.
-
-    Args:
-        arm: Our own robot with what it carries, from its own root; its `step` is how close the copies are.
     """
 
     def __init__(self, plan: Plan, arm: Neighbour):
@@ -232,7 +222,6 @@ class OwnPath:
         """Compare the path from a row on with the space that the other arm occupies: up to a horizon, then within a budget.
 
         Args:
-            obstacles: The space that the other arm occupies.
             padding: Distance to keep from it [m], added to the padding of both sides' copies. Must be the same at every call.
             row: Our arm's present row. Must not decrease from call to call.
             horizon: The next part of the path, of this length, is always compared [s].
@@ -341,7 +330,6 @@ def gives_way(conflict: Conflict, own: Claim, other: Claim | None, horizon: floa
 
     Args:
         other: None: the other arm follows no plan.
-        horizon: See `braking_horizon` [s].
     """
     return other is None or not own.since or other.before(own) or conflict.time <= horizon
 

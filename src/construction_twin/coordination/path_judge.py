@@ -25,7 +25,6 @@ class Judgement:
     """A verdict on one plan.
 
     Attributes:
-        blocked: It must not start, or must not continue.
         time: As in `Conflict.msg`: time until the conflict, 0 if unknown, -1 without a conflict [s].
     """
 
@@ -39,7 +38,6 @@ class Others:
     """The other arm at the time of one check.
 
     Attributes:
-        obstacles: The space that it occupies.
         claim: None: it follows no plan, or this is not known.
         unknown: Why its pose is unknown, so that its whole reach is used; empty: the pose is known.
         complete: Whether the obstacles contain its path to the end, not only until beyond our horizon.
@@ -56,13 +54,7 @@ class PathJudge:
 
     Args:
         robot: Ours; its name decides if both plans began at the same time.
-        neighbour: Name of the other robot.
         padding: Distance below which a plan may not start or go on, on top of our scene's padding [m].
-        step: As of `Neighbour`, for our own arm [m].
-        horizon: See `braking_horizon` [s].
-
-    Raises:
-        ConfigurationError: If our robot's shapes cannot be read.
     """
 
     def __init__(self, robot: RobotModel, neighbour: str, padding: float, step: float, horizon: float):
@@ -79,9 +71,6 @@ class PathJudge:
     def waiting(self, plan: Plan, scene: Scene | None, others: Others) -> Judgement:
         """Judge a plan that waits for review: its whole path must have been compared before it may start.
 
-        Args:
-            scene: Ours, with what the arm carries.
-
         Raises:
             SceneError: If what our arm carries cannot be used.
         """
@@ -93,12 +82,8 @@ class PathJudge:
         """Judge the plan that is played, from our arm's present pose: up to the horizon at once, the rest over the next checks.
 
         Args:
-            plan, scene, others: As in `waiting`.
             started: Stamp of its first setpoint, 0 before [ns].
             poses: Each of shape (n,). Of our arm, commanded and measured; empty: unknown.
-
-        Raises:
-            SceneError: As in `waiting`.
         """
         return self._judge(plan, scene, others, Claim(started, self._robot.name), tuple(poses), self._horizon)
 

@@ -27,9 +27,6 @@ class PlanPosition:
 class PathSweep:
     """A trajectory as copies of an arm's bodies; see `Neighbour.along`. Rows are its samples every 4 ms.
 
-    Args:
-        standing: Include the bodies that no joint moves.
-
     Attributes:
         times: Shape (m,). Of all rows [s].
         copies: Of the chunks computed so far, as in `SweptPath.copies`.

@@ -53,13 +53,9 @@ class AppendOnlyFile:
     A last line without its end was never reported as written (the power failed): it is cut off.
 
     Args:
-        path: ``~`` is the home folder.
         failure: Takes the path and what is wrong; returns the error that is raised when a line cannot be written.
-        writer: Who else may be writing it, for the sentence: ``executor``.
 
     Attributes:
-        lines: Number of lines.
-        mended: Bytes that were cut off.
         lost: Deferred lines that were not kept, because `KEPT` others waited for a file that could not be written.
 
     Raises:
@@ -99,7 +95,6 @@ class AppendOnlyFile:
 
         Args:
             now: Time since 1970 [ns].
-            fields: What JSON can hold.
         """
         if len(self._deferred) >= KEPT:
             # no verdict is taken meanwhile: `append` writes these first, and fails

@@ -38,9 +38,7 @@ class ConfigurationError(ConstructionTwinError):
     """A parameter, file or robot description does not make sense.
 
     Attributes:
-        where: Resolved parameter name or file path.
         value: What was found there; None: nothing.
-        expected: What would have been accepted.
     """
 
     def __init__(self, where: str, value: object, expected: str):
@@ -101,26 +99,16 @@ class ExpiredError(ReviewError):
 
 
 class RecordError(ReviewError):
-    """A verdict cannot be recorded, and what is not recorded is not carried out.
-
-    Attributes:
-        path: The review file.
-    """
+    """A verdict cannot be recorded, and what is not recorded is not carried out."""
 
     def __init__(self, path: str, problem: str):
-        self.path = path
         super().__init__(Sentence("review.no_record", path=path, problem=problem))
 
 
 class TransitionLogError(ConstructionTwinError):
-    """A change of the monitor's state cannot be written down; it is kept and tried again.
-
-    Attributes:
-        path: The log file.
-    """
+    """A change of the monitor's state cannot be written down; it is kept and tried again."""
 
     def __init__(self, path: str, problem: str):
-        self.path = path
         super().__init__(Sentence("reason.transitions_kept", path=path, problem=problem))
 
 
@@ -179,15 +167,9 @@ class TelegramError(ProtocolError):
 
 
 class PoseUnknownError(ConstructionTwinError):
-    """The robot's pose is not published, or not any more.
-
-    Attributes:
-        topic: Resolved name of the topic that should.
-        age, oldest: Age of its last message [s], inf without one; greatest that was asked for.
-    """
+    """The robot's pose is not published, or not any more."""
 
     def __init__(self, topic: str, age: float, oldest: float):
-        self.topic, self.age, self.oldest = topic, age, oldest
         found = "none" if age == float("inf") else "old"
         super().__init__(Sentence(f"reason.pose_unknown.{found}", topic=topic, age=age, oldest=oldest))
 
@@ -197,27 +179,17 @@ class RequestRefused(ConstructionTwinError):
 
 
 class ServiceSilentError(ConstructionTwinError):
-    """A node does not answer on one of its services.
-
-    Attributes:
-        service: Its resolved name.
-    """
+    """A node does not answer on one of its services."""
 
     def __init__(self, service: str, problem: object, program: str):
-        self.service = service
         problem = problem if isinstance(problem, Sentence) else str(problem)
         super().__init__(Sentence("reason.service_silent", service=service, problem=problem, program=program))
 
 
 class SilenceError(ConstructionTwinError):
-    """There is no answer: the system is not running, or not under this name.
-
-    Attributes:
-        where: The service, topic or master that was asked.
-    """
+    """There is no answer: the system is not running, or not under this name."""
 
     def __init__(self, where: str, problem: str, to_do: str):
-        self.where = where
         super().__init__(Sentence("view.silent", where=where, problem=problem, to_do=to_do))
 
 

@@ -15,11 +15,7 @@ PACKAGES = {
 
 
 def check_extras(group: str) -> None:
-    """Check that a group's packages are there. To be called before a module that needs them is imported.
-
-    Raises:
-        ConfigurationError: Naming those that are missing, and what installs them.
-    """
+    """Check that a group's packages are there. To be called before a module that needs them is imported."""
     missing = [name for name in PACKAGES[group] if importlib.util.find_spec(name) is None]
     if missing:
         expected = "expected.extras.installed" if len(missing) == 1 else "expected.extras.all_installed"

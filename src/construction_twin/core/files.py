@@ -33,13 +33,7 @@ def read_file(path: str | Path, most: int) -> bytes:
 
 
 def write_whole(path: Path, contents: str | bytes) -> None:
-    """Write a file in one step: a reader sees the old contents or the new ones, never a part. Nothing else is left behind.
-
-    Args:
-        contents: A text is written in UTF-8.
-
-    Raises OSError.
-    """
+    """Write a file in one step: a reader sees the old contents or the new ones, never a part. Nothing else is left behind."""
     path.parent.mkdir(parents=True, exist_ok=True)
     # not with_name, which refuses "." with another error
     temporary = path.parent / f"{path.name}.{os.getpid()}.tmp"
@@ -55,7 +49,6 @@ def write_in_place(path: Path, text: str, room: int) -> None:
     """Write a short text over what a file holds; it is on the disk then, which may have been full since the file was made.
 
     Args:
-        path: Made with all its room where it does not exist.
         room: What the file has at least, in blanks behind the text [bytes].
 
     Raises OSError; what the file holds is not known then.
@@ -75,9 +68,6 @@ def check_writable(folder: str | Path) -> None:
     """Check that files can be written into a folder, which need not exist yet. Nothing is left behind.
 
     For before a long computation: whether its result can be kept shows at its end otherwise.
-
-    Raises:
-        ConfigurationError: When it cannot be made, or takes no files.
     """
     folder = Path(folder).absolute()
     there = next(parent for parent in (folder, *folder.parents) if os.path.lexists(parent))

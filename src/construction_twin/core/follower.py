@@ -35,7 +35,6 @@ class Follower:
     """Per-joint target following inside the limits.
 
     Args:
-        decimals: Decimals on the wire, for the allowance.
         q: Shape (n,). Start position, at rest [rad].
         cycle: Time between two calls [s].
     """

@@ -42,9 +42,6 @@ class Moment:
 def parse_moment(text: object) -> Moment:
     """Return the moment that a request repeats.
 
-    Args:
-        text: As the newest `view` has it in `moment`.
-
     Raises:
         PayloadError: ``moment``
     """

@@ -30,11 +30,7 @@ def percentile(edges: Sequence[float], counts: Sequence[int], fraction: float) -
 
 
 class Histogram:
-    """Counts in fixed bins.
-
-    Args:
-        edges: Upper edges, ascending; what lies above the last goes into an overflow bin.
-    """
+    """Counts in fixed bins."""
 
     def __init__(self, edges: list[float]):
         self.edges = edges

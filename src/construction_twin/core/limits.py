@@ -116,9 +116,6 @@ class MotionCheck:
     down harder than the limits is the follower's to absorb (docs/architecture.md, law 3), speeding up or turning round harder is
     refused.
     The budget includes what rounding to the wire's decimals adds.
-
-    Args:
-        decimals: Decimals on the wire.
     """
 
     def __init__(self, limits: MotionLimits, decimals: int):

@@ -34,7 +34,6 @@ class JointRangeError(KinematicsError):
 
     Attributes:
         value, lower, upper: [rad] ([m] for a prismatic joint).
-        linear: The joint is prismatic.
     """
 
     _key = "motion.joint_range"
@@ -68,15 +67,9 @@ class OrientationError(PoseRangeError):
 
 
 class BranchError(KinematicsError):
-    """A configuration of the arm (shoulder, elbow, wrist) is unknown, or does not exist for this arm or target.
-
-    Attributes:
-        asked: The configuration asked for.
-        available: What could have been asked for; empty if the arm has no named configurations.
-    """
+    """A configuration of the arm (shoulder, elbow, wrist) is unknown, or does not exist for this arm or target."""
 
     def __init__(self, asked: str, available: tuple[str, ...], problem: str, **values: str):
-        self.asked, self.available = asked, available
         if available:
             values["available"] = ", ".join(available)
         super().__init__(Sentence(f"motion.branch.{problem}", asked=repr(asked), **values))
@@ -93,7 +86,6 @@ class NotFoundError(KinematicsError):
     """No joint solution was found in the time given, which does not prove that there is none.
 
     Attributes:
-        tried: Number of starting points tried.
         budget_s: The time given [s].
         residual_m, residual_rad: Position and orientation error of the best attempt within the ranges; inf without any.
         hint: What the search saw besides: part of a sentence, or "".
@@ -113,8 +105,6 @@ class SceneError(ConstructionTwinError):
 
     Attributes:
         where: What is wrong: an object's property (``object 'wall' size``), a name, a file.
-        value: What was found there.
-        expected: What would have been accepted.
     """
 
     def __init__(self, where: str, value: object, expected: str):
@@ -162,7 +152,6 @@ class RetimedCollisionError(CollisionError):
     """A motion whose times were replaced touches something; `where` names points of the sender, who knows no others.
 
     Attributes:
-        why: Why the times were replaced.
         lines_free: Nothing touches on the straight lines between the points.
     """
 
@@ -205,7 +194,6 @@ class FarWaypointError(PlanningError):
     """A tool path leads to a place so far beyond the arm that it must be a mistake.
 
     Attributes:
-        waypoint: Its number, from 0.
         distance, reach: From the arm's first turning joint, and how far the arm reaches from there [m].
     """
 
@@ -217,39 +205,23 @@ class FarWaypointError(PlanningError):
 
 
 class NoSceneError(PlanningError):
-    """It is not known what surrounds the arm, so nothing can be planned.
-
-    Attributes:
-        source: Topic on which the scene should come; empty: it is given by a call.
-    """
+    """It is not known what surrounds the arm, so nothing can be planned."""
 
     def __init__(self, source: str):
-        self.source = source
         super().__init__(Sentence("motion.no_scene", source=source) if source else Sentence("motion.scene_not_set"))
 
 
 class SceneChangedError(PlanningError):
-    """The scene is another one than the one that was planned in.
-
-    Attributes:
-        planned, present: Hashes of both scenes.
-    """
+    """The scene is another one than the one that was planned in."""
 
     def __init__(self, planned: str, present: str):
-        self.planned = planned
-        self.present = present
         super().__init__(Sentence("motion.scene_changed", planned=planned[:8], present=present[:8]))
 
 
 class NeighbourUnknownError(PlanningError):
-    """Where the other arm is, or goes, is not published; it is never taken to be absent.
-
-    Attributes:
-        neighbour: Name of the other robot.
-    """
+    """Where the other arm is, or goes, is not published; it is never taken to be absent."""
 
     def __init__(self, neighbour: str, problem: str):
-        self.neighbour = neighbour
         super().__init__(Sentence("motion.neighbour", neighbour=neighbour, problem=problem))
 
 
@@ -296,12 +268,7 @@ class CartesianPathError(PlanningError):
 
 
 class SegmentError(PlanningError):
-    """A segment of a work plan cannot be used, and so neither can the plan.
-
-    Attributes:
-        number: Of the segment, from 0.
-        cause: What is wrong with it, with its own data.
-    """
+    """A segment of a work plan cannot be used, and so neither can the plan."""
 
     def __init__(self, number: int, name: str, cause: ConstructionTwinError):
         self.number, self.name, self.cause = number, name, cause
@@ -315,7 +282,6 @@ class FrameError(PlanningError):
     LISTED = 40
 
     def __init__(self, frame: str, base: str, cause: str, known: Sequence[str]):
-        self.frame = frame
         values = {"frame": repr(frame), "base": repr(base), "cause": cause, "known": ", ".join(known[: self.LISTED])}
         if len(known) > self.LISTED:
             super().__init__(Sentence("motion.frames", **values, count=len(known) - self.LISTED))
@@ -324,14 +290,9 @@ class FrameError(PlanningError):
 
 
 class EngagedError(PlanningError):
-    """The arm was left inside an engaged segment of a work plan: only the way back along the executed path can be planned.
-
-    Attributes:
-        task, segment: Which task, and in which of its segments the arm was left.
-    """
+    """The arm was left inside an engaged segment of a work plan: only the way back along the executed path can be planned."""
 
     def __init__(self, task: str, segment: str, reason: str):
-        self.task, self.segment = task, segment
         values = {"segment": repr(segment), "task": task}
         if reason:
             super().__init__(Sentence("motion.engaged_because", **values, reason=reason))

@@ -1,4 +1,4 @@
-"""How often something may happen: a bucket of tokens, a number in any span of time, and either of them for each sender.
+"""How often something may happen: a bucket of tokens, and a number in any span of time, of each sender.
 
 Pure: `now` is an argument, in ns on a monotonic clock. Standard library only.
 """
@@ -6,9 +6,7 @@ Pure: `now` is an argument, in ns on a monotonic clock. Standard library only.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 from construction_twin.core.units import NANOSECONDS
 
@@ -54,26 +52,8 @@ class LineLimiter:
 MOST_SENDERS = 64
 
 
-class Limit(Protocol):
-    """A limit on how often."""
-
-    def take(self, now: int) -> bool:
-        """Return whether it may happen at `now`, and count it if so."""
-
-    def wait(self, now: int) -> float:
-        """Return how long it may not happen from `now` on [ns]; 0: it may."""
-
-    def rest(self, now: int) -> float:
-        """Return how long something that was counted still counts from `now` on [ns]; 0: all is forgotten."""
-
-
 class TokenBucket:
-    """Tokens that are used up and come back at a rate.
-
-    Args:
-        rate: How many come back per second.
-        burst: How many there are at first, and at most: so many may be used at once.
-    """
+    """Tokens that are used up and come back at a rate."""
 
     __slots__ = ("_burst", "_owed", "_rate", "_seen")
 
@@ -84,25 +64,14 @@ class TokenBucket:
         self._owed: float = 0
         self._seen = 0
 
-    def _still_owed(self, now: int) -> float:
-        # a clock that goes back gives nothing
-        return max(0, self._owed - max(0, now - self._seen) * self._rate)
-
     def take(self, now: int, amount: float = 1) -> bool:
         """Use up `amount` tokens; return False, and use up none, where there are fewer."""
-        owed = self._still_owed(now) + amount * NANOSECONDS
+        # a clock that goes back gives nothing
+        owed = max(0, self._owed - max(0, now - self._seen) * self._rate) + amount * NANOSECONDS
         if owed > self._burst:
             return False
         self._owed, self._seen = owed, now
         return True
-
-    def wait(self, now: int) -> float:
-        """Return how long there is no token from `now` on [ns]."""
-        return max(0, self._still_owed(now) + NANOSECONDS - self._burst) / self._rate
-
-    def rest(self, now: int) -> float:
-        """Return how long the bucket is not full from `now` on [ns]."""
-        return self._still_owed(now) / self._rate
 
 
 class RollingWindow:
@@ -141,34 +110,6 @@ class RollingWindow:
         return self._span - (now - self._times[-1]) if self._times else 0
 
 
-class SenderLimits:
-    """A limit of its own for each sender; what is known of a sender is forgotten when nothing of it counts any more.
-
-    While `MOST_SENDERS` are known, no other one may do anything.
-    """
-
-    def __init__(self, make: Callable[[], Limit]):
-        self._make = make
-        self._limits: dict[str, Limit] = {}
-
-    def _limit(self, sender: str, now: int) -> Limit | None:
-        if sender not in self._limits and len(self._limits) >= MOST_SENDERS:
-            self._limits = {name: limit for name, limit in self._limits.items() if limit.rest(now)}
-            if len(self._limits) >= MOST_SENDERS:
-                return None
-        return self._limits.setdefault(sender, self._make())
-
-    def take(self, sender: str, now: int) -> bool:
-        """Return whether it may happen for a sender at `now`, and count it if so."""
-        limit = self._limit(sender, now)
-        return limit is not None and limit.take(now)
-
-    def wait(self, sender: str, now: int) -> float:
-        """Return how long it may not happen for a sender from `now` on [ns]; 0: it may."""
-        limit = self._limit(sender, now)
-        return min(known.rest(now) for known in self._limits.values()) if limit is None else limit.wait(now)
-
-
 @dataclass(frozen=True)
 class Pace:
     """How often each sender may do something: `most` times in any `seconds`."""
@@ -179,6 +120,30 @@ class Pace:
     def __str__(self) -> str:
         return f"{self.most} in {self.seconds:g} s"
 
-    def limits(self) -> SenderLimits:
-        """Return what keeps it, by any clock [ns]."""
-        return SenderLimits(lambda: RollingWindow(self.most, round(self.seconds * NANOSECONDS)))
+
+class SenderLimits:
+    """A pace for each sender, by any clock [ns]; what is known of a sender is forgotten when nothing of it counts any more.
+
+    While `MOST_SENDERS` are known, no other one may do anything.
+    """
+
+    def __init__(self, pace: Pace):
+        self._pace = pace
+        self._windows: dict[str, RollingWindow] = {}
+
+    def _window(self, sender: str, now: int) -> RollingWindow | None:
+        if sender not in self._windows and len(self._windows) >= MOST_SENDERS:
+            self._windows = {name: window for name, window in self._windows.items() if window.rest(now)}
+            if len(self._windows) >= MOST_SENDERS:
+                return None
+        return self._windows.setdefault(sender, RollingWindow(self._pace.most, round(self._pace.seconds * NANOSECONDS)))
+
+    def take(self, sender: str, now: int) -> bool:
+        """Return whether it may happen for a sender at `now`, and count it if so."""
+        window = self._window(sender, now)
+        return window is not None and window.take(now)
+
+    def wait(self, sender: str, now: int) -> float:
+        """Return how long it may not happen for a sender from `now` on [ns]; 0: it may."""
+        window = self._window(sender, now)
+        return min(known.rest(now) for known in self._windows.values()) if window is None else window.wait(now)

@@ -20,9 +20,6 @@ def request_realtime(priority: int) -> str:
     With it the processors are asked to stay awake as long as this process lives, or a program that takes its place: an idle one
     that has to wake up first answers late, in a virtual machine by milliseconds, because its host has given it away.
 
-    Args:
-        priority: 1 to 99; 0 asks for nothing.
-
     Returns:
         One sentence for the log.
     """

@@ -75,10 +75,5 @@ def _written(value: Any, about: Mapping[str, Any], places: int | None) -> Any:
 
 
 def dumped(value: Any, places: int | None = None, marks: tuple[str, str] = COMPACT) -> bytes:
-    """Return a record as JSON.
-
-    Args:
-        places: As of `document`.
-        marks: `COMPACT` or `SPACED`.
-    """
+    """Return a record as JSON."""
     return json.dumps(document(value, places), allow_nan=False, separators=marks).encode()

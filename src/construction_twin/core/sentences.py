@@ -64,21 +64,13 @@ class Sentence(str):
 
     It is the text for whoever only logs, compares or sends it. What is made of it with other text is a plain text without a key; to
     keep the key, it is a value of another sentence.
-
-    Attributes:
-        key: In `sentences.json`.
-        values: What its places name.
     """
 
     key: str
     values: Mapping[str, Value]
 
     def __new__(cls, key: str, /, **values: Value) -> Sentence:
-        """Return the sentence of a key.
-
-        Raises:
-            KeyError: There is none.
-        """
+        """Return the sentence of a key."""
         sentence = super().__new__(cls, fill(_ENGLISH[key], values))
         sentence.key, sentence.values = key, values
         return sentence
@@ -145,9 +137,6 @@ def _written(place: re.Match[str], values: Mapping[str, Value]) -> str:
 @lru_cache(maxsize=256)
 def understood(text: str) -> Sentence | None:
     """Return the reason that a node has given as English text, with its key and values: ROS messages carry the text alone.
-
-    Args:
-        text: As it was said.
 
     Returns:
         The sentence whose text this is, character by character; None: no reason of `sentences.json` reads so. What has no words of

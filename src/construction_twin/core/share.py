@@ -14,11 +14,7 @@ NAME = "construction_twin"
 
 
 def share_file(path: str) -> Path:
-    """Return where a file or folder of the package is.
-
-    Args:
-        path: As in the repository: ``config/kr120.yaml``. Whether it is there, whoever reads it finds out.
-    """
+    """Return where a file or folder of the package is."""
     return share_folder() / path
 
 

@@ -24,11 +24,7 @@ _Result = TypeVar("_Result")
 
 @dataclass(frozen=True)
 class Failure:
-    """What failed beside an act.
-
-    Attributes:
-        what: The part, in a word or two.
-    """
+    """What failed beside an act."""
 
     what: str
     error: Exception
@@ -65,7 +61,6 @@ class SideEffects:
         Args:
             what: The part, in a word or two of few: each is counted by itself.
             part: It tells, records or predicts. An act, or what an act depends on, does not belong here.
-            arguments: Of the part.
         """
         try:
             return part(*arguments)

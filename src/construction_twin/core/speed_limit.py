@@ -27,7 +27,6 @@ class SpeedLimit:
     Args:
         deadline: A source that was heard must be heard again within this time [s].
         silent: Fraction of the speed while it is not; or the last limit, where that was lower.
-        required: Whether that fraction holds before any source was heard.
 
     Attributes:
         name, fraction: Who was heard last, and what it asked for; "" and 1 before the first time.

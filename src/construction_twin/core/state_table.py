@@ -77,12 +77,7 @@ def by_cause(table: tuple[Row[S, E, G, A], ...]) -> dict[tuple[S, E], tuple[Row[
 
 
 def row_of(rows: Causes[S, E, G, A], state: S, event: E, holds: Callable[[G], bool]) -> Row[S, E, G, A] | None:
-    """Return the row that applies to an event, for a state that is a value and not a machine's; None: the event does not fit.
-
-    Args:
-        rows: The table, `by_cause`.
-        holds: Asked of the guards but the one that always holds.
-    """
+    """Return the row that applies to an event, for a state that is a value and not a machine's; None: the event does not fit."""
     return next((row for row in rows[state, event] if not row.guard.value or holds(row.guard)), None)
 
 
@@ -106,12 +101,9 @@ class Machine(Generic[S, E, G, A, Occ]):
     """The present state, why it was entered, and how it changes: by the rows of a table, and in no other way.
 
     Args:
-        rows: The table, `by_cause`.
-        state, reason: The first ones.
         guards: From the occasion to what speaks against the row, in a sentence; "" for nothing. See `conditions`.
         actions: Takes row and occasion; returns the sentence with which the next state is entered, None for the occasion's own.
         refusal: Key of the sentence about an event that its state does not take; its values are ``state`` and ``reason``.
-        after: Takes row and occasion, when a row has been applied.
 
     Attributes:
         changed: True after every change of state or reason, until whoever reports it sets it to False.

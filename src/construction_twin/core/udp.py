@@ -46,10 +46,6 @@ def ask_for_stamps(sock: socket.socket) -> bool:
 def address_of(host: str, option: str) -> str:
     """Return the one IPv4 address of a host, which is what a datagram's source is compared with.
 
-    Args:
-        host: Address or name.
-        option: Where it was given.
-
     Raises:
         ConfigurationError: When the name is not known, or stands for several addresses.
     """

@@ -74,7 +74,6 @@ def last_digit(decimals: int, linear: bool = False) -> float:
     """Return what one unit of the last decimal of a joint string's field is worth.
 
     Args:
-        decimals: Decimals on the wire.
         linear: True: of mm, for a prismatic joint; False: of deg.
 
     Returns:
@@ -90,7 +89,6 @@ def format_allowance(decimals: int, linear: bool = False, cycle: float = CYCLE) 
     125 deg/s^2 at 3 decimals, 0.125 at 6; likewise 125 mm/s^2 for a prismatic joint. A ninth of it in a cycle of 12 ms.
 
     Args:
-        decimals: Decimals on the wire.
         linear: True: of mm, for a prismatic joint; False: of deg.
         cycle: Time between the rounded values [s].
 

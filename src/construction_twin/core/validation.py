@@ -63,7 +63,6 @@ class WrongValue:
     Attributes:
         key: Keys and positions from the top, with ``/`` between; empty: the document itself.
         value: None when the key is missing.
-        expected: What is allowed there.
     """
 
     key: str
@@ -75,11 +74,7 @@ class WrongValue:
 
 
 def wrong_value(error: Invalid, schema: Schema) -> WrongValue:
-    """Return what is wrong, in words.
-
-    Args:
-        schema: JSON Schema of what was expected.
-    """
+    """Return what is wrong, in words."""
     problems = error.errors()
     first = _mistyped(problems) or problems[0]
     keys, place, parent = _walk(schema, first["loc"])
@@ -99,12 +94,7 @@ def _mistyped(problems: Sequence[Mapping[str, Any]]) -> Mapping[str, Any] | None
 
 
 def configuration_error(error: Invalid, model: Model, where: str = "") -> ConfigurationError:
-    """Return the typed error of what is wrong.
-
-    Args:
-        model: The pydantic model that refused.
-        where: What stands before the key: a file, a parameter.
-    """
+    """Return the typed error of what is wrong."""
     wrong = wrong_value(error, model.model_json_schema())
     key = "/".join(filter(None, (where, wrong.key)))
     return ConfigurationError(key, wrong.value, wrong.expected)
@@ -200,12 +190,7 @@ def _described(node: Schema, root: Schema) -> str:
 
 def _number(node: Schema, _root: Schema) -> str:
     words = [_KINDS[node["type"]]]
-    for key, word in (
-        ("exclusiveMinimum", "above"),
-        ("minimum", "at least"),
-        ("exclusiveMaximum", "below"),
-        ("maximum", "at most"),
-    ):
+    for key, word in _BOUNDS.items():
         if key in node:
             words.append(f"{word} {node[key]:g}")
     return words[0] if len(words) == 1 else f"{words[0]} {' and '.join(words[1:])}"

@@ -31,37 +31,19 @@ class BuildingError(WorkError):
 
 
 class ScheduleError(WorkError):
-    """The order of the tasks makes no sense.
-
-    Attributes:
-        ids: GlobalIds of the tasks or elements concerned.
-    """
-
-    def __init__(self, message: str, ids: tuple[str, ...] = ()):
-        self.ids = ids
-        super().__init__(message)
+    """The order of the tasks makes no sense."""
 
 
 class PlacementError(WorkError):
-    """The model does not stand where the robot is, as far as its figures can tell.
-
-    Attributes:
-        ids: GlobalIds of the elements concerned; empty: all, or none.
-    """
-
-    def __init__(self, message: str, ids: tuple[str, ...] = ()):
-        self.ids = ids
-        super().__init__(message)
+    """The model does not stand where the robot is, as far as its figures can tell."""
 
 
 class TaskPlanningError(WorkError):
     """A task cannot be planned.
 
     Attributes:
-        task: Id of the task, or of the element.
         stage: Segment that was not possible with the method that came furthest; empty: before any.
         method: Name of that method, see `work.jobs.TaskMotions`; empty: none.
-        reason: Why, as a sentence without the above.
     """
 
     def __init__(self, task: str, reason: str, stage: str = "", method: str = ""):
@@ -74,16 +56,11 @@ class LedgerError(WorkError):
     """What was done cannot be recorded, or its record cannot be read; nothing is done without it."""
 
     def __init__(self, path: str, problem: str):
-        self.path = path
         super().__init__(Sentence("building.part", file=path, what=problem))
 
 
 class BodyError(WorkError):
-    """An element's geometry cannot be brought into the scene.
-
-    Attributes:
-        element: GlobalId.
-    """
+    """An element's geometry cannot be brought into the scene."""
 
     def __init__(self, element: str, problem: str):
         self.element, self.problem = element, problem

@@ -101,9 +101,6 @@ class TwinPath:
 
     Args:
         base: Stamp that times are counted from [ns].
-
-    Raises:
-        ConstructionTwinError: If fewer than two samples have increasing stamps.
     """
 
     def __init__(self, twin: Stream, base: int):
@@ -149,11 +146,7 @@ class TwinPath:
 
 
 def task_window(recording: Recording) -> Window:
-    """Return the span from the first finished plan's start to the last one's end, else the overlap of both streams.
-
-    Raises:
-        ConstructionTwinError: If the streams do not overlap.
-    """
+    """Return the span from the first finished plan's start to the last one's end, else the overlap of both streams."""
     plans = recording.finished_plans
     if plans:
         start, end = min(plan.start for plan in plans), max(plan.end for plan in plans)
@@ -166,11 +159,7 @@ def task_window(recording: Recording) -> Window:
 
 
 def align_instant(recording: Recording, window: Window) -> Alignment:
-    """Pair each physical sample inside the window with the twin's pose at the same ROS time.
-
-    Raises:
-        ConstructionTwinError: If no pair exists.
-    """
+    """Pair each physical sample inside the window with the twin's pose at the same ROS time."""
     inside = window.contains(recording.physical.stamps)
     stamps = recording.physical.stamps[inside]
     path = TwinPath(recording.twin, window.start)
@@ -183,9 +172,6 @@ def align_by_command(recording: Recording, window: Window) -> Alignment | None:
 
     Returns:
         None when the recording has no command stamps inside the window.
-
-    Raises:
-        ConstructionTwinError: If there are command stamps, but the twin is not recorded at any of them.
     """
     return _align_command("by_command", recording, window, 0.0)
 

@@ -76,11 +76,7 @@ _DAMAGED = (
 
 
 class Bag:
-    """A bag that is open for reading.
-
-    Attributes:
-        topics: Each once.
-    """
+    """A bag that is open for reading."""
 
     def __init__(self, reader: Reader):
         self._reader = reader
@@ -88,14 +84,7 @@ class Bag:
         self.topics = frozenset(each.topic for each in reader.connections)
 
     def raw(self, types: Mapping[str, str]) -> Iterator[tuple[Connection, bytes, int]]:
-        """Yield connection, serialized message and reception [ns] of what was recorded on some topics, in order of reception.
-
-        Args:
-            types: By topic, the one of `TYPES` that it must have.
-
-        Raises:
-            ConstructionTwinError: If a topic has another type, or another definition of it.
-        """
+        """Yield connection, serialized message and reception [ns] of what was recorded on some topics, in order of reception."""
         chosen = [each for each in self._reader.connections if each.topic in types]
         for each in chosen:
             self._check(each, types[each.topic])
@@ -160,10 +149,6 @@ def read_recording(path: str | Path, namespace: str | None = None) -> Recording:
 
     Args:
         namespace: The robot's namespace, e.g. ``/kr120``; default: that of the only robot in the bag.
-
-    Raises:
-        ConstructionTwinError: If the file cannot be read as a bag, holds no or several robots, a topic of another type or of
-            another definition of its type, or too little data.
     """
     with open_bag(path) as bag:
         robot = choose_robot(bag.topics, namespace)
@@ -188,11 +173,7 @@ def choose_robot(topics: Iterable[str], namespace: str | None, topic: str = TWIN
 
 
 def messages_of(bag: Bag, robot: str, wanted: Iterable[str] = TOPICS) -> dict[str, list[tuple[int, Any]]]:
-    """Return per topic, relative to the robot's namespace, the pairs of reception [ns] and message, in order of reception.
-
-    Raises:
-        ConstructionTwinError: See `Bag.raw`.
-    """
+    """Return per topic, relative to the robot's namespace, the pairs of reception [ns] and message, in order of reception."""
     relative = {f"{robot.rstrip('/')}/{topic}": topic for topic in wanted}
     messages: dict[str, list[tuple[int, Any]]] = defaultdict(list)
     for topic, message, received in bag.messages({topic: TYPES[name] for topic, name in relative.items()}):

@@ -13,10 +13,9 @@ from matplotlib.figure import Figure
 
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.evaluation.alignment import round_trips
-from construction_twin.evaluation.paper import axis_name
 from construction_twin.evaluation.recording import Stream
 from construction_twin.evaluation.summary import Evaluation, link_span, reply_counts
-from construction_twin.evaluation.tables import percentiles
+from construction_twin.evaluation.tables import axis_name, percentiles
 from construction_twin.kinematics.chain import Chain
 from construction_twin.robot.description import RobotModel
 
@@ -64,11 +63,7 @@ def _draw_joints(axes, evaluation: Evaluation, numbers: Sequence[int]) -> None:
 
 
 def tool_path_figure(evaluation: Evaluation, robot: RobotModel) -> Figure:
-    """Return the tool's path in 3D with the arm at its start and end pose (the paper's Figure 8).
-
-    Args:
-        robot: Its joints must be the recording's, in the same order.
-    """
+    """Return the tool's path in 3D with the arm at its start and end pose (the paper's Figure 8)."""
     chain = Chain(robot)
     twin = evaluation.recording.twin
     poses = twin.positions[evaluation.window.contains(twin.stamps)]

@@ -82,8 +82,6 @@ class LinkSnapshot:
 
     Attributes:
         received: [ns]
-        session: Id of the command session at that moment.
-        commands_sent: Since the bridge started.
         counters: The gateway's counters as it reported them.
         reply_bins: Upper bin edges of the histogram of RSI reply times [us].
         reply_counts: Counts per bin since the gateway started; one more than `reply_bins`, the last being overflow.
@@ -112,7 +110,6 @@ class StateChange:
     Attributes:
         stamp: ROS time of the change [ns].
         source: What reported it: ``gate``, ``execution``, ``link``.
-        state: The new state's word.
         reason: One sentence; may be empty.
     """
 
@@ -132,21 +129,13 @@ class Recording:
         twin, physical: The physical stream's stamps are ROS time at reception in the bridge, the twin's the nominal time of the
             command it executes.
         feedback: One sample per physical sample, with its command stamp.
-        command: What the gate let through.
-        plans: In order of their start.
         waypoints: Number of waypoints of each recorded plan id.
-        links: In order of reception.
         mock: The mock controller's status (keys ``state``, ``counters``, ``config``); None when no mock reported, so that the arm
             may have been a real one.
-        changes: In order of time.
         expected: Where the gate's model of the servos had the arm, stamped as the physical sample that it was compared with; None
             when it had none.
         linear: Those of `joint_names` that are prismatic: m in place of rad. A bag does not say so; `write_report` takes it from
             the robot.
-
-    Raises:
-        ConstructionTwinError: If there are no joints, a stream has another number of columns, or twin or physical hold fewer than
-            two samples.
     """
 
     robot: str

@@ -12,10 +12,10 @@ import numpy as np
 
 from construction_twin.core.histogram import percentile
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.evaluation import alignment, paper
+from construction_twin.evaluation import alignment
 from construction_twin.evaluation.alignment import Alignment, Window
 from construction_twin.evaluation.recording import LinkSnapshot, Recording, Stream
-from construction_twin.evaluation.tables import PERCENTILES, error_table, percentiles
+from construction_twin.evaluation.tables import NOTE, PERCENTILES, SAMPLES, TABLE_1, WAYPOINTS, error_table, percentiles
 
 #: A twin of which no joint goes further than this has not moved [rad], [m].
 MOTION = 1e-3
@@ -28,7 +28,6 @@ class Evaluation:
 
     Attributes:
         lag_ns: Estimated constant lag [ns].
-        alignments: Keys of `tables.ALIGNMENTS`.
     """
 
     recording: Recording
@@ -42,9 +41,6 @@ def evaluate(recording: Recording) -> Evaluation:
 
     The window is the task's, from its plans' first to last setpoint, extended by the median round trip and the lag, so that
     the samples which answer the last waypoint belong to it; without plans it is the overlap of both streams.
-
-    Raises:
-        ConstructionTwinError: If twin and physical samples cannot be paired.
     """
     window = alignment.task_window(recording)
     trips = alignment.round_trips(recording, window)
@@ -94,10 +90,10 @@ def summarise(evaluation: Evaluation) -> dict:
         "skipped_samples": {name: aligned and aligned.skipped for name, aligned in evaluation.alignments.items()},
         "mock": mock,
         "paper": {
-            "table1": {axis: {"avg_rad": e.average, "max_rad": e.maximum} for axis, e in paper.TABLE_1.items()},
-            "waypoints": paper.WAYPOINTS,
-            "samples": paper.SAMPLES,
-            "note": paper.NOTE,
+            "table1": {axis: {"avg_rad": e.average, "max_rad": e.maximum} for axis, e in TABLE_1.items()},
+            "waypoints": WAYPOINTS,
+            "samples": SAMPLES,
+            "note": NOTE,
         },
     }
 

@@ -51,11 +51,7 @@ class WithoutPerson:
 
 @dataclass(frozen=True)
 class Taken:
-    """A verdict that was carried out: an approval after its record, a rejection before it.
-
-    Attributes:
-        sentence: What was done.
-    """
+    """A verdict that was carried out: an approval after its record, a rejection before it."""
 
     verdict: Verdict
     sentence: str

@@ -61,11 +61,6 @@ class _Order:
 class Boundary:
     """The end of one segment. What a switch has done is done: none fires twice, whatever is paused and resumed.
 
-    Args:
-        number: Of the segment that ends here; -1: before the first.
-        segment: That segment.
-        scene_after: Hash that the scene must have to go on.
-
     Attributes:
         wants_scene: The switches are confirmed, and the scene is not yet `scene_after`.
     """

@@ -22,9 +22,9 @@ from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.execution.engagement import Engagement, EngagementKeeper
 from construction_twin.execution.play_rate import PlayRate
-from construction_twin.execution.playback import START_TOLERANCE, Playback, StopForecaster
+from construction_twin.execution.playback import START_TOLERANCE, Playback, StopForecaster, distance_along
 from construction_twin.execution.rehearsal_check import RehearsalCheck
-from construction_twin.execution.segment_run import SegmentRun
+from construction_twin.execution.segment_run import SegmentRun, awaited, lacks
 from construction_twin.execution.states import (
     ACTIVE,
     OUTCOMES,
@@ -36,8 +36,6 @@ from construction_twin.execution.states import (
     Guard,
     Row,
 )
-from construction_twin.execution.stopping import distance_along
-from construction_twin.execution.tool_report import awaited, lacks
 from construction_twin.monitor.gate import REPLAN, RESUME, SyncState
 from construction_twin.review.plan_under_review import EXECUTOR, WITHDRAWN, Ending, PlanUnderReview, Verdict
 from construction_twin.robot.description import RobotModel
@@ -61,11 +59,7 @@ class TwinPose:
 
 
 def check_start_pose(plan: Plan, pose: tuple[float, ...], robot: RobotModel) -> None:
-    """Check that a plan starts at a pose, shape (n,) [rad].
-
-    Raises:
-        ReviewError: Naming the joint that does not, and by how much.
-    """
+    """Check that a plan starts at a pose, shape (n,) [rad]."""
     start = tuple(plan.trajectory.positions[0])
     off = outside_tolerance(start, pose, START_TOLERANCE)
     if off is not None:
@@ -225,14 +219,7 @@ class Executor:
         return orders if self.segment_run is None else orders + self.segment_run.take_orders()
 
     def limit_rate(self, factor: float, reason: str = "") -> None:
-        """Play at most at this fraction of the planned speed from now on; 0 stands still until it is raised. The path stays.
-
-        Args:
-            factor: 0 to 1.
-            reason: Why, for the operator.
-
-        Raises ExecutionError.
-        """
+        """Play at most at this fraction of the planned speed from now on; 0 stands still until it is raised. The path stays."""
         if self.limit.take(factor, reason):
             self._say()
 
@@ -290,21 +277,13 @@ class Executor:
         return self.engagement.engaged and self._way_back == (plan.id, self.engagement.present)
 
     def release(self, left: Engagement) -> None:
-        """End an engagement: a person has freed the arm, and that was recorded.
-
-        Raises:
-            ExecutionError: See `check_release`; also when the engagement is another one.
-        """
+        """End an engagement: a person has freed the arm, and that was recorded."""
         if self.check_release() is not left:
             raise ExecutionError(Sentence("executor.release.another"))
         self.engagement.end()
 
     def check_release(self) -> Engagement:
-        """Return the engagement that could be ended now.
-
-        Raises:
-            ExecutionError: When the arm is not engaged, or moves.
-        """
+        """Return the engagement that could be ended now."""
         present = self.engagement.present
         if not self.engagement.engaged or present is None:
             raise ExecutionError(Sentence("executor.release.nothing"))
@@ -318,9 +297,6 @@ class Executor:
 
     def check_start(self, plan: Plan, override: bool = False) -> None:
         """Check that the plan under review may start now.
-
-        Args:
-            override: Whatever its rehearsal has found.
 
         Raises:
             ReviewError: Naming what is against it.
@@ -373,9 +349,6 @@ class Executor:
         """Take a plan out of review because a person said no; the verdict is told with the next `take_events`.
 
         Its record is the caller's.
-
-        Raises:
-            ReviewError: When it is not under review, or was decided already.
         """
         self.under_review.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
         self._events.append(verdict)
@@ -414,14 +387,7 @@ class Executor:
         return sentence
 
     def stop_plan(self, plan_id: str, reason: str) -> str:
-        """Brake one plan along its path as `stop` does, and leave the plans alone that wait; return one sentence.
-
-        Args:
-            reason: Why, for the operator.
-
-        Raises:
-            ExecutionError: When this plan is not played.
-        """
+        """Brake one plan along its path as `stop` does, and leave the plans alone that wait; return one sentence."""
         if self.state not in ACTIVE:
             present = {"state": self.state.name, "reason": self.reason}
             raise ExecutionError(Sentence("executor.stop.idle", plan=repr(plan_id), **present))
@@ -452,11 +418,7 @@ class Executor:
         return self._played.braking(self.lag) if self.state is ExecutorState.STOPPING else None
 
     def pause(self, now: int) -> str:
-        """Brake along the path smoothly and rest on it; return a sentence. Plans asked for until `now` [ns] and not here are void.
-
-        Raises:
-            ExecutionError: When nothing is playing.
-        """
+        """Brake along the path smoothly and rest on it. Plans asked for until `now` [ns] and not here are void."""
         if not ROWS[self.state, ExecutorEvent.PAUSE]:
             raise ExecutionError(Sentence("executor.pause.nothing", state=self.state.name, reason=self.reason))
         before = self.state
@@ -477,9 +439,6 @@ class Executor:
 
         Args:
             may_wait: A plan that had not begun to move, and does not for longer than this, ends [ns].
-
-        Raises:
-            ExecutionError: When nothing is paused, or twin and arm are not in sync and armed.
         """
         if not ROWS[self.state, ExecutorEvent.RESUME]:
             raise ExecutionError(Sentence("executor.resume.nothing", state=self.state.name, reason=self.reason))

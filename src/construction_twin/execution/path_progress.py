@@ -133,9 +133,6 @@ class Progress:
         limit; a ramp down from which none leads up again is ended first. Where there is none, or none that comes to rest soon
         enough, the rate changes as far as the acceleration limits allow, its slope as gently as the jerk limits ask for.
 
-        Args:
-            rate: 0 to 1.
-
         Returns:
             Shape (n,). [rad]
         """

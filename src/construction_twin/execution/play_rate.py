@@ -20,7 +20,6 @@ class PlayRate:
     Attributes:
         waits: For an arm that trails, because replies to it are lost, or because the gateway slows it.
         fraction: 0 to 1; 0: it stands still until the limit is raised.
-        reason: Why it is what it is, for the operator.
         standing: Whether the plan has come to rest because of either.
     """
 

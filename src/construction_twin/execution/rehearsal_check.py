@@ -15,7 +15,6 @@ class RehearsalCheck:
     """Keeps results of rehearsals.
 
     Args:
-        required: Only a plan that has passed may be approved.
         tool: Hash of the tool file that counts; empty: no tool.
     """
 

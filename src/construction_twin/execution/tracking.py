@@ -77,9 +77,6 @@ class Tracking:
 
     Velocities and accelerations are differences between the moments it was asked at: of 20 ms at 50 Hz, in which one step of a
     measurement with three decimals of a degree is 0.05 deg/s.
-
-    Args:
-        has_arm: Without a physical arm, the twin's pose is the actual one, too.
     """
 
     def __init__(self, has_arm: bool):

@@ -61,7 +61,6 @@ class TrajectoryGoal:
 
     Attributes:
         client: Name of the node that sent it: an address, not a proof.
-        goal: How far each joint may be off at the end.
         time_tolerance: How much later than planned the arm may be at the goal [s].
         motion: Whatever is equal for two goals of the same motion.
     """
@@ -152,14 +151,7 @@ class _PlanReport:
 
 
 class TrajectoryGoals:
-    """Takes goals, one at a time, and says what has to be done about them.
-
-    Args:
-        reviewed_by: How a person approves, for the client: the name of the service.
-
-    Attributes:
-        goal: The one that has the arm.
-    """
+    """Takes goals, one at a time, and says what has to be done about them."""
 
     def __init__(self, robot: RobotModel, reviewed_by: str):
         self._robot = robot
@@ -299,8 +291,6 @@ class TrajectoryGoals:
         Args:
             now: [ns]
             sample: The newest one; None: not known.
-            at_rest: The twin is.
-            settled: And the arm's pose answers to a command since then; see `Tracking.settled`.
         """
         self._now = now
         if self._retry_at and now >= self._retry_at:

@@ -57,9 +57,7 @@ class MockController:
         running: False when the session has stopped; then nothing is sent and nothing is accepted.
         reason: Why it stopped; empty while running.
         flag: The controller's own flag that the link was interrupted (timeout).
-        session: Number of the session, from 1.
         stamp: Of the last packet [ms].
-        missed: What packets report as missed replies.
         stat: Of corrections: 0 inactive, 1 correcting, plus 2 << 2 i (lower) or 4 << 2 i (upper) when axis i is clamped. The
             numbers are our own: docs/rsi.md gives none.
         start_pose, setpoint, measured: Length n. Programmed pose of the session, present setpoint, measured axes [rad].
@@ -68,15 +66,11 @@ class MockController:
             encoder tells apart [rad].
         applied: Length n. Correction in effect, after clamping [rad].
         correction_lower, correction_upper, correction_monitor: Length n. Bounds in force in this session [rad].
-        pressed: True while the emergency stop is pressed.
         needs_person: True after an emergency stop: a session is started by a person only.
-        deaf: True while replies are ignored.
         ramp: The last emergency stop's, until the next session.
         program: The program that runs.
-        refusals: Why replies did not count.
         tool: What the channels of a tool switch and read; None where the layout has none.
         status_shown: What packets say of the controller in place of what is. It changes nothing else.
-        counters: Totals since construction, see `COUNTERS`.
     """
 
     #: packets sent; valid replies; missed cycles; replies to an earlier packet of the session; replies to no packet;
@@ -285,10 +279,6 @@ class MockController:
         Args:
             goal: Length n. [rad]
             duration: [s]; 0: `JOG_FRACTION` of the limits.
-
-        Raises:
-            ConfigurationError: If the arm cannot move by itself now, or the limits do not allow `duration`.
-            JointRangeError: If the goal lies outside the range.
         """
         if self.pressed or self.ramp is not None and not self.ramp.done:
             raise ConfigurationError("jog", tuple(goal), Sentence("expected.jog"))

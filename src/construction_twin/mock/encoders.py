@@ -15,11 +15,9 @@ class Encoders:
     """From measured angles to reported ones, one `read` per cycle.
 
     Args:
-        count: Number of axes.
         period: Length of a cycle [s].
 
     Attributes:
-        active: False: `read` would change nothing.
         offset: Length n. What is added to the measured angle now [rad].
         slip: Length n. Error of the controller's angles since it took its readings as its pose [rad], see `absorb`.
     """

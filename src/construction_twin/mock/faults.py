@@ -107,13 +107,9 @@ class FaultKind:
     Attributes:
         axis: ``one`` axis, ``any`` (none named: all of them), or ``no`` axis.
         values: Allowed numbers of values; -1 stands for one per axis.
-        meaning: Of the values, for the messages.
-        network: True when a direction may be given.
         shift: True when the value is a difference of an axis angle, whose sign follows the axis's.
         positive: True when every value must be greater than 0; network faults also allow a jitter of 0.
         lasting: False: it is over as soon as it has happened, and cannot be switched off.
-        largest: The value is at least 0, and at most this.
-        whole: True when the value is a whole number.
     """
 
     axis: str
@@ -159,10 +155,8 @@ class Fault:
     """A fault to be injected or ended.
 
     Attributes:
-        name: One of `KINDS`.
         axis: The controller's axis; empty for none, or for all.
         values: As the kind says; ignored when the fault is ended.
-        direction: One of `DIRECTIONS`.
         duration: The fault ends by itself after this time [s]; 0: it stays. Of ``jog``: the length of the motion, 0: moderate.
     """
 
@@ -186,7 +180,6 @@ class FaultBoard:
 
     Attributes:
         to_pc, to_controller: Where datagrams go while a line is active.
-        changes: Counts every change of the active faults.
     """
 
     def __init__(self, controller: MockController, seed: int):

@@ -28,7 +28,6 @@ class Gripper:
 
     Attributes:
         close, closed: Outputs that close the grip, and what the inputs read when it has closed.
-        open, opened: The same for opening.
         time: From the outputs to the inputs [s].
     """
 
@@ -43,12 +42,9 @@ class SimulatedTool:
     """The tool of one mock controller.
 
     Args:
-        layout: With channels of a tool.
         period: The controller's cycle [s].
-        gated: Whether the controller leaves the outputs alone while the channel `ENABLE` is 0.
 
     Attributes:
-        outputs, inputs: The controller's, by the tool's names.
         fails, lost, hidden: Faults: the grip does not close; it has let go; the telegrams do not tell the outputs.
     """
 

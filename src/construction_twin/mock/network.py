@@ -99,23 +99,16 @@ class MockRsi:
     """Runs a mock controller against a gateway.
 
     Args:
-        gateway: Host and UDP port of the gateway.
         restart_after: A stopped controller starts a new session after this time [s], sooner after one that nobody has answered; 0
             (default): it stays stopped.
         observe: Called with this object in every cycle, right after sending; must be quick.
-        report: Called with one sentence when a session starts or stops, and when replies begin to be refused or count again.
-        fault_seed: Of the faults' random numbers.
 
     Attributes:
         overruns: Packets that left more than half a cycle late, because this process was not scheduled in time.
         skipped: Grid points skipped because this process was not scheduled for longer than `CATCH_UP`.
         foreign: Datagrams that did not come from the gateway.
-        send_errors: Packets the system refused to send.
         left: Time at which the last packet left, on the monotonic clock [ns]. The effect of its cycle on the arm is not visible
             before.
-
-    Raises:
-        ConstructionTwinError: If the gateway's host is unknown.
     """
 
     def __init__(

@@ -31,7 +31,6 @@ class EmergencyBrake:
         period: Length of a cycle [s].
 
     Attributes:
-        cycles: Length of the setpoint's ramp.
         distance: Length n. Distance of the arm to rest, including its lag behind the setpoint [rad].
     """
 
@@ -73,9 +72,6 @@ class Program:
         velocity, acceleration: Length n. Limits [rad/s], [rad/s^2].
         duration: [s]; 0 (default): as long as `JOG_FRACTION` of the limits takes.
         period: Length of a cycle [s].
-
-    Raises:
-        ConfigurationError: If the limits do not allow `duration`; it names the shortest one.
     """
 
     def __init__(

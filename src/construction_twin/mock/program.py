@@ -46,7 +46,6 @@ class PhysicsServo(WithMass, Servo):
     A stalled axis is held where it is by a brake, whatever it takes.
 
     Args:
-        axis_angles, joint_angles: Between angles of the controller's axes and of the robot's joints, each length n.
         signs: Length n. 1 or -1: the sense of each axis, seen from its joint.
         resolution: Encoder step [rad]; 0 for an exact reading.
         period: Length of a cycle [s], a multiple of 4 ms.
@@ -152,12 +151,7 @@ class MockSettings(pydantic.BaseModel):
 
 
 def build_controller(settings: MockSettings, robot: RobotModel) -> MockController:
-    """Build the controller of `robot` as `settings` say.
-
-    Raises:
-        ConfigurationError: If a setting does not fit the robot.
-        JointRangeError: If the start pose lies outside the range.
-    """
+    """Build the controller of `robot` as `settings` say."""
     axes = tuple(axis.name for axis in robot.axes)
     ends = zip(axis_angles(robot, robot.lower), axis_angles(robot, robot.upper))
     lower, upper = zip(*(sorted(pair) for pair in ends))
@@ -216,11 +210,7 @@ def _units(settings: MockSettings, robot: RobotModel) -> tuple[AxisUnit, ...]:
 
 
 def build_servo(settings: MockSettings, robot: RobotModel) -> Servo:
-    """Build the servo model that `settings.servo` names.
-
-    Raises:
-        ConfigurationError: If that is `physics`, and its packages are missing, or drives or payload are none.
-    """
+    """Build the servo model that `settings.servo` names."""
     period = settings.cycle / 1000
     if settings.servo == "physics":
         return _physics_servo(settings, robot, period)

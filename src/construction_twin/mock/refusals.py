@@ -6,9 +6,6 @@ from __future__ import annotations
 class ReplyRefusals:
     """The refused replies of a controller.
 
-    Args:
-        recovery: So many replies must count in a row until refused ones are over, and told of anew.
-
     Attributes:
         last: Why the last one did not count, one sentence; "" before the first.
         present: The same while replies are refused; "" when so many have counted since that it is over.

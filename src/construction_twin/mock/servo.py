@@ -84,7 +84,6 @@ class Servo(ABC):
         """Let a stalled joint catch up with its setpoint; no effect on a joint that is not stalled.
 
         Args:
-            joint: Index of the joint.
             velocity, acceleration: Limits of the approach [rad/s], [rad/s^2]; of a slow joint its own velocity.
         """
         if joint in self._stalled:
@@ -168,7 +167,6 @@ class RealisticServo(Servo):
 
     Args:
         omega: Natural frequency [rad/s].
-        zeta: Damping ratio.
         resolution: Encoder step [rad]; 0 for an exact reading.
         period: Length of a cycle [s].
     """

@@ -10,7 +10,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from construction_twin.core.rate_limit import Pace, SenderLimits, TokenBucket
+from construction_twin.core.rate_limit import Pace, SenderLimits
 
 #: Who carries out what is pressed: the gateway, which brakes the arm, the executor, which brakes along the path, or the bridge,
 #: which begins a session with the gateway.
@@ -149,4 +149,4 @@ ANSWERS = 10
 
 def answer_limits() -> SenderLimits:
     """Return what keeps `ANSWERS`."""
-    return SenderLimits(lambda: TokenBucket(ANSWERS, ANSWERS))
+    return SenderLimits(Pace(ANSWERS))

@@ -1,4 +1,4 @@
-"""The twin with mass: one cycle of the simulated arm per command, in the scene of the moment. A `twin.backend.TwinBackend`.
+"""The twin with mass: one cycle of the simulated arm per command, in the scene of the moment. A `TwinBackend`.
 
 Pure: it knows no clock and no thread. Models are built elsewhere; `take_model` may be called from any thread, and the next cycle
 goes on in the new one. The same cycles in the same models give the same bytes.

@@ -42,7 +42,6 @@ class Verdict:
         verdict: ``approved``, ``rejected``, ``refused`` (an approval that could not be taken) or ``withdrawn`` (by the executor).
         plan_id, plan_hash: As the reviewer named them; the hash may be empty in a refusal.
         reviewer, reason: The reviewer's words; of a refusal, why it was refused.
-        plan: The plan, where it was known.
         rehearsal: What its rehearsal had found; None: there was none, and none was required.
     """
 
@@ -93,7 +92,6 @@ class PlanUnderReview:
     An approval covers one execution of one plan, in the scene it was checked against.
 
     Attributes:
-        plan: Under review.
         scene: Hash of the present scene; empty while none is known.
         scene_alive: Whether the scene's publisher is there, which would tell that the scene changes.
     """

@@ -17,12 +17,7 @@ from construction_twin.robot.plan import Plan
 
 @dataclass(frozen=True)
 class Responsibility:
-    """A bare PLC was armed by a person, who is responsible for what is not checked; see docs/broker.md.
-
-    Attributes:
-        name: Of the person.
-        session: Id of the command session that it is for.
-    """
+    """A bare PLC was armed by a person, who is responsible for what is not checked; see docs/broker.md."""
 
     name: str
     session: str
@@ -34,7 +29,6 @@ class Release:
     """A person has freed an arm that was engaged, and says how.
 
     Attributes:
-        plan, task, segment: Where it was left.
         refused: Why it stays engaged after all; empty: it does not.
     """
 
@@ -58,7 +52,6 @@ class Fate:
         plan: Its id; empty: the record has none that fits.
         approved: None: the record cannot be read.
         outcome: Of its execution; empty: none is recorded.
-        under_review: It waits for its verdict.
     """
 
     plan: str
@@ -91,16 +84,10 @@ class ReviewLog:
     """Appends records to a review file, which is created when it does not exist; for use from several threads.
 
     Args:
-        path: ``~`` is the home folder.
         clock: Returns the time since 1970 in UTC [ns].
 
     Attributes:
-        file: Where they stand.
         responsibility: What is in force; it is recorded with every verdict.
-
-    Raises:
-        ConfigurationError: When the path is empty, the file cannot be written, another process writes it, or it is no record.
-        RecordError: When the record of an execution that had no end cannot be written.
     """
 
     def __init__(self, path: str | Path, clock: Callable[[], int]):

@@ -118,9 +118,6 @@ class Scenario(_Model):
     """A scenario; see the module.
 
     Attributes:
-        name: Of the file, without its ending.
-        title: One sentence.
-        steps: One after another.
         limit: Longest that all of it may take, from the first step to the end [s].
     """
 
@@ -143,11 +140,7 @@ class Scenario(_Model):
 
 
 def make_scenario(name: str, content: object) -> Scenario:
-    """Return the scenario that a YAML's key ``scenario`` holds.
-
-    Raises:
-        ScenarioError: With the place, the value and what was expected.
-    """
+    """Return the scenario that a YAML's key ``scenario`` holds."""
     if not isinstance(content, Mapping):
         raise ScenarioError(Sentence("view.scenario.no_mapping", name=name, found=repr(content)))
     try:
@@ -157,11 +150,7 @@ def make_scenario(name: str, content: object) -> Scenario:
 
 
 def read_scenario(path: Path) -> Scenario:
-    """Read a scenario file.
-
-    Raises:
-        ScenarioError: If it cannot be read, or makes no sense.
-    """
+    """Read a scenario file."""
     try:
         content = yaml.safe_load(path.read_text())
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:

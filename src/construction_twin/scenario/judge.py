@@ -32,7 +32,6 @@ class Excess:
     """A cycle in which a limit was left.
 
     Attributes:
-        index: Of the entry.
         ipoc: [ms]
         kind: ``range``, ``velocity`` or ``acceleration``.
         value, limit: [rad], [rad/s] or [rad/s^2]; the limit with the format's allowance.
@@ -62,7 +61,6 @@ def trace_excesses(
     a reply, because HOLDON has stopped the arm.
 
     Args:
-        limits: Of the axes, in the trace's order.
         decimals: Decimals on the wire; velocity and acceleration are allowed what their rounding adds.
         cycle: The controller's cycle [s].
     """
@@ -153,13 +151,7 @@ def judge(
     """Judge a run.
 
     Args:
-        trace: What the gateway sent, complete.
-        limits: Of the robot's joints, in the recording's order.
-        decimals: On the wire.
         cycle: The controller's cycle [s]: a reply, and a pose of the arm, in each.
-
-    Raises:
-        ConstructionTwinError: If the recording does not hold what is needed.
     """
     expect = scenario.expect
     checks = [Check("carried out", "every step", run.failure or "every step", not run.failure), *_begun(scenario, run)]
@@ -272,8 +264,6 @@ class _Crossing:
     """How a joint's error went over its threshold.
 
     Attributes:
-        joint: Column of the recording.
-        samples: Over the threshold until the gate closed.
         within: Stamp of the command that the last sample within the threshold was compared with [ns].
         last: Stamp of the last sample of the recording [ns].
     """

@@ -28,7 +28,6 @@ def limit_usage(
         positions: Shape (k, n). One per cycle [rad].
         breaks: Shape (k,), true or false. True where a position does not follow the one before: what was before counts for nothing,
             the arm was at rest.
-        decimals: On the wire.
         cycle: The controller's cycle [s].
         left_out: Shape (k,), true or false. Positions that do not count.
 

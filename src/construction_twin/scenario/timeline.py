@@ -17,7 +17,6 @@ class Change:
         stamp: [ns]
         topic: ``sync``, ``link``, ``execution``, ``outcome``, ``fault``, ``fault_end``, ``session`` (RSI's), ``call``, ``move``,
             ``approve``, ``refused`` (an approval).
-        value: The state's word, or what was done.
     """
 
     stamp: int
@@ -63,8 +62,6 @@ class Run:
     """One recorded run of a scenario.
 
     Attributes:
-        changes: In order of their stamps.
-        closings: Of each time the gate left IN_SYNC.
         arm_stamps: Shape (k,), int64. [ns]
         arm: Shape (k, n). True joint positions of the mock arm, every cycle [rad].
         missed: Replies that the controller missed during the run.

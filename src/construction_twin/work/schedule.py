@@ -155,7 +155,7 @@ class Schedule:
     def job(self, identifier: str) -> Job:
         """Return the job of that id."""
         if identifier not in self._by_id:
-            raise ScheduleError(Sentence("work.order.no_job", id=repr(identifier)), (identifier,))
+            raise ScheduleError(Sentence("work.order.no_job", id=repr(identifier)))
         return self._by_id[identifier]
 
     def blockers(
@@ -284,8 +284,7 @@ class _Reading:
                 continue
             if task.parent not in self._tasks:
                 raise ScheduleError(
-                    Sentence("work.order.nests_nowhere", id=identifier, name=repr(task.name), parent=task.parent),
-                    (identifier, task.parent),
+                    Sentence("work.order.nests_nowhere", id=identifier, name=repr(task.name), parent=task.parent)
                 )
             self._children[task.parent].append(identifier)
         for identifier in self._tasks:
@@ -296,7 +295,7 @@ class _Reading:
                 at = self._tasks[at].parent
             if at:
                 circle = tuple(chain)[tuple(chain).index(at) :]
-                raise ScheduleError(Sentence("work.order.nests_circle", tasks=", ".join(circle)), circle)
+                raise ScheduleError(Sentence("work.order.nests_circle", tasks=", ".join(circle)))
 
     def _above(self, identifier: str) -> tuple[str, ...]:
         """Return the task and those that it nests in, from inside."""
@@ -317,22 +316,19 @@ class _Reading:
             ids = (sequence.before, sequence.after)
             missing = [identifier for identifier in ids if identifier not in self._tasks]
             if missing:
-                raise ScheduleError(
-                    Sentence("work.order.names_none", before=ids[0], after=ids[1], missing=missing[0]), ids
-                )
+                raise ScheduleError(Sentence("work.order.names_none", before=ids[0], after=ids[1], missing=missing[0]))
             if sequence.kind not in _KINDS:
                 expected = ", ".join(_KINDS)
                 raise ScheduleError(
-                    Sentence("work.order.kind", before=ids[0], after=ids[1], kind=repr(sequence.kind), known=expected),
-                    ids,
+                    Sentence("work.order.kind", before=ids[0], after=ids[1], kind=repr(sequence.kind), known=expected)
                 )
             if sequence.before in self._above(sequence.after) or sequence.after in self._above(sequence.before):
                 if sequence.kind not in ("START_START", "FINISH_FINISH") or ids[0] == ids[1]:
-                    raise ScheduleError(Sentence("work.order.itself", before=ids[0], after=ids[1]), ids)
+                    raise ScheduleError(Sentence("work.order.itself", before=ids[0], after=ids[1]))
                 needless.append(ids)
                 continue
             if not math.isfinite(sequence.lag):
-                raise ScheduleError(Sentence("work.order.lag", before=ids[0], after=ids[1], lag=sequence.lag), ids)
+                raise ScheduleError(Sentence("work.order.lag", before=ids[0], after=ids[1], lag=sequence.lag))
             if sequence.lag < 0.0:
                 leads.append(ids)
             if sequence.lag > 0.0 and self._is_completed(sequence.before):
@@ -385,7 +381,6 @@ class _Reading:
                             first=maker[element],
                             second=identifier,
                         ),
-                        (element, maker[element], identifier),
                     )
                 maker[element] = identifier
             found[identifier] = known
@@ -530,7 +525,7 @@ class _Reading:
         except CycleError as error:
             circle = tuple(dict.fromkeys(identifier for identifier, _ in error.args[1]))
             names = ", ".join(f"{identifier} ({self._tasks[identifier].name!r})" for identifier in circle)
-            raise ScheduleError(Sentence("work.order.circle", tasks=names), circle) from error
+            raise ScheduleError(Sentence("work.order.circle", tasks=names)) from error
 
 
 def _merged(first: _Waits, second: _Waits, lag: float) -> _Waits:

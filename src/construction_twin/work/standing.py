@@ -50,8 +50,7 @@ def check_placement(model: BuildingModel, model_T_base: Pose, reach: float, base
                 base=_figures(model_T_base.position),
                 low=_figures(np.min([box[0] for box in boxes.values()], axis=0)),
                 high=_figures(np.max([box[1] for box in boxes.values()], axis=0)),
-            ),
-            tuple(distances),
+            )
         )
     if not far:
         return ()

@@ -13,9 +13,8 @@ from simulation import SimulatedChain, SimulatedLink
 
 from construction_twin.core.units import CYCLE, CYCLE_NS
 from construction_twin.evaluation.alignment import LAG_TOLERANCE_NS, align_lag_removed, task_window
-from construction_twin.evaluation.paper import paper_error
 from construction_twin.evaluation.summary import evaluate
-from construction_twin.evaluation.tables import error_table
+from construction_twin.evaluation.tables import error_table, paper_error
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.gateway.playout import CALM
 from construction_twin.link.states import LinkState

@@ -9,8 +9,8 @@ from html.parser import HTMLParser
 import pytest
 from evaluation_samples import BASE, link, run
 
-from construction_twin.evaluation.page import MOST_CHANGES, page
 from construction_twin.evaluation.recording import StateChange
+from construction_twin.evaluation.report import MOST_CHANGES, page
 from construction_twin.evaluation.summary import evaluate, summarise
 from construction_twin.evaluation.tables import ALIGNMENTS, ARM_NOT_TOLD
 

@@ -14,7 +14,7 @@ from evaluation_samples import JOINTS, link, run
 from rich.console import Console
 
 from construction_twin.core.histogram import percentile
-from construction_twin.evaluation import paper, report, tables
+from construction_twin.evaluation import report, tables
 from construction_twin.evaluation.summary import evaluate, summarise
 from construction_twin.robot.description import read_robot_files
 
@@ -144,9 +144,9 @@ def test_csv_leaves_unknown_alignments_and_foreign_joints_empty():
 
 
 def test_papers_inconsistent_columns_are_named():
-    assert [axis for axis, error in paper.TABLE_1.items() if error.average > error.maximum] == ["A3", "A6"]
-    assert paper.paper_error("joint_a4").average == 2.2993e-07
-    assert paper.paper_error("rail") is None
+    assert [axis for axis, error in tables.TABLE_1.items() if error.average > error.maximum] == ["A3", "A6"]
+    assert tables.paper_error("joint_a4").average == 2.2993e-07
+    assert tables.paper_error("rail") is None
 
 
 def test_printed_tables_follow_the_figures(full_summary):

@@ -34,14 +34,15 @@ from construction_twin.core.units import CYCLE
 from construction_twin.execution.engagement import (
     Engagement,
     EngagementKeeper,
+    check_way_back,
     engagement_of,
+    follow,
     from_text,
     left_inside,
     to_text,
 )
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.execution.rehearsal_check import RehearsalCheck
-from construction_twin.execution.way_back import check_way_back, follow
 from construction_twin.monitor.gate import SyncState
 from construction_twin.robot.executed_path import LARGEST_ENTRY, WAY_BACK_TOLERANCE, ExecutedPath
 from construction_twin.robot.segments import Switch

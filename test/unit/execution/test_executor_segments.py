@@ -27,9 +27,8 @@ from construction_twin.core.reports import ToolReport
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.execution.boundary import FIRE_TIMEOUT, LEAD, SCENE_TIMEOUT
 from construction_twin.execution.executor import ExecutorState
-from construction_twin.execution.segment_run import RECORD_TIMEOUT, SegmentRun
+from construction_twin.execution.segment_run import NO_ARM, RECORD_TIMEOUT, SegmentRun
 from construction_twin.execution.states import ACTIVE
-from construction_twin.execution.tool_report import NO_ARM
 from construction_twin.monitor.gate import RESUME, SyncState
 from construction_twin.review.plan_under_review import Ending, Verdict
 from construction_twin.robot.segments import Segment, Signal, Switch

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from construction_twin.core.units import CYCLE
 from construction_twin.execution.executor import ExecutorState
-from construction_twin.execution.playback import SETPOINTS_AT_ONCE
-from construction_twin.execution.stopping import StoppingForecast, StoppingPath, distance_along
+from construction_twin.execution.playback import SETPOINTS_AT_ONCE, StoppingForecast, StoppingPath, distance_along
 from construction_twin.monitor.gate import SyncState
 
 

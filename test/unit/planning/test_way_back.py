@@ -13,8 +13,7 @@ from construction_twin.core.errors import ReviewError
 from construction_twin.core.motion_errors import CollisionError, PlanningError, SegmentError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
-from construction_twin.execution.engagement import Engagement
-from construction_twin.execution.way_back import check_way_back
+from construction_twin.execution.engagement import Engagement, check_way_back
 from construction_twin.planning.pipeline import PACE, PlanningPipeline, way_back
 from construction_twin.planning.planner import PlannerSettings
 from construction_twin.planning.recheck import recheck

@@ -19,8 +19,7 @@ from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution import executor as library
 from construction_twin.execution.executor import ExecutorState
-from construction_twin.execution.playback import Playback, StopForecaster
-from construction_twin.execution.stopping import StoppingForecast
+from construction_twin.execution.playback import Playback, StopForecaster, StoppingForecast
 from construction_twin.review.record import ReviewLog
 from construction_twin.ros.nodes import executor as module
 from construction_twin.ros.shared.deferred_log import DeferredLog

@@ -1,5 +1,5 @@
 from construction_twin.core.units import CYCLE_NS
-from construction_twin.twin.backend import GazeboTwin
+from construction_twin.twin.virtual_robot import GazeboTwin
 
 
 def told(count: int, first: int = 1) -> GazeboTwin:

@@ -97,9 +97,8 @@ def test_an_element_is_still_placed_once():
 
 
 def test_a_file_that_has_it_worked_on_before_it_is_placed_is_refused_with_both():
-    with pytest.raises(ScheduleError, match="circle") as caught:
+    with pytest.raises(ScheduleError, match="circle.*(place.*drill|drill.*place)"):
         schedule(placing("place", "e"), touching("drill", "e"), sequences=[Sequence("drill", "place")])
-    assert set(caught.value.ids) == {"place", "drill"}
 
 
 def test_a_part_that_another_task_works_on_is_still_placed_with_its_assembly():

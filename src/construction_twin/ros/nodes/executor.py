@@ -35,12 +35,12 @@ from construction_twin.core.speed_limit import LimitState, SpeedLimit
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.approval import AUTO_APPROVE, Approval, WithoutPerson
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
+from construction_twin.execution.engagement import check_way_back
 from construction_twin.execution.executor import Executor, ExecutorState
 from construction_twin.execution.playback import StopForecaster
 from construction_twin.execution.rehearsal_check import RehearsalCheck
+from construction_twin.execution.segment_run import NO_ARM
 from construction_twin.execution.states import ACTIVE
-from construction_twin.execution.tool_report import NO_ARM
-from construction_twin.execution.way_back import check_way_back
 from construction_twin.monitor.gate import SyncState
 from construction_twin.msg import (
     Conflict,

@@ -21,7 +21,7 @@ from construction_twin.core.freshness import Moment, parse_moment
 from construction_twin.core.motion_errors import EngagedError, PlanningError, SceneError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.execution.way_back import scene_problem
+from construction_twin.execution.engagement import scene_problem
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.msg import Engagement, PlanOutcome, Review

@@ -41,8 +41,7 @@ from construction_twin.ros.transport.cycle import Cycles
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
 from construction_twin.ros.transport.publisher import Sink
 from construction_twin.scene.objects import Scene
-from construction_twin.twin.backend import GazeboTwin, KinematicBackend, TwinBackend
-from construction_twin.twin.virtual_robot import TwinClock, VirtualRobot
+from construction_twin.twin.virtual_robot import GazeboTwin, KinematicBackend, TwinBackend, TwinClock, VirtualRobot
 
 if TYPE_CHECKING:
     from construction_twin.physics.live_twin import LiveTwin

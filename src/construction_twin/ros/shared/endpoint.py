@@ -18,6 +18,7 @@ import rospy
 from paho.mqtt.client import MQTTMessage
 
 from construction_twin.core.errors import PayloadError, ServiceSilentError
+from construction_twin.core.rate_limit import SenderLimits
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.mqtt.json_fields import read_document
@@ -121,7 +122,7 @@ class Endpoint(Generic[Asked]):
         self._kind, self._topics, self._read, self._act = kind, topics, read, carry_out
         self._counts, self._outlets, self._describe, self._queue = counts, outlets, describe, queue
         # a newer one follows: this one is not worth reading, and answering it would be as much again
-        self._unread = kind.pace.limits() if kind.pace is not None and not kind.qos else None
+        self._unread = SenderLimits(kind.pace) if kind.pace is not None and not kind.qos else None
 
     def on_message(self, message: MQTTMessage) -> None:
         """Take a message from the connection's thread."""

@@ -136,7 +136,7 @@ class RequestQueue:
     def _problem(self, request: Request) -> str:
         """Let it wait; return why it cannot, empty when it does."""
         now, pace = round(self._clock() * NANOSECONDS), request.pace
-        limits = self._limits.setdefault(pace, pace.limits()) if pace is not None else None
+        limits = self._limits.setdefault(pace, SenderLimits(pace)) if pace is not None else None
         if pace is not None and limits is not None and (wait := limits.wait(request.sender, now)):
             # rounded up: who tries again then is not too early
             after = math.ceil(10.0 * wait / NANOSECONDS) / 10.0
