@@ -333,7 +333,7 @@ def measure_loss(times: int) -> dict:
             with site.robot():
                 browser = launch(playwright)
                 page = ConsolePage(browser, site.url, picture=True).open()
-                page.login("one-reviewer-ada", site.password("one-reviewer-ada"))
+                page.login("ada", site.password("ada"))
                 page.wait_drawn("one")
                 for _ in range(times):
                     begin = time.monotonic()

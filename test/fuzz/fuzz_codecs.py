@@ -12,17 +12,16 @@ from mqtt_mutations import Message, Target, message, mutate
 from rsi_mutations import mutate as mutate_telegram
 
 from construction_twin.core.errors import PayloadError, TelegramError
+from construction_twin.link.gateway_status import parse_status, status_values
 from construction_twin.link.goal_request import MAX_BYTES, GoalRequest, IkRequest, parse_ik, parse_plan_request
 from construction_twin.link.remote_review import parse_review
 from construction_twin.link.remote_trajectory import Joints, parse_trajectory
-from construction_twin.link.status_values import status_values
 from construction_twin.mqtt.interventions import PAUSE, RESUME, STOP, parse_intervention
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.json_fields import read_document
 from construction_twin.mqtt.messages import (
     account_of,
     parse_control,
-    parse_status,
     read_command_properties,
     read_state_properties,
 )

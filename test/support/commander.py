@@ -16,12 +16,13 @@ from construction_twin.core.errors import PayloadError
 from construction_twin.core.travel_time import StateCheck
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
+from construction_twin.link.gateway_status import parse_status
 from construction_twin.link.states import LinkState
 from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.client import Broker, make_client, unique_id
 from construction_twin.mqtt.fast_client import UserProperties
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.mqtt.messages import CommandProperties, Topics, parse_status, read_state_properties
+from construction_twin.mqtt.messages import CommandProperties, Topics, read_state_properties
 from construction_twin.mqtt.plain_client import received_pairs
 
 #: The supervisor is asked every so many cycles, as in the bridge.

@@ -18,8 +18,6 @@ from construction_twin.mqtt.client import Broker, make_client, unique_id
 
 HOSTS = ("localhost", "127.0.0.1")
 ROBOTS = ("one", "two")
-#: Who only looks, where a test names no people.
-VIEWER = "vic"
 
 
 def free_ports() -> int:
@@ -41,8 +39,8 @@ class SiteBroker:
 
     def __init__(self, folder: Path, **changes):
         self.folder = folder
-        settings = {"hosts": HOSTS, "robots": ROBOTS, "persons": (f"{VIEWER}:look",), "plc": True, "certificates": True}
-        settings["listen"] = "127.0.0.1"
+        settings = {"hosts": HOSTS, "robots": ROBOTS, "plc": True, "certificates": True, "listen": "127.0.0.1"}
+        settings["persons"] = ("vic:look",)
         self.site = Site(**(settings | {"port": free_ports(), "folder": str(folder / "broker")} | changes))
         self.said = SiteFolder(folder).make(self.site)
         #: What the broker says.

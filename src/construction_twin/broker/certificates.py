@@ -29,7 +29,6 @@ class Authority:
     """A CA in a folder of its own, `ca.key` and `ca.crt`; made when it is not there.
 
     Args:
-        name: Common name of a new CA.
         hosts: Names and addresses that a new CA may vouch for, beside this machine's loopback; no browser believes it about others.
             Of a name also what stands below it: ``twin.example`` permits ``hall7.twin.example``.
 
@@ -37,10 +36,8 @@ class Authority:
         ConstructionTwinError: When openssl is not installed or fails, or only one half of the CA is there.
     """
 
-    def __init__(self, folder: Path, name: str, hosts: Iterable[str]):
-        self.certificate = folder / "ca.crt"
-        self._key = folder / "ca.key"
-        self._name = name
+    def __init__(self, folder: Path, hosts: Iterable[str]):
+        self.certificate, self._key = folder / "ca.crt", folder / "ca.key"
         if self._key.exists() != self.certificate.exists():
             raise ConstructionTwinError(Sentence("view.site.half_ca", folder=str(folder)))
         if self._key.exists():
@@ -53,7 +50,7 @@ class Authority:
         """Sign the CA's own certificate for its key, for these hosts only; what it has signed before stays signed."""
         permitted = ",".join(f"permitted;{each}" for each in sorted(_constraints(hosts)))
         extensions = (*_CA, f"nameConstraints=critical,{permitted}")
-        write_private(self.certificate, _sign(self._name, self._key, CA_DAYS, extensions))
+        write_private(self.certificate, _sign("construction_twin site", self._key, CA_DAYS, extensions))
 
     def not_permitted(self, hosts: Iterable[str]) -> list[str]:
         """Return those of the hosts that this CA may not vouch for."""
@@ -86,7 +83,8 @@ def _sign(name: str, key: Path, days: int, extensions: Iterable[str], signer: tu
     options = [option for extension in extensions for option in ("-addext", extension)]
     # the machine's own configuration would add extensions
     request = ["req", "-x509", "-config", os.devnull, "-subj", f"/CN={name}", "-key", key, *signer]
-    return openssl(*request, "-days", days, "-set_serial", _serial(), "-addext", "subjectKeyIdentifier=hash", *options)
+    serial = f"0x{secrets.randbits(126) | 1 << 126:x}"
+    return openssl(*request, "-days", days, "-set_serial", serial, "-addext", "subjectKeyIdentifier=hash", *options)
 
 
 def expiry(certificate: Path) -> datetime:
@@ -124,15 +122,9 @@ def run_tool(program: str, *arguments: object) -> str:
     done = subprocess.run([found, *map(str, arguments)], capture_output=True, text=True, umask=0o077, check=False)
     if done.returncode:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        raise ConstructionTwinError(
-            Sentence(
-                "view.site.program_failed",
-                program=program,
-                step=str(arguments[0]),
-                status=done.returncode,
-                problem=last,
-            )
-        )
+        step, status = str(arguments[0]), done.returncode
+        said = Sentence("view.site.program_failed", program=program, step=step, status=status, problem=last)
+        raise ConstructionTwinError(said)
     return done.stdout
 
 
@@ -142,10 +134,6 @@ _PACKAGES = {"openssl": "openssl", "mosquitto_passwd": "mosquitto"}
 def openssl(*arguments: object) -> str:
     """Run openssl; return what it printed."""
     return run_tool("openssl", *arguments)
-
-
-def _serial() -> str:
-    return f"0x{secrets.randbits(126) | 1 << 126:x}"
 
 
 def _constraints(hosts: Iterable[str]) -> set[str]:

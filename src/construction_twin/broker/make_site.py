@@ -92,7 +92,7 @@ class SiteFolder:
     def _authority(self, names: tuple[str, ...], renew: bool) -> tuple[Authority, list[str]]:
         """Return the site's CA, which may vouch for these names, and sentences on what was done."""
         folder, made = self._folder / "ca", not (self._folder / "ca").exists()
-        authority = Authority(folder, "construction_twin site", names)
+        authority = Authority(folder, names)
         if made:
             return authority, [f"made a CA in {folder}, for {', '.join(names)} only; keep ca.key off the network"]
         if renew:

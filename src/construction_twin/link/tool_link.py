@@ -2,7 +2,6 @@
 
 Pure: events in, messages and reports out. A switch is sent once and never again: its stamp is the moment for which it was meant.
 Whether it is armed, has fired or is void only the gateway knows; what it told last stays told until it tells something else.
-Standard library only.
 """
 
 from __future__ import annotations
@@ -11,16 +10,14 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import replace
 
-from construction_twin.core.errors import PayloadError
 from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.gateway.tool_switches import MOST_REPORTED
+from construction_twin.link.gateway_status import tool_report
 from construction_twin.mqtt.messages import Control
 
-#: Most outputs and inputs of a tool, and the longest text of a status.
-_MOST, _LONGEST = 16, 300
-#: States that a status may give a switch, by their words.
-_REPORTED = {state.word: state for state in SwitchState if state is not SwitchState.PENDING}
+#: Longest reason that is told.
+_LONGEST = 300
 
 
 class ToolLink:
@@ -91,7 +88,7 @@ class ToolLink:
         self._report(id, SwitchState.ARMED if accepted else SwitchState.REFUSED, reason)
 
     def on_status(self, status: dict) -> None:
-        """Take the gateway's status, which `tool_report` has read before without complaint."""
+        """Take the gateway's status, which `parse_status` has read."""
         run = str(status.get("run", ""))
         if run and run != self._run:
             if self._run:
@@ -135,54 +132,3 @@ class ToolLink:
         if obstacle:
             return replace(status, known=False, switches=switches, reason=obstacle)
         return replace(status, switches=switches, reason=status.reason or self._refused)
-
-
-def tool_report(status: dict) -> ToolReport:
-    """Return what a gateway's status says of its tool.
-
-    Raises:
-        PayloadError: ``status``, when it is not as the interface says.
-    """
-    if "tool" not in status:
-        return ToolReport(reason=Sentence("link.tool.none"))
-    tool = status["tool"]
-    switches = tool.get("switches", []) if isinstance(tool, dict) else None
-    if not isinstance(tool, dict) or not isinstance(switches, list) or len(switches) > MOST_REPORTED:
-        raise _unreadable("tool")
-    if not isinstance(tool.get("known"), bool):
-        raise _unreadable("tool.known")
-    found = {}
-    for switch in switches:
-        word = switch.get("state") if isinstance(switch, dict) else None
-        if not isinstance(word, str) or word not in _REPORTED:
-            raise _unreadable("tool.switches")
-        id = _text("tool.switches", switch.get("id"))
-        if id in found:
-            raise _unreadable("tool.switches")
-        found[id] = SwitchReport(_REPORTED[word], _text("tool.switches", switch.get("reason")))
-    return ToolReport(
-        tool["known"],
-        _text("tool.name", tool.get("name")),
-        _signals("tool.outputs", tool.get("outputs")),
-        _signals("tool.inputs", tool.get("inputs")),
-        found,
-        _text("tool.reason", tool.get("reason")),
-    )
-
-
-def _signals(name: str, value: object) -> dict[str, bool]:
-    if not isinstance(value, dict) or len(value) > _MOST:
-        raise _unreadable(name)
-    if not all(isinstance(read, bool) and len(signal) <= 64 for signal, read in value.items()):
-        raise _unreadable(name)
-    return value
-
-
-def _text(name: str, value: object) -> str:
-    if not isinstance(value, str):
-        raise _unreadable(name)
-    return value[:_LONGEST]
-
-
-def _unreadable(name: str) -> PayloadError:
-    return PayloadError("status", Sentence("link.status.not_as_agreed", name=name))

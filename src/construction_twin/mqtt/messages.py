@@ -275,43 +275,6 @@ def parse_control(payload: bytes) -> Control:
     return Control(**document)
 
 
-def parse_status(payload: bytes) -> dict:
-    """Parse a gateway's status (or answer) into a dict; PayloadError (``status``) when it is not one.
-
-    What is reported on ROS, or sent back, is checked here: a word as `state`, a short text as `run`, whole numbers as counters, the
-    reply-time histogram.
-    """
-    status = parse_object(payload, "status", limit=1 << 20)
-    reply = status.get("reply_us", {})
-    if not isinstance(status.get("state", ""), str) or not isinstance(reply, dict):
-        raise PayloadError("status", Sentence("link.status.state", found=repr(payload[:80])))
-    if not is_short_text(status.get("run", "")):
-        raise PayloadError("status", Sentence("link.status.run"))
-    if not _is_count(status.get("fault_number", 0)) or not isinstance(status.get("fault", False), bool):
-        raise PayloadError("status", Sentence("link.status.fault"))
-    if not _is_count(status.get("protocol", FIRST_PROTOCOL)):
-        raise PayloadError("status", Sentence("link.status.protocol"))
-    counters = status.get("counters", {})
-    if not isinstance(counters, dict) or not all(map(_is_count, counters.values())):
-        raise PayloadError("status", Sentence("link.status.counters"))
-    if not all(
-        isinstance(reply.get(key, []), list) and all(map(_is_count, reply.get(key, []))) for key in ("bins", "counts")
-    ):
-        raise PayloadError("status", Sentence("link.status.reply_us"))
-    return status
-
-
-def parse_presence(payload: bytes) -> dict:
-    """Parse what is on `status`, whoever sent it: a gateway's JSON, see `parse_status`, or a bare PLC's word.
-
-    Returns:
-        Of a bare PLC ``{"state": "ready", "kind": "plc"}``. In a gateway's `kind` is ``rsi``, whatever its message holds.
-    """
-    if payload in (READY.encode(), OFFLINE.encode()):
-        return {"state": payload.decode(), "kind": PLC}
-    return parse_status(payload) | {"kind": RSI}
-
-
 def account_of(topic: str) -> str:
     """Return the account in a topic whose last level it is, such as `stop/<account>`; "" where the level is ``ack``.
 
@@ -330,10 +293,6 @@ def is_short_text(value: object) -> bool:
     """Return whether a value is a text of at most 64 characters in one line."""
     # printable, because it is shown to people: in the status, in answers, in a log
     return isinstance(value, str) and len(value) <= 64 and value.isprintable()
-
-
-def _is_count(value: object) -> bool:
-    return isinstance(value, int) and 0 <= value < 1 << 63
 
 
 def _without_duplicates(pairs: list[tuple[str, object]]) -> dict:

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 
 from construction_twin.core.sentences import Sentence
-from construction_twin.link.status_values import without_counts
+from construction_twin.link.gateway_status import without_counts
 
 #: Something is reported as waited for when it has been missing this long [s]: a part that starts within it is not reported.
 PATIENCE = 1.0

@@ -299,7 +299,7 @@ def test_the_certificates_chain_up_and_carry_their_purpose(folder):
 def verdict(folder: Path, host: str, *more: str) -> tuple[str, str]:
     """Have the CA sign for these hosts; return what openssl and Python's ssl say, empty when they believe it for the first."""
     key, certificate = folder / "tried.key", folder / "tried.crt"
-    Authority(folder / "ca", "x", ()).issue("tried", key, certificate, 10, (host, *more))
+    Authority(folder / "ca", ()).issue("tried", key, certificate, 10, (host, *more))
     command = ["openssl", "verify", "-x509_strict", "-purpose", "sslserver", "-CAfile", folder / "ca/ca.crt"]
     kind = "-verify_hostname" if host.strip("0123456789.") and ":" not in host else "-verify_ip"
     done = subprocess.run([*command, kind, host, certificate], capture_output=True, text=True, check=False)
@@ -383,7 +383,7 @@ def test_a_program_that_is_missing_is_named(tmp_path, monkeypatch, capsys, progr
 def test_half_a_ca_is_not_mended_by_making_another(folder):
     (folder / "ca/ca.key").unlink()
     with pytest.raises(ConstructionTwinError, check=says("view.site.half_ca", folder=str(folder / "ca"))):
-        Authority(folder / "ca", "x", ())
+        Authority(folder / "ca", ())
 
 
 def test_settings_that_cannot_be_read_stop_the_run(folder, capsys):

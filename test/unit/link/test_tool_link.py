@@ -5,13 +5,12 @@ from __future__ import annotations
 import itertools
 
 import pytest
-from sentence_checks import says
 from tool_cell import ToolCell
 
-from construction_twin.core.errors import PayloadError
 from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
 from construction_twin.core.sentences import Sentence
-from construction_twin.link.tool_link import ToolLink, tool_report
+from construction_twin.link.gateway_status import tool_report
+from construction_twin.link.tool_link import ToolLink
 
 _, ARMED, FIRED, VOID, REFUSED = SwitchState
 
@@ -180,24 +179,3 @@ def test_a_real_status_is_read_and_a_gateway_without_a_tool_has_no_hands():
     assert report == ToolReport(True, "vacuum_frame", {"vacuum": False}, {"vacuum_reached": False}, report.switches, "")
     assert [(id, switch.state) for id, switch in report.switches.items()] == [("grip", ARMED)]
     assert tool_report({}).tool == "" and "without hands" in tool_report({}).reason
-
-
-@pytest.mark.parametrize(
-    "tool",
-    [
-        None, 5, [], {},
-        *(
-            status()["tool"] | change
-            for change in (
-                {"known": 1}, {"outputs": {"vacuum": 1}}, {"name": 3}, {"inputs": []}, {"switches": [{}]}, {"switches": [5]},
-                {"switches": [{"id": "a", "state": "armed", "reason": ""}] * 2},
-                *({"switches": [{"id": "a", "state": word, "reason": ""}]} for word in ("pending", "asked", "ARMED")),
-                {"switches": [{"id": 5, "state": "armed", "reason": ""}]}, {"switches": [{}] * 17}, {"reason": None},
-                {"outputs": {str(n): True for n in range(17)}}, {"switches": [{"id": "a", "state": ["armed"], "reason": ""}]},
-            )
-        ),
-    ],
-)  # fmt: skip
-def test_what_is_no_status_of_a_tool_is_refused(tool):
-    with pytest.raises(PayloadError, check=says("link.status.not_as_agreed")):
-        tool_report({"tool": tool})

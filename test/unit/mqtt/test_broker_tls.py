@@ -119,7 +119,7 @@ def test_plain_tcp_is_refused_on_the_tls_port(site):
 
 
 def test_a_broker_of_another_ca_is_not_believed(site, tmp_path):
-    Authority(tmp_path / "foreign", "somebody else", ["localhost"])
+    Authority(tmp_path / "foreign", ["localhost"])
     account = replace(site.account("one-gateway"), ca_file=str(tmp_path / "foreign/ca.crt"))
     assert "not signed by the CA" in refusal(site.broker(account))
 
@@ -148,7 +148,7 @@ def signed(site, folder: Path, name: str, authority: Authority) -> Account:
 
 @pytest.mark.parametrize("own", [False, True], ids=["foreign CA", "expired"])
 def test_a_client_certificate_that_does_not_hold_is_refused(site, tmp_path, own):
-    authority = Authority(site.folder / "ca" if own else tmp_path / "foreign", "somebody else", ["localhost"])
+    authority = Authority(site.folder / "ca" if own else tmp_path / "foreign", ["localhost"])
     account = signed(site, tmp_path / "client", "one-bridge", authority)
     if own:
         expire(tmp_path / "client/crt", tmp_path / "client/key", site.folder / "ca")
@@ -161,7 +161,7 @@ def test_the_port_for_certificates_takes_no_password(site):
 
 
 def test_a_certificate_for_a_name_without_rules_may_do_nothing(site, tmp_path):
-    account = signed(site, tmp_path / "client", "stranger", Authority(site.folder / "ca", "", ()))
+    account = signed(site, tmp_path / "client", "stranger", Authority(site.folder / "ca", ()))
     stranger = Listener(site.broker(account), "#", "stranger")
     viewer = Listener(site.broker(site.account("vic")), "#", "viewer")
     gateway = Listener(site.broker(site.account("one-gateway")), "#", "gateway")

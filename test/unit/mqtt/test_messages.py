@@ -17,20 +17,12 @@ from construction_twin.mqtt.messages import (
     Topics,
     message_number,
     parse_control,
-    parse_presence,
-    parse_status,
     read_command_properties,
     read_state_properties,
 )
 
 COMMAND = [("session", "a1"), ("seq", "7"), ("stamp", "1700000000000000000")]
 STATE = [("seq", "7"), ("stamp", "0"), ("command_stamp", "1700000000000000000")]
-STATUS = {
-    "state": "ready",
-    "reason": "",
-    "counters": {"telegrams": 3},
-    "reply_us": {"max": 1.5, "bins": [1, 2], "counts": [0, 3]},
-}
 
 
 def control(**changes) -> bytes:
@@ -170,55 +162,3 @@ def test_anything_else_on_control_is_refused(payload):
 def test_no_bytes_do_more_to_control_than_be_refused(payload):
     with pytest.raises(PayloadError):
         parse_control(payload)
-
-
-def test_a_gateway_s_status_and_answer_are_read():
-    assert parse_status(json.dumps(STATUS).encode()) == STATUS
-    assert parse_status(b'{"id": "1", "ok": true}') == {"id": "1", "ok": True}
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"state": 5},
-        {"state": None},
-        {"run": 5},
-        {"run": None},
-        {"run": "r" * 65},
-        {"run": "two\nlines"},
-        {"fault": "no"},
-        {"fault": 0},
-        {"fault_number": -1},
-        {"fault_number": 1.5},
-        {"protocol": "2"},
-        {"counters": 5},
-        {"counters": {"telegrams": "many"}},
-        {"counters": {"telegrams": -1}},
-        {"counters": {"telegrams": 1 << 64}},
-        {"reply_us": [1]},
-        {"reply_us": {"bins": 5}},
-        {"reply_us": {"counts": [1.5]}},
-    ],
-)
-def test_a_status_that_could_not_be_reported_is_refused(change):
-    with pytest.raises(PayloadError) as caught:
-        parse_status(json.dumps(STATUS | change).encode())
-    assert caught.value.reason == "status"
-
-
-@pytest.mark.parametrize("payload", [b"", b"offline", b"[1]", b"{" * 10_000, b" " * ((1 << 20) + 1)])
-def test_a_status_that_is_no_json_object_is_refused(payload):
-    with pytest.raises(PayloadError) as caught:
-        parse_status(payload)
-    assert caught.value.reason == "status"
-
-
-def test_a_bare_plc_s_words_are_told_from_a_gateway_s_status():
-    assert parse_presence(b"ready") == {"state": "ready", "kind": "plc"}
-    assert parse_presence(b"offline") == {"state": "offline", "kind": "plc"}
-    # what a gateway's JSON says of its kind does not count
-    assert parse_presence(b'{"state": "ready", "kind": "plc"}') == {"state": "ready", "kind": "rsi"}
-    for other in (b"Ready", b"ready ", b"ready\n", b"READY", b"armed", b"", b'"ready"'):
-        with pytest.raises(PayloadError) as refused:
-            parse_presence(other)
-        assert refused.value.reason == "status"

@@ -25,12 +25,19 @@ from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.travel_time import StateCheck
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.bare_supervisor import BareSupervisor
+from construction_twin.link.gateway_status import (
+    clock_sentence,
+    controller_sentence,
+    parse_presence,
+    parse_status,
+    status_values,
+    without_counts,
+)
 from construction_twin.link.observations import SeenStops
 from construction_twin.link.speed_limits import SpeedForwarder
 from construction_twin.link.states import LinkState
-from construction_twin.link.status_values import clock_sentence, controller_sentence, status_values, without_counts
 from construction_twin.link.supervisor import LinkSupervisor
-from construction_twin.link.tool_link import ToolLink, tool_report
+from construction_twin.link.tool_link import ToolLink
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import (
@@ -42,8 +49,6 @@ from construction_twin.mqtt.messages import (
     StateProperties,
     Topics,
     no_properties,
-    parse_presence,
-    parse_status,
     read_state_properties,
 )
 from construction_twin.mqtt.plain_client import PlainClient
@@ -410,8 +415,6 @@ class MqttBridge:
         """Take the gateway's status, or a bare PLC's word; one that cannot be read is refused as a whole."""
         try:
             status = parse_presence(payload)
-            values = status_values(status)
-            tool_report(status)
         except PayloadError as error:
             self._diagnostics.refuse(error.reason, str(error))
             return
@@ -420,7 +423,7 @@ class MqttBridge:
             problem = self._supervisor.on_status(status, now)
             if not problem:
                 self._tool.on_status(status)
-                self._gateway_values = values
+                self._gateway_values = status_values(status)
         if problem:
             self._diagnostics.refuse("status", problem)
         elif status.get("state") == "offline":

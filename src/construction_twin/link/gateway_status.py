@@ -1,0 +1,162 @@
+"""What the gateway says on `status`, checked by a model, and as what `link`, `tool` and `/diagnostics` tell of it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+
+from construction_twin.core.errors import PayloadError
+from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
+from construction_twin.core.sentences import Sentence
+from construction_twin.gateway.tool_switches import MOST_REPORTED
+from construction_twin.mqtt.messages import FIRST_PROTOCOL, OFFLINE, PLC, READY, RSI, is_short_text, parse_object
+
+#: Longest text that is told, and longest status [bytes].
+_LONGEST, _MOST_BYTES = 300, 1 << 20
+#: Objects of the status whose values are shown, each under its own name and theirs.
+_GROUPS = ("controller", "cycle", "playout", "speed_limit", "stop", "intruder")
+_SINGLE = ("mode", "fault_number", "last_refusal", "later_refusal", "last_ipoc_jump_ms")
+#: What counts in the gateway's reason while it refuses datagrams, where a parser stopped, and by how much a clock is off: these
+#: change with every second of a sender that goes on.
+_COUNTS = re.compile(r"(datagrams refused:|\bline|\bcolumn|\bclock is) \d+(?:\.\d+)?")
+
+
+def _short(text: str) -> str:
+    if not is_short_text(text):
+        raise ValueError("no short text in one line")
+    return text
+
+
+def _different(switches: list[_Switch]) -> list[_Switch]:
+    if len({switch.id for switch in switches}) < len(switches):
+        raise ValueError("a switch stands in it twice")
+    return switches
+
+
+_Count = Annotated[int, Field(ge=0, lt=1 << 63)]
+# a whole number in JSON may have more digits than a float holds
+_Number = Annotated[float, Field(gt=-(2.0**63), lt=2.0**63)]
+_Shown = str | _Number | None
+_Name = Annotated[str, Field(max_length=64)]
+_Group = Annotated[dict[_Name, _Shown], Field(max_length=32)]
+_PerAxis = Annotated[list[_Number], Field(max_length=12)]
+_Signals = Annotated[dict[_Name, bool], Field(max_length=16)]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(strict=True)
+
+
+class _Histogram(_Part):
+    bins: list[_Count] = []
+    counts: list[_Count] = []
+
+
+class _Switch(_Part):
+    id: str
+    state: Literal["armed", "fired", "void", "refused"]
+    reason: str
+
+
+class _Tool(_Part):
+    known: bool
+    name: str
+    outputs: _Signals
+    inputs: _Signals
+    switches: Annotated[list[_Switch], Field(max_length=MOST_REPORTED), AfterValidator(_different)] = []
+    reason: str
+
+
+class _Status(_Part):
+    """What is read of a status; it may hold more."""
+
+    state: str = ""
+    run: Annotated[str, AfterValidator(_short)] = ""
+    fault: bool = False
+    fault_number: _Count = 0
+    protocol: _Count = FIRST_PROTOCOL
+    counters: dict[str, _Count] = {}
+    reply_us: _Histogram = _Histogram()
+    tool: _Tool = Field(default=None)  # type: ignore[assignment]  # there is none, or one that is whole
+    mode: _Shown = None
+    last_refusal: _Shown = None
+    later_refusal: _Shown = None
+    last_ipoc_jump_ms: _Shown = None
+    controller: _Group = {}
+    cycle: _Group = {}
+    playout: _Group = {}
+    speed_limit: _Group = {}
+    stop: Annotated[dict[_Name, _Shown | _PerAxis], Field(max_length=32)] = {}
+    intruder: _Group = {}
+
+
+def parse_status(payload: bytes) -> dict:
+    """Return a gateway's status, or its answer; PayloadError (``status``) when it is not as the interface says."""
+    status = parse_object(payload, "status", _MOST_BYTES)
+    try:
+        _Status.model_validate(status)
+    except ValidationError as error:
+        place = ".".join(str(level)[:64] for level in error.errors()[0]["loc"])
+        raise PayloadError("status", Sentence("link.status.not_as_agreed", name=place)) from None
+    return status
+
+
+def parse_presence(payload: bytes) -> dict:
+    """Parse what is on `status`, whoever sent it: a gateway's JSON, see `parse_status`, or a bare PLC's word.
+
+    Returns:
+        Of a bare PLC ``{"state": "ready", "kind": "plc"}``. In a gateway's `kind` is ``rsi``, whatever its message holds.
+    """
+    if payload in (READY.encode(), OFFLINE.encode()):
+        return {"state": payload.decode(), "kind": PLC}
+    return parse_status(payload) | {"kind": RSI}
+
+
+def without_counts(reason: str) -> str:
+    """Return a reason without the numbers that go on while nothing else changes: to ask whether it is news, not to be read."""
+    return _COUNTS.sub(r"\1", reason)
+
+
+def status_values(status: Mapping[str, Any]) -> dict[str, str]:
+    """Return what stands beside the counters of a parsed status; what is absent is left out.
+
+    Returns:
+        E.g. ``{"playout_delay_ms": "20", "intruder_session": "", "last_refusal": "..."}``; "" for what is not known.
+    """
+    values = {name: _text(status[name]) for name in _SINGLE if name in status}
+    for group in _GROUPS:
+        values |= {f"{group}_{name}": _text(value) for name, value in status.get(group, {}).items()}
+    return values
+
+
+def controller_sentence(status: Mapping[str, Any]) -> str:
+    """Return why the arm may not move, as the controller told the gateway; "" for no reason."""
+    return _text(status.get("controller", {}).get("sentence"))
+
+
+def clock_sentence(status: Mapping[str, Any]) -> str:
+    """Return by how much the controller's clock is off, as the gateway has measured it; "" when it is not known to be."""
+    return _text(status.get("cycle", {}).get("sentence"))
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        return " ".join(map(_text, value))
+    return "" if value is None else value[:_LONGEST] if isinstance(value, str) else f"{value:.9g}"
+
+
+def tool_report(status: Mapping[str, Any]) -> ToolReport:
+    """Return what a parsed status says of the gateway's tool."""
+    if "tool" not in status:
+        return ToolReport(reason=Sentence("link.tool.none"))
+    tool = status["tool"]
+    states = {state.word: state for state in SwitchState}
+    switches = {
+        each["id"][:_LONGEST]: SwitchReport(states[each["state"]], each["reason"][:_LONGEST])
+        for each in tool.get("switches", [])
+    }
+    name, reason = tool["name"][:_LONGEST], tool["reason"][:_LONGEST]
+    return ToolReport(tool["known"], name, tool["outputs"], tool["inputs"], switches, reason)

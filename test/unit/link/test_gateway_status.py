@@ -1,0 +1,98 @@
+"""The gateway's status: read strictly, and told as texts on ROS."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from gateway_cell import following
+from sentence_checks import says
+from tool_cell import ToolCell
+
+from construction_twin.core.errors import PayloadError
+from construction_twin.link.gateway_status import parse_presence, parse_status, status_values
+
+TOOL = {
+    "name": "frame", "known": True, "reason": "", "outputs": {"vacuum": False}, "inputs": {"reached": True},
+    "switches": [{"id": "a", "state": "armed", "reason": ""}],
+}  # fmt: skip
+STATUS = {
+    "state": "ready", "reason": "", "counters": {"telegrams": 3}, "reply_us": {"max": 1.5, "bins": [1, 2], "counts": [0, 3]},
+    "tool": TOOL,
+}  # fmt: skip
+
+
+def parsed(status: dict) -> dict:
+    return parse_status(json.dumps(status).encode())
+
+
+def test_it_shows_what_a_real_gateway_says():
+    cell = following()
+    cell.arm("other")
+    values = status_values(parsed(cell.gateway.status()))
+    assert values["playout_delay_ms"] == "20" and values["playout_lead_ms"] == "16"
+    assert values["playout_drift_ppm"] == "" and values["playout_rate_percent"] == "0"
+    assert (values["intruder_session"], values["intruder_count"]) == ("other", "1")
+    assert values["last_refusal"].startswith("arm: armed for session s1") and values["mode"] == "normal"
+    assert values["last_ipoc_jump_ms"] == "0"
+    cell = ToolCell().follow()
+    assert cell.ask(True, id="grip")[0]
+    assert parsed(cell.gateway.status()) == json.loads(json.dumps(cell.gateway.status()))
+
+
+def test_status_and_answer_are_read_and_an_older_gateway_s_says_nothing():
+    assert parsed(STATUS) == STATUS
+    assert parsed({"id": "1", "ok": True}) == {"id": "1", "ok": True}
+    assert status_values(parsed({"state": "ready"})) == {}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"state": 5}, {"state": None}, {"run": 5}, {"run": None}, {"run": "r" * 65}, {"run": "two\nlines"}, {"fault": "no"},
+        {"fault": 0}, {"fault_number": -1}, {"fault_number": 1.5}, {"protocol": "2"}, {"counters": 5},
+        *({"counters": {"telegrams": count}} for count in ("many", -1, 1 << 64)),
+        {"reply_us": [1]}, {"reply_us": {"bins": 5}}, {"reply_us": {"counts": [1.5]}},
+        {"playout": 3}, {"playout": [1]}, {"playout": {str(k): 1 for k in range(33)}}, {"playout": {"x" * 65: 1}},
+        *({"playout": {"delay_ms": value}} for value in ([1], True, float("nan"), float("inf"), 10**400, {})),
+        {"intruder": {"count": -(1 << 63)}}, {"intruder": {"session": {}}}, {"last_refusal": ["x"]},
+        {"stop": {"moved_deg": ["x"]}}, {"stop": {"moved_deg": [0.0] * 13}},
+        *({"tool": tool} for tool in (None, 5, [], {})),
+        *(
+            {"tool": TOOL | tool}
+            for tool in (
+                {"known": 1}, {"outputs": {"vacuum": 1}}, {"name": 3}, {"inputs": []}, {"switches": [{}]}, {"switches": [5]},
+                {"switches": [{"id": "a", "state": "armed", "reason": ""}] * 2},
+                *({"switches": [{"id": "a", "state": word, "reason": ""}]} for word in ("pending", "asked", "ARMED", ["armed"])),
+                {"switches": [{"id": 5, "state": "armed", "reason": ""}]}, {"switches": [{}] * 17}, {"reason": None},
+                {"outputs": {str(n): True for n in range(17)}},
+            )
+        ),
+    ],
+)  # fmt: skip
+def test_what_is_not_in_the_interface_is_refused(change):
+    with pytest.raises(PayloadError, check=says("link.status.not_as_agreed")) as caught:
+        parsed(STATUS | change)
+    assert caught.value.reason == "status"
+
+
+@pytest.mark.parametrize("payload", [b"", b"offline", b"[1]", b"{" * 10_000, b" " * ((1 << 20) + 1)])
+def test_a_status_that_is_no_json_object_is_refused(payload):
+    with pytest.raises(PayloadError) as caught:
+        parse_status(payload)
+    assert caught.value.reason == "status"
+
+
+def test_long_texts_are_cut():
+    assert len(status_values({"last_refusal": "x" * 10_000})["last_refusal"]) == 300
+
+
+def test_a_bare_plc_s_words_are_told_from_a_gateway_s_status():
+    assert parse_presence(b"ready") == {"state": "ready", "kind": "plc"}
+    assert parse_presence(b"offline") == {"state": "offline", "kind": "plc"}
+    # what a gateway's JSON says of its kind does not count
+    assert parse_presence(b'{"state": "ready", "kind": "plc"}') == {"state": "ready", "kind": "rsi"}
+    for other in (b"Ready", b"ready ", b"ready\n", b"READY", b"armed", b"", b'"ready"'):
+        with pytest.raises(PayloadError) as refused:
+            parse_presence(other)
+        assert refused.value.reason == "status"
