@@ -1,31 +1,26 @@
 """Inverse kinematics of an arm of the OPW kind on a linear axis: closed form at many positions of the carriage.
 
-The carriage adds one degree of freedom: its position. `rail_search` finds the position at which a branch of the arm is nearest to
-the seed. Three kinds of position get special treatment:
-
-- Where the wrist is exactly singular, and where the carriage stands now if branches may be lost there, the arm is solved alone.
-- For `all`, `find_singularities` finds the positions where the wrist is exactly singular: a family of solutions is there.
-- If nothing was found at any position, `numeric` searches.
+The carriage adds one degree of freedom: its position. The arm is solved at positions all along the axis, and at the edges of its
+reach, which are known in closed form. Around each local minimum of a branch's distance from the seed, and where a joint moves fast,
+what lies between two positions is divided, again and again. Where the wrist is exactly singular, and where the carriage stands now,
+the arm is solved alone. If nothing was found at any position, `numeric` searches.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
 from construction_twin.core.motion_errors import BranchError, KinematicsError, UnreachableError
-from construction_twin.kinematics import rail_search
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
 from construction_twin.kinematics.numeric import NumericInverse
 from construction_twin.kinematics.opw import NotOpw, OpwModel, find_opw
-from construction_twin.kinematics.rail_intervals import ROUNDING
-from construction_twin.kinematics.rail_samples import SINGULAR, RailSampler, Samples
-from construction_twin.kinematics.rail_search import Candidate
 from construction_twin.kinematics.ranges import TURN
 from construction_twin.kinematics.solution import (
     ArmKind,
@@ -39,91 +34,27 @@ from construction_twin.kinematics.solution import (
 from construction_twin.robot.description import JointValues
 from construction_twin.robot.urdf import chain_joints, parse_urdf
 
-#: If joint 4 needs more than this many spacings for its turn, the evenly spaced positions resolve it.
-_WIDE = 8.0
-#: Squared sine of the wrist's angle beyond which no position is sharp.
-_SHARP = 0.25
-#: From one parabola to the next the spacing shrinks by this factor, down to about this length [m]; below it rounding dominates.
-_SHRINK, _FINEST = 20.0, 2e-6
-
-
-@dataclass(frozen=True, slots=True)
-class WristSingularity:
-    """A position where the wrist comes closest to its singularity.
-
-    Attributes:
-        position: [m]; may lie beyond the ends of the axis by less than the spacing.
-        width: Distance from the position at which joint 4 has turned by 45 degrees [m].
-        angle: |sin| of the wrist's angle at the position; 0: exactly singular.
-    """
-
-    position: float
-    width: float
-    angle: float
-
-
-def find_singularities(
-    positions: np.ndarray, wrist: np.ndarray, measure: Callable[[np.ndarray], np.ndarray]
-) -> list[WristSingularity]:
-    """Find the positions where the wrist is closest to singular and joint 4 turns too fast for the given positions to resolve.
-
-    Near such a position p0 the sine of the wrist's angle is sqrt(angle^2 + slope^2 (position - p0)^2), and joint 4 turns by 180
-    degrees within a few times angle / slope: for a small angle far less than the spacing of the positions.
-
-    Args:
-        positions: Shape (m,). Evenly spaced [m].
-        wrist: Shape (m, k). |sin| of the wrist's angle of k branches; nan where a branch does not exist.
-        measure: Returns the same for other positions.
-    """
-    apart = float(positions[1] - positions[0])
-    squares = _filled(wrist**2)
-    seen = np.where(np.isnan(squares), np.inf, squares)
-    lowest = np.ones(seen.shape, dtype=bool)
-    lowest[1:] = seen[1:] <= seen[:-1]
-    lowest[:-1] &= seen[:-1] <= seen[1:]
-    # a wrist that bends by less than this from position to position is resolved by them
-    lowest &= seen < _SHARP
-    rows, branches = np.nonzero(lowest)
-    singularities = []
-    for row, branch in zip(rows.tolist(), branches.tolist()):
-        row = min(max(row, 1), len(positions) - 2)
-        found = _vertex(float(positions[row]), apart, squares[row - 1 : row + 2, branch])
-        if found is None or abs(found.position - positions[row]) > 2.0 * apart:
-            continue  # there is no minimum here: the wrist is closest to singular at the end of the axis
-        if found.width > 4.0 * _WIDE * apart:
-            continue  # far from sharp, even if the parabola is rough
-        step = apart
-        while found is not None and found.width < _WIDE * step and step > _FINEST:
-            step = max(step / _SHRINK, 0.5 * _FINEST)
-            middle = found.position
-            near = _filled(measure(middle + step * np.array([-1.0, 0.0, 1.0])) ** 2)[:, branch]
-            found = _vertex(middle, step, near)
-        if found is not None and found.width < _WIDE * apart:
-            singularities.append(found)
-    return singularities
-
-
-def _filled(squares: np.ndarray) -> np.ndarray:
-    """Return squares with 0 where a branch is missing between two positions at which it exists, because the wrist is singular."""
-    filled = squares.copy()
-    lost = np.isnan(squares[1:-1]) & np.isfinite(squares[:-2]) & np.isfinite(squares[2:])
-    filled[1:-1][lost] = 0.0
-    return filled
-
-
-def _vertex(middle: float, apart: float, squares: np.ndarray) -> WristSingularity | None:
-    """Return the minimum of the parabola through three positions; None: it has none near them."""
-    before, here, after = squares.tolist()
-    curvature = (before - 2.0 * here + after) / (2.0 * apart**2)
-    if not curvature > 0.0:  # nan, too
-        return None
-    tilt = (after - before) / (2.0 * apart)
-    away = -tilt / (2.0 * curvature)
-    if abs(away) > _SHRINK * apart:
-        return None
-    lowest = max(0.0, here + 0.5 * tilt * away)
-    return WristSingularity(middle + away, math.sqrt(lowest / curvature), math.sqrt(lowest))
-
+#: Number of evenly spaced positions along the axis, and of parts into which what lies between them is divided.
+_POSITIONS, _PARTS = 71, 40
+#: Most intervals divided at once; shorter ones are not divided [m].
+_INTERVALS, _FINEST = 64, 1e-11
+#: A joint that moves by more than the first between two positions may turn round between them, by more than the second turn either
+#: way. Where all move by less than the last, the nearest of the positions is near enough [rad].
+_FAST, _EITHER_WAY, _SMOOTH = 0.2, 1.5, 3e-4
+#: Out of range by less is rounding; nearer by less is not looked for [rad].
+_ROUNDING, _NEARER = 3e-7, 5e-7
+#: An edge of the reach is known this well; a root whose imaginary part is less is one, but for rounding [m].
+_AT_EDGE, _TANGENT = 1e-7, 1e-5
+#: Where a branch ends, its distance may fall by this times the root of the interval, as the elbow moves [rad/sqrt(m)].
+_FALL = 5.0
+#: The rank of a solution out of range is this and by how much [rad]; of one in range, its squared distance from the seed.
+_OUT = 1e3
+#: A solution whose wrist is this close to singular belongs to the family of solutions of a singular position [rad].
+_OF_FAMILY = 1e-3
+#: Solutions nearer to each other than this are one [rad]: they differ only in how exactly the nearest position was found.
+_SAME = 0.01
+#: Besides the nearest ones, `all` returns at most so many.
+_MOST = 64
 
 #: What a robot's description has for each joint.
 _PER_JOINT = ("joint_names", "lower", "upper", "velocity", "acceleration", "jerk", "home", "axes", "linear")
@@ -155,27 +86,9 @@ class Carriage:
         self.direction = chain.jacobian(home)[:3, 0]
 
     def seen_from(self, pose: Pose, position: float) -> Pose:
-        """Return ``carriage_T_tip`` of a target with the carriage at a position.
-
-        Args:
-            pose: ``base_T_tip``
-        """
+        """Return ``carriage_T_tip`` of a target ``base_T_tip`` with the carriage at a position."""
         origin = self.origin + position * self.direction
         return Pose(self.rotation.T @ (pose.position - origin), self.rotation.T @ pose.rotation)
-
-
-#: Number of evenly spaced positions at which singular wrists, and the reason for no solution, are looked for.
-_POSITIONS = 101
-#: A solution whose wrist is this close to singular belongs to the family of solutions of a singular position [rad].
-_OF_FAMILY = 1e-3
-#: A wrist centre that is out of reach by less, or closer to axis 1, may have lost its branches by rounding [m].
-_AT_REACH = 1e-6
-#: Slots of each shoulder, front and back.
-_SIDES = ([0, 1, 4, 5], [2, 3, 6, 7])
-#: Solutions nearer to each other than this are one [rad]: they differ only in how exactly the nearest position was found.
-_SAME = 0.01
-#: Besides the nearest ones, `all` returns at most so many.
-_MOST = 64
 
 
 def find_rail(chain: Chain) -> tuple[Carriage, OpwModel] | NotOpw:
@@ -185,6 +98,48 @@ def find_rail(chain: Chain) -> tuple[Carriage, OpwModel] | NotOpw:
     carriage = Carriage(chain)
     model = find_opw(carriage.arm)
     return model if isinstance(model, NotOpw) else (carriage, model)
+
+
+class _Rows(NamedTuple):
+    """Branches at positions, one branch to a row.
+
+    Attributes:
+        slots: Shape (r,). Each row's branch, as in `SLOTS`.
+        positions: Shape (r, m). Ascending [m].
+        joints: Shape (r, m, 6). [rad]; nan: there is no such branch.
+        wrist: Shape (r, m). |sin| of the wrist's angle.
+    """
+
+    slots: np.ndarray
+    positions: np.ndarray
+    joints: np.ndarray
+    wrist: np.ndarray
+
+
+class _Ranked(NamedTuple):
+    """`_Rows` with respect to a seed.
+
+    Attributes:
+        away: Shape (r, m, 7). Distances of position [m] and joints [rad] from the seed.
+        rank: Shape (r, m). The lower the better, see `_OUT`; inf: there is no such branch.
+    """
+
+    away: np.ndarray
+    rank: np.ndarray
+
+
+class _Found(NamedTuple):
+    """What a search found.
+
+    Attributes:
+        rank: Of `_Ranked`.
+        slot: Branch, as in `SLOTS`.
+        q: Shape (7,). [m], [rad]
+    """
+
+    rank: float
+    slot: int
+    q: np.ndarray
 
 
 class RailInverse(InverseKinematics):
@@ -203,14 +158,14 @@ class RailInverse(InverseKinematics):
         self._search = search
         self._even = np.linspace(*self._ends[0], _POSITIONS)
         # the direction of travel in the directions of the arm's model
-        travel = arm.model.base_T_opw[:3, :3].T @ (carriage.rotation.T @ carriage.direction)
-        self._travel = travel
-        self._along = RailSampler(arm, travel, *self._ends[0])
+        self._travel = arm.model.base_T_opw[:3, :3].T @ (carriage.rotation.T @ carriage.direction)
         # from a target of the whole chain to one of the arm's model, with the carriage at zero
         base_T_carriage = np.eye(4)
         base_T_carriage[:3, :3], base_T_carriage[:3, 3] = carriage.rotation, carriage.origin
         self._opw_T_base = np.linalg.inv(base_T_carriage @ arm.model.base_T_opw)
         self._tip_T_flange = np.linalg.inv(arm.model.flange_T_tip)
+        lower, upper = self.ranges.lower[1:], self.ranges.upper[1:]
+        self._middle, self._half = 0.5 * (upper + lower), 0.5 * (upper - lower)
 
     @property
     def kind(self) -> ArmKind:
@@ -220,22 +175,12 @@ class RailInverse(InverseKinematics):
     def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
         """See `InverseKinematics.nearest`: over all positions of the carriage."""
         start = self._checked(pose, seed)
-        flange, here = self._flange(pose), float(start[0])
-        found: list[IkSolution] = []
-
-        def at(position: float) -> float:
-            """Take the nearest solution with the carriage at a position; return its squared distance."""
-            nearest = self._nearest_at(position, pose, start, configuration)
-            found.extend(nearest)
-            return min((solution.distance**2 for solution in nearest), default=math.inf)
-
-        samples = self._along.sample(flange, here, self._wanted(configuration))
-        aim = self._along.aim(start)
-        measured = self._along.measure(samples, aim)
-        candidates = rail_search.nearest(self._along, samples, measured, aim, at)
-        found += self._first_confirmed(candidates, pose, start)
-        if not found or self._is_special(flange, here, samples.wrist):
-            at(here)
+        flange = self._flange(pose)
+        rows = self._along(flange, float(start[0]), configuration)
+        best, singular = self._divide(flange, rows, start, None, one=True)
+        found = list(self._first_confirmed(best, pose, start))
+        for position in (float(start[0]), *singular):
+            found += self._nearest_at(position, pose, start, configuration)
         if found:
             return min(found, key=lambda solution: solution.distance)
         return self._search_or_explain(pose, start, configuration)
@@ -249,21 +194,23 @@ class RailInverse(InverseKinematics):
         start = self._checked(pose, seed)
         flange = self._flange(pose)
         found = self._nearest_at(float(start[0]), pose, start, configuration)
-        samples = self._along.sample(flange, float(start[0]), self._wanted(configuration))
+        rows = self._along(flange, float(start[0]), configuration)
+        singular: set[float] = set()
         for turns in self._choices_of_turns(start):
-            aim = self._along.aim(start, turns)
-            measured = self._along.measure(samples, aim)
+            best, positions = self._divide(flange, rows, start, np.array(turns), one=False)
+            singular.update(positions)
             for slot in range(len(SLOTS)):
-                candidates = rail_search.nearest(self._along, samples, measured, aim, lambda position: math.inf, slot)
-                found += self._first_confirmed(candidates, pose, start)
-        singular = self._singular_positions(flange)
+                found += self._first_confirmed([each for each in best if each.slot == slot], pose, start)
         if singular:
             found = [solution for solution in found if self._wrist_angle(solution.q) > _OF_FAMILY]
             found += self._families(pose, start, configuration, singular)
         if not found:
             return [self._search_or_explain(pose, start, configuration)]
         found = distinct(sorted(found, key=lambda solution: solution.distance), _SAME)
-        found += self._spaced(samples, found, pose, start)
+        # others with the whole turns nearest to the seed: with other ones the arm would touch the same things
+        others = self._in_range(rows, self._rank(rows, start, None), start)
+        joints = np.array([other.q for other in others]).reshape(-1, len(start))
+        found += spaced(joints, found, _MOST, lambda number: self._solution(others[number], pose, start))
         return sorted(found, key=lambda solution: solution.distance)
 
     def configuration(self, q: JointValues) -> Configuration:
@@ -275,78 +222,132 @@ class RailInverse(InverseKinematics):
         check_pose(pose)
         return np.array(seed, dtype=float)
 
-    def _wanted(self, configuration: Configuration | None) -> np.ndarray | None:
-        if configuration is None:
-            return None
-        return np.array([have.matches(configuration) for have in SLOTS])
-
     def _flange(self, pose: Pose) -> np.ndarray:
         """Return a target as the arm's model has it with the carriage at zero, see `ClosedFormInverse.flange`."""
         return self._opw_T_base @ pose.matrix() @ self._tip_T_flange
+
+    def _branches(self, flange: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the arm's branches at positions, shape (m, 8, 6), and |sin| of their wrist angles, shape (m, 8)."""
+        flanges = np.empty((len(positions), 4, 4))
+        flanges[:] = flange
+        flanges[:, :3, 3] -= positions[:, None] * self._travel
+        joints, wrist, _ = self._arm.branches(flanges)
+        return joints, wrist
+
+    def _along(self, flange: np.ndarray, position: float, configuration: Configuration | None) -> _Rows:
+        """Return the branches of a configuration all along the axis, at a position, and on both sides of the edges of the reach."""
+        low, high = self._ends[0]
+        edges = self._edges(flange)
+        positions = np.concatenate([self._even, [position], edges - _AT_EDGE, edges + _AT_EDGE])
+        positions = np.sort(positions[(positions >= low) & (positions <= high)])
+        slots = np.array(
+            [slot for slot, have in enumerate(SLOTS) if configuration is None or have.matches(configuration)]
+        )
+        joints, wrist = self._branches(flange, positions)
+        at = np.broadcast_to(positions, (len(slots), len(positions)))
+        return _Rows(slots, at, joints.transpose(1, 0, 2)[slots], wrist.T[slots])
+
+    def _between(self, flange: np.ndarray, slots: np.ndarray, low: np.ndarray, high: np.ndarray) -> _Rows:
+        """Return a branch at positions that divide an interval, for each of k branches and intervals."""
+        positions = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, _PARTS + 1)
+        joints, wrist = self._branches(flange, positions.ravel())
+        own = np.repeat(slots, _PARTS + 1)[:, None]
+        joints = np.take_along_axis(joints, own[..., None], axis=1).reshape(*positions.shape, 6)
+        return _Rows(slots, positions, joints, np.take_along_axis(wrist, own, axis=1).reshape(positions.shape))
+
+    def _edges(self, flange: np.ndarray) -> np.ndarray:
+        """Return the positions where the wrist centre is at an edge of a shoulder's reach [m].
+
+        There its distance from axis 2 is the stretched or the folded arm's: with the squared distance from axis 1 less b^2, which
+        is quadratic in the position, that is a quartic.
+        """
+        model = self._arm.model
+        centre = np.array(model.wrist_centre(flange)) - [0.0, 0.0, model.c1]
+        squares = np.array([self._travel**2, -2.0 * centre * self._travel, centre**2])
+        across = squares[:, :2].sum(axis=1) - [0.0, 0.0, model.b**2]
+        whole = across + squares[:, 2]
+        forearm = math.hypot(model.a2, model.c3)
+        roots = [np.roots(across)] if model.b else []
+        for radius in (model.c2 + forearm, model.c2 - forearm):
+            level = whole + [0.0, 0.0, model.a1**2 - radius**2]
+            roots.append(np.roots(np.polysub(np.polymul(level, level), 4.0 * model.a1**2 * across)))
+        every = np.concatenate(roots)
+        return every[np.abs(every.imag) < _TANGENT].real
+
+    def _rank(self, rows: _Rows, seed: np.ndarray, turns: np.ndarray | None) -> _Ranked:
+        """Rank branches.
+
+        Args:
+            turns: Shape (6,). By how many whole turns joints are further than nearest to the seed. None: nearest within the ranges.
+        """
+        joints = rows.joints - TURN * np.rint((rows.joints - seed[1:]) * (1.0 / TURN))
+        if turns is not None:
+            joints += TURN * turns
+        excess = np.abs(joints - self._middle) - self._half
+        if turns is None:
+            other = joints - TURN * np.sign(joints - self._middle)
+            other_excess = np.abs(other - self._middle) - self._half
+            better = (excess > _ROUNDING) & (other_excess < excess)
+            joints, excess = np.where(better, other, joints), np.where(better, other_excess, excess)
+        worst = excess.max(axis=-1)
+        away = np.concatenate([rows.positions[..., None] - seed[0], joints - seed[1:]], axis=-1)
+        rank = np.where(worst <= _ROUNDING, np.einsum("ijk,ijk->ij", away, away), _OUT + worst)
+        rank[np.isnan(worst)] = math.inf
+        return _Ranked(away, rank)
+
+    def _in_range(self, rows: _Rows, ranked: _Ranked, seed: np.ndarray) -> list[_Found]:
+        """Return what is in range, the nearest first."""
+        inside = np.argwhere(ranked.rank < _OUT)
+        inside = inside[ranked.rank[tuple(inside.T)].argsort(kind="stable")]
+        return [
+            _Found(float(ranked.rank[row, at]), int(rows.slots[row]), seed + ranked.away[row, at])
+            for row, at in inside.tolist()
+        ]
+
+    def _divide(
+        self, flange: np.ndarray, rows: _Rows, seed: np.ndarray, turns: np.ndarray | None, one: bool
+    ) -> tuple[list[_Found], list[float]]:
+        """Return what is nearest to the seed, the nearest first, and the positions where joints flip: the wrist is singular there.
+
+        Args:
+            turns: As in `_rank`.
+            one: The nearest of all branches, not of each.
+        """
+        best = np.full(len(SLOTS), math.inf)
+        found: list[_Found] = []
+        flips: list[float] = []
+        while len(rows.slots):
+            ranked = self._rank(rows, seed, turns)
+            lowest = ranked.rank.argmin(axis=1)
+            for row, (at, slot) in enumerate(zip(lowest.tolist(), rows.slots.tolist())):
+                rank = float(ranked.rank[row, at])
+                if rank < min(best[slot], _OUT):
+                    best[slot] = rank
+                    found.append(_Found(rank, slot, seed + ranked.away[row, at]))
+            if one:
+                best[:] = best.min()
+            chosen, first, last, flipped = _promising(rows, ranked, best[rows.slots], self._ends[0])
+            flips += flipped
+            rows = self._between(
+                flange, rows.slots[chosen], rows.positions[chosen, first], rows.positions[chosen, last]
+            )
+        return sorted(found, key=lambda each: each.rank), flips
 
     def _choices_of_turns(self, seed: np.ndarray) -> Iterator[tuple[int, ...]]:
         """Return by how many whole turns each of the arm's joints may be further than the nearest one, in all combinations."""
         choices = []
         for near, (low, high) in zip(seed[1:].tolist(), self._ends[1:]):
             turns = range(math.ceil((low - near) / TURN - 0.5), math.floor((high - near) / TURN + 0.5) + 1)
-            choices.append(turns if high - low >= TURN else (0,))
+            choices.append(turns)
         return product(*choices)
 
-    def _first_confirmed(self, candidates: Sequence[Candidate], pose: Pose, seed: np.ndarray) -> list[IkSolution]:
-        """Return the first of candidates that forward kinematics confirms, as a list; empty if there is none."""
-        for candidate in candidates:
-            solution = self._solution(candidate, pose, seed)
-            if solution is not None:
-                return [solution]
-        return []
+    def _first_confirmed(self, found: Iterable[_Found], pose: Pose, seed: np.ndarray) -> list[IkSolution]:
+        """Return the first that forward kinematics confirms, as a list; empty if there is none."""
+        solutions = (self._solution(each, pose, seed) for each in found)
+        return next(([solution] for solution in solutions if solution is not None), [])
 
-    def _solution(self, candidate: Candidate, pose: Pose, seed: np.ndarray) -> IkSolution | None:
-        """Return a candidate as a solution; None: forward kinematics does not confirm it."""
-        return self.confirmed(candidate.q.tolist(), pose, seed, SLOTS[candidate.slot])
-
-    def _spaced(
-        self, samples: Samples, found: Sequence[IkSolution], pose: Pose, seed: np.ndarray
-    ) -> Iterator[IkSolution]:
-        """Return solutions at other positions than the ones found, the nearest first, each apart from all others.
-
-        Whole turns are those nearest to the seed: with other ones the arm would touch the same things.
-        """
-        aim = self._along.aim(seed)
-        candidates = rail_search.within(samples, self._along.measure(samples, aim), aim)
-        joints = np.array([candidate.q for candidate in candidates]).reshape(-1, len(seed))
-        return spaced(joints, found, _MOST, lambda number: self._solution(candidates[number], pose, seed))
-
-    def _singular_positions(self, flange: np.ndarray) -> list[float]:
-        """Return the positions where the wrist of a branch is exactly singular."""
-        low, high = self._ends[0]
-
-        def wrist(positions: np.ndarray) -> np.ndarray:
-            return self._arm.branches(self._along.flanges(flange, positions)).wrist[:, :4]
-
-        return [
-            # a position beyond the end by rounding is at the end
-            float(min(max(found.position, low), high))
-            for found in find_singularities(self._even, wrist(self._even), wrist)
-            if found.angle <= SINGULAR and low - ROUNDING <= found.position <= high + ROUNDING
-        ]
-
-    def _is_special(self, flange: np.ndarray, position: float, wrist: list[float]) -> bool:
-        """Return whether the wrist is near its singularity, or a branch is missing although it is not out of reach.
-
-        `wrist`, length 8, is |sin| of the branches' wrist angles at the position.
-        """
-        if any(angle <= _OF_FAMILY for angle in wrist):
-            return True
-        dx, dy, dz = self._travel.tolist()
-        x, y, z = self._arm.model.wrist_centre(flange)
-        x, y, z = x - position * dx, y - position * dy, z - position * dz
-        if math.hypot(x, y) < _AT_REACH:
-            return True
-        margins = self._arm.model.margins(x, y, z)
-        return any(
-            min(margin) > -_AT_REACH and any(math.isnan(wrist[slot]) for slot in slots)
-            for margin, slots in zip(margins, _SIDES)
-        )
+    def _solution(self, found: _Found, pose: Pose, seed: np.ndarray) -> IkSolution | None:
+        return self.confirmed(found.q.tolist(), pose, seed, SLOTS[found.slot])
 
     def _nearest_at(
         self, position: float, pose: Pose, seed: np.ndarray, configuration: Configuration | None
@@ -361,7 +362,7 @@ class RailInverse(InverseKinematics):
         return [] if solution is None else [solution]
 
     def _families(
-        self, pose: Pose, seed: np.ndarray, configuration: Configuration | None, singular: Sequence[float]
+        self, pose: Pose, seed: np.ndarray, configuration: Configuration | None, singular: Iterable[float]
     ) -> Iterator[IkSolution]:
         """Yield all solutions with a singular wrist, at the positions where it is singular."""
         for position in singular:
@@ -394,11 +395,64 @@ class RailInverse(InverseKinematics):
 
     def _explain(self, pose: Pose) -> None:
         """Raise the error that says why there is no solution at any position."""
-        positions = self._even
-        branches, _, extension = self._arm.branches(self._along.flanges(self._flange(pose), positions))
+        targets = [self._arm.flange(self._carriage.seen_from(pose, position)) for position in self._even.tolist()]
+        branches, _, extension = self._arm.branches(np.array(targets))
         best = int(extension.argmax())
         if extension[best] < 0.0:
-            carriage_T_tip = self._carriage.seen_from(pose, float(positions[best]))
-            raise UnreachableError(-float(extension[best]), self._arm.is_too_close(self._arm.flange(carriage_T_tip)))
+            raise UnreachableError(-float(extension[best]), self._arm.is_too_close(targets[best]))
         rows = branches.reshape(-1, 6)
         self._arm.raise_range_error(rows[np.isfinite(rows).all(axis=1)])
+
+
+def _promising(
+    rows: _Rows, ranked: _Ranked, best: np.ndarray, axis: tuple[float, float]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[float]]:
+    """Return where something nearer may be than the best of each row.
+
+    Args:
+        best: Shape (r,). Squared distance.
+        axis: Ends of the linear axis.
+
+    Returns:
+        Row, first and last position of k intervals, shape (k,) each; and the positions where a joint flips within the shortest
+        interval.
+    """
+    away, rank = ranked
+    wide = np.diff(rows.positions, axis=1)
+    moved = np.diff(rows.joints, axis=1)
+    moved -= TURN * np.rint(moved * (1.0 / TURN))
+    fastest = np.abs(moved, out=moved).max(axis=-1)
+    # a joint that turns one way comes as near as this; one that moves by much may turn the other way
+    square = away * away
+    gaps = np.minimum(square[:, 1:], square[:, :-1])
+    gaps *= away[:, 1:] * away[:, :-1] > 0.0
+    either = fastest > _EITHER_WAY
+    gaps[..., [1, 4, 5, 6]] *= ~either[..., None]
+    bounds, total = gaps.sum(axis=-1), square.sum(axis=-1)
+    ends = np.isnan(fastest)
+    bounds[ends] = (
+        np.maximum(0.0, np.sqrt(np.fmin(total[:, 1:], total[:, :-1])[ends]) - _FALL * np.sqrt(wide[ends])) ** 2
+    )
+    # a joint out of range at both ends may be within it between them if it moves by as much
+    least = np.minimum(rank[:, 1:], rank[:, :-1])
+    enters = ~(least - _OUT > fastest + _ROUNDING) | either
+    promising = enters & np.isfinite(least) & (bounds < np.maximum(0.0, np.sqrt(best)[:, None] + wide - _NEARER) ** 2)
+    wild = promising & ~(fastest <= _FAST)
+    # of those in which a branch ends, only where the wrist ends it and not the reach
+    flips = wild & (wide <= _FINEST) & (~ends | (np.fmin(rows.wrist[:, 1:], rows.wrist[:, :-1]) < _OF_FAMILY))
+    bounds[~promising | (wide <= _FINEST)] = math.inf
+    # beyond the ends of the axis there is nothing, beyond those of an interval something lower
+    beyond = np.where(rows.positions[:, [0, -1]] == axis, math.inf, -math.inf)
+    padded = np.concatenate([beyond[:, :1], rank, beyond[:, 1:]], axis=1)
+    row, at = ((rank < padded[:, :-2]) & (rank <= padded[:, 2:])).nonzero()
+    first, last = np.maximum(at - 1, 0), np.minimum(at + 1, rank.shape[1] - 1)
+    lowest = np.minimum(bounds[row, first], bounds[row, last - 1])
+    in_range = np.maximum(rank[row, first], rank[row, last]) < _OUT
+    lowest[in_range & (np.maximum(fastest[row, first], fastest[row, last - 1]) < _SMOOTH)] = math.inf
+    wild[row, first] = wild[row, last - 1] = False
+    wild_row, wild_at = wild.nonzero()
+    every = np.concatenate([lowest, bounds[wild_row, wild_at]])
+    order = every.argsort(kind="stable")[: min(_INTERVALS, int(np.isfinite(every).sum()))]
+    chosen = np.concatenate([row, wild_row])[order]
+    first, last = np.concatenate([first, wild_at])[order], np.concatenate([last, wild_at + 1])[order]
+    return chosen, first, last, rows.positions[:, 1:][flips].tolist()

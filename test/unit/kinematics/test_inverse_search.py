@@ -24,7 +24,6 @@ from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.closed_form import SLOTS
 from construction_twin.kinematics.inverse import IkSettings
 from construction_twin.kinematics.numeric import NumericInverse
-from construction_twin.kinematics.rail import find_singularities
 from construction_twin.robot.frames import abc_to_rotation
 
 
@@ -162,18 +161,6 @@ def test_singular_wrist_on_the_track_is_kept(a5):
     for q in np.random.default_rng(3).uniform(TRACK.lower, TRACK.upper, (20, 7)):
         q[5] = a5
         assert RAIL.nearest(RAIL.chain.forward(q), q).distance < 1e-6
-
-
-@pytest.mark.parametrize("angle", [0.0, 1e-6, 1e-3])
-def test_singularities_are_where_the_wrist_passes_its_own(angle):
-    def wrist(positions):
-        slow = 0.5 + 0.1 * positions  # never near
-        return np.column_stack([np.hypot(angle, np.sin(2.0 * (positions - 0.1234567))), slow])
-
-    (found,) = find_singularities(np.linspace(-1.0, 1.0, 301), wrist(np.linspace(-1.0, 1.0, 301)), wrist)
-    assert found.position == pytest.approx(0.1234567, abs=1e-7)
-    assert found.angle == pytest.approx(angle, rel=1e-2, abs=1e-8)
-    assert found.width == pytest.approx(angle / 2.0, rel=1e-2, abs=1e-8)
 
 
 def test_configuration_on_the_track_is_kept_or_refused():
