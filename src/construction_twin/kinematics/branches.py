@@ -25,12 +25,7 @@ _HALF_TURN = 0.5 * TURN
 
 
 class BranchInverse(InverseKinematics, abc.ABC):
-    """What all inverse kinematics of revolute joints in closed form share.
-
-    Args:
-        chain: Of revolute joints.
-        settings: The tolerances are used.
-    """
+    """What all inverse kinematics of revolute joints in closed form share."""
 
     def __init__(self, chain: Chain, settings: IkSettings):
         super().__init__(chain, settings)
@@ -84,12 +79,7 @@ class BranchInverse(InverseKinematics, abc.ABC):
         seed: JointValues,
         configurations: Sequence[Configuration | None],
     ) -> IkSolution | None:
-        """Return the nearest of the branches that forward kinematics confirms, or None.
-
-        Args:
-            branches, seed: As in `nearest_branch`.
-            configurations: Each branch's, for the solution.
-        """
+        """Return the nearest of the branches that forward kinematics confirms, or None."""
         left, kinds = list(branches), list(configurations)
         while True:
             nearest = self.nearest_branch(left, seed)
@@ -115,7 +105,6 @@ class BranchInverse(InverseKinematics, abc.ABC):
         Args:
             branch: Shape (n,)
             seed: Length n
-            configuration: The branch's, for the solutions.
             kept: Joints whose turns have been chosen already.
         """
         if not np.isfinite(branch).all():

@@ -25,9 +25,6 @@ class Pose:
     Attributes:
         position: Shape (3,). [m]
         rotation: Shape (3, 3)
-
-    Raises:
-        ValueError: If they have other shapes.
     """
 
     position: np.ndarray
@@ -80,9 +77,6 @@ class Chain:
 
         Args:
             q: Length n. Joint values [rad] or [m]; not checked against the ranges.
-
-        Raises:
-            ValueError: If `q` has another length.
         """
         return to_pose(self.frame(q))
 
@@ -91,9 +85,6 @@ class Chain:
 
         Returns:
             A buffer: the next call changes it.
-
-        Raises:
-            ValueError: If `q` has another length.
         """
         self._fill(q)
         self._fk.JntToCart(self._q, self._frame)
@@ -105,9 +96,6 @@ class Chain:
         Returns:
             Shape (6, n). Column i: velocity of the tip's origin [m] (three rows), then angular velocity [rad] (three rows), in the
             base's directions, per rad or m of joint i.
-
-        Raises:
-            ValueError: If `q` has another length.
         """
         self._fill(q)
         self._jacobian.JntToJac(self._q, self._columns)
@@ -119,9 +107,6 @@ class Chain:
 
         Returns:
             Shape (m, 3). In the base [m], the base's origin first.
-
-        Raises:
-            ValueError: If `q` has another length.
         """
         self._fill(q)
         frame = PyKDL.Frame()

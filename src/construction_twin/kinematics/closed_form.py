@@ -147,10 +147,6 @@ class ClosedFormInverse(BranchInverse):
     At a singular wrist (axes 4 and 6 in line) joints 4 and 6 each take half of the difference to the seed, which gives the
     nearest solution. Where the wrist centre is on axis 1, joint 1 is free: of the seed's angle and the angles in steps of 5
     degrees from it, the nearest solution's is used.
-
-    Args:
-        model: From `opw.find_opw`.
-        settings: Only the tolerances are used.
     """
 
     def __init__(self, chain: Chain, model: OpwModel, settings: IkSettings):

@@ -134,10 +134,6 @@ class ClosedForm:
 def find_closed_form(chain: Chain, axes: Sequence[Axis]) -> ClosedForm | NoClosedForm:
     """Return the model that solves an arm in closed form.
 
-    Args:
-        chain: Of six revolute joints.
-        axes: The chain's, see `axes.joint_axes`.
-
     Returns:
         An exact model if there is one, otherwise the one that the arm is nearest to.
     """

@@ -60,7 +60,6 @@ class NumericInverse(InverseKinematics):
     """Inverse kinematics by search.
 
     Args:
-        rng: Source of the starting points.
         clock: Returns the present time [s], e.g. ``time.monotonic``: for the budget.
         why: Why nothing better solves the arm: part of a sentence.
     """

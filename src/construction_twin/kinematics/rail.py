@@ -63,9 +63,6 @@ _PER_JOINT = ("joint_names", "lower", "upper", "velocity", "acceleration", "jerk
 class Carriage:
     """The carriage of an arm, and the arm on it.
 
-    Args:
-        chain: One prismatic joint followed by six revolute ones.
-
     Attributes:
         arm: The six joints on the carriage, which is their base.
         rotation: Shape (3, 3). Of ``base_T_carriage``.
@@ -143,13 +140,7 @@ class _Found(NamedTuple):
 
 
 class RailInverse(InverseKinematics):
-    """Inverse kinematics of an arm of the OPW kind on a linear axis.
-
-    Args:
-        chain: All seven joints.
-        carriage, model: From `find_rail`.
-        search: For the whole chain.
-    """
+    """Inverse kinematics of an arm of the OPW kind on a linear axis."""
 
     def __init__(self, chain: Chain, carriage: Carriage, model: OpwModel, search: NumericInverse):
         super().__init__(chain, search.settings)

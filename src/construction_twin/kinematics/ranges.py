@@ -51,7 +51,6 @@ class Ranges:
 
         Args:
             q: Length n
-            slack: Out of range by no more than this counts as within.
             kept: Joints that keep the turns they have.
         """
         choices: list[list[float]] = []

@@ -157,7 +157,6 @@ class InverseKinematics(abc.ABC):
         Args:
             pose: Target ``base_T_tip``.
             seed: Length n. Joint values within the ranges [rad] or [m]: normally the arm's present pose.
-            configuration: Only solutions that match it.
 
         Returns:
             By Euclidean joint distance, whole turns included.
@@ -183,9 +182,6 @@ class InverseKinematics(abc.ABC):
 
         Returns:
             At least one, ordered by Euclidean joint distance from the seed.
-
-        Raises:
-            KinematicsError: As `nearest`.
         """
 
     @abc.abstractmethod
@@ -205,7 +201,6 @@ class InverseKinematics(abc.ABC):
 
         Args:
             q: Length n. Beyond the ranges at most by rounding.
-            configuration: For the solution.
         """
         # plain floats: in closed form the nearest branch takes as long as this
         q = [
@@ -286,7 +281,6 @@ def spaced(
     Args:
         q: Shape (m, n). Samples of the self-motions, those first which are wanted most.
         kept: Solutions from which they are apart, too.
-        most: So many, at most.
         confirm: Returns a sample, by its number, as a solution; None: it is none.
     """
     apart = np.full(len(q), math.inf)
@@ -317,7 +311,6 @@ def refine(chain: Chain, q: np.ndarray, pose: Pose, steps: int = 8, within: bool
 
     Args:
         q: Shape (n,). [rad] or [m]
-        steps: At most.
         within: Stay within the ranges.
 
     Returns:

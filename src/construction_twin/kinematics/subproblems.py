@@ -57,12 +57,7 @@ _Found = TypeVar("_Found")
 
 
 class SubproblemInverse(BranchInverse):
-    """Inverse kinematics of six revolute joints with a closed form.
-
-    Args:
-        form: Of all six axes.
-        search: Of the same chain: for singular poses, and where the branches of a nominal model lead to nothing.
-    """
+    """Inverse kinematics of six revolute joints with a closed form."""
 
     def __init__(self, chain: Chain, form: ClosedForm, search: NumericInverse):
         super().__init__(chain, search.settings)

@@ -236,7 +236,6 @@ class PoseComparison:
             q: Shape (n,). Physical pose [rad].
             command_stamp: Stamp of the command it answers to [ns]; 0 compares with the twin's present pose.
             now: Time of reception, on the clock of the stamps [ns]: for the report alone.
-            round_trip: See `Comparison`.
 
         Returns:
             None when the twin's pose for that stamp is not known.

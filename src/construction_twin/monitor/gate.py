@@ -77,11 +77,7 @@ class GateSettings:
     compares: bool = True
 
     def comparison(self, limits: MotionLimits) -> ComparisonSettings:
-        """Return the part that the comparison needs, for the joints of `limits` in their order.
-
-        Raises:
-            ConfigurationError: When `thresholds` names another joint.
-        """
+        """Return the part that the comparison needs, for the joints of `limits` in their order."""
         foreign = [name for name in self.thresholds if name not in limits.names]
         if foreign:
             raise ConfigurationError(
@@ -260,11 +256,7 @@ class Gate:
         """Go on with other settings, from rest; the change is a transition.
 
         Args:
-            reason: Who changed what.
             now: [ns]
-
-        Raises:
-            ConfigurationError: As `check_rest`, or when `thresholds` names a joint that is unknown. Nothing is changed then.
         """
         self.check_rest(now)
         comparison = settings.comparison(self._limits)
@@ -297,7 +289,6 @@ class Gate:
 
         Args:
             q: Shape (n,). [rad]
-            command_stamp: See `PoseComparison.compare`.
             now: [ns]
             received: Time of reception on the clock of the stamps [ns], for the report alone; by default `now`.
             seq: The gateway's counter of its states; 0: not known, and so is what the servos should do.

@@ -43,7 +43,6 @@ class ServoWatch:
     """Compares the arm with the model of its servos.
 
     Args:
-        model: As identified.
         threshold: Shape (n,). Largest residual that still counts as agreement, at any speed [rad], [m].
 
     Attributes:

@@ -45,9 +45,6 @@ class Behaviour(pydantic.BaseModel):
 
         Args:
             text: YAML, as in config/pca_monitor.yaml: ``{policy: resume, thresholds: {joint_a3: 0.02}}``.
-
-        Raises:
-            ConfigurationError: When one of them does not exist or makes no sense.
         """
         try:
             changes = yaml.safe_load(text)

@@ -102,11 +102,7 @@ def drives_of(robot: RobotModel) -> ArmDrives:
 
 
 def read_drives(path: str | Path, robot: RobotModel) -> ArmDrives:
-    """Read the file of an arm's drives, see config/kr120_drives.yaml.
-
-    Raises:
-        ConfigurationError: Naming file, key, value and what was expected.
-    """
+    """Read the file of an arm's drives, see config/kr120_drives.yaml."""
     try:
         content = yaml.safe_load(read_text(path))
     except yaml.YAMLError as error:

@@ -52,11 +52,7 @@ class Film:
         self._frames.append(_Frame(time, arm.physics, arm.data.qpos.copy()))
 
     def picture(self, time: float, touching: Set[str] = frozenset()) -> np.ndarray:
-        """Return the picture at a time of the plan [s], shape (`HEIGHT`, `WIDTH`, 3), 8 bits.
-
-        Raises:
-            ConstructionTwinError: If nothing draws here: why.
-        """
+        """Return the picture at a time of the plan [s], shape (`HEIGHT`, `WIDTH`, 3), 8 bits."""
         frame = min(self._frames, key=lambda one: abs(one.time - time))
         artist = _Artist(self._frames, touching)
         try:
@@ -84,11 +80,7 @@ class Film:
 
 
 class Canvas:
-    """Draws models of `WIDTH` by `HEIGHT` pixels, as one camera sees them; `close` gives back what the graphics have lent.
-
-    Raises:
-        ConstructionTwinError: If there is no way to draw here: what each one said.
-    """
+    """Draws models of `WIDTH` by `HEIGHT` pixels, as one camera sees them; `close` gives back what the graphics have lent."""
 
     def __init__(self, camera: mujoco.MjvCamera):
         self._gl = open_context()
@@ -166,11 +158,7 @@ class _Artist:
 
 
 def open_context():
-    """Return a context of OpenGL that is current, for pictures of `WIDTH` and `HEIGHT`; ``free`` gives it back.
-
-    Raises:
-        ConstructionTwinError: If there is no way to draw here: what each one said.
-    """
+    """Return a context of OpenGL that is current, for pictures of `WIDTH` and `HEIGHT`; ``free`` gives it back."""
     chosen = os.environ.get("MUJOCO_GL", "").lower()
     problems = []
     for way in [chosen] if chosen in WAYS else WAYS:

@@ -59,7 +59,6 @@ def world_of(bodies: RobotBodies, scene: Scene, drives: ArmDrives, folder: Path,
 
     Raises:
         SceneError: If the scene names links or objects that do not exist, or a mesh cannot be used.
-        ConfigurationError: If a joint of the arm follows another one, or an inertia of the URDF is none.
     """
     return _Builder(bodies, scene, drives, folder).build(priority)
 

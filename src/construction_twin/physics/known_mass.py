@@ -32,7 +32,6 @@ def masses_of(
 
     Args:
         known: Of bodies [kg].
-        standing: Bodies of which the mass counts where they stand, too.
     """
     # nodes that only name bodies wait for no library of shapes
     from construction_twin.physics.mass import of_object

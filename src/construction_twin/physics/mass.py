@@ -59,9 +59,6 @@ def payload_of(numbers: Sequence[float], name: str) -> MassProperties | None:
     Args:
         numbers: Mass [kg], or mass and centre of mass [m]; (): none.
         name: Of what says them, for messages.
-
-    Raises:
-        ConfigurationError: If they are neither, or no mass or centre that an arm's payload has.
     """
     if not numbers:
         return None
@@ -124,9 +121,6 @@ def of_link(name: str, inertia: pinocchio.Inertia, shapes: Sequence[MassProperti
     Args:
         inertia: Of the URDF, in the frame of the link's joint; mass 0: it says nothing.
         shapes: The link's collision shapes, in the same frame.
-
-    Raises:
-        ConfigurationError: If the URDF's inertia is none that a body can have.
     """
     if inertia.mass <= 0.0:
         return together(shapes) if shapes else MassProperties(LEAST_MASS, np.zeros(3), np.eye(3) * 1e-6, True)

@@ -145,7 +145,6 @@ def build_model(
 
     Raises:
         SceneError: If the scene names links or objects that do not exist, or a mesh cannot be used.
-        ConfigurationError: If an inertia of the URDF is none.
     """
     return _Builder(bodies, scene, self_collision, drives, load, gravity, contacts).build()
 

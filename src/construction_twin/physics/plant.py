@@ -22,9 +22,6 @@ def bare_model(bodies: RobotBodies, drives: ArmDrives, flange: MassProperties | 
 
     Args:
         flange: A payload in the frame of the tip link; None: none.
-
-    Raises:
-        ConfigurationError: If an inertia of the URDF is none.
     """
     return build_model(bodies, Scene(), SelfCollision({}, ""), drives, Load(flange=flange), contacts=False)
 

@@ -98,7 +98,6 @@ class Rehearsal:
         """Rehearse a plan.
 
         Args:
-            scenes: By hash: that of the plan, and those of its segments.
             clock: For how long it took, e.g. ``time.perf_counter`` [s].
             progress: Called after each cycle with the time in the plan [s] and the arm as it is then.
         """

@@ -37,11 +37,7 @@ class StandingBody:
 
 
 def still(bodies: Sequence[StandingBody]) -> np.ndarray:
-    """Return the picture, shape (`HEIGHT`, `WIDTH`, 3), 8 bits.
-
-    Raises:
-        ConstructionTwinError: If nothing draws here: why.
-    """
+    """Return the picture, shape (`HEIGHT`, `WIDTH`, 3), 8 bits."""
     corners = np.concatenate([body.points for body in bodies])
     camera, extent = _camera(corners)
     edges = np.concatenate([edges_of(body.points) for body in bodies])

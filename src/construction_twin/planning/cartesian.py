@@ -79,11 +79,9 @@ def plan_cartesian(
 
     Args:
         start: Length n. The arm's pose; the path begins at its tool pose.
-        inverse: Of the arm; used only to explain why a path ends.
         world: The motion must be free of contact in it, at every 4 ms sample and between them. Default: nothing is checked.
         speed: Of the tool along the path [m/s]: never exceeded, and reached where the joint limits allow. Default: as fast as the
             limits allow.
-        speed_scale, acceleration_scale: As in `timing.time_path`.
         bounds: Largest duration and number of waypoints. Default: any.
 
     Raises:

@@ -228,7 +228,6 @@ def with_close_corners(points: np.ndarray, pace: np.ndarray, levers: np.ndarray,
     """Add points on the lines beside the corners, so that `rounded` misses no point by more than `miss`.
 
     Args:
-        points, pace: As for `rounded`.
         levers: Shape (n,). What one unit of each joint moves at most.
         miss: Sum over the joints of what each misses the point by, times its lever.
     """

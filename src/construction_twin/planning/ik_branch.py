@@ -45,7 +45,6 @@ class Branch:
     """Follows a tool path from a joint vector.
 
     Args:
-        inverse: Asked only why a branch ends.
         start: Shape (n,). Joint values at the path's start.
 
     Attributes:

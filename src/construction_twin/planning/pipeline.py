@@ -337,7 +337,6 @@ class PlanningPipeline:
 
         Args:
             start: Length n. The arm's pose.
-            task: Of the work plan that was being executed.
             requires: What the tool's inputs must read on the way.
         """
 

@@ -45,11 +45,7 @@ def path_searches() -> dict[str, Callable[[], PathSearch]]:
 
 
 def path_search(name: str) -> PathSearch:
-    """Return a search by its name.
-
-    Raises:
-        ConfigurationError: If there is none of that name; lists what there is.
-    """
+    """Return a search by its name."""
     known = path_searches()
     if name not in known:
         raise ConfigurationError("the planner", name, Sentence("expected.one_of", known=", ".join(known)))
@@ -147,10 +143,7 @@ class PlanRequest:
         """Return the plan that answers this request.
 
         Args:
-            planner: How the path was found.
             planning_time: Without the report's own [s].
-            scene: Hash of the scene it was checked against.
-            segments: Of a work plan.
         """
         return Plan(
             id=self.plan_id,
@@ -187,7 +180,6 @@ class Planner:
     """Plans joint motions of one robot. Not for use from several threads at once.
 
     Args:
-        solver: For goals given as poses.
         clock: Returns seconds from any fixed origin; measures planning time. OMPL's searches run on OMPL's own clock.
         search: Default: the one that the settings name. With one that ends with the first path found, the same request in the same
             world gives the same plan.
@@ -214,7 +206,6 @@ class Planner:
 
         Args:
             start, goal: Length n. [rad] or [m], order of the robot's `joint_names`.
-            world: What must not be touched.
 
         Raises:
             JointRangeError: If start or goal is out of range.
@@ -242,14 +233,12 @@ class Planner:
         Args:
             start: Length n. [rad] or [m], order of the robot's `joint_names`.
             pose: Of the tip in the robot's base frame.
-            world: What must not be touched.
             configuration: Only joint solutions of this configuration, see `Configuration.parse`. Default: all.
 
         Raises:
             KinematicsError: If the pose cannot be reached within the ranges, or start is out of range.
             CollisionError: If the start, or every solution of the goal, touches something; for the goal the pair of the nearest
                 one.
-            PlanningError: See `plan_to_joints`.
         """
         began = self._clock()
         begin = self._joint_vector("start", start)
@@ -335,7 +324,6 @@ class Planner:
         Args:
             points: Shape (m, n). From the start to the goal; successive points differ, and the lines between them are free.
             times: Shape (m,). Increasing [s]: no less time is taken from one point to the next.
-            planner: How the points were found, for the reviewer.
         """
         began, pace = self._clock(), np.array(self._robot.velocity)
         path = with_close_corners(points, pace, world.levers, CORNER_MISS)

@@ -44,11 +44,7 @@ class World(Protocol):
         """Return where a motion first touches something, in rows and parts of them, and what; None: nowhere on it."""
 
     def clearance_of(self, qs: np.ndarray, changing: bool) -> tuple[Clearance, float]:
-        """Return the smallest distance over all rows and between them, and where it is.
-
-        Args:
-            changing: Only of pairs whose distance some joint changes.
-        """
+        """Return the smallest distance over all rows and between them, and where it is."""
 
 
 def recheck(
@@ -61,7 +57,6 @@ def recheck(
     """Check and measure a trajectory: its limits at every 4 ms sample, its contacts and clearance also between two samples.
 
     Args:
-        trajectory: In the robot's joint order.
         clock: Returns seconds from any fixed origin; measures `PlanReport.recheck_time`.
         sampled: What `sampled_usage` found of this very trajectory; of another one it is not used. Default: it is measured here.
 

@@ -160,10 +160,8 @@ def time_curve(
     """Time a given smooth joint curve from rest to rest, as fast as the limits allow.
 
     Args:
-        speed_scale, acceleration_scale: As in `time_path`.
         top_speed: Largest ds/dt [unit of `length` per s], for a curve over the length of the tool's path the tool's speed.
         spacing: Time between waypoints [s]; with a shorter one the motion stays closer to the curve.
-        bounds: As in `time_path`.
 
     Returns:
         Its duration is a whole number of 4 ms cycles, so that motions joined one after the other stay on one 4 ms grid.

@@ -93,7 +93,6 @@ class ToolPath:
     """A checked tool path.
 
     Args:
-        start: The tool's pose.
         waypoints: At least one that differs from the start.
 
     Attributes:

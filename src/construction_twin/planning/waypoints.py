@@ -177,7 +177,6 @@ def plan_waypoints(
         present: Length n. The arm's pose. The first waypoint must be there within `START_TOLERANCE_RAD` or `START_TOLERANCE_M`, and
             the trajectory then begins exactly at `present`. A single waypoint is the goal of a straight joint motion from there;
             its time is how long the motion takes.
-        speed_scale, acceleration_scale: As in `timing.time_path`; only for waypoints without times.
         bounds: Largest duration and number of waypoints. Default: any.
 
     Raises:
@@ -216,11 +215,7 @@ def plan_waypoints(
 def asked_path(
     waypoints: Waypoints, present: JointValues, robot: RobotModel, bounds: PlanBounds = PlanBounds()
 ) -> Waypoints:
-    """Return waypoints with times, checked but for what times can mend: from the present pose, at 0 s.
-
-    Raises:
-        WaypointsError, PlanSizeError: As `plan_waypoints`.
-    """
+    """Return waypoints with times, checked but for what times can mend: from the present pose, at 0 s."""
     assert waypoints.times is not None  # only with times
     bounds.check(0.0, len(waypoints.rows))
     robot.check_range(present)

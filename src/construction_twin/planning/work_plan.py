@@ -55,14 +55,10 @@ def plan_work(
     """Join segments to a plan and check each in its scene, limits at every 4 ms, contacts between these samples too.
 
     Args:
-        task: Id of the task, which the plan's hash covers.
         present: Length n. The arm's pose. The first segment must begin there within `START_TOLERANCE_RAD` or `START_TOLERANCE_M`;
             what is left of the difference fades away during the segment, so that the plan begins exactly at `present`.
         request: Its duration, scales and number of waypoints are not used.
-        world: The robot in the present scene, with its neighbour.
-        bounds: Of the whole plan.
         clock: Returns seconds from any fixed origin.
-        planner: How the motions were found, for the reviewer.
 
     Raises:
         SegmentError: Naming the segment. Its cause: `TrajectoryError` if it does not begin where the one before ends, or does not

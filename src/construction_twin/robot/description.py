@@ -106,7 +106,6 @@ class RobotModel:
 
         Raises:
             JointRangeError: Naming the first joint outside; nan is outside every range.
-            ValueError: If `q` has another length.
         """
         if len(q) != len(self.joint_names):
             raise ValueError(f"{len(q)} joint values for {len(self.joint_names)} joints of {self.name}")
@@ -179,13 +178,6 @@ def load_robot(urdf: str, description: Mapping) -> RobotModel:
 
     The robot's joints are the movable ones between the YAML's `base_link` and `tip_link`. They must be revolute, prismatic or
     continuous; one that is continuous in the URDF has its range from the YAML's `range_deg`.
-
-    Args:
-        urdf: URDF XML text.
-        description: The parsed robot YAML.
-
-    Raises:
-        ConfigurationError: Naming the key (``robot/...``) or the URDF element, its value and what was expected.
     """
     parsed = _validate(_RobotDescription, dict(description), "robot")
     model = parse_urdf(urdf)
@@ -217,25 +209,12 @@ def load_robot(urdf: str, description: Mapping) -> RobotModel:
 
 
 def read_robot_files(urdf_path: str | Path, yaml_path: str | Path, xacro_args: str = "") -> RobotModel:
-    """Build a robot from files, without ROS.
-
-    Args:
-        urdf_path: A URDF, or a xacro, which is expanded.
-        yaml_path: The robot YAML.
-        xacro_args: Arguments of the xacro, see `urdf.xacro_arguments`.
-
-    Raises:
-        ConfigurationError: See `load_robot`; also for a file that cannot be read or parsed.
-    """
+    """Build a robot from files, without ROS."""
     return load_robot(expand_xacro(urdf_path, xacro_arguments(xacro_args)), _read_description(yaml_path))
 
 
 def home_positions(yaml_path: str | Path) -> dict[str, float]:
-    """Return the home pose of a robot YAML, and where its other joints stand, by joint name [rad], [m]; needs no URDF.
-
-    Raises:
-        ConfigurationError: If the file is not a robot YAML, as far as this can be told without the URDF.
-    """
+    """Return the home pose of a robot YAML, and where its other joints stand, by joint name [rad], [m]; needs no URDF."""
     parsed = _validate(_RobotDescription, _read_description(yaml_path), "robot")
     kinds = {name: _PrismaticJoint if "home_mm" in joint else _RevoluteJoint for name, joint in parsed.joints.items()}
     home = {

@@ -44,9 +44,6 @@ def find_ends(urdf: str, base_link: str = "", tip_link: str = "") -> tuple[str, 
     Args:
         base_link: Not given: ``base_link``, if the tip descends from it, else the URDF's root (after a root called ``world``).
         tip_link: Not given: ``tool0``.
-
-    Raises:
-        ConfigurationError: If a link is not there, or the tip does not descend from the base.
     """
     model = parse_urdf(urdf)
     tip_link = tip_link or "tool0"
@@ -77,9 +74,6 @@ def new_description(urdf: str, name: str, base_link: str, tip_link: str, full_sp
 
     Args:
         full_speed_in: Every joint's acceleration is the one that reaches its full speed in this time [s].
-
-    Raises:
-        ConfigurationError: If the chain has no joint that moves, or more than RSI has axes; if a joint has no limits.
     """
     joints = [joint for joint in chain_joints(parse_urdf(urdf), base_link, tip_link) if joint.joint_type != "fixed"]
     if not 0 < len(joints) <= _MOST:
@@ -103,13 +97,7 @@ def robot_of_urdf(
     """Build a robot from a URDF alone; `RobotModel.estimates` says what of it is an estimate.
 
     Args:
-        path: A URDF, or a xacro, which is expanded.
-        base_link, tip_link: Ends of its chain, as of `find_ends`.
         full_speed_in: As of `new_description` [s].
-        xacro_args: Arguments of the xacro, see `urdf.xacro_arguments`.
-
-    Raises:
-        ConfigurationError: As `find_ends` and `new_description`; also for a file that cannot be read.
     """
     urdf = expand_xacro(path, xacro_arguments(xacro_args))
     base_link, tip_link = find_ends(urdf, base_link, tip_link)
@@ -183,8 +171,6 @@ def robot_yaml(description: Mapping[str, Any], command: str, full_speed_in: floa
     """Return the text of a robot YAML, with what a person must know of its values.
 
     Args:
-        description: As from `new_description` and `with_home`.
-        command: What wrote it.
         full_speed_in: As of `new_description` [s].
     """
     lines = [

@@ -64,10 +64,6 @@ def find_other_joints(model: URDF, chain: Collection[str], given: Mapping[str, f
         chain: The joints of the chain, fixed ones need not be among them.
         given: Where they stand [rad], [m], by name: ``other_joints`` of the robot YAML. Others stand at zero, or, where their range
             does not hold it, in its middle; mimic joints follow.
-
-    Raises:
-        ConfigurationError: If a value is given for what takes none, or is out of range; if a joint has no range, or follows one
-            that is not there or itself.
     """
     others = {joint.name: joint for joint in model.joints if joint.joint_type != "fixed" and joint.name not in chain}
     settable = [name for name, joint in others.items() if joint.mimic is None and joint.joint_type in _UNITS]

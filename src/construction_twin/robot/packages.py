@@ -24,11 +24,7 @@ class Packages:
         self._rospack = rospkg.RosPack()
 
     def folder(self, name: str, where: str) -> Path:
-        """Return a package's folder.
-
-        Raises:
-            ConfigurationError: If there is no such package, or a package.xml on the way cannot be read.
-        """
+        """Return a package's folder."""
         try:
             return Path(self._rospack.get_path(name))
         except rospkg.ResourceNotFound as error:
@@ -48,11 +44,7 @@ class Packages:
             ) from error
 
     def file(self, uri: str, where: str) -> Path:
-        """Return the file that a URDF names: ``package://<package>/<path>``, ``file:///<path>`` or an absolute path.
-
-        Raises:
-            ConfigurationError: If it is none of these, its package is not found, or it is no file.
-        """
+        """Return the file that a URDF names: ``package://<package>/<path>``, ``file:///<path>`` or an absolute path."""
         scheme, separator, rest = uri.partition("://")
         if not separator:
             path = Path(uri)
@@ -75,10 +67,6 @@ def with_mesh_files(urdf: str) -> str:
 
     Pinocchio, which reads the result, looks for ``package://`` in folders of the package's name that lie directly in
     ROS_PACKAGE_PATH, so it misses every package inside of a repository of several.
-
-    Raises:
-        ConfigurationError: Naming the link, for a mesh that is not found.
-        ElementTree.ParseError: If the text is not XML.
     """
     robot = ElementTree.fromstring(urdf)
     packages = Packages()

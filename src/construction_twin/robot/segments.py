@@ -74,11 +74,7 @@ class Segment:
 
 
 def segments_hash(trajectory_hash: str, task: str, segments: tuple[Segment, ...]) -> str:
-    """Return the SHA-256 (hex) over a trajectory's hash, the task, and the ordered segments with switches and scenes.
-
-    Args:
-        trajectory_hash: `Trajectory.content_hash`.
-    """
+    """Return the SHA-256 (hex) over a trajectory's hash, the task, and the ordered segments with switches and scenes."""
     return hashlib.sha256(segments_content(trajectory_hash, task, segments).encode()).hexdigest()
 
 

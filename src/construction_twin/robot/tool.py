@@ -161,11 +161,7 @@ class ToolFile:
 
 
 def read_tool(path: str | Path) -> ToolFile:
-    """Read a tool file.
-
-    Raises:
-        ConfigurationError: Naming file, key, value and what was expected.
-    """
+    """Read a tool file."""
     try:
         description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:

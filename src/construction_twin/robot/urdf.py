@@ -32,9 +32,6 @@ def xacro_arguments(text: str) -> dict[str, str]:
 
     Args:
         text: Words ``name=value`` (or ``name:=value``, which roslaunch does not take on its command line), quoted as in a shell.
-
-    Raises:
-        ConfigurationError: Naming the word that is none.
     """
     try:
         words = shlex.split(text)
@@ -73,9 +70,6 @@ def expand_xacro(path: str | Path, arguments: Mapping[str, str] | None = None) -
 
     Returns:
         Indented XML.
-
-    Raises:
-        ConfigurationError: If the file cannot be read or expanded, or has no argument of a name that was given.
     """
     read_text(path)  # xacro's own message for a missing file does not say what was expected
     given = _Arguments(arguments or {})
@@ -140,11 +134,7 @@ def _found(path: str, error: Exception) -> str:
 
 
 def parse_urdf(urdf: str) -> URDF:
-    """Parse URDF text with urdfdom's Python parser. What it prints about unknown tags goes to the debug log.
-
-    Raises:
-        ConfigurationError: If the text is not a URDF.
-    """
+    """Parse URDF text with urdfdom's Python parser. What it prints about unknown tags goes to the debug log."""
     remarks = io.StringIO()
     try:
         # bytes, because the XML parser refuses an encoding declaration in a str
@@ -158,11 +148,7 @@ def parse_urdf(urdf: str) -> URDF:
 
 
 def chain_joints(model: URDF, base_link: str, tip_link: str) -> list[Joint]:
-    """Return the joints from `base_link` to `tip_link`, fixed ones included.
-
-    Raises:
-        ConfigurationError: If a link is missing or `tip_link` does not descend from `base_link`.
-    """
+    """Return the joints from `base_link` to `tip_link`, fixed ones included."""
     for key, link in (("robot/base_link", base_link), ("robot/tip_link", tip_link)):
         if link not in model.link_map:
             raise ConfigurationError(key, link, Sentence("expected.robot.link_of", links=str(sorted(model.link_map))))
@@ -177,11 +163,7 @@ def chain_joints(model: URDF, base_link: str, tip_link: str) -> list[Joint]:
 
 
 def read_text(path: str | Path) -> str:
-    """Return the contents of a text file in UTF-8.
-
-    Raises:
-        ConfigurationError: If it cannot be read.
-    """
+    """Return the contents of a text file in UTF-8."""
     try:
         return Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

@@ -37,11 +37,7 @@ class Cell:
         self._places = dict(places)
 
     def world_T_root(self, robot: str) -> Pose:  # noqa: N802 (a transform's name)
-        """Return where a robot stands.
-
-        Raises:
-            ConfigurationError: If the cell has no such robot.
-        """
+        """Return where a robot stands."""
         if robot not in self._places:
             raise ConfigurationError(
                 "the cell's robots", sorted(self._places), Sentence("expected.scene.robot", robot=repr(robot))
@@ -62,9 +58,6 @@ def load_cell(description: object) -> Cell:
     Args:
         description: A mapping of robots' names to ``xyz`` [m] and ``rpy_deg``: about the fixed x, y and z axes, in this order
             [deg].
-
-    Raises:
-        ConfigurationError: Naming the key, its value and what was expected.
     """
     try:
         places = _PLACES.validate_python(description)

@@ -94,9 +94,6 @@ class RobotBodies:
             the factor and the offset [rad] or [m].
         link_joints: The joint that moves each link; 0: nothing does.
         strokes: Shape (size,). Largest absolute value of each joint, Pinocchio's order [rad] or [m].
-
-    Raises:
-        ConfigurationError: If Pinocchio cannot read the URDF, or one of its collision meshes is not found or cannot be read.
     """
 
     def __init__(self, robot: RobotModel):
@@ -307,9 +304,6 @@ def scene_shapes(item: SceneObject) -> ObjectShapes:
 
     A closed mesh is solid; one that is not convex becomes convex pieces (`convex_pieces`) that reach at most 5 mm beyond it. What
     cannot be divided so stays a surface: an arm completely inside it is not in contact with it.
-
-    Raises:
-        SceneError: As `scene_geometry`.
     """
     whole = scene_geometry(item)
     if not isinstance(whole, coal.BVHModelBase):
@@ -401,11 +395,7 @@ def is_convex(vertices: np.ndarray, triangles: np.ndarray) -> bool:
 
 
 def shape_contents(geometry: coal.CollisionGeometry) -> list:
-    """Return a shape's kind and numbers, rounded to 1e-9, for a hash.
-
-    Raises:
-        ConfigurationError: If it is a kind that no URDF can hold.
-    """
+    """Return a shape's kind and numbers, rounded to 1e-9, for a hash."""
     if isinstance(geometry, coal.Box):
         numbers = geometry.halfSide
     elif isinstance(geometry, (coal.Cylinder, coal.Capsule)):

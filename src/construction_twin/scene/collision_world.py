@@ -78,11 +78,7 @@ class CollisionWorld:
 
     Not for use from several threads at once: it works in buffers of its own.
 
-    Args:
-        self_collision: The pairs of links that are not checked.
-
     Raises:
-        ConfigurationError: If the robot's shapes cannot be read.
         SceneError: If the scene names links or objects that do not exist, or a mesh cannot be used.
     """
 
@@ -118,9 +114,6 @@ class CollisionWorld:
 
         Moving links and carried objects are checked against its bodies (contact: distance within the scene's padding plus the
         obstacle's). Bodies that do not move are not checked.
-
-        Args:
-            obstacles: They replace the present ones.
         """
         world = object.__new__(CollisionWorld)
         world._build(self._robot_bodies, self.scene, self.self_collision, self._own, tuple(obstacles))
@@ -269,7 +262,6 @@ class CollisionWorld:
 
         Args:
             q: Length n. [rad] or [m]
-            first, second: Names.
 
         Returns:
             [m]; negative: how deep one is in the other; inf if one of them has no shape.
@@ -355,7 +347,6 @@ class CollisionWorld:
 
         Args:
             qs: Shape (m, n). m >= 1; [rad] or [m]
-            changing: As of `clearance`.
 
         Returns:
             clearance: As from `clearance`, within 1e-4 m or a hundredth of it, whichever is more; its time is 0.
@@ -583,7 +574,6 @@ def checked_pairs(
     """Return the pairs of bodies that must not touch, and the distance below which they do.
 
     Args:
-        bodies: A robot's, then a scene's.
         padding: The scene's [m].
 
     Returns:

@@ -58,11 +58,7 @@ class Hull:
 
 
 def mesh_hulls(bodies: RobotBodies) -> list[Hull]:
-    """Return the hull of every collision mesh that is not convex itself, in the order of the links.
-
-    Raises:
-        ConfigurationError: If a mesh is flat, so that there is no hull.
-    """
+    """Return the hull of every collision mesh that is not convex itself, in the order of the links."""
     hulls = []
     numbers: dict[str, int] = {}
     for body in bodies.bodies:
@@ -134,7 +130,6 @@ def estimated_volume(vertices: np.ndarray, triangles: np.ndarray, hull: ConvexHu
     Args:
         vertices: Shape (v, 3). [m]
         triangles: Shape (t, 3), integers
-        hull: Of the vertices.
     """
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     points = low + (high - low) * qmc.Sobol(3, rng=np.random.default_rng(_SEED)).random(_POINTS)
@@ -162,7 +157,6 @@ def urdf_with_hulls(urdf: str, hulls: Sequence[Hull], folder: Path) -> str:
     """Return a URDF with hulls in place of the meshes.
 
     Args:
-        urdf: The URDF that the hulls were made from.
         folder: Where their meshes lie: absolute.
     """
     root = ElementTree.fromstring(urdf.encode())

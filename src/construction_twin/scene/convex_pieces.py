@@ -104,7 +104,6 @@ def convex_cover(body: manifold3d.Manifold, most: int, aim: float) -> list[np.nd
     beyond it, by the plane after which the hulls have the least volume.
 
     Args:
-        most: Pieces.
         aim: Pieces that reach no further beyond the body, as measured at its faces, are not divided [m].
 
     Returns:

@@ -48,9 +48,6 @@ def find_home(world: CollisionWorld, rng: np.random.Generator) -> Home:
 
     Args:
         world: The robot, its own home is not used, and what it must not touch.
-
-    Raises:
-        ConfigurationError: If all poses that were looked at are in contact.
     """
     robot = world.robot
     chain = Chain(robot)

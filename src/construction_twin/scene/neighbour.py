@@ -122,9 +122,6 @@ class Neighbour:
     Args:
         root_T_root: Of the root of the other robot's URDF in the root of ours; see `cell.Cell`.
         step: Longest path of any point of a body between two copies of it [m].
-
-    Raises:
-        ConfigurationError: If its shapes cannot be read.
     """
 
     def __init__(self, name: str, robot: RobotModel, root_T_root: Pose, step: float):

@@ -31,9 +31,6 @@ def neighbour_objects(obstacles: Iterable[Obstacle], root: str, margin: float) -
 
     Returns:
         Called as their owners; a second part of one is called ``<owner> 2``.
-
-    Raises:
-        ConfigurationError: If a shape is of a kind that no URDF can hold.
     """
     parts: Counter[str] = Counter()
     objects = []

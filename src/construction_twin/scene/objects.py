@@ -261,7 +261,6 @@ class Scene:
         """Return the scene with the object carried by a link.
 
         Args:
-            link: The link that carries it from now on.
             pose: Of the object in `link`.
             touch: Links and objects it may touch besides `link`; replaces the present ones.
 

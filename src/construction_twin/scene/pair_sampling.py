@@ -63,9 +63,6 @@ class PairSampler:
         pairs: Links that can move against each other.
         near: A pair is close when its distance is at most this [m].
         samples: Poses: the home pose and random ones within the ranges.
-
-    Raises:
-        ConfigurationError: If the robot's shapes cannot be read.
     """
 
     def __init__(self, robot: RobotModel, pairs: Sequence[Pair], near: float, samples: int, seed: int):
@@ -147,10 +144,6 @@ def sample_pairs(
 
     Returns:
         `always`: in contact in every pose; `never`: close in none.
-
-    Raises:
-        ConfigurationError: If the robot's shapes cannot be read.
-        concurrent.futures.process.BrokenProcessPool: If one of the processes was ended from outside.
     """
     sampler = PairSampler(robot, pairs, near, samples, seed)
     found = OpenPairs(frozenset(pairs), frozenset(pairs))

@@ -101,7 +101,6 @@ def scene_text(told: PlannerScene, name: str, beside: Iterable[PlannerObject] = 
     objects nor pairs that may touch.
 
     Args:
-        name: Of the scene.
         beside: Of the other arm, in the root of the URDF.
 
     Returns:

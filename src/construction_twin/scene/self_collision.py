@@ -48,11 +48,7 @@ class PairFile(pydantic.BaseModel):
 
 
 def parse_pairs(description: Mapping, where: str) -> PairFile:
-    """Return what a parsed file says, without asking which robot it is for.
-
-    Raises:
-        ConfigurationError: If a key is wrong.
-    """
+    """Return what a parsed file says, without asking which robot it is for."""
     try:
         return PairFile.model_validate(dict(description))
     except pydantic.ValidationError as error:
@@ -61,11 +57,7 @@ def parse_pairs(description: Mapping, where: str) -> PairFile:
 
 
 def read_pairs_yaml(path: str | Path) -> dict:
-    """Return the contents of a file, not yet checked.
-
-    Raises:
-        ConfigurationError: If it cannot be read, or is no mapping.
-    """
+    """Return the contents of a file, not yet checked."""
     try:
         description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
@@ -196,10 +188,6 @@ def sample_self_collision(
 
     Args:
         samples: Poses: the home pose and random ones within the ranges.
-        processes, report: As of `sample_pairs`; the result does not depend on them.
-
-    Raises:
-        ConfigurationError: If the robot's shapes cannot be read.
     """
     bodies = RobotBodies(robot)
     pairs, adjacent = _link_pairs(bodies)
@@ -253,15 +241,7 @@ def _has_followers(robot: RobotModel) -> bool:
 
 
 def load_self_collision(description: Mapping, bodies: RobotBodies, where: str) -> SelfCollision:
-    """Return what a parsed file says, if it was made for this robot.
-
-    Args:
-        bodies: The robot's.
-        where: Name of the file, for errors.
-
-    Raises:
-        ConfigurationError: If a key is wrong, or the robot's geometry is not the one the file was made from.
-    """
+    """Return what a parsed file says, if it was made for this robot."""
     parsed = parse_pairs(description, where)
     found = geometry_hash(bodies)
     if parsed.geometry != found:

@@ -109,12 +109,7 @@ def hull_folder(output: Path) -> Path:
 
 
 def propose_hulls(robot: RobotModel, folder: Path) -> list[str]:
-    """Write the proposal of a robot's hulls, if it has meshes that are not convex; return what to tell about it.
-
-    Raises:
-        ConfigurationError: If a mesh has no hull.
-        OSError: If the folder cannot be written.
-    """
+    """Write the proposal of a robot's hulls, if it has meshes that are not convex; return what to tell about it."""
     hulls = mesh_hulls(RobotBodies(robot))
     if not hulls:
         return []
@@ -127,11 +122,7 @@ def propose_hulls(robot: RobotModel, folder: Path) -> list[str]:
 
 @contextmanager
 def progress(samples: int) -> Iterator[Callable[[int, int], None]]:
-    """Give a function that shows how far the sampling is: a bar on a terminal, single lines otherwise. On standard error.
-
-    Args:
-        samples: Poses in all.
-    """
+    """Give a function that shows how far the sampling is: a bar on a terminal, single lines otherwise. On standard error."""
     console = Console(stderr=True, highlight=False)
     if not console.is_terminal:
         yield _lines(samples)

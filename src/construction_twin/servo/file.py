@@ -48,11 +48,7 @@ class _File(pydantic.BaseModel):
 
 
 def read_servos(path: str | Path, names: Sequence[str]) -> ServoModel:
-    """Return the servos of a file, of joints with these names, in their order.
-
-    Raises:
-        ConfigurationError: If it cannot be read, or is of another arm.
-    """
+    """Return the servos of a file, of joints with these names, in their order."""
     path = Path(path).expanduser()
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))

@@ -84,11 +84,7 @@ class Identified:
 
 
 def identify(names: Sequence[str], drives: Sequence[Drive], cycle_ns: int) -> Identified:
-    """Find the servo of every joint.
-
-    Raises:
-        ConstructionTwinError: If the recording holds no such stretch, or does not excite a joint; it names all of these.
-    """
+    """Find the servo of every joint."""
     if not drives or not sum(int(drive.counts.sum()) for drive in drives):
         raise ConstructionTwinError(Sentence("view.identify.nothing"))
     period = cycle_ns / NANOSECONDS
