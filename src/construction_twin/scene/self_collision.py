@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
+import pinocchio
 import pydantic
 import yaml
 from urdf_parser_py.urdf import URDF
@@ -26,8 +27,12 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.validation import wrong_value
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.urdf import parse_urdf
-from construction_twin.scene.collision_bodies import RobotBodies, shape_contents
-from construction_twin.scene.pair_sampling import sample_pairs
+from construction_twin.scene.collision_bodies import RobotBodies, make_reliable, shape_contents
+
+#: Pair of link names.
+Pair = tuple[str, str]
+#: Progress is reported every so many poses.
+_REPORTED = 250
 
 
 class PairFile(pydantic.BaseModel):
@@ -181,21 +186,65 @@ def sample_self_collision(
     robot: RobotModel,
     samples: int = SAMPLES,
     seed: int = SEED,
-    processes: int = 1,
     report: Callable[[int, int], None] = lambda poses, pairs: None,
 ) -> SelfCollision:
     """Find the pairs of links that need no check.
 
     Args:
         samples: Poses: the home pose and random ones within the ranges.
+        report: Called now and then with the number of poses done and of pairs not decided.
     """
     bodies = RobotBodies(robot)
     pairs, adjacent = _link_pairs(bodies)
-    found = sample_pairs(robot, pairs, NEAR, samples, seed, processes, report)
+    lower, upper = np.array(robot.lower), np.array(robot.upper)
+    random = np.random.default_rng(seed).uniform(lower, upper, (samples - 1, len(lower)))
+    always, never = _open_pairs(bodies, pairs, bodies.rows(np.vstack([robot.home, random])), report)
     ignored = {frozenset(pair): "adjacent" for pair in adjacent}
-    ignored |= {frozenset(pair): "never" for pair in found.never}
-    ignored |= {frozenset(pair): "always" for pair in found.always}
+    ignored |= {frozenset(pair): "never" for pair in never}
+    ignored |= {frozenset(pair): "always" for pair in always}
     return SelfCollision(ignored, geometry_hash(bodies))
+
+
+def _open_pairs(
+    bodies: RobotBodies, pairs: Sequence[Pair], poses: np.ndarray, report: Callable[[int, int], None]
+) -> tuple[Iterable[Pair], Iterable[Pair]]:
+    """Return the pairs of links that are in contact in all poses, and those that are close in none.
+
+    A pair is not asked again once its answer can no longer change: few are left after the first poses.
+    """
+    geometry = pinocchio.GeometryModel()
+    for index, body in enumerate(bodies.bodies):
+        geometry.addGeometryObject(pinocchio.GeometryObject(str(index), body.joint, body.placement, body.geometry))
+    # of each pair of links, the pairs of their shapes
+    parts: dict[Pair, list[int]] = {pair: [] for pair in pairs}
+    for second, other in enumerate(bodies.bodies):
+        for first, one in enumerate(bodies.bodies[:second]):
+            if (one.link, other.link) in parts:
+                parts[one.link, other.link].append(len(geometry.collisionPairs))
+                geometry.addCollisionPair(pinocchio.CollisionPair(first, second))
+    data, contact, close = bodies.model.createData(), geometry.createData(), geometry.createData()
+    make_reliable(contact)
+    make_reliable(close, [NEAR] * len(close.collisionRequests))
+    always, never = dict(parts), dict(parts)
+    for number, q in enumerate(poses):
+        if number % _REPORTED == 0:
+            report(number, len(always.keys() | never.keys()))
+        if never and pinocchio.computeCollisions(bodies.model, data, geometry, close, q, False):
+            for pair in [
+                pair for pair in never if any(close.collisionResults[part].isCollision() for part in parts[pair])
+            ]:
+                del never[pair]
+                for part in parts[pair]:
+                    close.deactivateCollisionPair(part)
+        if always:
+            pinocchio.updateGeometryPlacements(bodies.model, data, geometry, contact, q)
+            for pair in list(always):
+                if not any(pinocchio.computeCollision(geometry, contact, part) for part in parts[pair]):
+                    del always[pair]
+        if not always and not never:
+            break
+    report(len(poses), len(always.keys() | never.keys()))
+    return always, never
 
 
 #: How a robot gets its file. The name is the person's to choose: over another arm's file it would take away what that arm needs.

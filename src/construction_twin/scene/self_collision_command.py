@@ -6,7 +6,6 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -34,19 +33,15 @@ _PART = 0.25
 def main(arguments: Sequence[str] | None = None) -> None:
     """Sample a robot's self collisions and write the file."""
     options = _parser().parse_args(arguments)
-    processes = cores() if options.processes is None else options.processes
-    if options.samples < 1 or options.seed < 0 or processes < 1:
-        sys.exit(
-            f"self_collision: found {options.samples} samples, seed {options.seed}, {processes} processes; "
-            "expected 1 or more, 0 or more, 1 or more"
-        )
+    if options.samples < 1 or options.seed < 0:
+        sys.exit(f"self_collision: found {options.samples} samples, seed {options.seed}; expected 1 or more, 0 or more")
     output = None if options.output == "-" else Path(options.output).absolute()
     try:
         _check_folder(output)
         robot = read_robot_files(options.urdf, options.robot, options.robot_xacro_args)
         _check_owner(output, robot)
         with progress(options.samples) as report:
-            found = sample_self_collision(robot, options.samples, options.seed, processes, report)
+            found = sample_self_collision(robot, options.samples, options.seed, report)
         text = self_collision_yaml(robot, found, options.samples, options.seed)
         if output is None:
             print(text, end="")
@@ -58,10 +53,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 print(line)
     except (ConstructionTwinError, OSError) as error:
         sys.exit(f"self_collision: {error}")
-    except BrokenProcessPool:
-        sys.exit(
-            "self_collision: one of its processes was ended from outside, e.g. for want of memory; try --processes 1"
-        )
     except KeyboardInterrupt:
         sys.exit(130)
 
@@ -78,7 +69,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--robot-xacro-args", default="", metavar="'NAME=VALUE ...'", help="arguments of the xacro")
     parser.add_argument("--samples", type=int, default=SAMPLES, help="random poses [%(default)s]")
     parser.add_argument("--seed", type=int, default=SEED, help="seed of the random numbers [%(default)s]")
-    parser.add_argument("--processes", type=int, metavar="N", help="work on at most so many cores [all]")
     parser.add_argument("--no-hulls", action="store_true", help="propose no hulls")
     return parser
 
@@ -96,11 +86,6 @@ def _check_owner(output: Path | None, robot: RobotModel) -> None:
         raise ConfigurationError(
             str(output), f"the file of robot {owner}", Sentence("expected.self_collision.own", robot=robot.name)
         )
-
-
-def cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0))
 
 
 def hull_folder(output: Path) -> Path:

@@ -308,7 +308,6 @@ CLOCK = {"time", "monotonic", "perf_counter", "process_time", "clock_gettime", "
 #: Modules of the library whose job a clock is, beside those of programs that serve a socket: why.
 CLOCKS = {
     "core/clock.py": "what searches and plans are measured with where the caller gives no clock",
-    "scene/pair_sampling.py": "a bar for who waits",
     "work/worker_functions.py": "a budget for the search",
 }
 #: What talks to a network.

@@ -7,7 +7,6 @@ import math
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -41,7 +40,7 @@ from construction_twin.scene.self_collision import (
     sample_self_collision,
     self_collision_yaml,
 )
-from construction_twin.scene.self_collision_command import cores, progress, propose_hulls
+from construction_twin.scene.self_collision_command import progress, propose_hulls
 
 #: What the launch file sets, with the explanation that `roslaunch --ros-args` prints.
 ARGUMENTS = {
@@ -152,9 +151,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(line)
     except (ConstructionTwinError, OSError) as error:
         print(f"new_arm: {spoken(error)}", file=sys.stderr)
-        return 1
-    except BrokenProcessPool:
-        print("new_arm: one of its processes was ended from outside, e.g. for want of memory", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return 130
@@ -283,7 +279,7 @@ def _settle(robot: RobotModel, description: dict[str, Any], home: Home, scene: S
         description = with_home(description, home.q)
         robot = load_robot(robot.urdf, description)
         with progress(samples) as report:
-            pairs = sample_self_collision(robot, samples, SEED, cores(), report)
+            pairs = sample_self_collision(robot, samples, SEED, report)
         world = CollisionWorld(robot, scene, pairs)
         if world.is_free(robot.home):
             measured = world.clearance(robot.home)
