@@ -13,12 +13,20 @@ from rsi_mutations import mutate as mutate_telegram
 
 from construction_twin.core.errors import PayloadError, TelegramError
 from construction_twin.link.gateway_status import parse_status, status_values
-from construction_twin.link.goal_request import MAX_BYTES, GoalRequest, IkRequest, parse_ik, parse_plan_request
-from construction_twin.link.remote_review import parse_review
-from construction_twin.link.remote_trajectory import Joints, parse_trajectory
+from construction_twin.link.remote_trajectory import parse_trajectory
+from construction_twin.link.requests import (
+    GoalRequest,
+    IkRequest,
+    Joints,
+    NamelessVerdict,
+    Verdict,
+    read_document,
+    read_goal,
+    read_message,
+)
+from construction_twin.mqtt import requests
 from construction_twin.mqtt.interventions import PAUSE, RESUME, STOP, parse_intervention
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.mqtt.json_fields import read_document
 from construction_twin.mqtt.messages import (
     account_of,
     parse_control,
@@ -89,15 +97,18 @@ def mqtt_codecs(count: int, seed: int, progress: Callable[[int], None] = lambda 
     target = Target("owner", "ended", "0" * 64, codec.encode((0.5,) * 6), codec.encode((0.0,) * 6))
     others = [
         (json.dumps(STATUS).encode(), lambda data: status_values(parse_status(data))),
-        (json.dumps(REVIEW).encode(), lambda data: parse_review(data, False)),
-        (json.dumps(REVIEW).encode(), lambda data: parse_review(data, False, "kr120-reviewer-ada")),
+        (
+            json.dumps(REVIEW).encode(),
+            lambda data: read_message(NamelessVerdict, requests.NAMELESS_REVIEW, data, False),
+        ),
+        (json.dumps(REVIEW).encode(), lambda data: read_message(Verdict, requests.REVIEW, data, False)),
         (b'{"id": "17"}', lambda data: parse_intervention(STOP, "kr120-stopper-bob", data, False)),
         (b'{"id": "18"}', lambda data: parse_intervention(PAUSE, "kr120-stopper-bob", data, False)),
         (
             json.dumps({"id": "19", "moment": MOMENT}).encode(),
             lambda data: parse_intervention(RESUME, "kr120-stopper-bob", data, False),
         ),
-        (json.dumps(IK).encode(), lambda data: _finite(parse_ik(read_document(data, False, "ik", MAX_BYTES), JOINTS))),
+        (json.dumps(IK).encode(), lambda data: _finite(read_message(IkRequest, requests.IK, data, False))),
         (
             json.dumps(MOTION).encode(),
             lambda data: parse_trajectory(read_document(data, False, "trajectory", 1 << 20), JOINTS),
@@ -119,7 +130,7 @@ def mqtt_codecs(count: int, seed: int, progress: Callable[[int], None] = lambda 
 
 
 def _wish(data: bytes) -> object:
-    return _finite(parse_plan_request(read_document(data, False, "plan_request", MAX_BYTES), JOINTS))
+    return _finite(read_goal(read_document(data, False, "plan_request", requests.PLAN_REQUEST.limit), JOINTS))
 
 
 def _finite(asked: GoalRequest | IkRequest) -> object:
@@ -128,7 +139,7 @@ def _finite(asked: GoalRequest | IkRequest) -> object:
     values += (
         [*asked.joints, asked.speed, asked.speed_scale, asked.acceleration_scale]
         if isinstance(asked, GoalRequest)
-        else asked.seed
+        else asked.seed.values()
     )
     assert all(map(math.isfinite, values)), asked
     return asked

@@ -25,17 +25,12 @@ from construction_twin.core.reports import ExecutionReport, LinkReport, SyncRepo
 from construction_twin.core.speed_limit import SpeedLimit
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
-from construction_twin.link.goal_request import MAX_BYTES, parse_ik, parse_plan_request
 from construction_twin.link.remote_review import (
     ClearanceView,
     PathView,
     PlanView,
-    ReviewRequest,
     UseView,
-    parse_override,
-    parse_review,
 )
-from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import (
     ClosestView,
     PoseView,
@@ -43,11 +38,21 @@ from construction_twin.link.remote_view import (
     Shown,
     ViewWriter,
 )
-from construction_twin.link.speed_limits import NOBODY, SpeedLimits, parse_speed
+from construction_twin.link.requests import (
+    IkRequest,
+    Joints,
+    LowerSpeed,
+    Override,
+    RaiseSpeed,
+    Verdict,
+    read_document,
+    read_goal,
+    read_message,
+)
+from construction_twin.link.speed_limits import NOBODY, SpeedLimits
 from construction_twin.mqtt import requests
 from construction_twin.mqtt.client import Broker, make_client, unique_id
 from construction_twin.mqtt.interventions import parse_intervention
-from construction_twin.mqtt.json_fields import read_document
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import EXECUTOR, GATEWAY, RequestKind
 from construction_twin.physics.report import RehearsalReport
@@ -419,16 +424,16 @@ class ScriptedRobot:
         self._publish(self._topics.ack_of(kind, account), payload)
 
     def _on_review(self, account: str, payload: bytes, retained: bool) -> None:
-        self._on_verdict(requests.REVIEW, parse_review, account, payload, retained)
+        self._on_verdict(requests.REVIEW, Verdict, account, payload, retained)
 
     def _on_override(self, account: str, payload: bytes, retained: bool) -> None:
-        self._on_verdict(requests.OVERRIDE, parse_override, account, payload, retained)
+        self._on_verdict(requests.OVERRIDE, Override, account, payload, retained)
 
     def _on_verdict(
-        self, kind: RequestKind, parse: Callable[..., ReviewRequest], account: str, payload: bytes, retained: bool
+        self, kind: RequestKind, model: type[Verdict], account: str, payload: bytes, retained: bool
     ) -> None:
         try:
-            review = parse(payload, retained, account)
+            review = read_message(model, kind, payload, retained).by(account)
         except PayloadError as error:
             self._answer(kind, account, False, str(error), reviewer=account)
             return
@@ -474,7 +479,8 @@ class ScriptedRobot:
 
     def _on_plan_request(self, account: str, payload: bytes, retained: bool) -> None:
         try:
-            asked = parse_plan_request(read_document(payload, retained, "plan_request", MAX_BYTES), self._joints)
+            kind = requests.PLAN_REQUEST
+            asked = read_goal(read_document(payload, retained, kind.name, kind.limit), self._joints)
         except PayloadError as error:
             self._answer(requests.PLAN_REQUEST, account, False, str(error))
             return
@@ -492,7 +498,7 @@ class ScriptedRobot:
     def _on_speed(self, kind: RequestKind, account: str, payload: bytes, retained: bool) -> None:
         id_, now = "", present()
         try:
-            asked = parse_speed(read_document(payload, retained, kind.name, MAX_BYTES), kind)
+            asked = read_message(RaiseSpeed if kind.starts else LowerSpeed, kind, payload, retained)
             id_, now = asked.id, Moment(now.origin, now.at + round(self.delay * 1e9))
             reason, ok = self.speed_limits.set(asked.limit, account, asked.moment, now, time.time_ns()), True
         except (PayloadError, ExpiredError) as error:
@@ -507,13 +513,14 @@ class ScriptedRobot:
 
     def _on_ik(self, account: str, payload: bytes, retained: bool) -> None:
         try:
-            asked = parse_ik(read_document(payload, retained, "ik", MAX_BYTES), self._joints)
+            asked = read_message(IkRequest, requests.IK, payload, retained)
+            seed = self._joints.in_order(asked.seed, "seed") if asked.seed else self.twin
         except PayloadError as error:
             self._answer(requests.IK, account, False, sentence=str(error))
             return
         try:
             pose = Pose(np.array(asked.position), quaternion_to_rotation(asked.orientation))
-            found = self._inverse.nearest(pose, np.array(asked.seed or self.twin))
+            found = self._inverse.nearest(pose, np.array(seed))
         except KinematicsError as error:
             self._answer(requests.IK, account, False, id=asked.id, reach="out", sentence=str(error))
             return

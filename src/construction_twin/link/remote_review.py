@@ -1,26 +1,14 @@
-"""`plan` and `review` on MQTT: what a tablet gets to see, and what it may answer. Pure; standard library only.
-
-SI: m, rad, s. An approval repeats the newest moment that its screen had received (`core.freshness`). A review is refused
-(PayloadError) unless it is exactly as written here; what is under review decides the rest.
-"""
+"""`plan` and `path` on MQTT: what a tablet gets to see of a plan. SI: m, rad, s. Pure."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Annotated, Any
 
-from construction_twin.core.errors import PayloadError
-from construction_twin.core.freshness import parse_moment
 from construction_twin.core.records import SPACED, decimals, dumped, left_out
-from construction_twin.core.sentences import Sentence
-from construction_twin.mqtt.json_fields import Reader, read_fields
-from construction_twin.mqtt.messages import demand_live, parse_object, shown_keys
 
-#: Longest review that is read [bytes].
-MAX_REVIEW_BYTES = 2048
 #: Most numbers of a trajectory that a plan carries, about 5000 waypoints of six joints: brokers limit a message (a site's: 4 MiB).
 MAX_TRAJECTORY_NUMBERS = 100_000
 #: Longest text of a plan that is shown whole.
@@ -31,121 +19,6 @@ _MOST_OBJECTS = 20
 _DISPLAYED, _MICRO = 4, 6
 
 Point = tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class ReviewRequest:
-    """A verdict on a plan, by MQTT or from the command line.
-
-    Attributes:
-        verdict: ``approved`` or ``rejected``.
-        reviewer: Who is on record: the topic's account, and only without one what the message says.
-        account: The topic's, which a site's broker has checked; "" on `review`.
-        says: What a message of an account says of who gave it, where that is another name; proves nothing.
-        moment: The newest that the screen had received; of a rejection it may be "".
-        override_rehearsal: It came on `override_rehearsal/<account>`: an approval in spite of the rehearsal, which needs a reason.
-        rehearsal_hash: Of the result that it is in spite of, as the person saw it; "": there was none.
-    """
-
-    plan_id: str
-    plan_hash: str
-    verdict: str
-    reviewer: str
-    reason: str = ""
-    account: str = ""
-    says: str = ""
-    moment: str = ""
-    override_rehearsal: bool = False
-    rehearsal_hash: str = ""
-
-    @property
-    def approve(self) -> bool:
-        """True for an approval."""
-        return self.verdict == "approved"
-
-
-def parse_review(payload: bytes, retained: bool, account: str = "") -> ReviewRequest:
-    """Return the verdict in a message on `review/<account>`, or on `review`.
-
-    Args:
-        payload: JSON object with `plan_id`, `plan_hash`, `verdict`, `reviewer`, `moment` and, if wanted, `reason`; with an account
-            `reviewer` may be left out, of a rejection `moment`.
-        retained: The message's retain flag.
-        account: Of the topic; "" on `review`.
-
-    Raises:
-        PayloadError: ``retained``, ``moment`` or ``review``.
-    """
-    return _parse(
-        payload, retained, account, ("plan_id", "plan_hash", "verdict", *(() if account else ("reviewer",))), _READERS
-    )
-
-
-def _parse(
-    payload: bytes, retained: bool, account: str, needed: Sequence[str], readers: Mapping[str, Reader]
-) -> ReviewRequest:
-    demand_live(retained, "review")
-    document = parse_object(payload, "review", MAX_REVIEW_BYTES)
-    if not set(needed) <= set(document) <= set(readers):
-        found = Sentence("link.payload.review_keys", found=shown_keys(document), needed=", ".join(needed))
-        raise PayloadError("review", found)
-    fields = read_fields(document, readers)
-    if fields["verdict"] == "approved":
-        parse_moment(fields.get("moment"))
-    if not account:
-        return ReviewRequest(**fields)
-    says = fields.pop("reviewer", account)
-    return ReviewRequest(**fields, reviewer=account, account=account, says="" if says == account else says)
-
-
-def parse_override(payload: bytes, retained: bool, account: str) -> ReviewRequest:
-    """Return the approval in a message on `override_rehearsal/<account>`: as `parse_review`, with `reason` and
-    `rehearsal_hash`: that of the result that was seen, "" where there was none.
-
-    Raises:
-        PayloadError: As `parse_review`; ``review`` for a rejection, or without a reason.
-    """
-    review = _parse(payload, retained, account, _OVERRIDE_NEEDS, _OVERRIDE_READERS)
-    if not (review.approve and review.reason.strip()):
-        raise PayloadError("review", Sentence("link.payload.override"))
-    return replace(review, override_rehearsal=True)
-
-
-def _text(most: int, value: object, key: str) -> str:
-    if not isinstance(value, str) or len(value) > most or not value.isprintable():
-        raise PayloadError("review", Sentence("link.payload.review_text", key=key, longest=most))
-    return value
-
-
-def _name(value: object, key: str) -> str:
-    found = _text(64, value, key)
-    if not found.strip():
-        raise PayloadError("review", Sentence("link.payload.review_without", key=key))
-    return found
-
-
-def _verdict(value: object, key: str) -> str:
-    found = _text(16, value, key)
-    if found not in ("approved", "rejected"):
-        raise PayloadError("review", Sentence("link.payload.review_verdict", found=repr(found)))
-    return found
-
-
-#: What reads each key of a review.
-_READERS: Mapping[str, Reader] = {
-    **dict.fromkeys(("plan_id", "plan_hash", "reviewer"), _name),
-    "verdict": _verdict,
-    "reason": partial(_text, 500),
-    "moment": partial(_text, 64),
-}
-_OVERRIDE_READERS: Mapping[str, Reader] = {**_READERS, "rehearsal_hash": partial(_text, 64)}
-_OVERRIDE_NEEDS = ("plan_id", "plan_hash", "verdict", "reason", "rehearsal_hash")
-
-
-def recorded_reason(review: ReviewRequest) -> str:
-    """Return the reviewer's words as they are recorded: what came by MQTT was not said at this machine."""
-    who = f"by MQTT, which says it is {review.says!r}" if review.says else "by MQTT"
-    return f"{who}: {review.reason}" if review.reason else who
 
 
 @dataclass(frozen=True)

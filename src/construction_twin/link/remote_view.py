@@ -17,7 +17,7 @@ from construction_twin.core.freshness import Moment
 from construction_twin.core.records import decimals, dumped
 from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SpeedReport, SyncReport
 from construction_twin.core.units import NANOSECONDS, seconds
-from construction_twin.link.remote_trajectory import Joints
+from construction_twin.link.requests import Joints
 
 VERSION = 6
 #: The oldest version whose readers can read this one.

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Mapping
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +22,7 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.speed_limit import LimitState, SpeedLimit
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.observations import SHOWN_AFTER
-from construction_twin.mqtt.json_fields import keys, number, own_id
-from construction_twin.mqtt.requests import RequestKind
+from construction_twin.link.requests import LEAST_SPEED
 
 #: An unchanged limit is forwarded no faster than this [ns].
 PERIOD = NANOSECONDS // 5
@@ -51,12 +50,10 @@ class SpeedForwarder(SpeedLimit):
         return self.fraction
 
 
-#: The least that people may set, a fraction of the planned speed: 0 would be a pause, which has a name and an end of its own.
-LEAST = 0.05
 #: Largest file that is read, and the least that it has [bytes].
 MOST, ROOM = 1 << 16, 4096
 #: Nobody has set one; and what counts where what people had set is not known: a restart raises nothing.
-NOBODY, UNKNOWN = SpeedChange("", 1.0, 1.0, ""), SpeedChange("", LEAST, 1.0, "")
+NOBODY, UNKNOWN = SpeedChange("", 1.0, 1.0, ""), SpeedChange("", LEAST_SPEED, 1.0, "")
 #: Keys of the file, in the order of the record.
 _KEYS = ("person", "limit", "replaced", "replaced_person", "since")
 
@@ -81,9 +78,9 @@ def read_people(path: Path) -> tuple[SpeedChange, str]:
 
 def _people(found: Mapping[str, Any]) -> SpeedChange:
     people = SpeedChange(*[found[key] for key in _KEYS])
-    in_range = LEAST <= people.limit <= 1.0 and LEAST <= people.before <= 1.0
+    in_range = LEAST_SPEED <= people.limit <= 1.0 and LEAST_SPEED <= people.before <= 1.0
     if [type(each) for each in astuple(people)] != [str, float, float, str, int] or not in_range:
-        raise ValueError(f"expected fractions from {LEAST:g} to 1, names and a time, found {found}")
+        raise ValueError(f"expected fractions from {LEAST_SPEED:g} to 1, names and a time, found {found}")
     return people
 
 
@@ -131,7 +128,8 @@ class SpeedLimits:
             PayloadError: ``values``, ``person``, ``moment``, or ``direction``.
             ExpiredError: What the screen had shown is too old to raise it, or was lowered since.
         """
-        _check_limit(limit)
+        if not LEAST_SPEED <= limit <= 1.0:
+            raise PayloadError("values", Sentence("link.payload.speed_limit", found=limit, least=LEAST_SPEED))
         if not person.strip():
             raise PayloadError("person", Sentence("link.speed.nameless"))
         before = self.people
@@ -170,32 +168,3 @@ class SpeedLimits:
             reason = Sentence("link.speed.unreadable", percent=100 * people.limit, problem=self.problem)
         set_by_people = people.limit, people.person, people.stamp, people.before, people.whose
         return SpeedReport(limit, by, reason, *set_by_people, program=allowed, program_name=program.name)
-
-
-#: Longest message [bytes].
-MAX_REQUEST_BYTES = 256
-
-
-@dataclass(frozen=True)
-class SpeedRequest:
-    """A person's speed limit; to raise it the newest moment that the screen had received, "" to lower it."""
-
-    id: str
-    limit: float
-    moment: str
-
-
-def parse_speed(document: Mapping[str, Any], kind: RequestKind) -> SpeedRequest:
-    """Return the limit in a document of `read_document`; PayloadError (``format``, ``values`` or ``moment``).
-
-    A moment to lower it is not read: a lower limit must not be lost by it.
-    """
-    keys(document, kind.name, ("id", "limit"), ("id", "limit", "moment"))
-    id_, limit = own_id(document["id"], "id"), number(document["limit"], "limit")
-    _check_limit(limit)
-    return SpeedRequest(id_, limit, str(parse_moment(document.get("moment"))) if kind.starts else "")
-
-
-def _check_limit(limit: float) -> None:
-    if not LEAST <= limit <= 1.0:
-        raise PayloadError("values", Sentence("link.payload.speed_limit", found=limit, least=LEAST))

@@ -71,6 +71,7 @@ class RequestKind:
 
     Attributes:
         right: What an account needs to publish it, of `broker.access.RIGHTS`; "stop": any but `look`; "": no account of a site may.
+        limit: Longest message that is read [bytes]; of a motion a parameter says it, of what is pressed `interventions`.
         topic, ack: Where it comes in and is answered, below ``<prefix>/<robot>/``; ``{}`` is the account.
         answer: Which fields of `Answer` it has, in their order.
         qos: Of request and answer.
@@ -87,6 +88,7 @@ class RequestKind:
     ack: str
     answer: tuple[str, ...]
     qos: int = 1
+    limit: int = 4096
     pace: Pace | None = None
     starts: bool = False
     by: str = EXECUTOR
@@ -113,10 +115,12 @@ _PLANNING = Pace(1)
 _CHECKED = ("id", "sender", "ok", "reason", "plan_id", "plan_hash", "duration", "notes")
 
 #: A verdict in no name, on a broker without accounts.
-NAMELESS_REVIEW = RequestKind("review", "", "review", "review/ack", _VERDICT)
-REVIEW = RequestKind("review", "approve", "review/{}", "review/ack", _VERDICT)
+NAMELESS_REVIEW = RequestKind("review", "", "review", "review/ack", _VERDICT, limit=2048)
+REVIEW = RequestKind("review", "approve", "review/{}", "review/ack", _VERDICT, limit=2048)
 #: An approval although a rehearsal is required that is missing or was no pass; it approves nothing else.
-OVERRIDE = RequestKind("override_rehearsal", "approve", "override_rehearsal/{}", "override_rehearsal/ack", _VERDICT)
+OVERRIDE = RequestKind(
+    "override_rehearsal", "approve", "override_rehearsal/{}", "override_rehearsal/ack", _VERDICT, limit=2048
+)
 STOP = RequestKind("stop", "stop", "stop/{}", "stop/ack", _PRESSED)
 PAUSE = RequestKind("pause", "operate", "pause/{}", "pause/ack", _PRESSED)
 RESUME = RequestKind("resume", "approve", "resume/{}", "pause/ack", _PRESSED, starts=True)
@@ -129,8 +133,8 @@ PRESSED = (STOP, PAUSE, RESUME, RESET, ARM)
 ANSWER = RequestKind("answer", "operate", "answer/{}", "answer/ack", _ANSWERED)
 ACKNOWLEDGE = RequestKind("acknowledge", "operate", "acknowledge/{}", "acknowledge/ack", _ACKNOWLEDGED)
 #: Lowers people's speed limit; raises it, and needs its moment.
-LOWER_SPEED = RequestKind("lower_speed", "operate", "lower_speed/{}", "speed/ack", _LIMITED)
-RAISE_SPEED = RequestKind("raise_speed", "approve", "raise_speed/{}", "speed/ack", _LIMITED, starts=True)
+LOWER_SPEED = RequestKind("lower_speed", "operate", "lower_speed/{}", "speed/ack", _LIMITED, limit=256)
+RAISE_SPEED = RequestKind("raise_speed", "approve", "raise_speed/{}", "speed/ack", _LIMITED, limit=256, starts=True)
 PLAN_REQUEST = RequestKind("plan_request", "operate", "plan_request/{}", "plan_request/ack", _PLANNED, pace=_PLANNING)
 IK = RequestKind("ik", "operate", "ik/{}", "ik/ack/{}", _REACHED, qos=0, pace=Pace(15))
 #: A motion in no name; the account of the topic below is shown to the reviewer.

@@ -1,4 +1,4 @@
-"""`plan` and `review` on MQTT: what is shown, what is read, what is refused."""
+"""`plan` on MQTT: what is shown."""
 
 from __future__ import annotations
 
@@ -19,15 +19,10 @@ from plan_samples import make_plan
 from sentence_checks import says
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from construction_twin.core.errors import PayloadError
 from construction_twin.core.motion_errors import TrajectoryError
 from construction_twin.link.remote_review import (
-    MAX_REVIEW_BYTES,
     MAX_TRAJECTORY_NUMBERS,
     PlanBoard,
-    ReviewRequest,
-    parse_review,
-    recorded_reason,
     shown,
     thinned,
 )
@@ -38,131 +33,6 @@ from construction_twin.ros.messages.convert import plan_to_msg
 from construction_twin.ros.nodes.mqtt_review import plan_view
 from construction_twin.scene.objects import SceneObject
 from construction_twin.scene.scene_change import SceneChange
-
-REVIEW = {"plan_id": "p1", "plan_hash": "ab" * 32, "verdict": "approved", "reviewer": "Anna"}
-MOMENT = "c0ffee00-5000"
-
-
-def payload(**changes) -> bytes:
-    return json.dumps(
-        {key: value for key, value in (REVIEW | {"moment": MOMENT} | changes).items() if value is not ...}
-    ).encode()
-
-
-def refusal(data: bytes, retained: bool = False) -> str:
-    with pytest.raises(PayloadError) as caught:
-        parse_review(data, retained)
-    assert len(str(caught.value)) < 300
-    return caught.value.reason
-
-
-# -- review
-
-
-def test_a_verdict_is_read_as_it_was_given():
-    assert parse_review(payload(), False) == ReviewRequest(**REVIEW, moment=MOMENT)
-    assert parse_review(payload(verdict="rejected", reason="too close to the wall"), False) == ReviewRequest(
-        "p1", "ab" * 32, "rejected", "Anna", "too close to the wall", moment=MOMENT
-    )
-
-
-@pytest.mark.parametrize("verdict, approves", [("approved", True), ("rejected", False)])
-def test_only_one_word_approves(verdict, approves):
-    assert parse_review(payload(verdict=verdict), False).approve is approves
-
-
-@pytest.mark.parametrize("account", ["", "kr120-reviewer-ada"])
-@pytest.mark.parametrize(
-    "moment, reason", [(..., "moment"), ("", "moment"), ("c0ffee00", "moment"), ("x" * 65, "review"), (5.0, "review")]
-)
-def test_an_approval_that_does_not_say_what_its_screen_had_shown_is_refused(account, moment, reason):
-    with pytest.raises(PayloadError) as caught:
-        parse_review(payload(moment=moment), False, account)
-    assert caught.value.reason == reason and len(str(caught.value)) < 300
-
-
-@pytest.mark.parametrize("moment", [..., "", "of an old screen", MOMENT])
-def test_a_rejection_needs_no_moment(moment):
-    assert not parse_review(payload(verdict="rejected", moment=moment), False).approve
-
-
-def test_a_retained_verdict_is_refused_whatever_it_says():
-    assert refusal(payload(), retained=True) == "retained"
-    assert refusal(b"", retained=True) == "retained"
-
-
-@pytest.mark.parametrize("key", list(REVIEW))
-@pytest.mark.parametrize("value", [..., "", "  ", None, 1, True, ["p1"], {"a": 1}, "x" * 65, "a\nb", "a\x00b"])
-def test_a_verdict_whose_fields_are_not_short_texts_is_refused(key, value):
-    assert refusal(payload(**{key: value})) == "review"
-
-
-@pytest.mark.parametrize(
-    "verdict", ["approve", "Approved", "APPROVED", "yes", "true", "approved ", "refused", "withdrawn"]
-)
-def test_no_other_word_is_taken_for_a_verdict(verdict):
-    assert refusal(payload(verdict=verdict)) == "review"
-
-
-@pytest.mark.parametrize(
-    "data",
-    [
-        b"", b"approved", b"[]", b"null", b"{}", b"\xff\xfe", b"[" * 2000, payload() + b"x", payload(extra=""),
-        payload(reason="x" * 501), payload(reason=3), payload()[:-1],
-        payload(reason="y" * MAX_REVIEW_BYTES), payload() + b" " * MAX_REVIEW_BYTES,
-        b'{"verdict": "rejected", ' + payload()[1:],
-    ],
-)  # fmt: skip
-def test_anything_else_on_review_is_refused(data):
-    assert refusal(data) == "review"
-
-
-@given(st.binary(max_size=200))
-def test_no_bytes_do_more_to_review_than_be_refused(data):
-    refusal(data)
-
-
-json_values = (
-    st.none() | st.booleans() | st.integers() | st.text(max_size=70) | st.lists(st.text(max_size=3), max_size=2)
-)
-
-
-@given(st.dictionaries(st.sampled_from([*REVIEW, "reason", "moment", "other"]), json_values))
-def test_a_verdict_is_taken_only_with_every_field_a_text(document):
-    try:
-        review = parse_review(json.dumps(document).encode(), False)
-    except PayloadError as error:
-        assert error.reason in ("review", "moment")
-    else:
-        assert {key: document[key] for key in REVIEW} == {key: getattr(review, key) for key in REVIEW}
-
-
-# -- review/<account>
-
-ADA = "kr120-reviewer-ada"
-
-
-@pytest.mark.parametrize("claims", [..., "Bob", ADA, "kr120-bridge"])
-def test_the_name_on_record_is_the_topic_s_whatever_the_message_says(claims):
-    review = parse_review(payload(reviewer=claims, reason="fine"), False, ADA)
-    assert (review.reviewer, review.account) == (ADA, ADA)
-    said = f"by MQTT, which says it is {claims!r}: fine" if claims in ("Bob", "kr120-bridge") else "by MQTT: fine"
-    assert recorded_reason(review) == said
-
-
-def test_without_an_account_the_message_must_name_somebody():
-    assert refusal(payload(reviewer=...)) == "review"
-    assert recorded_reason(parse_review(payload(), False)) == "by MQTT"
-
-
-@pytest.mark.parametrize(
-    "changes", [{"plan_id": ...}, {"verdict": "yes"}, {"reviewer": " "}, {"account": ADA}, {"reviewer": 1}]
-)
-def test_an_account_is_read_as_strictly(changes):
-    with pytest.raises(PayloadError) as caught:
-        parse_review(payload(**changes), False, ADA)
-    assert caught.value.reason == "review"
-
 
 # -- plan
 

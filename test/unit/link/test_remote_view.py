@@ -12,7 +12,6 @@ import schemas
 from construction_twin.core.freshness import Moment
 from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SpeedReport, SyncReport
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import (
     COMPATIBLE,
     VERSION,
@@ -23,6 +22,7 @@ from construction_twin.link.remote_view import (
     Shown,
     ViewWriter,
 )
+from construction_twin.link.requests import Joints
 
 SCHEMA = json.loads(schemas.view_schema())
 JOINTS = Joints(("track", "joint_a1"), (True, False))

@@ -25,8 +25,8 @@ from site_broker import SiteBroker
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.kinematics.chain import Chain
-from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import ViewWriter
+from construction_twin.link.requests import Joints
 from construction_twin.mqtt.client import make_client, unique_id
 from construction_twin.planning.waypoints import plan_waypoints
 from construction_twin.robot.description import read_robot_files

@@ -19,7 +19,7 @@ from std_srvs.srv import TriggerResponse
 
 from construction_twin.core.freshness import Moment
 from construction_twin.core.motion_errors import SceneError
-from construction_twin.link.remote_trajectory import Joints
+from construction_twin.link.requests import Joints
 from construction_twin.mqtt.messages import Topics
 from construction_twin.robot.plan import Clearance
 from construction_twin.ros.messages.plan_services import PLAN_SERVICES
@@ -201,7 +201,7 @@ def test_what_the_planner_refuses_and_a_planner_that_is_gone_are_sentences(bench
     [
         (ADA, {"kind": "way_back"}, True, "retained", "7"),
         (ADA, {"kind": "dance"}, False, "format", "7"),
-        (ADA, {"kind": "joints", "joints": {}}, False, "joints", "7"),
+        (ADA, {"kind": "joints", "joints": {}}, False, "values", "7"),
         (ADA, {"kind": "line", "speed": -1, **POSE}, False, "values", "7"),
         ("no account", {"kind": "way_back"}, False, "sender", "7"),
         (ADA, {"kind": "way_back", "moment": ""}, False, "moment", "7"),

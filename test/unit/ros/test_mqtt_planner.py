@@ -20,8 +20,8 @@ from paho.mqtt.client import topic_matches_sub
 from construction_twin.core.errors import PayloadError, PoseUnknownError
 from construction_twin.core.reports import HoldReport
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import ClosestView, ViewWriter
+from construction_twin.link.requests import Joints
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import IK, NAMELESS_TRAJECTORY, PLAN_REQUEST, RequestKind
@@ -183,7 +183,7 @@ def test_times_that_were_replaced_are_told_with_both_durations_and_the_reason(be
         ("", json.dumps(TRAJECTORY).encode(), True, "retained", "7"),
         ("", b" " * 5000, False, "size", ""),
         ("", b"{", False, "format", ""),
-        ("", json.dumps(TRAJECTORY | {"units": {}}).encode(), False, "units", "7"),
+        ("", json.dumps(TRAJECTORY | {"units": {}}).encode(), False, "format", "7"),
         ("", json.dumps(TRAJECTORY | {"joint_names": []}).encode(), False, "joints", "7"),
         ("", json.dumps(TRAJECTORY | {"speed_scale": 2}).encode(), False, "values", "7"),
         ("no such account", json.dumps(TRAJECTORY).encode(), False, "sender", "7"),

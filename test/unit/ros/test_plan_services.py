@@ -5,14 +5,13 @@ from __future__ import annotations
 import rospy
 from construction_twin.srv import PlanToPose, PlanToPoseRequest, ReviewFromScreen, ReviewPlan
 
-from construction_twin.link.goal_request import KINDS, GoalRequest
-from construction_twin.link.remote_review import ReviewRequest
+from construction_twin.link.requests import GOALS, GoalRequest, ReviewRequest
 from construction_twin.ros.messages.plan_services import PLAN_SERVICES, request_fields
 from construction_twin.ros.shared.outcome import Outcome
 
 
 def test_every_kind_of_request_has_a_service_that_takes_its_fields():
-    assert {*KINDS, "csv"} == set(PLAN_SERVICES)
+    assert {*GOALS, "csv"} == set(PLAN_SERVICES)
     for kind, service in PLAN_SERVICES.items():
         asked = GoalRequest(kind, position=(1.0, 2.0, 3.0), orientation=(0.0, 0.0, 0.0, 1.0))
         rospy.ServiceProxy(service.name, service.kind).request_class(

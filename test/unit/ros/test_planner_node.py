@@ -32,8 +32,8 @@ from tf2_msgs.msg import TFMessage
 from unplugged import Unplugged, over_the_wire
 
 from construction_twin.kinematics.chain import Chain, Pose
-from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import ViewWriter
+from construction_twin.link.requests import Joints
 from construction_twin.mqtt.client import Broker
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.frames import rotation_to_quaternion

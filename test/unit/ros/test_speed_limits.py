@@ -18,7 +18,7 @@ from unplugged import Unplugged
 
 from construction_twin.core.freshness import Moment
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
-from construction_twin.link.speed_limits import LEAST
+from construction_twin.link.requests import LEAST_SPEED
 from construction_twin.ros.nodes import pca_monitor
 from construction_twin.ros.shared import speed_limits as module
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN
@@ -272,12 +272,12 @@ def test_a_first_limit_on_a_disk_that_was_full_from_the_start_is_the_least(monke
         full(patch, tmp_path / "nothing")
         bench = Bench(patch, tmp_path)
         bench.later(1.0)
-        assert bench.limit == LEAST and bench.speed.report().level == ERROR
+        assert bench.limit == LEAST_SPEED and bench.speed.report().level == ERROR
         answer = bench.sets(0.5, moment=bench.shown())
-        assert not answer.success and "No space left" in answer.message and answer.limit == LEAST
+        assert not answer.success and "No space left" in answer.message and answer.limit == LEAST_SPEED
         bench.restart()
         bench.later(1.0)
-        assert bench.limit == LEAST
+        assert bench.limit == LEAST_SPEED
 
 
 @pytest.mark.parametrize("call", ["open", "write", "fsync"])
@@ -300,7 +300,7 @@ def test_what_cannot_be_written_at_all_is_obeyed_only_falls_and_is_not_known_aft
         assert [reason for reason, _ in bench.made.refused] == ["file"]
     bench.restart()
     bench.later(0.05)
-    assert bench.limit == LEAST and bench.speed.report().level == ERROR
+    assert bench.limit == LEAST_SPEED and bench.speed.report().level == ERROR
 
 
 def test_a_raise_that_is_overtaken_while_it_is_written_is_void_also_on_the_disk(bench, monkeypatch):
@@ -330,7 +330,7 @@ def test_a_file_that_cannot_be_read_is_the_least_until_a_person_sets_another(ben
     bench.file.unlink() if contents is None else bench.file.write_bytes(contents)
     bench.restart()
     bench.later(1.0)
-    assert bench.limit == LEAST and bench.speed.report().level == ERROR
+    assert bench.limit == LEAST_SPEED and bench.speed.report().level == ERROR
     bench.speed.write()
     assert contents is None or bench.file.read_bytes() == contents, "what it was stays to be looked at"
     assert bench.sets(0.5, moment=bench.shown()).success

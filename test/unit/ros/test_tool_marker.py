@@ -9,8 +9,7 @@ from executor_bench import ROBOT, make_plan
 from visualization_msgs.msg import InteractiveMarkerFeedback
 
 from construction_twin.kinematics.chain import Chain
-from construction_twin.link.goal_request import GoalRequest
-from construction_twin.link.remote_review import ReviewRequest
+from construction_twin.link.requests import GoalRequest, ReviewRequest
 from construction_twin.ros.shared import tool_marker_menu as module
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.tool_marker_menu import SHOWN, ToolMarkerMenu

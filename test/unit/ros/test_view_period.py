@@ -13,8 +13,8 @@ from bridge_bench import Client, Refusals
 
 from construction_twin.core.errors import PoseUnknownError
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import ViewWriter
+from construction_twin.link.requests import Joints
 from construction_twin.mqtt.client import Broker
 from construction_twin.ros.nodes import mqtt_planner
 from construction_twin.ros.nodes.mqtt_planner import MqttPlanner, Poses, Settings

@@ -22,8 +22,7 @@ from rich.table import Table
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused
 from construction_twin.core.files import check_writable
 from construction_twin.core.sentences import Sentence
-from construction_twin.link.goal_request import GoalRequest
-from construction_twin.link.remote_review import ReviewRequest
+from construction_twin.link.requests import GoalRequest, ReviewRequest
 from construction_twin.msg import Execution, Link, Plan, Sync, ToolState, WorkTask, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.tool import read_tool

@@ -19,8 +19,7 @@ import rospy
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused, SilenceError
 from construction_twin.core.sentences import Sentence
-from construction_twin.link.goal_request import GoalRequest
-from construction_twin.link.remote_review import ReviewRequest
+from construction_twin.link.requests import GoalRequest, ReviewRequest
 from construction_twin.msg import Execution
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import BY_ACTION, Plan

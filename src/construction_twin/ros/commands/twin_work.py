@@ -12,7 +12,7 @@ from geometry_msgs.msg import PoseStamped
 from construction_twin.core.errors import RequestRefused, SilenceError
 from construction_twin.core.reports import TaskReport, WorkReport
 from construction_twin.core.sentences import Sentence
-from construction_twin.link.goal_request import GoalRequest
+from construction_twin.link.requests import GoalRequest
 from construction_twin.msg import WorkTasks
 from construction_twin.ros.messages.convert import pose_to_msg
 from construction_twin.ros.messages.records import from_msg

@@ -15,7 +15,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from construction_twin.kinematics.chain import Pose
-from construction_twin.link.goal_request import GoalRequest
+from construction_twin.link.requests import GoalRequest
 from construction_twin.msg import CartesianWaypoint
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.srv import PlanCartesian, PlanFromCsv, PlanToJoints, PlanToPose, WorkPlanTask

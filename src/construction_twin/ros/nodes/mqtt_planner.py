@@ -24,8 +24,9 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from construction_twin.core.errors import PayloadError, PoseUnknownError
 from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SpeedReport, SyncReport
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.remote_trajectory import Joints, TrajectoryRequest, parse_trajectory
+from construction_twin.link.remote_trajectory import TrajectoryRequest, parse_trajectory
 from construction_twin.link.remote_view import PlanProgress, PoseView, Seen, Shown, ViewWriter
+from construction_twin.link.requests import Joints
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.plain_client import PlainClient

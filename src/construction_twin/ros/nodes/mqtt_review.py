@@ -21,20 +21,23 @@ from construction_twin.core.freshness import staleness
 from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.remote_answer import MAX_BYTES, AnswerRequest, parse_answer
 from construction_twin.link.remote_review import (
     ClearanceView,
     PlanBoard,
     PlanView,
-    ReviewRequest,
     SegmentView,
     SwitchView,
     UseView,
-    parse_override,
-    parse_review,
-    recorded_reason,
 )
-from construction_twin.link.speed_limits import MAX_REQUEST_BYTES, SpeedRequest, parse_speed
+from construction_twin.link.requests import (
+    AnswerRequest,
+    LowerSpeed,
+    NamelessVerdict,
+    Override,
+    RaiseSpeed,
+    ReviewRequest,
+    Verdict,
+)
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.plain_client import PlainClient
@@ -168,14 +171,16 @@ class MqttReview:
     def _verdict_endpoint(self, kind: RequestKind) -> Endpoint[ReviewRequest]:
         # where the broker knows accounts, one in no name is refused where it arrives
         nameless = kind is NAMELESS_REVIEW and bool(self._settings.account)
-        read = _read_override if kind is OVERRIDE else _read_verdict
+        models: dict[RequestKind, type[Verdict]] = {REVIEW: Verdict, OVERRIDE: Override}
+        model = models.get(kind, NamelessVerdict)
         return Endpoint(
-            kind, self._topics, read, _refuse_nameless if nameless else self._call_executor,
+            kind, self._topics, lambda incoming: incoming.read(kind, model).by(incoming.account),
+            _refuse_nameless if nameless else self._call_executor,
             self._verdicts, self.outlets, _describe,
             None if nameless else lambda review: self.approvals if review.approve else self.rejections,
         )  # fmt: skip
 
-    def _speed_endpoint(self, kind: RequestKind, queue: RequestQueue) -> Endpoint[tuple[SpeedRequest, str]]:
+    def _speed_endpoint(self, kind: RequestKind, queue: RequestQueue) -> Endpoint[tuple[LowerSpeed, str]]:
         read = partial(_read_speed, kind)
         return Endpoint(
             kind, self._topics, read, self._set_speed, self._speeds, self.outlets, _describe_speed, lambda _: queue
@@ -328,7 +333,7 @@ class MqttReview:
 
     def _call_executor(self, review: ReviewRequest) -> Outcome:
         """Give a verdict to the executor; return what it says."""
-        fields = request_fields(ReviewFromScreen, replace(review, reason=recorded_reason(review)))
+        fields = request_fields(ReviewFromScreen, replace(review, reason=review.recorded_reason))
         if review.approve:
             answer = call(self._give_approval, EXECUTOR, **fields)
         else:
@@ -346,7 +351,7 @@ class MqttReview:
         fields = {"task": answer.task, "question": answer.question, "answer": answer.answer, "person": account}
         return Outcome.of(call(self._decide, "the work", decision="answer", reason="by MQTT", **fields))
 
-    def _set_speed(self, asked: tuple[SpeedRequest, str]) -> Outcome:
+    def _set_speed(self, asked: tuple[LowerSpeed, str]) -> Outcome:
         """Have a person's speed limit set, in the name of its account."""
         request, account = asked
         assert self._limit_speed is not None  # the node runs
@@ -378,27 +383,19 @@ def _run_queue(queue: RequestQueue) -> None:
         queue.run(0.2)
 
 
-def _read_override(incoming: Incoming) -> ReviewRequest:
-    return parse_override(incoming.payload, incoming.retained, incoming.account)
-
-
-def _read_verdict(incoming: Incoming) -> ReviewRequest:
-    return parse_review(incoming.payload, incoming.retained, incoming.account)
-
-
 def _refuse_nameless(review: ReviewRequest) -> Outcome:
     raise PayloadError("sender", Sentence("link.payload.nameless"))
 
 
 def _read_answer(incoming: Incoming) -> tuple[AnswerRequest, str]:
-    return parse_answer(incoming.read_document("answer", MAX_BYTES)), incoming.account
+    return incoming.read(ANSWER, AnswerRequest), incoming.account
 
 
-def _read_speed(kind: RequestKind, incoming: Incoming) -> tuple[SpeedRequest, str]:
-    return parse_speed(incoming.read_document(kind.name, MAX_REQUEST_BYTES), kind), incoming.account
+def _read_speed(kind: RequestKind, incoming: Incoming) -> tuple[LowerSpeed, str]:
+    return incoming.read(kind, RaiseSpeed if kind.starts else LowerSpeed), incoming.account
 
 
-def _describe_speed(asked: tuple[SpeedRequest, str]) -> str:
+def _describe_speed(asked: tuple[LowerSpeed, str]) -> str:
     return f"speed limit {asked[0].limit:g} by MQTT account {asked[1]}"
 
 

@@ -17,9 +17,8 @@ from construction_twin.core.errors import ConfigurationError, PayloadError
 from construction_twin.core.freshness import Moment, staleness
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.sentences import Sentence
-from construction_twin.link.goal_request import MAX_BYTES, GoalRequest, IkRequest, parse_ik, parse_plan_request
-from construction_twin.link.remote_trajectory import Joints
 from construction_twin.link.remote_view import ClosestView
+from construction_twin.link.requests import GoalRequest, IkRequest, Joints, read_goal
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import IK, PLAN_REQUEST
 from construction_twin.robot.frames import quaternion_to_rotation
@@ -122,7 +121,7 @@ class ConsoleRequests:
     # -- plan requests
 
     def _read_plan_request(self, incoming: Incoming) -> _PlanAsked:
-        asked = parse_plan_request(incoming.read_document("plan_request", MAX_BYTES), self._joints)
+        asked = read_goal(incoming.read_document(PLAN_REQUEST.name, PLAN_REQUEST.limit), self._joints)
         self._demand_fresh(asked)
         return _PlanAsked(asked, incoming.account, self._around.clock())
 
@@ -148,10 +147,10 @@ class ConsoleRequests:
     # -- IK requests
 
     def _read_pose(self, incoming: Incoming) -> IkRequest:
-        return parse_ik(incoming.read_document("ik", MAX_BYTES), self._joints)
+        return incoming.read(IK, IkRequest)
 
     def _solve(self, asked: IkRequest) -> Outcome:
-        seed = asked.seed or tuple(self._around.twin())
+        seed = self._joints.in_order(asked.seed, "seed") if asked.seed else tuple(self._around.twin())
         if not seed:
             return Outcome(False, Sentence("link.no_seed"))
         try:

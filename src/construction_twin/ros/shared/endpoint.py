@@ -21,7 +21,8 @@ from construction_twin.core.errors import PayloadError, ServiceSilentError
 from construction_twin.core.rate_limit import SenderLimits
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.mqtt.json_fields import read_document
+from construction_twin.link.requests import Request as RequestModel
+from construction_twin.link.requests import read, read_document
 from construction_twin.mqtt.messages import Topics, account_of, identity_of
 from construction_twin.mqtt.requests import RequestKind
 from construction_twin.ros.shared.deferred_log import DeferredLog
@@ -33,6 +34,7 @@ from construction_twin.ros.shared.request_queue import Queue, Request
 TOO_OLD, REPEATED = "too_old", "repeated"
 
 Asked = TypeVar("Asked")
+Model = TypeVar("Model", bound=RequestModel)
 
 
 @dataclass
@@ -50,8 +52,12 @@ class Incoming:
     retained: bool
     document: dict[str, Any] | None = None
 
+    def read(self, kind: RequestKind, model: type[Model]) -> Model:
+        """Return what is asked for; PayloadError as of `read_document`, and where it is not as its model says."""
+        return read(model, self.read_document(kind.name, kind.limit), kind.name)
+
     def read_document(self, what: str, limit: int, parameter: str = "") -> dict[str, Any]:
-        """Return the JSON object of a request; PayloadError, and arguments, as of `json_fields`."""
+        """Return the JSON object of a request; PayloadError, and arguments, as of `link.requests`."""
         self.document = read_document(self.payload, self.retained, what, limit, parameter)
         return self.document
 

@@ -13,7 +13,7 @@ import genpy
 from construction_twin.core.errors import ConfigurationError, RequestRefused
 from construction_twin.core.files import read_file, write_whole
 from construction_twin.core.reports import SpeedChange
-from construction_twin.link.remote_answer import MAX_BYTES, parse_acknowledgement
+from construction_twin.link.requests import Acknowledgement
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import ACKNOWLEDGE
 from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outlets
@@ -128,5 +128,5 @@ class MessageBoard:
 
 
 def _read(incoming: Incoming) -> tuple[str, str]:
-    asked = parse_acknowledgement(incoming.read_document("acknowledge", MAX_BYTES))
+    asked = incoming.read(ACKNOWLEDGE, Acknowledgement)
     return asked.message, incoming.account

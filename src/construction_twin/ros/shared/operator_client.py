@@ -9,8 +9,7 @@ from std_srvs.srv import Trigger
 
 from construction_twin.core.errors import RequestRefused, SilenceError
 from construction_twin.core.sentences import Sentence
-from construction_twin.link.goal_request import GoalRequest
-from construction_twin.link.remote_review import ReviewRequest
+from construction_twin.link.requests import GoalRequest, ReviewRequest
 from construction_twin.ros.messages.plan_services import PLAN_SERVICES, request_fields
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.transport.persistent_service import PersistentService

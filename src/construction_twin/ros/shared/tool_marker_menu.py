@@ -14,8 +14,7 @@ from visualization_msgs.msg import InteractiveMarkerFeedback
 
 from construction_twin.core.errors import ConstructionTwinError, RequestRefused
 from construction_twin.core.sentences import Sentence
-from construction_twin.link.goal_request import GoalRequest
-from construction_twin.link.remote_review import ReviewRequest
+from construction_twin.link.requests import GoalRequest, ReviewRequest
 from construction_twin.robot.plan import Plan
 from construction_twin.ros.messages.plan_services import pose_fields
 from construction_twin.ros.shared.operator_client import OperatorClient

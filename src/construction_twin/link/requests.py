@@ -1,0 +1,376 @@
+"""What people and planners ask for by MQTT: a model of each kind of message (docs/reference/mqtt.md), read strictly.
+
+A model takes no text for a number, no key that it does not know, no key twice, and no number that is not finite. A refusal is a
+PayloadError: ``format`` for keys and their kinds, ``values`` for numbers, ``moment``, ``joints``. What starts something repeats the
+newest moment that its screen had received (`core.freshness`). SI: m, rad, s; poses are those of `tool0` in the robot's base_link.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, TypeVar
+
+import pydantic
+from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator, StringConstraints
+
+from construction_twin.core.errors import PayloadError
+from construction_twin.core.freshness import Moment, parse_moment
+from construction_twin.core.sentences import Sentence
+from construction_twin.mqtt.messages import demand_live, parse_object
+from construction_twin.mqtt.requests import RequestKind
+
+#: Longest id, name and other short text.
+MAX_TEXT = 64
+#: No position, velocity, acceleration or time of an arm is larger, in whatever unit.
+LARGEST = 1e6
+#: The least that people may set as speed limit, a fraction of the planned speed: 0 would be a pause, which has a name of its own.
+LEAST_SPEED = 0.05
+#: How far a quaternion may be from unit length; JSON of a browser has all digits, a person's has three.
+_UNIT = 1e-3
+#: Errors of numbers; all others are of keys and kinds.
+_OF_NUMBERS = {
+    "float_type", "finite_number", "int_type", "greater_than_equal", "less_than_equal", "too_short", "too_long",
+}  # fmt: skip
+
+
+def _printable(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError("expected one line of printable text")
+    return text
+
+
+def _not_blank(text: str) -> str:
+    if not text.strip():
+        raise ValueError("expected more than blanks")
+    return text
+
+
+def _unit_length(values: tuple[float, ...]) -> tuple[float, ...]:
+    norm = math.hypot(*values)
+    if abs(norm - 1.0) > _UNIT:
+        raise PayloadError("values", Sentence("link.payload.orientation", found=shown(list(values))))
+    return tuple(value / norm for value in values)
+
+
+Text = Annotated[str, StringConstraints(max_length=MAX_TEXT), AfterValidator(_printable)]
+#: A text of the sender's own, which the answer repeats.
+Id = Annotated[str, StringConstraints(min_length=1, max_length=MAX_TEXT), AfterValidator(_printable)]
+Name = Annotated[Text, AfterValidator(_not_blank)]
+Reason = Annotated[str, StringConstraints(max_length=500), AfterValidator(_printable)]
+Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
+#: Of the limits; 0: the planner's default.
+Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+Seen = Annotated[Moment, PlainValidator(parse_moment)]
+#: JSON has lists only.
+Vector = Annotated[
+    tuple[Number, ...], BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)
+]
+Position = Annotated[Vector, Field(min_length=3, max_length=3)]
+Quaternion = Annotated[Vector, Field(min_length=4, max_length=4), AfterValidator(_unit_length)]
+#: By the joints' names.
+JointValues = Annotated[dict[str, Number], Field(min_length=1)]
+
+
+class Request(pydantic.BaseModel):
+    """A message, or a part of one."""
+
+    model_config = pydantic.ConfigDict(strict=True, extra="forbid", frozen=True)
+
+
+_Model = TypeVar("_Model", bound=Request)
+
+
+def read_document(payload: bytes, retained: bool, what: str, limit: int, parameter: str = "") -> dict[str, Any]:
+    """Return the JSON object of a message.
+
+    Args:
+        what: Name of its kind, for the sentence.
+        limit: Longest payload that is read [bytes].
+        parameter: That sets the limit, where a motion can have fewer points; "" for none.
+
+    Raises:
+        PayloadError: ``retained``, ``size`` or ``format``.
+    """
+    demand_live(retained, what)
+    if len(payload) > limit:
+        refusal = Sentence("link.payload.size", what=what, bytes=len(payload), limit=limit)
+        if parameter:
+            refusal = Sentence("link.payload.size_here", refusal=refusal, parameter=parameter)
+        raise PayloadError("size", refusal)
+    return parse_object(payload, "format", limit)
+
+
+def read(model: type[_Model], document: Mapping[str, Any], what: str) -> _Model:
+    """Return what a document of `read_document` asks for, or raise PayloadError."""
+    try:
+        return model.model_validate(document)
+    except pydantic.ValidationError as error:
+        raise refusal(error, what) from None
+
+
+def read_message(model: type[_Model], kind: RequestKind, payload: bytes, retained: bool) -> _Model:
+    """Return what a message of a kind asks for, or raise PayloadError as `read_document` and `read`."""
+    return read(model, read_document(payload, retained, kind.name, kind.limit), kind.name)
+
+
+def refusal(error: pydantic.ValidationError, what: str) -> PayloadError:
+    """Return the first thing that is wrong with a message: what, where, which value, and what was expected."""
+    first = error.errors(include_url=False, include_context=False)[0]
+    place = ".".join(map(str, first["loc"])) or what
+    names = {
+        "what": what,
+        "place": shown(place),
+        "found": "nothing" if first["type"] == "missing" else shown(first["input"]),
+    }
+    expected = repr(first["msg"])[1:-1][:200]
+    reason = "values" if first["type"] in _OF_NUMBERS else "format"
+    return PayloadError(reason, Sentence("link.payload.field", **names, expected=expected))
+
+
+def shown(value: object) -> str:
+    """Return what was found, short enough for a sentence; of what is nested only the kind."""
+    if isinstance(value, (dict, list)) and any(isinstance(item, (dict, list)) for item in value):
+        return Sentence(f"link.payload.{'an_object' if isinstance(value, dict) else 'a_list'}", count=len(value))
+    if isinstance(value, int) and abs(value) > LARGEST:
+        return Sentence("link.payload.a_number", bits=value.bit_length())
+    words = repr(value[:8] if isinstance(value, list) else value)
+    return words if len(words) <= 96 else words[:93] + "..."
+
+
+@dataclass(frozen=True)
+class Joints:
+    """The robot's joints, base to tip: `names`, and which of them are prismatic."""
+
+    names: tuple[str, ...]
+    linear: tuple[bool, ...]
+
+    def in_order(self, values: Mapping[str, float], key: str) -> tuple[float, ...]:
+        """Return values by name in the robot's order; PayloadError (``joints``) where they are not of exactly these joints."""
+        if set(values) != set(self.names):
+            names = ", ".join(self.names)
+            raise PayloadError(
+                "joints", Sentence("link.payload.joints", key=key, found=shown(sorted(values)), joints=names)
+            )
+        return tuple(values[name] for name in self.names)
+
+
+# -- verdicts
+
+
+@dataclass(frozen=True)
+class ReviewRequest:
+    """A verdict on a plan, by MQTT or from the command line.
+
+    Attributes:
+        verdict: ``approved`` or ``rejected``.
+        reviewer: Who is on record: the topic's account, and only without one what the message says.
+        account: The topic's, which a site's broker has checked; "" on `review`.
+        says: What a message of an account says of who gave it, where that is another name; proves nothing.
+        moment: The newest that the screen had received; of a rejection it may be "".
+        override_rehearsal: It came on `override_rehearsal/<account>`: an approval in spite of the rehearsal, which needs a reason.
+        rehearsal_hash: Of the result that it is in spite of, as the person saw it; "": there was none.
+    """
+
+    plan_id: str
+    plan_hash: str
+    verdict: str
+    reviewer: str
+    reason: str = ""
+    account: str = ""
+    says: str = ""
+    moment: str = ""
+    override_rehearsal: bool = False
+    rehearsal_hash: str = ""
+
+    @property
+    def approve(self) -> bool:
+        """True for an approval."""
+        return self.verdict == "approved"
+
+    @property
+    def recorded_reason(self) -> str:
+        """The reviewer's words as they are recorded: what came by MQTT was not said at this machine."""
+        who = f"by MQTT, which says it is {self.says!r}" if self.says else "by MQTT"
+        return f"{who}: {self.reason}" if self.reason else who
+
+
+class Verdict(Request):
+    """A message on `review/<account>`; an approval repeats its moment."""
+
+    plan_id: Name
+    plan_hash: Name
+    verdict: Literal["approved", "rejected"]
+    reviewer: Name = ""
+    reason: Reason = ""
+    moment: Text = ""
+
+    @pydantic.model_validator(mode="after")
+    def _an_approval_is_of_a_moment(self) -> Verdict:
+        if self.verdict == "approved":
+            parse_moment(self.moment)
+        return self
+
+    def by(self, account: str) -> ReviewRequest:
+        """Return the verdict on record; without an account it is in the name that it says."""
+        says = self.reviewer if account and self.reviewer != account else ""
+        names = {"reviewer": account or self.reviewer, "account": account, "says": says}
+        return ReviewRequest(**dict(self) | names, override_rehearsal=isinstance(self, Override))
+
+
+class NamelessVerdict(Verdict):
+    """A message on `review`."""
+
+    reviewer: Name
+
+
+class Override(Verdict):
+    """A message on `override_rehearsal/<account>`, with the hash of the result that was seen; "": there was none."""
+
+    verdict: Literal["approved"]
+    reason: Annotated[Reason, AfterValidator(_not_blank)]
+    rehearsal_hash: Text
+
+
+# -- answers to the work, messages that were read, speed limits
+
+
+class AnswerRequest(Request):
+    """A message on `answer/<account>`: one of the `answers` to a task's question, which is repeated as the screen had shown it.
+
+    It changes what the ledger says of the cell.
+    """
+
+    id: Id
+    task: Id
+    question: Annotated[str, StringConstraints(min_length=1, max_length=2000)]
+    answer: Id
+    moment: Seen
+
+
+class Acknowledgement(Request):
+    """A message on `acknowledge/<account>`: a person has read a message, whose id `message` is."""
+
+    id: Id
+    message: Id
+
+
+class LowerSpeed(Request):
+    """A message on `lower_speed/<account>`. A moment in it is not read: a lower limit must not be lost by it."""
+
+    id: Id
+    limit: Annotated[Number, Field(ge=LEAST_SPEED, le=1.0)]
+    moment: Annotated[str, PlainValidator(lambda _: "")] = ""
+
+
+class RaiseSpeed(LowerSpeed):
+    """A message on `raise_speed/<account>`."""
+
+    moment: Annotated[str, PlainValidator(lambda value: str(parse_moment(value)))] = Field("", validate_default=True)
+
+
+# -- requests for a plan to a goal
+
+
+@dataclass(frozen=True)
+class GoalRequest:
+    """A request for a plan to a goal, by MQTT, from the command line or the marker in rviz: a plan for review, or a sentence.
+
+    Attributes:
+        kind: One of `GOALS`, or ``csv``, which is not taken by MQTT; of the fields below only those of its kind count.
+        id: Of MQTT: the sender's own, echoed in the answer.
+        moment: Of MQTT: the newest that the screen had received.
+        joints: Goal in the robot's order [rad], [m].
+        position, orientation: Of tool0 in `frame` [m]; x y z w, of unit length.
+        configuration: Empty: any.
+        speed: Of the tool along a line [m/s]; 0: as fast as the limits allow.
+        speed_scale, acceleration_scale: Fractions of the limits; 0: the planner's default.
+        task: Id of a task of the building model; empty: the next one.
+        frame: Of tf; by MQTT always "", the base_link.
+        duration: Of the motion [s]; 0: the planner's default.
+        path, columns: Of a file of waypoints on the planner's machine; see `waypoint_file`.
+    """
+
+    kind: str
+    id: str = ""
+    moment: Moment = Moment("", 0)
+    joints: tuple[float, ...] = ()
+    position: tuple[float, ...] = ()
+    orientation: tuple[float, ...] = ()
+    configuration: str = ""
+    speed: float = 0.0
+    speed_scale: float = 0.0
+    acceleration_scale: float = 0.0
+    task: str = ""
+    frame: str = ""
+    duration: float = 0.0
+    path: str = ""
+    columns: str = ""
+
+
+class WayBack(Request):
+    """A message on `plan_request/<account>`; what more there may be depends on its kind."""
+
+    id: Id
+    kind: str
+    moment: Seen = Field("", validate_default=True)
+
+
+class WorkTask(WayBack):
+    """The next task of a building model, or one of them."""
+
+    task: Text = ""
+
+
+class JointGoal(WayBack):
+    """A goal of joints; scales of all others, too."""
+
+    joints: JointValues
+    speed_scale: Fraction = 0.0
+    acceleration_scale: Fraction = 0.0
+
+
+class PoseGoal(WayBack):
+    """A goal of the tool."""
+
+    position: Position
+    orientation: Quaternion
+    configuration: Text = ""
+    speed_scale: Fraction = 0.0
+    acceleration_scale: Fraction = 0.0
+
+
+class LineGoal(WayBack):
+    """A goal of the tool, on a straight line."""
+
+    position: Position
+    orientation: Quaternion
+    speed: Annotated[Number, Field(ge=0.0)] = 0.0
+    speed_scale: Fraction = 0.0
+    acceleration_scale: Fraction = 0.0
+
+
+GOALS: Mapping[str, type[WayBack]] = {
+    "joints": JointGoal, "pose": PoseGoal, "line": LineGoal, "way_back": WayBack, "work_task": WorkTask,
+}  # fmt: skip
+
+
+def read_goal(document: Mapping[str, Any], joints: Joints) -> GoalRequest:
+    """Return the request for a plan in a document of `read_document`, or raise PayloadError."""
+    kind = document.get("kind")
+    if not isinstance(kind, str) or kind not in GOALS:
+        raise PayloadError("format", Sentence("link.payload.kind", found=shown(kind), known=", ".join(GOALS)))
+    fields: dict[str, Any] = dict(read(GOALS[kind], document, f"plan_request {kind}"))
+    if "joints" in fields:
+        fields["joints"] = joints.in_order(fields["joints"], "joints")
+    return GoalRequest(**fields)
+
+
+class IkRequest(Request):
+    """A message on `ik/<account>`: a dragged pose for which joint values are wanted, near to `seed` or to the twin's."""
+
+    id: Id
+    position: Position
+    orientation: Quaternion
+    seed: JointValues = {}
