@@ -99,8 +99,7 @@ def page(summary: Mapping, recording: Recording, drawings: Mapping[str, bytes]) 
 
 
 def _facts(summary: Mapping) -> str:
-    rows = [(fact.name, fact.value, fact.paper) for fact in facts(summary)]
-    table = _table(("", "here", "paper"), rows, "", "text")
+    table = _table(("", "here", "paper"), facts(summary), "", "text")
     return "\n".join([table, *(f'<p class="warning">{escape(remark)}</p>' for remark in remarks(summary))])
 
 

@@ -194,22 +194,10 @@ def render_tables(summary: Mapping, console: Console | None = None) -> None:
 
 def summary_lines(summary: Mapping) -> list[str]:
     """Return the sentences that stand below the tables."""
-    lag = summary["lag_s"]
-    lines = [
-        f"samples: {summary['samples']} (paper {SAMPLES})   waypoints: {_text(summary['waypoints'])} (paper {WAYPOINTS})",
-        f"duration: {summary['duration_s']:.3f} s   decimals: {_text(summary['decimals'])}   "
-        f"servo: {_text(summary['servo'])}" + (f"   twin: {summary['twin']}" if summary.get("twin") else ""),
-        "lag: unknown"
-        if lag is None
-        else f"lag taken out in lag_removed: {lag * 1e3:.6f} ms (estimated, one for all joints)",
-        f"commands sent: {_text(summary['commands_sent'])}   lost: {_text(summary['commands_lost'])}   "
-        f"late RSI replies: {_text(summary['late_replies'])}",
-        _times("round trip", summary["round_trip_ms"], "ms"),
-        _times("RSI reply time", summary["reply_us"], "us"),
-        "rates: " + "   ".join(f"{name} {_text(rate, '.3f')} Hz" for name, rate in summary["rate_hz"].items()),
-        "largest final error: " + _final_errors(summary),
-    ]
-    return lines + remarks(summary)
+    said = [f"{name}: {value}" + (f" (paper {paper})" if paper else "") for name, value, paper in facts(summary)]
+    rates = "rates: " + "   ".join(f"{name} {_text(rate, '.3f')} Hz" for name, rate in summary["rate_hz"].items())
+    times = [_times("round trip", summary["round_trip_ms"], "ms"), _times("RSI reply time", summary["reply_us"], "us")]
+    return [*said, *times, rates, *remarks(summary)]
 
 
 def remarks(summary: Mapping) -> list[str]:
@@ -217,34 +205,21 @@ def remarks(summary: Mapping) -> list[str]:
     return [*([] if summary["moved"] else [NO_MOTION]), SIMULATION if summary["mock"] else ARM_NOT_TOLD]
 
 
-@dataclass(frozen=True)
-class Fact:
-    """One figure of the whole recording, beside the paper's.
-
-    Attributes:
-        name, value, paper: As people read them; `paper` is empty where it tells nothing.
-    """
-
-    name: str
-    value: str
-    paper: str = ""
-
-
-def facts(summary: Mapping) -> list[Fact]:
-    """Return what `summary_lines` says of the whole recording, as rows of a table; without latencies and rates."""
+def facts(summary: Mapping) -> list[tuple[str, str, str]]:
+    """Return name, value and the paper's value of each figure of the whole recording, without latencies and rates."""
     lag = summary["lag_s"]
     return [
-        Fact("duration", f"{summary['duration_s']:.3f} s"),
-        Fact("samples", _text(summary["samples"]), str(SAMPLES)),
-        Fact("waypoints", _text(summary["waypoints"]), str(WAYPOINTS)),
-        Fact("decimals on the wire", _text(summary["decimals"])),
-        Fact("servo", _text(summary["servo"])),
-        *([Fact("twin", summary["twin"])] if summary.get("twin") else []),
-        Fact("lag taken out", "unknown" if lag is None else f"{lag * 1e3:.3f} ms"),
-        Fact("commands sent", _text(summary["commands_sent"])),
-        Fact("commands lost", _text(summary["commands_lost"])),
-        Fact("late RSI replies", _text(summary["late_replies"])),
-        Fact("largest final error", _final_errors(summary)),
+        ("duration", f"{summary['duration_s']:.3f} s", ""),
+        ("samples", _text(summary["samples"]), str(SAMPLES)),
+        ("waypoints", _text(summary["waypoints"]), str(WAYPOINTS)),
+        ("decimals on the wire", _text(summary["decimals"]), ""),
+        ("servo", _text(summary["servo"]), ""),
+        *([("twin", summary["twin"], "")] if summary.get("twin") else []),
+        ("lag taken out in lag_removed", "unknown" if lag is None else f"{lag * 1e3:.6f} ms", ""),
+        ("commands sent", _text(summary["commands_sent"]), ""),
+        ("commands lost", _text(summary["commands_lost"]), ""),
+        ("late RSI replies", _text(summary["late_replies"]), ""),
+        ("largest final error", _final_errors(summary), ""),
     ]
 
 

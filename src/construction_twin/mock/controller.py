@@ -9,12 +9,8 @@ closes it: the valid reply k, or what an axis keeps when there is none, becomes 
 cycle k, and packet k + 1 reports where it ended. With `IdealServo(3)` the pose that packet k + 3 reports equals start + correction
 of reply k. Before the first valid reply the setpoint is the start pose.
 
-It models: the stamp, one cycle per packet from a large start value; one below 2^32 wraps there; replies, valid only with the stamp
-of the open cycle; the count of missed replies, and the time-out; what the layout declares of telegrams and replies, and keeps when
-one is missed; absolute corrections, clamped and supervised, or absolute targets; soft limits; supervision of command velocity and
-acceleration; the end of the program, on the rising edge of what asks for it; the programmed pose, constant unless a program of the
-controller's own moves it; an E-stop with its ramp; a limited speed of the tool (T1). It does not model braking for any other
-reason: when the session stops, the arm stands still at once. What KUKA calls each of these: docs/rsi.md.
+It models what docs/rsi.md says of a KR C4, in the words of its make. It does not model braking but after an emergency stop:
+when the session stops, the arm stands still at once.
 """
 
 from __future__ import annotations
@@ -30,11 +26,10 @@ from construction_twin.core.errors import ConfigurationError, TelegramError
 from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.core.sentences import Sentence
 from construction_twin.mock.config import MockConfig
-from construction_twin.mock.encoders import Encoders
 from construction_twin.mock.gripper import SimulatedTool
 from construction_twin.mock.own_motion import EmergencyBrake, Program, ToolSpeedLimit
 from construction_twin.mock.refusals import ReplyRefusals
-from construction_twin.mock.servo import Servo
+from construction_twin.mock.servo import Encoders, Servo
 
 #: The servo is given this long to arrive at the end of a program, and refused replies are over after this long without one [s].
 _SETTLING, _RECOVERY = 1.0, 1.0
@@ -54,21 +49,18 @@ class MockController:
         forward_kinematics: From axis angles [rad] to the tool's position [m] and A, B, C [rad], which packets report.
 
     Attributes:
-        running: False when the session has stopped; then nothing is sent and nothing is accepted.
-        reason: Why it stopped; empty while running.
+        running: False when the session has stopped, for `reason`; then nothing is sent and nothing is accepted.
         flag: The controller's own flag that the link was interrupted (timeout).
         stamp: Of the last packet [ms].
         stat: Of corrections: 0 inactive, 1 correcting, plus 2 << 2 i (lower) or 4 << 2 i (upper) when axis i is clamped. The
             numbers are our own: docs/rsi.md gives none.
         start_pose, setpoint, measured: Length n. Programmed pose of the session, present setpoint, measured axes [rad].
-        encoders: Between the measured axes and what is reported.
         reported, true: Length n. What the last packet reports of the axes, and where they really are, which only a fault of an
             encoder tells apart [rad].
         applied: Length n. Correction in effect, after clamping [rad].
         correction_lower, correction_upper, correction_monitor: Length n. Bounds in force in this session [rad].
         needs_person: True after an emergency stop: a session is started by a person only.
         ramp: The last emergency stop's, until the next session.
-        program: The program that runs.
         tool: What the channels of a tool switch and read; None where the layout has none.
         status_shown: What packets say of the controller in place of what is. It changes nothing else.
     """

@@ -25,8 +25,8 @@ from construction_twin.coordination.conflict import (
     first_contact,
     gives_way,
 )
+from construction_twin.coordination.path_judge import PlanBook, PlanUnknownError
 from construction_twin.coordination.path_sweep import PathSweep
-from construction_twin.coordination.plan_book import PlanBook, PlanUnknownError
 from construction_twin.core.errors import PayloadError
 from construction_twin.execution.conflict_verdicts import AHEAD, VERDICT_TIMEOUT, ConflictVerdicts
 from construction_twin.execution.states import ACTIVE, ExecutorState

@@ -10,11 +10,6 @@ import pytest
 from construction_twin.core.histogram import Histogram
 
 
-def test_an_empty_histogram_has_no_percentiles():
-    summary = Histogram.of_microseconds().summary()
-    assert (summary["p50"], summary["p99"], summary["p99_9"], summary["max"]) == (None, None, None, 0.0)
-
-
 def test_a_value_on_an_edge_belongs_to_the_bin_below():
     histogram = Histogram([10, 20])
     for value in (10, 10.1, 20, 20.1):
@@ -28,12 +23,6 @@ def test_values_above_the_last_edge_are_counted_and_give_the_true_largest():
         histogram.add(value)
     assert histogram.counts == [1, 0, 2]
     assert histogram.percentile(0.99) == histogram.largest == 7000
-
-
-def test_a_percentile_never_exceeds_the_largest_value():
-    histogram = Histogram([10, 20])
-    histogram.add(12)
-    assert histogram.percentile(0.5) == 12
 
 
 def test_one_outlier_in_a_thousand_shows_beyond_p99_9_only():
@@ -55,13 +44,6 @@ def test_percentiles_are_at_most_one_bin_above_the_exact_ones(fraction):
         histogram.add(value)
     exact = values[math.ceil(fraction * len(values)) - 1]
     assert exact <= histogram.percentile(fraction) <= max(exact * 1.1 + 1, histogram.edges[0])
-
-
-def test_bins_reach_from_some_10_us_to_100_ms_in_steps_of_a_tenth():
-    edges = Histogram.of_microseconds().edges
-    assert edges[0] < 20
-    assert 9e4 < edges[-1] < 1.2e5
-    assert all(1.0 < high / low < 1.15 for low, high in zip(edges, edges[1:]))
 
 
 def test_a_summary_stays_as_it_was_while_another_thread_counts_on():

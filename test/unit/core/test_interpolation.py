@@ -49,12 +49,6 @@ def test_weights_are_those_of_the_hermite_cubic_with_parabola_tangents(earlier, 
     assert found == pytest.approx(float(exact), abs=1e-9 * (1 + period / min(earlier, later)))
 
 
-@given(PERIODS, PERIODS, PERIODS, st.floats(0, 1), st.floats(-7, 7))
-def test_equal_poses_give_exactly_that_pose(earlier, period, later, fraction, q):
-    before, start, end, after = around(lambda _: q, earlier, period, later)
-    assert interpolate(T0 + int(fraction * period), start, end, before, after) == (q,)
-
-
 def test_stamps_give_their_own_poses_exactly():
     before, start, end, after = around(lambda t: 0.1 + t / 3, 5, 7, 11)
     for neighbours in ((before, after), (None, None)):

@@ -20,9 +20,3 @@ def test_reasons_do_not_hide_each_other():
     limiter = LineLimiter()
     assert limiter.note("control", 0) == ""
     assert limiter.note("arm", 1) == "" and limiter.note("control", 2) is None
-
-
-def test_after_a_pause_a_line_is_written_at_once():
-    limiter = LineLimiter()
-    limiter.note("arm", 0)
-    assert limiter.note("arm", NANOSECONDS) == ""

@@ -76,10 +76,6 @@ def test_what_is_no_number_is_null_at_every_depth():
     assert document([math.nan, [math.inf]], 3) == [None, [None]]
 
 
-def test_what_is_not_there_is_null():
-    assert document(Outer("", None))["inner"] is None
-
-
 def test_decimals_are_those_of_the_field_before_those_of_the_message():
     assert document(Rounded(1.23456789, 1.23456789), 5) == {"fine": 1.235, "coarse": 1.23457}
     assert document(Rounded(1.23456789, 1.23456789)) == {"fine": 1.235, "coarse": 1.23456789}

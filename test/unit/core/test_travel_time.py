@@ -47,18 +47,6 @@ class TestTravelTime:
         assert [travel.excess(1500, 7000), travel.excess(1500, 7000), travel.excess(0, 7000)] == [-500, -500, 1000]
         assert travel.take(1000, 7500) == 500
 
-    def test_a_restart_forgets_the_quickest_one(self):
-        travel = TravelTime()
-        travel.take(1000, 1000)
-        travel.restart()
-        assert travel.take(1000, 10**12) == 0
-
-    def test_slow_drift_makes_nothing_late(self):
-        travel = TravelTime()
-        for second in range(10_000):
-            # the sender's clock is slow by 50 ppm: half a second in all
-            assert travel.take(round(second * 0.99995 * NANOSECONDS), second * NANOSECONDS) == 0
-
 
 class TestSequence:
     def check(self, last: int = 1000) -> SequenceCheck:
@@ -137,11 +125,6 @@ class TestFreshness:
         for stamp in range(0, 3 * 3600 * NANOSECONDS, 10 * NANOSECONDS):
             check.accept(stamp, OFFSET + 1_000_000 + stamp + round(stamp * drift))
 
-    def test_a_quicker_one_becomes_the_measure(self):
-        check = self.check(LIMIT_NS)
-        check.accept(CYCLE_NS, OFFSET + CYCLE_NS)
-        assert reason(check.accept, 2 * CYCLE_NS, OFFSET + 2 * CYCLE_NS + LIMIT_NS + 100_000) == "stale"
-
     def test_one_stamp_from_the_future_is_refused_and_changes_nothing(self):
         check = self.check()
         assert reason(check.accept, 10**18, OFFSET + CYCLE_NS) == "early"
@@ -159,11 +142,6 @@ class TestBoth:
         for seq in range(1, 1000):
             check.accept(seq, seq * CYCLE_NS, OFFSET + seq * CYCLE_NS)
         return check
-
-    def test_a_stranger_does_not_touch_the_measure_of_age(self):
-        check = self.check()
-        assert reason(check.accept, 10**18, 10**18, OFFSET + 1000 * CYCLE_NS) == "sequence"
-        check.accept(1000, 1000 * CYCLE_NS, OFFSET + 1000 * CYCLE_NS)
 
     def test_after_a_gap_old_states_are_still_old(self):
         check, received = self.check(), OFFSET + 3000 * CYCLE_NS

@@ -112,13 +112,6 @@ def test_without_feedback_only_instant_is_there():
     assert [name for name, aligned in evaluation.alignments.items() if aligned] == ["instant"]
 
 
-def test_feedback_without_command_stamps_counts_as_none():
-    recording = run()
-    blank = dataclasses.replace(recording.feedback, command_stamps=np.zeros_like(recording.feedback.command_stamps))
-    evaluation = evaluate(dataclasses.replace(recording, feedback=blank))
-    assert [name for name, aligned in evaluation.alignments.items() if aligned] == ["instant"]
-
-
 def test_samples_without_a_command_stamp_are_skipped_and_counted():
     recording = run()
     stamps = recording.feedback.command_stamps.copy()

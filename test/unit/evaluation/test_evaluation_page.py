@@ -101,33 +101,6 @@ def test_page_of_a_recording_that_does_not_tell_the_arm_says_so():
     assert ARM_NOT_TOLD in Reader(page(summary_of(recording), recording, {})).text
 
 
-def test_the_header_is_a_table_beside_the_paper_s_figures(full):
-    summary, reader = full
-    header = reader.rows
-    assert header[0] == ["here", "paper"]
-    assert ["samples", str(summary["samples"]), "18802"] in header
-    assert ["duration", f"{summary['duration_s']:.3f} s"] in [row[:2] for row in header]
-    assert ["commands lost", "3"] in [row[:2] for row in header]
-    assert not any(tag in ("ul", "pre") for tag, _ in reader.tags)
-
-
-def test_circumstances_are_tables_of_words_and_rounded_figures():
-    recording = run(mock={"config": {"servo": "ideal"}, "counters": {}})
-    mock = {"correction_lower_deg": [-185.0, -49.99999999999999], "cumulative_delay": False, "servo": None}
-    reader = Reader(page({**summary_of(recording), "mock": mock}, recording, {}))
-    assert ["correction lower deg", "-185, -50"] in reader.rows
-    assert ["cumulative delay", "no"] in reader.rows and ["servo", "unknown"] in reader.rows
-    assert ["python", "3"] in reader.rows
-    assert "{" not in "".join(word for row in reader.rows for word in row)
-
-
-def test_page_follows_dark_screens_and_narrow_ones(full):
-    _, reader = full
-    style = next(word for word in reader.words if "color-scheme" in word)
-    assert "@media (prefers-color-scheme: dark)" in style and "@media (max-width: 40rem)" in style
-    assert ("meta", {"name": "viewport", "content": "width=device-width, initial-scale=1"}) in reader.tags
-
-
 def test_page_of_a_recording_that_tells_little():
     recording = run(plans=False, feedback=False)
     reader = Reader(page(summary_of(recording), recording, {}))

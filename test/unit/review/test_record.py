@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -125,12 +124,6 @@ class TestContent:
 
 
 class TestContinuation:
-    def test_an_existing_file_is_continued(self, written):
-        log = ReviewLog(written, lambda: NOW)
-        log.append(verdict("later"))
-        log.close()
-        assert len(lines(written)) == 6 and lines(written)[-1]["plan"] == "later"
-
     def test_an_execution_that_the_executor_did_not_survive_gets_its_end_recorded(self, path):
         log = ReviewLog(path, lambda: NOW)
         log.append(verdict("p0"))
@@ -157,34 +150,7 @@ class TestContinuation:
         ReviewLog(path, lambda: NOW).close()
         assert len(lines(path)) == 3
 
-    def test_a_file_that_is_no_record_is_refused_and_left_as_it_was(self, path):
-        path.parent.mkdir()
-        path.write_text("hello\n")
-        with pytest.raises(ConfigurationError, check=expects("expected.record.object")):
-            ReviewLog(path, lambda: NOW)
-        assert path.read_text() == "hello\n"
-
     @pytest.mark.parametrize("empty", ["", "  "])
     def test_no_file_is_refused(self, empty):
         with pytest.raises(ConfigurationError, check=expects("expected.record.path")):
             ReviewLog(empty, lambda: NOW)
-
-
-class TestWriting:
-    def test_a_record_is_synced_before_append_returns(self, log, path, monkeypatch):
-        synced = []
-        sync = os.fsync
-        monkeypatch.setattr(os, "fsync", lambda file: (sync(file), synced.append(os.fstat(file).st_ino)))
-        log.append(verdict())
-        assert path.stat().st_ino in synced
-
-    def test_deferred_records_come_first_with_the_time_they_were_deferred_at(self, path):
-        times = iter((1, 2, 3))
-        log = ReviewLog(path, lambda: next(times))
-        log.defer(Ending(PLAN, "finished", "goal reached"))
-        assert path.read_bytes() == b""
-        log.append(verdict("next"))
-        log.defer(Ending(PLAN, "held", "the gate holds"))
-        log.flush()
-        log.close()
-        assert [(record["time_ns"], record["plan"]) for record in lines(path)] == [(1, "p"), (2, "next"), (3, "p")]

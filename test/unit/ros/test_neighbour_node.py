@@ -12,9 +12,8 @@ from neighbour_cell import AWAY, BESIDE, CLEAR, NEAR, STEP, other, plan
 from planning_cell import ROBOT
 from sentence_checks import says
 
-from construction_twin.coordination.path_judge import Judgement
+from construction_twin.coordination.path_judge import Judgement, PlanUnknownError
 from construction_twin.coordination.path_sweep import PathSweep
-from construction_twin.coordination.plan_book import PlanUnknownError
 from construction_twin.core.errors import PoseUnknownError
 from construction_twin.core.motion_errors import NeighbourUnknownError, PlanningError, SceneError
 from construction_twin.core.sentences import Sentence

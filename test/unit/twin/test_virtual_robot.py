@@ -124,11 +124,5 @@ class TestStamps:
         assert not clock.on_command(shown, shown) and not clock.on_cycle(shown)
         assert clock.on_command(shown + 1, shown + 1)
 
-    def test_after_a_restart_nothing_is_known(self):
-        clock = TwinClock()
-        clock.on_command(10**18, 10**18)
-        clock.restart()
-        assert clock.on_cycle(self.T0) and clock.on_command(self.T0 + CYCLE_NS, self.T0 + CYCLE_NS)
-
     def test_the_executor_waits_longer_than_the_twin_is_silent(self):
         assert TWIN_TIMEOUT >= 2 * SILENCE

@@ -14,7 +14,7 @@ import work_bench
 import yaml
 from construction_twin.msg import Execution
 from sentence_checks import key_of
-from touch_process import TOP, recipes_file
+from touch_process import recipes_file
 from work_bench import Bench
 from work_samples import (
     RECIPES,
@@ -25,13 +25,11 @@ from work_samples import (
     planner,
     robot,
     site,
-    tool,
 )
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import LedgerError
-from construction_twin.kinematics.chain import Chain
 from construction_twin.planning.planner import PlannerSettings, PlanRequest
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.work_plan import plan_work
@@ -47,7 +45,6 @@ from construction_twin.work.ledger import Ledger
 from construction_twin.work.racks import StockPlan
 from construction_twin.work.recipes import read_recipes
 from construction_twin.work.schedule import Job, Schedule
-from construction_twin.work.site import pose_of
 from construction_twin.work.task_board import Prepared
 from construction_twin.work.task_memory import Entry, NotNow, TaskMemory
 from construction_twin.work.task_states import TaskState
@@ -114,13 +111,6 @@ def test_it_is_planned_as_every_task_and_changes_no_scene(plan, work):
     assert all(part.change == SceneChange() for part in plan.segments)
     assert {scene.hash for scene in plan.scenes} == {work.scene().hash}
     assert plan.method == "point 50 0 71 mm" and plan.tool0_T_element is None and plan.clearance > 0.02
-
-
-def test_the_tool_comes_to_the_point_but_for_the_gap(plan, work):
-    q = plan.segments[1].trajectory.positions[-1]
-    tcp = product(Chain(robot()).forward(q), pose_of(tool().tool.tool0_T_tcp)).position
-    goal = work.base_T_goal("brick0")
-    assert np.allclose(tcp, goal.position + goal.rotation @ np.array(TOP) + (0.0, 0.0, 0.04), atol=2e-4)
 
 
 def test_whoever_checks_it_for_review_takes_it(plan, work):

@@ -271,23 +271,6 @@ def test_a_file_that_is_no_ledger_is_refused(tmp_path):
         ledger(path)
 
 
-def test_two_nodes_do_not_share_a_ledger(tmp_path):
-    first = ledger(tmp_path / "ledger.jsonl")
-    with pytest.raises(LedgerError, match="no other work node"):
-        ledger(tmp_path / "ledger.jsonl")
-    first.close()
-    ledger(tmp_path / "ledger.jsonl").close()
-
-
-def test_a_file_that_is_gone_takes_no_line(tmp_path):
-    path = tmp_path / "ledger.jsonl"
-    book = ledger(path)
-    path.unlink()
-    with pytest.raises(LedgerError, match="gone"):
-        book.add(STEPS[0][0])
-    assert book.book.tasks["plate"].state is TaskState.READY
-
-
 JSON = st.recursive(
     st.none() | st.booleans() | st.floats() | st.text(max_size=8),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(["event", "pose", "task", "x"]), inner),

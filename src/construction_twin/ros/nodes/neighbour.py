@@ -10,8 +10,7 @@ import numpy as np
 import rospy
 
 from construction_twin.coordination.conflict import braking_horizon
-from construction_twin.coordination.path_judge import Judgement, Others, PathJudge
-from construction_twin.coordination.plan_book import PlanUnknownError
+from construction_twin.coordination.path_judge import Judgement, Others, PathJudge, PlanUnknownError
 from construction_twin.core.errors import ConstructionTwinError, PayloadError, PoseUnknownError
 from construction_twin.core.motion_errors import NeighbourUnknownError
 from construction_twin.core.sentences import Sentence

@@ -13,8 +13,8 @@ import pydantic
 import rospy
 
 from construction_twin.coordination.conflict import Claim
+from construction_twin.coordination.path_judge import PlanBook, PlanUnknownError
 from construction_twin.coordination.path_sweep import PathSweep, PlanPosition
-from construction_twin.coordination.plan_book import PlanBook, PlanUnknownError
 from construction_twin.core.errors import ConstructionTwinError, PayloadError, PoseUnknownError
 from construction_twin.core.motion_errors import NeighbourUnknownError, SceneError
 from construction_twin.core.sentences import Sentence
