@@ -18,19 +18,20 @@ START = 90.0
 
 
 @contextmanager
-def bringup(*arguments: str) -> Iterator[None]:
-    """Run bringup with the mock arm and these launch arguments; nodes of this process find its master."""
+def bringup(*arguments: str) -> Iterator[int]:
+    """Run bringup with the mock arm and these launch arguments; give the broker's port. Nodes of this process find its master."""
     with tempfile.TemporaryDirectory() as folder:
         port = free_port()
         os.environ |= {"ROS_MASTER_URI": f"http://127.0.0.1:{port}", "ROS_IP": "127.0.0.1", "ROS_HOME": folder}
-        ports = [f"broker_port:={free_port()}", f"rsi_port:={free_port(socket.SOCK_DGRAM)}"]
+        broker = free_port()
+        ports = [f"broker_port:={broker}", f"rsi_port:={free_port(socket.SOCK_DGRAM)}"]
         with open(Path(folder) / "launch.log", "w") as log:
             run = subprocess.Popen(
                 ["roslaunch", "-p", str(port), "construction_twin", "bringup.launch", *ports, *arguments],
                 stdout=log, stderr=subprocess.STDOUT, start_new_session=True,
             )  # fmt: skip
             try:
-                yield
+                yield broker
             finally:
                 run.send_signal(signal.SIGINT)  # lets it end its nodes
                 run.wait(60)

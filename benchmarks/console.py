@@ -1,7 +1,7 @@
 """The console benchmark: `make bench ARGS=console`; writes results/bench/console.json.
 
 A real gateway and a mock arm at 250 Hz, the real broker, the real console, Debian's chromium with the built page; no ROS. What
-mqtt_planner does is done by a thread here: 25 times a second it writes the arm's newest state as a `view`. So `latency_ms` goes
+console_node does is done by a thread here: 25 times a second it writes the arm's newest state as a `view`. So `latency_ms` goes
 from the arrival of the arm's state at the PC that says it, over broker, pipe, browser and page, to the moment when the joint
 values are applied. It is measured in one page, while the arm moves and the page draws it; the other clients are WebSocket
 subscribers that only read. All processes are on this machine, and so is one clock. `frame_ms` is how long a frame holds the page
@@ -92,7 +92,7 @@ _APPLIED = """
 
 
 class Relay(ScriptedRobot):
-    """Says the arm's state as mqtt_planner does: the newest one that has come, 25 times a second.
+    """Says the arm's state as console_node does: the newest one that has come, 25 times a second.
 
     Args:
         port: Of the broker.

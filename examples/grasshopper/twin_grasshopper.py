@@ -175,7 +175,7 @@ class Connection:
             return f"sent {waited:.0f} s ago, no answer yet"
         return (
             f"no answer for {waited:.0f} s: it did not arrive, because this account may not send it, it is too long for the "
-            "broker, or mqtt_planner does not run; send it again"
+            "broker, or console_node does not run; send it again"
         )
 
     def view(self) -> View:
@@ -190,12 +190,12 @@ class Connection:
             raise TwinProblem(f"view has version {document.get('version')!r}; this file reads {VIEW_VERSION}")
         if not document["online"]:
             raise TwinProblem(
-                "mqtt_planner has ended, or lost its connection to the broker: nothing is known of the robot"
+                "console_node has ended, or lost its connection to the broker: nothing is known of the robot"
             )
         age = self._clock() - received
         if age > FRESH:
             raise TwinProblem(
-                f"the last view came {age:.1f} s ago: the connection is lost, or mqtt_planner does not run"
+                f"the last view came {age:.1f} s ago: the connection is lost, or console_node does not run"
             )
         return View(document)
 

@@ -51,7 +51,7 @@ class Tablet:
 
     @property
     def moment(self) -> str:
-        """What whoever starts something repeats: of the newest view; the present one where no mqtt_planner tells any."""
+        """What whoever starts something repeats: of the newest view; the present one where no console_node tells any."""
         heard = self.heard[self._topics.view]
         return json.loads(heard[-1][0])["moment"] if heard else str(present())
 

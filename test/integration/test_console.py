@@ -231,7 +231,7 @@ class ConsoleTest(RobotTest):
             answer = console.ask(TOPICS.plan_request(ACCOUNT), "plan_request_ack", document)
             self.assertFalse(answer["ok"])
             self.assertIn(words, answer["reason"])
-        wait(lambda: self.client.diagnostics("mqtt_planner").get("refused format"), "the counter of refusals")
+        wait(lambda: self.client.diagnostics("console_node").get("refused format"), "the counter of refusals")
 
 
 if __name__ == "__main__":

@@ -141,7 +141,7 @@ class RehearsalTest(RobotTest):
         self.assertIn("no rehearsal to override", answer["reason"])
         self.client.review(plan.plan_id, plan.plan_hash, approve=False)
         with self.overloaded(RIGHT) as (plan, report):
-            # mqtt_review and executor hear of the rehearsal each for itself
+            # console_node and executor hear of the rehearsal each for itself
             screen.wait_for(topics.rehearsal, lambda told: told["plan_hash"] == plan.plan_hash)
             screen.wait_for(topics.view, lambda told: report.reasons[0] in told["approval_obstacle"])
             seen = {"rehearsal_hash": report.hash}

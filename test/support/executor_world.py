@@ -123,7 +123,7 @@ class World:
         return str(Moment("c0ffee00", self.booted - round(age * NANOSECONDS)))
 
     def from_screen(self, plan, moment: str, approve: bool = True):
-        """Give a verdict as mqtt_review does; return the answer."""
+        """Give a verdict as console_node does; return the answer."""
         request = ReviewFromScreenRequest(
             plan_id=plan.id, plan_hash=plan.hash, approve=approve, reviewer="kr120-reviewer-ada", moment=moment
         )

@@ -1,4 +1,4 @@
-"""A robot without ROS for tests of the console: a client that says what mqtt_planner, mqtt_review and the gateway say.
+"""A robot without ROS for tests of the console: a client that says what console_node and the gateway say.
 
 It knows one plan at a time, plays it when it was approved, and answers verdicts, stops, pauses and requests of plans as they do.
 """

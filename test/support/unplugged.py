@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import time
 from collections.abc import Callable
 from types import SimpleNamespace
 
@@ -10,6 +11,7 @@ import genpy
 
 from construction_twin.ros.shared import ports
 from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.transport.latest_pose import StampedPose
 
 
 class Unplugged:
@@ -48,7 +50,7 @@ class Unplugged:
         patch(ports, "JointPublisher", self._publisher)
         patch(ports, "Subscriber", Subscriber)
         patch(ports, "JointSubscriber", lambda topic, _names, callback, *_: self.hear(topic, callback))
-        patch(ports, "LatestPose", lambda topic, *_: self._opens("reads", topic, SimpleNamespace(pose=pose)))
+        patch(ports, "LatestPose", lambda topic, *_: self._opens("reads", topic, newest_pose(pose)))
         patch(ports, "Service", self._serve)
         patch(ports.rospy, "Timer", lambda _period, callback: self.timers.append(callback))
         patch(Subscriber, "bench", self, raising=False)
@@ -79,6 +81,12 @@ class Unplugged:
     def _serve(self, name: str, _kind: type, handler: Callable) -> None:
         self.services[name] = handler
         self._opens("serves", name, None)
+
+
+def newest_pose(pose: Callable) -> SimpleNamespace:
+    """Return what stands in place of a `LatestPose`; `pose` takes the oldest age."""
+    newest = lambda oldest: StampedPose(tuple(pose(oldest)), time.time_ns(), time.monotonic())  # noqa: E731
+    return SimpleNamespace(pose=pose, newest=newest)
 
 
 def ask(shell: NodeShell, node: object, name: str, request: object = None, refuse: Callable = lambda *_: None):

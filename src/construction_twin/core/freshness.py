@@ -18,6 +18,8 @@ from construction_twin.core.units import NANOSECONDS
 #: A request is void so long after the moment that it repeats [ns]: 1 s for the oldest picture that the page shows as the present,
 #: 1 s for a wireless network that sends twice again, 1 s for the record's disk. What was shown longer ago is not what is there.
 LIFETIME = 3 * NANOSECONDS
+#: As what a request that is older is counted, and the reason of its PayloadError.
+TOO_OLD = "too_old"
 #: A moment in text is whole milliseconds.
 _MILLISECOND = NANOSECONDS // 1000
 _TEXT = re.compile(r"([0-9a-f]{8})-([0-9]{1,15})")

@@ -222,6 +222,11 @@ class PlanBoard:
         self._plan = ""
         self.payload = b""
 
+    @property
+    def plan(self) -> str:
+        """Id of the plan that it holds; empty: none."""
+        return self._plan if self.payload else ""
+
     def on_plan(self, plan_id: str, payload: bytes) -> None:
         """Take a new plan, in place of the one before."""
         self._plan = plan_id

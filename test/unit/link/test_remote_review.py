@@ -29,8 +29,8 @@ from construction_twin.link.remote_review import (
 from construction_twin.robot.plan import content_hash
 from construction_twin.robot.segments import Segment, Signal, Switch
 from construction_twin.robot.trajectory import Trajectory
+from construction_twin.ros.console.shown_plan import plan_view
 from construction_twin.ros.messages.convert import plan_to_msg
-from construction_twin.ros.nodes.mqtt_review import plan_view
 from construction_twin.scene.objects import SceneObject
 from construction_twin.scene.scene_change import SceneChange
 

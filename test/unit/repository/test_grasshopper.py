@@ -28,11 +28,14 @@ from construction_twin.kinematics.chain import Chain
 from construction_twin.link.remote_view import ViewWriter
 from construction_twin.link.requests import Joints
 from construction_twin.mqtt.client import make_client, unique_id
+from construction_twin.mqtt.messages import Topics
 from construction_twin.planning.waypoints import plan_waypoints
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.urdf import expand_xacro
-from construction_twin.ros.nodes import mqtt_planner
-from construction_twin.ros.nodes.mqtt_planner import MqttPlanner, Poses, Settings
+from construction_twin.ros.console import requests
+from construction_twin.ros.console.endpoint import Connection
+from construction_twin.ros.console.feed import ConsoleFeed, Others, Poses
+from construction_twin.ros.console.requests import ConsoleRequests, RobotContext
 from construction_twin.ros.nodes.planner import trajectory_waypoints
 from construction_twin.ros.transport.latest_pose import StampedPose
 
@@ -102,11 +105,12 @@ class Cell:
         self._client = make_client(
             broker, unique_id("kr120", "planner"), "twin/kr120/view", writer.offline().decode(), will_retained=False
         )
-        settings = Settings(host="localhost", port=1, max_trajectory_bytes=2_000_000, view_rate=25.0)
-        self.node = MqttPlanner(settings, "kr120", joints, broker, self._client, writer, self.planner, self.refusals)
-        self.node.listen(Poses(Stream(), Stream()), lambda: True)
-        self.node.on_execution(Execution(text="IDLE", reason="at rest"))
-        self.node.connect()
+        topics, connection = Topics("twin", "kr120"), Connection(broker, self._client, self.refusals.refuse)
+        self.feed = ConsoleFeed(topics, "base_link", connection, writer, Poses(Stream(), Stream()), Others())
+        around = RobotContext(lambda: ROBOT.home)
+        self.requests = ConsoleRequests(topics, joints, {}, self.planner, None, around, connection, 2_000_000)
+        self.feed.on_execution(Execution(text="IDLE", reason="at rest"))
+        connection.connect(self.requests.endpoints, self.feed.first, self.feed.publish_retained)
         wait_until(self._client.is_connected, what="the node's connection")
         self._ended = threading.Event()
         self._threads = [threading.Thread(target=run) for run in (self._show, self._check)]
@@ -115,13 +119,13 @@ class Cell:
 
     def _show(self) -> None:
         while not self._ended.wait(0.04):
-            self.node.on_sync(Sync(text="IN_SYNC", reason="agree", agreed=True, error=[0.0] * 6, threshold=[0.01] * 6))
-            self.node.on_link(Link(text="ARMED", reason="well", gateway_state="armed"))
-            self.node.publish_view()
+            self.feed.on_sync(Sync(text="IN_SYNC", reason="agree", agreed=True, error=[0.0] * 6, threshold=[0.01] * 6))
+            self.feed.on_link(Link(text="ARMED", reason="well", gateway_state="armed"))
+            self.feed.publish_view()
 
     def _check(self) -> None:
         while not self._ended.is_set():
-            self.node.run_waiting(0.05)
+            self.requests.queue.run(0.05)
 
     def close(self) -> None:
         self._ended.set()
@@ -139,7 +143,7 @@ def cell(tmp_path_factory):
         patch.setattr(rospy, "loginfo", lambda *_: None)
         # the session sends one motion after the other
         for name in ("NAMELESS_TRAJECTORY", "TRAJECTORY"):
-            patch.setattr(mqtt_planner, name, replace(getattr(mqtt_planner, name), pace=None))
+            patch.setattr(requests, name, replace(getattr(requests, name), pace=None))
         cell = Cell(tmp_path_factory.mktemp("cell"))
         yield cell
         cell.close()

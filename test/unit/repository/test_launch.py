@@ -131,7 +131,7 @@ def test_who_decides_what_is_commanded_never_reads_a_simulated_pose(twin):
         for shell in node_shells()
         if "twin/joint_states" in {each.topic for each in (*shell.interface.reads, *shell.interface.hears)}
     }
-    assert {"executor", "planner", "work", "mqtt_planner", "scene"} <= readers
+    assert {"executor", "planner", "work", "console_node", "scene"} <= readers
     remapped = {
         node.name: ["twin/joint_states", "twin/commanded"] in node.remap_args
         for node in read_launch("bringup", *words).nodes

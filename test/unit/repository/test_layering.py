@@ -18,10 +18,10 @@ from construction_twin.gateway.config import GatewayConfig
 from construction_twin.mock.program import MockSettings
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.commands.experiment_settings import ExperimentSettings
+from construction_twin.ros.nodes.console_node import Settings as ConsoleSettings
 from construction_twin.ros.nodes.executor import Settings as ExecutorSettings
 from construction_twin.ros.nodes.follow_joint_trajectory import Settings as FollowSettings
 from construction_twin.ros.nodes.mqtt_bridge import Settings as BridgeSettings
-from construction_twin.ros.nodes.mqtt_planner import Settings as RemotePlannerSettings
 from construction_twin.ros.nodes.pca_monitor import Settings as MonitorSettings
 from construction_twin.ros.nodes.planner import Settings as PlannerSettings
 from construction_twin.ros.nodes.tool_marker import Settings as MarkerSettings
@@ -71,7 +71,7 @@ DEPLOYMENT = {
     "follow_joint_trajectory": {"arm"},
     "separation": set(),
     "mqtt_bridge": {"host", "port", "protocol", "prefix", "account", "realtime_priority", "gateway_kind"},
-    "mqtt_planner": {
+    "console_node": {
         "host",
         "port",
         "protocol",
@@ -81,6 +81,7 @@ DEPLOYMENT = {
         "self_collision",
         "private",
         "servo_model",
+        "tool",
     },
     "pca_monitor": {
         "arm",
@@ -252,7 +253,7 @@ SETTINGS = {
     "executor": set(ExecutorSettings.model_fields),
     "follow_joint_trajectory": set(FollowSettings.model_fields),
     "mqtt_bridge": set(BridgeSettings.model_fields),
-    "mqtt_planner": set(RemotePlannerSettings.model_fields),
+    "console_node": set(ConsoleSettings.model_fields),
     "neighbour": set(NeighbourSettings.model_fields),
     "pca_monitor": set(MonitorSettings.model_fields),
     "planner": set(PlannerSettings.model_fields),
@@ -273,7 +274,7 @@ def test_configuration_and_settings_have_the_same_keys(node):
         (ExperimentSettings, "experiment", {"results_dir": "/tmp"}),
         (MockSettings, "mock_rsi", {"gateway_host": "127.0.0.1", "gateway_port": 49152}),
         (BridgeSettings, "mqtt_bridge", {"host": "127.0.0.1", "port": 1883}),
-        (RemotePlannerSettings, "mqtt_planner", {"host": "127.0.0.1", "port": 1883}),
+        (ConsoleSettings, "console_node", {"host": "127.0.0.1", "port": 1883}),
         (
             MonitorSettings,
             "pca_monitor",

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,32 +15,41 @@ from construction_twin.msg import (
     Hold,
     Link,
     Plan,
-    Review,
     Segment,
     Sync,
     WorkTask,
     WorkTasks,
 )
+from diagnostic_msgs.msg import KeyValue
 from geometry_msgs.msg import Point
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from construction_twin.core.reports import ExecutionReport
+from construction_twin.core.errors import PoseUnknownError
 from construction_twin.core.sentences import Sentence
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.link.remote_view import ClosestView, ViewWriter
+from construction_twin.link.requests import Joints
+from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
+from construction_twin.ros.console import feed as module
+from construction_twin.ros.console.endpoint import Connection
+from construction_twin.ros.console.feed import ConsoleFeed, Others, Poses, deployment_of
 from construction_twin.ros.messages.scene_convert import scene_to_msg
-from construction_twin.ros.shared.console_feed import ConsoleFeed, deployment_of
 from construction_twin.ros.shared.private_files import PrivateFiles
+from construction_twin.ros.transport.joint_stream import to_time
+from construction_twin.ros.transport.latest_pose import StampedPose
 from construction_twin.scene.mesh_file import binary_stl, parse_mesh
 from construction_twin.scene.objects import Scene, SceneObject
 
 TOPICS = Topics("twin", "kr120")
+JOINTS = Joints(("joint_a1", "track"), (False, True))
 STARTED = {"arm": "mock", "broker": "b:1", "rsi": "r:2", "gateway": True, "gateway_kind": "rsi"}
 CORNERS = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 0, 0], [0, 1, 0], [0, 0, 1]]], dtype=float)
 OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 3 4\n"
 
 
-class Broker:
+class Client:
     """In place of the connection: remembers what is published."""
 
     def __init__(self):
@@ -47,11 +58,14 @@ class Broker:
         # happens before the next message is taken
         self.meanwhile = None
 
-    def publish(self, topic, payload, qos, retain):
+    def publish(self, topic, payload, qos=0, retain=False):
         meanwhile, self.meanwhile = self.meanwhile, None
         if meanwhile is not None:
             meanwhile()
         self.published.append((topic, json.loads(payload) if payload else None, qos, retain))
+
+    def is_connected(self):
+        return True
 
     def refuse(self, reason, sentence):
         self.refused.append(reason)
@@ -61,12 +75,28 @@ class Broker:
 
 
 @pytest.fixture
+def clock(monkeypatch):
+    """Clocks that the test sets."""
+    made = SimpleNamespace(steady=1000.0, wall=1_764_000_000.0)
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: made.steady))
+    monkeypatch.setattr(module, "now_ns", lambda: round(made.wall * NANOSECONDS))
+    return made
+
+
+@pytest.fixture
 def broker():
-    return Broker()
+    return Client()
 
 
-def feed(broker: Broker, files: PrivateFiles | None = None, started: dict | None = STARTED) -> ConsoleFeed:
-    return ConsoleFeed(TOPICS, "base_link", broker.publish, broker.refuse, deployment_of(started, "/kr120"), files)
+def feed(
+    broker: Client,
+    files: PrivateFiles | None = None,
+    started: dict | None = STARTED,
+    poses: Poses = Poses(None, None),
+    others: Others = Others(),
+) -> ConsoleFeed:
+    connection, writer = Connection(Broker("127.0.0.1", 1), broker, broker.refuse), ViewWriter("kr120", "cafe", JOINTS)
+    return ConsoleFeed(TOPICS, "base_link", connection, writer, poses, others, deployment_of(started, "/kr120"), files)
 
 
 def scene(folder) -> Scene:
@@ -87,9 +117,13 @@ def message(given: Scene):
     return scene_to_msg(given, rospy.Time(1), "kr120/twin/base_link")
 
 
-def told(made: ConsoleFeed, broker: Broker, now: float, **changes) -> dict[str, dict]:
+def told(made: ConsoleFeed, broker: Client, **changes) -> dict[str, dict]:
+    """Return the status line, by topic, with reports that have just come; None: that one stays away."""
     reports = {"link": Link(text="ARMED"), "sync": Sync(text="IN_SYNC"), "execution": Execution(text="IDLE")} | changes
-    made.publish_status_line(reports["link"], reports["sync"], reports["execution"], now)
+    for name, report in reports.items():
+        if report is not None:
+            getattr(made, f"on_{name}")(report)
+    made.publish_status_line()
     return {line["topic"]: line for line in broker.newest(TOPICS.screen)}
 
 
@@ -140,50 +174,37 @@ def test_tasks_are_retained_and_what_is_not_placed_has_no_deviation(broker):
     assert (first["deviation_mm"], second["deviation_mm"], second["deviation_deg"]) == (1.5, None, None)
     assert set(first) == set(WorkTask.__slots__)
     assert set(document) == set(WorkTasks.__slots__) - {"header"} | {"stamp"}
-    work = told(made, broker, 10.0)["work"]
+    work = told(made, broker)["work"]
     assert (work["state"], work["who"]) == ("asks", "operator") and work["sentence"].endswith(": t2 asks first")
 
 
-def test_the_status_line_is_sent_on_change_and_once_a_second(broker):
+def test_the_status_line_is_sent_on_change_and_once_a_second(broker, clock):
     made = feed(broker)
-    for step in range(100):
-        told(made, broker, 10.0 + step * 0.04)
+    for _ in range(100):
+        told(made, broker)
+        clock.steady += 0.04
     lines = [entry for entry in broker.published if entry[0] == TOPICS.screen]
     assert len(lines) == 4 and lines[0][2:] == (1, False)
-    told(made, broker, 14.3, sync=Sync(text="HOLDING", reason="joint_a3"))
+    clock.steady += 0.3
+    told(made, broker, sync=Sync(text="HOLDING", reason="joint_a3"))
     assert [line["topic"] for line in broker.newest(TOPICS.screen)[:2]] == ["startup", "sync"]
     assert [topic for topic, *_ in broker.published if topic != TOPICS.messages] == [TOPICS.screen] * 5
 
 
-def test_why_the_arm_holds_comes_first_and_a_plan_that_could_not_be_approved_waits(broker):
-    made = feed(broker)
-    made.on_plan(Plan(id="p1"))
+def test_why_the_arm_holds_comes_first_and_a_plan_that_could_not_be_approved_waits(broker, clock):
+    made = feed(broker, others=Others(plan=lambda: "p1"))
     made.on_hold(Hold(cause=str(Sentence("reason.gate.feedback_old", age=0.3)), since=rospy.Time(5)))
     made.on_approval_obstacle(String("not in sync"))
-    held = told(made, broker, 10.0, sync=Sync(text="STALE", reason="silence"))
+    held = told(made, broker, sync=Sync(text="STALE", reason="silence"))
     assert next(iter(held)) == "cause" and held["cause"]["said"]["key"] == "reason.holds.because"
     assert (held["execution"]["words"], held["execution"]["reason"]) == ("execution.NOT_YET", "not in sync")
-    assert (made.approval_obstacle, made.hold.since) == ("not in sync", 5 * 10**9)
-    assert "cause" not in told(made, broker, 11.0, sync=None), "a monitor that is silent says nothing of the present"
+    clock.steady += 1.0
+    assert "cause" not in told(made, broker, sync=None), "a monitor that is silent says nothing of the present"
     made.on_hold(Hold())
     made.on_approval_obstacle(String())
-    mended = told(made, broker, 12.0)
+    clock.steady += 1.0
+    mended = told(made, broker)
     assert "cause" not in mended and mended["execution"]["words"] == "execution.REVIEW"
-
-
-def test_the_plan_under_review_is_known_until_it_is_decided_or_void(broker):
-    made = feed(broker)
-    made.on_plan(Plan(id="p1"))
-    assert made.plan == "p1" and told(made, broker, 10.0)["execution"]["who"] == "reviewer"
-    made.on_review(Review(plan_id="p1"))
-    assert made.plan == ""
-    made.on_link(Link(session="one"))
-    made.on_plan(Plan(id="p2"))
-    made.on_link(Link(session="one"))
-    made.on_link(Link(session=""))
-    assert made.plan == "p2"
-    made.on_link(Link(session="two"))
-    assert made.plan == ""
 
 
 def plan(name: str, rows: int = 3, ends: tuple[float, ...] = ()) -> Plan:
@@ -194,8 +215,8 @@ def plan(name: str, rows: int = 3, ends: tuple[float, ...] = ()) -> Plan:
     return Plan(id=name, trajectory=trajectory, tool_path=path, segments=[Segment(end=end) for end in ends])
 
 
-def playing(name: str, state: str = "PLAYING") -> ExecutionReport:
-    return ExecutionReport(state, "", name)
+def playing(name: str, state: str = "PLAYING") -> Execution:
+    return Execution(text=state, plan_id=name)
 
 
 def test_the_path_of_what_is_played_is_retained_until_it_has_ended(broker):
@@ -214,19 +235,101 @@ def test_the_path_of_what_is_played_is_retained_until_it_has_ended(broker):
     assert broker.published[1:] == [(TOPICS.path, None, 1, True)]
 
 
-def test_a_new_connection_gets_everything_again_and_a_farewell_takes_it_away(tmp_path, broker):
+def test_a_new_connection_gets_everything_again_and_a_farewell_takes_it_away(tmp_path, broker, clock):
     made = feed(broker)
     made.on_scene(message(scene(tmp_path)))
-    told(made, broker, 10.0)
+    told(made, broker)
     broker.published.clear()
     made.publish_retained()
-    told(made, broker, 10.3)
+    clock.steady += 0.3
+    told(made, broker)
     assert [topic for topic, *_ in broker.published] == [TOPICS.scene, TOPICS.messages, TOPICS.screen]
     made.publish_offline()
     assert broker.published[-2:] == [(TOPICS.scene, None, 1, True), (TOPICS.messages, None, 1, True)]
 
 
-# -- the robot's model
+# -- view
 
 
-# -- poses that are dragged
+def reports(made: ConsoleFeed, clock) -> None:
+    made.on_sync(
+        Sync(text="IN_SYNC", reason="agree", agreed=True, error=[0.1, 0.2], threshold=[1.0, 1.0], servo_lag=0.01)
+    )
+    made.on_link(Link(text="ARMED", gateway_state="following", gateway_kind="rsi"))
+    execution = Execution(text="PLAYING", plan_id="p1", duration=10.0, rate=1.0, speed_limit=1.0)
+    execution.header.stamp = execution.plan_start = to_time(round(clock.wall * NANOSECONDS))
+    made.on_execution(execution)
+
+
+class Stream:
+    """In place of a LatestPose; None: nothing was heard."""
+
+    def __init__(self, pose: StampedPose | None = None):
+        self.pose = pose
+
+    def newest(self, oldest: float) -> StampedPose:
+        if self.pose is None:
+            raise PoseUnknownError("twin/joint_states", math.inf, oldest)
+        return self.pose
+
+
+def test_the_view_shows_what_is_known(broker, clock):
+    stamp = round((clock.wall - 0.01) * NANOSECONDS)
+    poses = (((0.5, 1.5), 999.99), ((0.4, 1.4), 999.98), ((0.401, 1.399), 999.97))
+    made = feed(broker, poses=Poses(*(Stream(StampedPose(pose, stamp, at)) for pose, at in poses)))
+    reports(made, clock)
+    clock.steady += 0.04
+    clock.wall += 2.5
+    message = json.loads(made.publish_view())
+    assert message["twin"] == {"stamp": 1_763_999_999.99, "age": 0.05, "positions": [0.5, 1.5]}
+    assert message["arm"] == {"stamp": 1_763_999_999.99, "age": 0.06, "positions": [0.4, 1.4]}
+    assert message["expected"] == {"stamp": 1_763_999_999.99, "age": 0.07, "positions": [0.401, 1.399]}
+    assert (message["sync"]["state"], message["sync"]["age"], message["link"]["state"]) == ("IN_SYNC", 0.04, "ARMED")
+    assert (message["execution"]["state"], message["execution"]["progress"]) == ("PLAYING", 0.25)
+    assert broker.published[-1] == (TOPICS.view, message, 0, False)
+
+
+def test_what_is_old_is_shown_as_not_known(broker, clock):
+    there = [True]
+    made = feed(broker, poses=Poses(Stream(), Stream(), Stream()), others=Others(executor_is_there=lambda: there[0]))
+
+    def view() -> dict:
+        return json.loads(made.publish_view())
+
+    reports(made, clock)
+    clock.steady += 1.0
+    message = view()
+    assert message["twin"] is message["arm"] is message["expected"] is message["sync"] is None
+    assert message["link"]["age"] == 1.0
+    clock.steady += 3.0
+    assert view()["link"] is None and view()["execution"]["state"] == "PLAYING"
+    there[0] = False
+    assert view()["execution"] is None, "its node is gone"
+
+
+def test_the_view_has_what_only_a_console_shows(broker, clock):
+    closest = ClosestView(0.5, ("link_3", "wall"), (1.0, 2.0, 3.0), 0.25)
+    made = feed(broker, others=Others(lambda: "p7", lambda: closest))
+
+    def view() -> dict:
+        return json.loads(made.publish_view())
+
+    made.on_link(Link(text="ARMED", gateway_counters=[KeyValue("telegrams", "9"), KeyValue("late_replies", "3")]))
+    made.on_sync(Sync(text="IN_SYNC", round_trip=0.0321))
+    made.on_hold(Hold(cause="joint_a3 differs", since=rospy.Time(7)))
+    made.on_approval_obstacle(String("not in sync"))
+    made.on_execution(Execution(text="AT_BOUNDARY", segment=1, segment_name="carry", at_boundary=True, engaged=True))
+    message = view()
+    assert (message["plan"], message["closest"]["between"]) == ("p7", ["link_3", "wall"])
+    assert (message["link"]["round_trip_ms"], message["link"]["late"]) == (32.1, 3)
+    assert message["hold"] == {"cause": "joint_a3 differs", "since": 7.0}
+    assert message["approval_obstacle"] == "not in sync"
+    assert message["execution"]["segment"] == {"number": 1, "name": "carry", "at_boundary": True}
+    assert made.is_engaged()
+    made.on_link(Link(text="ARMED", gateway_counters=[KeyValue("telegrams", "9")]))
+    made.on_execution(Execution(text="IDLE", segment=-1))
+    assert view()["link"]["late"] == 0 and view()["execution"]["segment"] is None
+    made.on_link(Link(text="GATEWAY_OFFLINE"))
+    assert view()["link"]["late"] is None
+    clock.steady += 10.0
+    assert view()["hold"] is None, "what is silent is not the present"

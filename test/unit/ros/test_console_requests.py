@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import copy
 import json
+import math
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import rospy
+from bridge_bench import Client
 from construction_twin.srv import (
     PlanCartesianResponse,
     PlanToJointsResponse,
     PlanToPoseResponse,
+    PlanTrajectory,
+    PlanTrajectoryResponse,
     WorkPlanTaskResponse,
 )
 from paho.mqtt.client import topic_matches_sub
@@ -20,16 +25,14 @@ from std_srvs.srv import TriggerResponse
 from construction_twin.core.freshness import Moment
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.link.requests import Joints
+from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
+from construction_twin.mqtt.requests import NAMELESS_TRAJECTORY
 from construction_twin.robot.plan import Clearance
+from construction_twin.ros.console import endpoint, requests
+from construction_twin.ros.console.endpoint import Connection
+from construction_twin.ros.console.requests import REPEAT_WINDOW, WAITING, ConsoleRequests, RobotContext
 from construction_twin.ros.messages.plan_services import PLAN_SERVICES
-from construction_twin.ros.shared import console_requests, endpoint
-from construction_twin.ros.shared.console_requests import (
-    ConsoleRequests,
-    RobotContext,
-)
-from construction_twin.ros.shared.endpoint import Outlets
-from construction_twin.ros.shared.request_queue import RequestQueue
 from construction_twin.views.reachability import PoseVerdict, Reach
 
 JOINTS = Joints(("joint_a1", "track"), (False, True))
@@ -37,6 +40,17 @@ ADA = "kr120-planner-ada"
 POSE = {"position": [1.0, 0.0, 2.0], "orientation": [0.0, 0.0, 0.0, 1.0]}
 PLAN = {"success": True, "message": "waiting for review", "plan_id": "p1", "plan_hash": "cafe"}
 TIMED = PLAN | {"duration": 2.5}
+
+TRAJECTORY = {
+    "id": "7",
+    "source": "Ada",
+    "units": {"angle": "deg", "length": "mm", "time": "s"},
+    "joint_names": ["track", "joint_a1"],
+    "points": [
+        {"positions": [0.0, 0.0], "time_from_start": 0.0},
+        {"positions": [500.0, 90.0], "time_from_start": 2.75},
+    ],
+}  # fmt: skip
 
 
 class Service:
@@ -80,11 +94,15 @@ class Judge:
 
 class Bench:
     def __init__(self):
-        self.published: list[tuple[str, dict]] = []
+        self.client, self.planner = (
+            Client(),
+            Service("plan_trajectory", PlanTrajectory, PlanTrajectoryResponse(**PLAN | {"duration": 2.75})),
+        )
         self.refused: list[str] = []
         self.steady, self.wall = 1000.0, 1_764_000_000 * 10**9
         self.twin, self.work, self.engaged = (0.5, 1.0), False, False
         self.judge = Judge()
+        self.connection = Connection(Broker("127.0.0.1", 1), self.client, self._refuse)
         self.services = {
             kind: Service(PLAN_SERVICES[kind].name, PLAN_SERVICES[kind].kind, answer)
             for kind, answer in (
@@ -95,41 +113,47 @@ class Bench:
                 ("work_task", WorkPlanTaskResponse(**PLAN, task="t")),
             )
         }
-        self.queue = RequestQueue(4, 5.0, lambda: self.steady)
         around = RobotContext(lambda: self.twin, lambda: self.work, lambda: self.engaged, self.moment)
         self.desk = ConsoleRequests(
-            Topics("twin", "kr120"), JOINTS, self.queue, self.services, self.judge, around,
-            Outlets(self._publish, self._refuse), lambda account: f"MQTT account {account}",
+            Topics("twin", "kr120"), JOINTS, self.services, self.planner, self.judge, around,
+            self.connection, 4096,
         )  # fmt: skip
 
     def moment(self) -> Moment:
         """The present moment."""
         return Moment("c0ffee00", round(self.steady * 1e9))
 
-    def _publish(self, topic: str, payload: bytes, qos: int = 1) -> None:
-        self.published.append((topic, json.loads(payload)))
+    @property
+    def published(self) -> list[tuple[str, dict]]:
+        return [(topic, json.loads(payload)) for topic, payload in self.client.published]
 
     def _refuse(self, reason: str, sentence: str) -> None:
         self.refused.append(reason)
 
     def deliver(self, topic: str, payload: bytes, retained: bool = False) -> None:
         """Hand over a message as the client does."""
-        (endpoint,) = (
-            each
-            for each in (self.desk.plan_requests, self.desk.ik)
-            if topic_matches_sub(each.topic, f"twin/kr120/{topic}")
-        )
+        (endpoint,) = (each for each in self.desk.endpoints if topic_matches_sub(each.topic, f"twin/kr120/{topic}"))
         endpoint.on_message(SimpleNamespace(topic=f"twin/kr120/{topic}", payload=payload, retain=retained))
 
     def ask(self, account: str = ADA, retained: bool = False, **document) -> dict:
         """Send a wish, and have it carried out; return the newest answer."""
         wish = {"id": "7", "moment": str(self.moment())} | document
         self.deliver(f"plan_request/{account}", json.dumps(wish).encode(), retained)
-        self.queue.run()
+        self.desk.queue.run()
         self.steady += 1.1
         topic, answer = self.published[-1]
         assert topic == "twin/kr120/plan_request/ack"
         return answer
+
+    def send(self, sender: str = "", retained: bool = False, **changes) -> None:
+        """Send a motion."""
+        topic = f"trajectory/from/{sender}" if sender else "trajectory"
+        self.deliver(topic, json.dumps(copy.deepcopy(TRAJECTORY) | changes).encode(), retained)
+
+    @property
+    def answers(self) -> list[dict]:
+        """The answers to motions."""
+        return [answer for topic, answer in self.published if topic == "twin/kr120/trajectory/ack"]
 
     def drag(self, account: str = ADA, **document) -> None:
         self.deliver(f"ik/{account}", json.dumps({"id": "3"} | POSE | document).encode())
@@ -140,7 +164,7 @@ def bench(monkeypatch):
     made = Bench()
     monkeypatch.setattr(rospy, "wait_for_service", lambda *_: None)
     monkeypatch.setattr(rospy, "loginfo", lambda *_: None)
-    for module in (console_requests, endpoint):
+    for module in (requests, endpoint):
         monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: made.steady))
     return made
 
@@ -154,7 +178,7 @@ def test_joint_values_become_a_plan_that_a_stop_before_its_turn_voids(bench):
     }  # fmt: skip
     (asked,) = bench.services["joints"].asked
     assert (list(asked.goal), list(asked.start), asked.speed_scale) == ([0.25, 1.5], [], 0.5)
-    assert (asked.source, asked.asked) == (f"MQTT account {ADA}", arrived)
+    assert (asked.source, asked.asked) == (f"MQTT, on the topic of {ADA}", arrived)
 
 
 def test_a_pose_and_a_line_are_poses_of_the_tool_in_the_base(bench):
@@ -193,7 +217,7 @@ def test_what_the_planner_refuses_and_a_planner_that_is_gone_are_sentences(bench
     bench.services["pose"].answer = rospy.ServiceException("connection refused")
     answer = bench.ask(kind="pose", id="8", **POSE)
     assert "/kr120/plan_to_pose does not answer: connection refused" in answer["reason"]
-    assert bench.desk.counts == {"plan_requests no plan": 2}
+    assert bench.desk.counts == {"plan_requests no plan": 2, "trajectories waiting": 0}
 
 
 @pytest.mark.parametrize(
@@ -262,3 +286,134 @@ def test_what_cannot_be_solved_is_a_sentence(bench):
     assert [answer["reach"] for answer in answers] == ["contact", "out", "unknown", "unknown"]
     assert answers[0]["between"] == ["link_3", "wall"] and answers[1]["joints"] is None
     assert "twin's pose is not known" in answers[3]["sentence"] and bench.refused == ["ik"]
+
+
+# -- motions that were planned elsewhere
+
+
+def test_a_trajectory_becomes_a_plan_and_the_sender_is_told_its_id(bench):
+    bench.send("kr120-planner-ada")
+    assert bench.answers == [] and bench.planner.asked == [], "it is checked in another thread"
+    bench.desk.queue.run()
+    asked = bench.planner.asked[0]
+    message = asked.trajectory
+    assert message.joint_names == ["joint_a1", "track"]
+    assert list(message.points[1].positions) == pytest.approx([math.pi / 2, 0.5])
+    assert message.points[1].time_from_start.to_sec() == 2.75 and message.header.stamp.to_sec() == 0.0
+    assert (asked.speed_scale, asked.acceleration_scale, asked.retime) == (0.0, 0.0, True)
+    assert asked.source == "MQTT, on the topic of kr120-planner-ada, which says it is 'Ada'"
+    assert bench.answers == [
+        {"id": "7", "sender": "kr120-planner-ada", "ok": True, "reason": "waiting for review", "plan_id": "p1",
+         "plan_hash": "cafe", "duration": 2.75, "notes": []}
+    ]  # fmt: skip
+    assert bench.desk.counts == {"trajectories under review": 1, "trajectories waiting": 0}
+
+
+def test_who_floods_with_what_cannot_be_read_is_not_always_answered_and_a_motion_is(bench):
+    for _ in range(100):
+        bench.deliver("trajectory/from/kr120-planner-ada", b"{")
+    answered = len(bench.answers)
+    assert 10 <= answered < 100 and len(bench.refused) == 100
+    assert bench.desk.counts["trajectories malformed, not answered"] == 100 - answered
+    bench.send("kr120-planner-ada")
+    bench.desk.queue.run()
+    assert bench.answers[-1]["ok"] and len(bench.answers) == answered + 1
+
+
+def test_a_planner_that_is_gone_is_told_and_the_node_goes_on(bench):
+    planned, bench.planner.answer = bench.planner.answer, rospy.ServiceException("connection refused")
+    bench.send()
+    bench.desk.queue.run()
+    assert "/kr120/plan_trajectory does not answer: connection refused" in bench.answers[0]["reason"]
+    bench.planner.answer = planned
+    bench.steady += NAMELESS_TRAJECTORY.pace.seconds
+    bench.send(id="8")
+    bench.desk.queue.run()
+    assert bench.answers[1]["ok"]
+
+
+def test_an_answer_that_cannot_be_sent_is_counted_and_ends_no_node_that_has_stops_to_carry_out(bench, monkeypatch):
+    def fail(*_given, **_named):
+        raise RuntimeError("nobody foresaw this")
+
+    bench.send()
+    with monkeypatch.context() as broken:
+        broken.setattr(bench.client, "publish", fail)
+        bench.desk.queue.run()
+    assert "nobody foresaw this" in bench.connection.side_effects.sentence
+    bench.steady += NAMELESS_TRAJECTORY.pace.seconds
+    bench.send(id="8")
+    bench.desk.queue.run()
+    assert bench.answers[-1]["ok"]
+
+
+def test_times_that_were_replaced_are_told_with_both_durations_and_the_reason(bench):
+    bench.planner.answer.retimed = "point 1: joint_a1 has a jerk of 9 rad/s^3; its limit is 5 rad/s^3"
+    points = copy.deepcopy(TRAJECTORY["points"])
+    points[1]["time_from_start"] = 2.5
+    bench.send(points=points)
+    bench.desk.queue.run()
+    assert bench.answers[0]["notes"] == [
+        f"timed anew: 2.750 s instead of 2.500 s, because {bench.planner.answer.retimed}"
+    ]
+
+
+@pytest.mark.parametrize(
+    "sender, payload, retained, reason, request_id",
+    [
+        ("", json.dumps(TRAJECTORY).encode(), True, "retained", "7"),
+        ("", b" " * 5000, False, "size", ""),
+        ("", b"{", False, "format", ""),
+        ("", json.dumps(TRAJECTORY | {"units": {}}).encode(), False, "format", "7"),
+        ("", json.dumps(TRAJECTORY | {"joint_names": []}).encode(), False, "joints", "7"),
+        ("", json.dumps(TRAJECTORY | {"speed_scale": 2}).encode(), False, "values", "7"),
+        ("no such account", json.dumps(TRAJECTORY).encode(), False, "sender", "7"),
+    ],
+)
+def test_what_is_refused_is_counted_and_answered_with_the_id_where_there_is_one(
+    bench, sender, payload, retained, reason, request_id
+):
+    bench.deliver(f"trajectory/from/{sender}" if sender else "trajectory", payload, retained)
+    bench.desk.queue.run()
+    assert bench.refused == [reason] and bench.planner.asked == []
+    assert [(answer["ok"], answer["id"]) for answer in bench.answers] == [(False, request_id)]
+
+
+def test_more_than_may_wait_is_refused_and_can_be_sent_again(bench):
+    for number in range(WAITING + 1):
+        bench.send(f"account-{number}", id=f"n{number}")
+    assert bench.refused == ["busy"] and [answer["id"] for answer in bench.answers] == [f"n{WAITING}"]
+    bench.desk.queue.run()
+    bench.send(f"account-{WAITING}", id=f"n{WAITING}")
+    bench.desk.queue.run()
+    assert len(bench.planner.asked) == WAITING + 1 and bench.answers[-1]["ok"]
+
+
+def test_one_sender_alone_does_not_hold_up_the_others(bench):
+    for number in range(25):
+        bench.send("hasty", id=f"n{number}")
+        bench.desk.queue.run()
+        bench.steady += 0.05
+    assert [asked.source for asked in bench.planner.asked] == [bench.planner.asked[0].source] * 2 and bench.refused == [
+        "busy"
+    ] * 23
+    refused = next(answer for answer in bench.answers if not answer["ok"])
+    assert (refused["id"], refused["sender"]) == ("n1", "hasty")
+    assert refused["reason"] == "one motion in 1 s is taken from a sender; try again in 1.0 s"
+    bench.send("patient")
+    bench.desk.queue.run()
+    assert bench.answers[-1]["ok"]
+
+
+def test_the_same_message_twice_makes_one_plan_and_gets_one_answer_twice(bench):
+    """QoS 1 may deliver twice; a second plan would take the first one from under the reviewer."""
+    bench.send()
+    bench.send()
+    bench.desk.queue.run()
+    bench.send()
+    assert len(bench.planner.asked) == 1 and bench.refused == ["repeated"] * 2
+    assert [answer["plan_id"] for answer in bench.answers] == ["p1", "p1"]
+    bench.steady += REPEAT_WINDOW + 0.1
+    bench.send()
+    bench.desk.queue.run()
+    assert len(bench.planner.asked) == 2, "later it is meant"

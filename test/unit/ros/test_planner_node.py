@@ -32,14 +32,15 @@ from tf2_msgs.msg import TFMessage
 from unplugged import Unplugged, over_the_wire
 
 from construction_twin.kinematics.chain import Chain, Pose
-from construction_twin.link.remote_view import ViewWriter
 from construction_twin.link.requests import Joints
 from construction_twin.mqtt.client import Broker
+from construction_twin.mqtt.messages import Topics
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.frames import rotation_to_quaternion
+from construction_twin.ros.console import requests
+from construction_twin.ros.console.endpoint import Connection
 from construction_twin.ros.messages import convert
 from construction_twin.ros.messages.scene_convert import object_to_msg, scene_to_msg, tf_frame
-from construction_twin.ros.nodes import mqtt_planner
 from construction_twin.ros.nodes import planner as module
 from construction_twin.ros.nodes.planner import NODE, Settings
 from construction_twin.ros.shared import frame_listener, request_handler
@@ -215,18 +216,17 @@ class TestAMotionThatIsSentAgain:
         client, numbers = Client(), itertools.count(step=10)
         planner.resolved_name = "plan_trajectory"
         monkeypatch.setattr(rospy, "wait_for_service", lambda *_: None)
-        monkeypatch.setattr(mqtt_planner, "time", SimpleNamespace(monotonic=lambda: next(numbers)))
+        monkeypatch.setattr(requests, "time", SimpleNamespace(monotonic=lambda: next(numbers)))
         joints = Joints(tuple(ROBOT.joint_names), tuple(ROBOT.linear))
-        settings = mqtt_planner.Settings(host="127.0.0.1", port=1, max_trajectory_bytes=4096, view_rate=25.0)
-        broker, writer = Broker("127.0.0.1", 1), ViewWriter("kr120", "cafe", joints)
-        node = mqtt_planner.MqttPlanner(settings, "kr120", joints, broker, client, writer, planner, None)
+        connection = Connection(Broker("127.0.0.1", 1), client, None)
+        desk = requests.ConsoleRequests(Topics("twin", "kr120"), joints, {}, planner, None, None, connection, 4096)
 
         def by_mqtt(goal) -> str:
             motion = {"id": str(next(numbers)), "units": {"angle": "rad", "length": "m", "time": "s"}}
             motion |= {"joint_names": ROBOT.joint_names, "points": [{"positions": list(q)} for q in (HOME, goal)]}
             message = SimpleNamespace(topic="twin/kr120/trajectory", payload=json.dumps(motion).encode(), retain=False)
-            node.endpoints[0].on_message(message)
-            node.run_waiting()
+            desk.endpoints[0].on_message(message)
+            desk.queue.run()
             answer = json.loads(client.published[-1][1])
             assert (answer["ok"], answer["id"]) == (True, motion["id"]), answer
             return answer["plan_id"]

@@ -1,7 +1,7 @@
 """stop, stop_plan, pause and reject are carried out and answered whatever fails beside them, and whatever the wall clock does.
 
 Each act on the executor's node, with everything that reports, records or predicts failing in turn; halt is in test_bridge_halt, the
-gateway's own stop in test_gateway_stop_beside, the way over MQTT in test_mqtt_review.
+gateway's own stop in test_gateway_stop_beside, the way over MQTT in test_acts.
 """
 
 from __future__ import annotations

@@ -16,6 +16,7 @@ from executor_bench import ROBOT
 from processes import wait_until
 from unplugged import Unplugged
 
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.freshness import Moment
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.link.requests import LEAST_SPEED
@@ -114,6 +115,12 @@ def test_executor_and_gateway_are_kept_to_the_stricter_of_what_each_was_told(mon
     bench.says(0.5)
     bench.later(0.31)
     assert bench.limit == 0.05
+
+
+@pytest.mark.parametrize("node, value", [("executor", "soon"), ("gateway", -1.0)])
+def test_what_is_no_rule_is_a_sentence_that_names_it(monkeypatch, tmp_path, node, value):
+    with pytest.raises(ConfigurationError, match=f"{node}.*speed_limit_deadline.*{value}.*above 0"):
+        Bench(monkeypatch, tmp_path, **{node: {"speed_limit_deadline": value}})
 
 
 def test_without_an_arm_there_is_no_gateway_to_ask_and_no_file(monkeypatch, tmp_path):

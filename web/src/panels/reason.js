@@ -1,7 +1,7 @@
 /** Where a person says why: a reason to pick, and words of their own. */
 import {add} from "../dom.js";
 
-/** Longest words that mqtt_review reads, with the reason that was picked. */
+/** Longest words that console_node reads, with the reason that was picked. */
 const LONGEST = 300;
 
 /**

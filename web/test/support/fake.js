@@ -89,7 +89,7 @@ export function fakeConnection(store, account = "") {
 
 let seq = 0;
 
-/** Return a view as mqtt_planner sends it, of two joints, with what is given in place of its own. */
+/** Return a view as console_node sends it, of two joints, with what is given in place of its own. */
 export function view(changes = {}) {
   seq += 1;
   return {
@@ -109,7 +109,7 @@ export function view(changes = {}) {
   };
 }
 
-/** Return a plan under review as mqtt_review sends it, of one joint that moves in a second, with what is given in place of its own. */
+/** Return a plan under review as console_node sends it, of one joint that moves in a second, with what is given in place of its own. */
 export function plan(changes = {}) {
   return {
     id: "p1", hash: "h1", source: "request", planner: "RRTConnect", scene: "5ce9e0", tool: "t", frame: "base_link", created_ns: 1, duration: 1,

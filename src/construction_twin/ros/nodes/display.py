@@ -144,7 +144,7 @@ class DisplayNode:
 
     def on_physical(self, stamp: int, q: tuple[float, ...]) -> None:
         """Show the physical arm."""
-        self._show("physical", "shown/physical", stamp, q)
+        self._show("physical", stamp, q)
 
     def on_simulated(self, stamp: int, q: tuple[float, ...]) -> None:
         """Show where an arm with mass would be."""
@@ -167,20 +167,20 @@ class DisplayNode:
                 # the pose is known of its own time only
                 self._publish_twin(*twin, (0.0,) * len(twin[1]))
         pose = self.plan.ghost(now, None if twin is None else twin[1])
-        if pose is not None:
-            self._show("preview", "preview/joint_states", now_ns(), pose)
+        if pose is not None and (shown := self._show("preview", now_ns(), pose)) is not None:
+            self._publishers["preview/joint_states"].publish(*shown)
 
     def _publish_twin(self, stamp: int, q: tuple[float, ...], velocity: tuple[float, ...]) -> None:
         message = JointState(name=self._robot.joint_names, position=q, velocity=velocity)
         message.header.stamp = to_time(stamp)
         self._publishers["velocities/joint_states"].publish(message)
 
-    def _show(self, tree: str, topic: str, stamp: int, q: tuple[float, ...]) -> None:
-        """Publish a pose on its topic and in tf, if it is its turn."""
+    def _show(self, tree: str, stamp: int, q: tuple[float, ...]) -> tuple[int, tuple[float, ...]] | None:
+        """Publish a pose in tf and return it, if it is its turn."""
         shown = self._poses_shown[tree].take(time.monotonic(), (), q, (stamp, q))
         if shown is not None:
-            self._publishers[topic].publish(*shown)
             self._publish_frames(tree, *shown)
+        return shown
 
     def _publish_frames(self, tree: str, stamp: int, q: tuple[float, ...]) -> None:
         self._publishers["/tf"].publish(TFMessage(self._frames.moving(self._prefix(tree), to_time(stamp), q)))
@@ -231,7 +231,6 @@ INTERFACE = Interface(
     publishes=(
         Publication("velocities/joint_states", JointState, queue_size=5),
         Publication("shown/twin", JointState, queue_size=5),
-        PosePublication("shown/physical", when=has_arm),
         PosePublication("preview/joint_states"),
         Publication("/tf", TFMessage, queue_size=100, tcp_nodelay=True),
         Publication("/tf_static", TFMessage, queue_size=100, latch=True),

@@ -27,7 +27,7 @@ from construction_twin.core.errors import (
     ReviewError,
 )
 from construction_twin.core.files import check_writable
-from construction_twin.core.freshness import LIFETIME, Moment, is_newer, parse_moment, staleness
+from construction_twin.core.freshness import LIFETIME, TOO_OLD, Moment, is_newer, parse_moment, staleness
 from construction_twin.core.reports import ExecutionReport, SessionRequest, SpeedChange, ToolReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.side_effects import SideEffects
@@ -476,7 +476,7 @@ class ExecutorNode:
         if isinstance(error, PayloadError):
             self._diagnostics.refuse(error.reason, str(error))
         elif isinstance(error, ExpiredError):
-            self._diagnostics.refuse("too_old", str(error))
+            self._diagnostics.refuse(TOO_OLD, str(error))
         else:
             self._side_effects.run("the count of refusals", self._diagnostics.count, request, str(error))
             self._say(rospy.logwarn, "%s refused: %s", request, error)

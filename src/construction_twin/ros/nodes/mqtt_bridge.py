@@ -17,7 +17,7 @@ import rospy
 from std_srvs.srv import SetBool, Trigger
 
 from construction_twin.core.errors import ExpiredError, PayloadError
-from construction_twin.core.freshness import parse_moment, staleness
+from construction_twin.core.freshness import TOO_OLD, parse_moment, staleness
 from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.reports import LinkReport, SessionRequest, ToolReport
 from construction_twin.core.sentences import Sentence, both
@@ -479,7 +479,7 @@ class MqttBridge:
                 return self._take_responsibility(request.person, demand_seen)
             return self._begin_session(verb, ask, request.person, demand_seen)
         except ExpiredError as error:
-            self._diagnostics.refuse("too_old", str(error))
+            self._diagnostics.refuse(TOO_OLD, str(error))
             return Outcome(False, str(error), expired=True)
 
     def on_responsible(self, request) -> Outcome:

@@ -11,7 +11,11 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import pydantic
+import rospy
+
 from construction_twin.core.errors import ExpiredError, PayloadError
+from construction_twin.core.freshness import TOO_OLD
 from construction_twin.core.reports import SpeedChange
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.speed_limit import LimitState, SpeedLimit
@@ -22,8 +26,8 @@ from construction_twin.msg import SpeedLimit as SpeedLimitMessage
 from construction_twin.msg import SpeedLimitInForce
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
-from construction_twin.ros.shared.endpoint import TOO_OLD
 from construction_twin.ros.shared.outcome import Outcome
+from construction_twin.ros.shared.params import settings_of
 from construction_twin.ros.shared.ports import Ports
 from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.shared.stop_memory import StopMemory
@@ -39,15 +43,24 @@ PERIOD, AGAIN = 0.05, 0.5
 PATIENCE = 0.5
 
 
+class Rules(pydantic.BaseModel):
+    """What executor or gateway is told of a source that falls silent, among their other parameters; see config/executor.yaml."""
+
+    speed_limit_deadline: float = pydantic.Field(GatewayConfig.speed_limit_deadline, gt=0)
+    speed_limit_silent: float = pydantic.Field(GatewayConfig.speed_limit_silent, ge=0, le=1)
+    speed_limit_required: bool = False
+
+
 class SpeedLimitService:
     """ROS around a SpeedLimits; the file `path` keeps what people set, None: it ends with the process."""
 
     def __init__(self, path: Path | None, ports: Ports):
         # the stricter of what executor and gateway are told holds here; without an arm there is no gateway
-        rules = [given for name in ("executor", "gateway") if (given := ports.parameters[name]) is not None]
-        deadline = min(each.get("speed_limit_deadline", GatewayConfig.speed_limit_deadline) for each in rules)
-        silent = min(each.get("speed_limit_silent", GatewayConfig.speed_limit_silent) for each in rules)
-        program = SpeedLimit(deadline, silent, rules[0].get("speed_limit_required", False))
+        told = {name: ports.parameters[name] for name in ("executor", "gateway") if ports.parameters[name] is not None}
+        rules = [settings_of(Rules, given, rospy.resolve_name(name)) for name, given in told.items()]
+        deadline = min(each.speed_limit_deadline for each in rules)
+        silent = min(each.speed_limit_silent for each in rules)
+        program = SpeedLimit(deadline, silent, rules[0].speed_limit_required)
         fraction, _, name = ports.parameters[PROGRAM].partition(" ")
         if name:
             # a process before this one has heard it: it is silent until it is heard again

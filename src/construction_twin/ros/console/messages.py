@@ -16,9 +16,8 @@ from construction_twin.core.reports import SpeedChange
 from construction_twin.link.requests import Acknowledgement
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import ACKNOWLEDGE
-from construction_twin.ros.shared.endpoint import Endpoint, Incoming, Outlets
+from construction_twin.ros.console.endpoint import Connection, Endpoint, Incoming, RequestCounts
 from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.request_counts import RequestCounts
 from construction_twin.views.message_history import Message, MessageHistory
 from construction_twin.views.status_line import Line
 
@@ -96,10 +95,10 @@ class MessageBoard:
             self._history.on_speed(change)
             self._publish()
 
-    def endpoint(self, topics: Topics, counts: RequestCounts, outlets: Outlets) -> Endpoint[tuple[str, str]]:
+    def endpoint(self, topics: Topics, counts: RequestCounts, connection: Connection) -> Endpoint[tuple[str, str]]:
         """Return what takes that a person has read a message."""
         return Endpoint(
-            ACKNOWLEDGE, topics, _read, self._acknowledge, counts, outlets,
+            ACKNOWLEDGE, topics, _read, self._acknowledge, counts, connection,
             lambda asked: f"message {asked[0]} acknowledged by MQTT account {asked[1]}",
         )  # fmt: skip
 

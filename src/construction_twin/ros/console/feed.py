@@ -1,36 +1,64 @@
-"""What consoles are told beside `view`: the status line, the scene, the tasks of the building model; which plan is under review.
+"""What is told by MQTT of the robot's state: `view`, the status line, the scene, the tasks of the building model, messages.
 
-Everything here was published on ROS already; it is put into the words and files that a browser can use.
+Everything here was published on ROS already; it is put into the words and files that a browser can use. The poses come in bundles,
+see `LatestPose`, so that `view` costs the bridge no more than any other subscriber does.
 """
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from bisect import bisect_left
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 from std_msgs.msg import String
 
-from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.errors import ConfigurationError, PayloadError, PoseUnknownError
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.records import SPACED, dumped
-from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SpeedChange, SyncReport, WorkReport
+from construction_twin.core.reports import (
+    ExecutionReport,
+    HoldReport,
+    LinkReport,
+    SpeedChange,
+    SpeedReport,
+    SyncReport,
+    WorkReport,
+)
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.states import ACTIVE
-from construction_twin.link.remote_review import PathView, PlanBoard
+from construction_twin.link.remote_review import PathView
+from construction_twin.link.remote_view import ClosestView, PlanProgress, PoseView, Shown, ViewWriter
+from construction_twin.link.remote_view import Seen as ViewInputs
 from construction_twin.mqtt.messages import Topics
-from construction_twin.msg import Hold, Link, Plan, Rehearsal, Review, SessionRequest, WorkTasks
+from construction_twin.msg import (
+    Execution,
+    Hold,
+    Link,
+    Plan,
+    Rehearsal,
+    Review,
+    SessionRequest,
+    SpeedLimitInForce,
+    Sync,
+    WorkTasks,
+)
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.msg import SpeedChange as SpeedChangeMessage
 from construction_twin.physics.report import STATES
 from construction_twin.review.plan_under_review import EXECUTOR
+from construction_twin.ros.console.endpoint import Connection
+from construction_twin.ros.console.messages import MessageBoard, MessageFile
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
-from construction_twin.ros.shared.message_board import MessageBoard, MessageFile
 from construction_twin.ros.shared.private_files import PrivateFiles
+from construction_twin.ros.shared.robot_clock import present
+from construction_twin.ros.transport.joint_stream import now_ns
+from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.scene.objects import Scene
 from construction_twin.views.hold_cause import hold_cause
 from construction_twin.views.message_history import APPROVED, APPROVED_REHEARSED, REJECTED
@@ -42,7 +70,56 @@ from construction_twin.views.status_line import Line, ReportsNow, status_lines
 LOOK, REPEAT = 0.2, 1.0
 #: A tool's path is thinned to so many points, beside the ends of its segments; of so many plans it is kept until one is played.
 PATH_POINTS, PATHS = 200, 8
+#: A pose that is older counts as not known on `view` [s].
+MAX_POSE_AGE = 0.25
+#: What `sync`, `link` and `speed_limit_in_force` repeat by themselves counts as lost after so long [s].
+SYNC_AGE, LINK_AGE, SPEED_AGE = 0.5, 3.0, 1.0
 _UNDER_WAY = frozenset(state.name for state in ACTIVE)
+
+
+_Report = TypeVar("_Report")
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Where the newest poses come from; None where the robot has no such stream."""
+
+    twin: LatestPose | None
+    arm: LatestPose | None
+    expected: LatestPose | None = None
+
+
+@dataclass(frozen=True)
+class Others:
+    """What `view` shows that other parts of the node know.
+
+    Attributes:
+        plan: Returns the id of the plan under review; empty: none.
+        closest: Returns the closest two bodies; None: not measured.
+        executor_is_there: Returns whether the publisher of `execution` is connected.
+    """
+
+    plan: Callable[[], str] = lambda: ""
+    closest: Callable[[], ClosestView | None] = lambda: None
+    executor_is_there: Callable[[], bool] = lambda: True
+
+
+class _Newest(Generic[_Report]):
+    """The newest report of a kind, and when it came."""
+
+    def __init__(self):
+        self._newest: tuple[_Report, float] | None = None
+
+    def take(self, report: _Report) -> None:
+        """Keep a report."""
+        self._newest = report, time.monotonic()
+
+    def shown(self, oldest: float = math.inf) -> Shown | None:
+        """Return it with its age; None: there is none, or it is older than that [s]."""
+        newest = self._newest
+        if newest is None or (age := time.monotonic() - newest[1]) > oldest:
+            return None
+        return Shown(newest[0], age)
 
 
 class ConsoleFeed:
@@ -50,44 +127,48 @@ class ConsoleFeed:
 
     Args:
         base_link: Frame of the scene's objects.
-        publish: Takes topic, payload, QoS and the retain flag; what cannot be sent now is dropped.
-        refuse: Counts a refused input; takes reason and sentence.
         deployment: What was started; None: what the start waits for is not told.
         files: Where the scene's meshes go; None: no console was started with this robot.
         messages: Where the messages are kept; None: only in memory.
         clock: Returns the time of day [s since 1970].
+
+    Attributes:
+        messages: What a person must not miss.
     """
 
     def __init__(
         self,
         topics: Topics,
         base_link: str,
-        publish: Callable[[str, bytes, int, bool], object],
-        refuse: Callable[[str, str], None],
+        connection: Connection,
+        writer: ViewWriter,
+        poses: Poses,
+        others: Others,
         deployment: Deployment | None = None,
         files: PrivateFiles | None = None,
         messages: MessageFile | None = None,
         clock: Callable[[], float] = time.time,
     ):
         self._topics, self._base_link = topics, base_link
-        self._publish, self._refuse = publish, refuse
+        self._connection, self._writer, self._poses, self._others = connection, writer, poses, others
         self._deployment, self._files = deployment, files
-        self._lock = threading.Lock()
-        self._board = PlanBoard()
+        self._lock, self._writing, self._telling = threading.Lock(), threading.Lock(), threading.Lock()
+        self._sync: _Newest[SyncReport] = _Newest()
+        self._link: _Newest[LinkReport] = _Newest()
+        self._execution: _Newest[ExecutionReport] = _Newest()
+        self._speed: _Newest[SpeedReport] = _Newest()
+        self._progress = PlanProgress()
         #: Of the newest plans, by id: the payload of `path` while that plan is played.
         self._paths: dict[str, bytes] = {}
         #: Of the newest plans, by id: what their rehearsal has found.
         self._rehearsals: dict[str, Rehearsal] = {}
         self._playing = ""
-        self._telling = threading.Lock()
-        self._session = ""
         self._retained: dict[str, bytes] = {}
         self._scene: Scene | None = None
         self._work: WorkReport | None = None
         self._hold, self._obstacle = HoldReport(), ""
         self._arm_seen = self._twin_seen = False
-        #: What a person must not miss.
-        self.messages = MessageBoard(lambda text: self._keep(topics.messages, text), refuse, messages, clock)
+        self.messages = MessageBoard(lambda text: self._keep(topics.messages, text), connection.refuse, messages, clock)
         self._looked = self._told_at = float("-inf")
         self._told = b""
 
@@ -96,7 +177,6 @@ class ConsoleFeed:
     def on_plan(self, message: Plan) -> None:
         """Take a plan for review."""
         with self._lock:
-            self._board.on_plan(message.id, message.id.encode())
             self._paths.pop(message.id, None)
             self._paths[message.id] = _path_of(message)
             while len(self._paths) > PATHS:
@@ -114,7 +194,6 @@ class ConsoleFeed:
     def on_review(self, message: Review) -> None:
         """Take a verdict."""
         with self._lock:
-            self._board.on_verdict(message.plan_id)
             rehearsal = self._rehearsals.get(message.plan_id)
         if message.reviewer in ("", EXECUTOR):
             return
@@ -124,8 +203,24 @@ class ConsoleFeed:
             act, said = APPROVED_REHEARSED, {"engine": rehearsal.engine, "found": _found(rehearsal.state)}
         self.messages.on_act(act, message.header.stamp, person=message.reviewer, **said)
 
-    def on_execution(self, report: ExecutionReport) -> None:
-        """Tell the tool's path of the plan that is under way; none once it has ended."""
+    def on_sync(self, message: Sync) -> None:
+        """Take the gate's report."""
+        self._sync.take(from_msg(SyncReport, message))
+
+    def on_link(self, message: Link) -> None:
+        """Take the bridge's report."""
+        self._link.take(from_msg(LinkReport, message))
+
+    def on_speed(self, message: SpeedLimitInForce) -> None:
+        """Take which speed limit is in force."""
+        self._speed.take(from_msg(SpeedReport, message))
+
+    def on_execution(self, message: Execution) -> None:
+        """Take the executor's report; tell the tool's path of the plan that is under way, none once it has ended."""
+        report = from_msg(ExecutionReport, message)
+        with self._lock:
+            self._progress.on_report(report)
+        self._execution.take(report)
         self._playing = report.plan_id if report.text in _UNDER_WAY else ""
         self._tell_path()
 
@@ -155,13 +250,6 @@ class ConsoleFeed:
         """Take why the plan under review could not be approved now."""
         self._obstacle = message.data
 
-    def on_link(self, message: Link) -> None:
-        """Take that another session has made the plan void."""
-        with self._lock:
-            if message.session and self._session and message.session != self._session:
-                self._board.restart()
-            self._session = message.session or self._session
-
     def on_scene(self, message: SceneMsg) -> None:
         """Write the scene's meshes, then tell the scene: who hears of a mesh finds its file."""
         try:
@@ -169,7 +257,7 @@ class ConsoleFeed:
             if self._files is not None:
                 self._files.write_scene(scene)
         except (SceneError, ConfigurationError) as error:
-            self._refuse("scene", str(error))
+            self._connection.refuse("scene", str(error))
             return
         self._scene = scene
         self._keep(self._topics.scene, dumped(scene_view(scene, self._base_link)))
@@ -187,79 +275,104 @@ class ConsoleFeed:
             retained = dict(self._retained)
             self._told_at = float("-inf")
         for topic, payload in retained.items():
-            self._publish(topic, payload, 1, True)
+            self._connection.publish(topic, payload, retain=True)
             newest = self._retained[topic]
             if newest is not payload:
                 # it came meanwhile, and what is retained must not be the older one, which may have been sent behind it
-                self._publish(topic, newest, 1, True)
+                self._connection.publish(topic, newest, retain=True)
 
     def publish_offline(self) -> None:
-        """Take away what is retained: nobody keeps it up to date any more."""
+        """Say that nothing is known, and take away what is retained: nobody keeps it up to date any more."""
+        self._connection.publish(self._topics.view, self._writer.offline())
         with self._lock:
             topics = list(self._retained)
         for topic in topics:
-            self._publish(topic, b"", 1, True)
+            self._connection.publish(topic, b"", retain=True)
 
     def _keep(self, topic: str, payload: bytes) -> None:
         with self._lock:
             self._retained[topic] = payload
-        self._publish(topic, payload, 1, True)
+        self._connection.publish(topic, payload, retain=True)
 
     @property
     def scene(self) -> Scene | None:
         """The present scene; None while it is not known."""
         return self._scene
 
-    @property
-    def plan(self) -> str:
-        """Id of the plan under review; empty: none."""
+    def is_engaged(self) -> bool:
+        """Return whether only the way back can be planned."""
+        execution = self._execution.shown()
+        return execution is not None and bool(execution.report.engaged)
+
+    def first(self) -> tuple[str, bytes, bool]:
+        """Return what a new connection begins with: topic, payload, retain flag."""
+        return self._topics.view, self._view(), False
+
+    def publish_view(self) -> bytes:
+        """Publish the present `view` where there is a connection, and return it."""
+        payload = self._view()
+        self._connection.publish(self._topics.view, payload, qos=0)
+        return payload
+
+    def _view(self) -> bytes:
+        # before anything is looked at: whoever repeats it has seen nothing newer
+        moment, seen = present(), self.seen()
+        self._twin_seen, self._arm_seen = (
+            self._twin_seen or seen.twin is not None,
+            self._arm_seen or seen.arm is not None,
+        )
+        with self._writing:
+            return self._writer.write(now_ns(), seen, moment)
+
+    def seen(self) -> ViewInputs:
+        """Return what is known now."""
+        sync, execution, speed = self._sync.shown(SYNC_AGE), self._present_execution(), self._speed.shown(SPEED_AGE)
         with self._lock:
-            return self._board.payload.decode()
+            progress = self._progress.at(now_ns() / NANOSECONDS)
+        return ViewInputs(
+            twin=_pose_view(self._poses.twin),
+            arm=_pose_view(self._poses.arm),
+            expected=_pose_view(self._poses.expected),
+            sync=sync,
+            link=self._link.shown(LINK_AGE),
+            execution=execution,
+            plan=self._others.plan(),
+            closest=self._others.closest(),
+            progress=progress,
+            hold=self._hold if sync is not None else HoldReport(),
+            approval_obstacle=self._obstacle if execution is not None else "",
+            speed=speed.report if speed is not None else None,
+        )
 
-    @property
-    def hold(self) -> HoldReport:
-        """Why the gate is closed, as the monitor said last."""
-        return self._hold
+    def _present_execution(self) -> Shown[ExecutionReport] | None:
+        return self._execution.shown() if self._others.executor_is_there() else None
 
-    @property
-    def approval_obstacle(self) -> str:
-        """Why the plan under review could not be approved now, as the executor said last; empty: it could."""
-        return self._obstacle
-
-    def note_poses(self, twin: bool, arm: bool) -> None:
-        """Take whether a pose of the twin, and of the arm, is known: a start waits for the first of each."""
-        self._twin_seen, self._arm_seen = self._twin_seen or twin, self._arm_seen or arm
-
-    def publish_status_line(
-        self, link: LinkReport | None, sync: SyncReport | None, execution: ExecutionReport | None, now: float
-    ) -> None:
-        """Send the status line when it has changed, or was not sent for a while.
-
-        Args:
-            link, sync, execution: None: silent.
-            now: Monotonic [s].
-        """
+    def publish_status_line(self) -> None:
+        """Send the status line when it has changed, or was not sent for a while."""
+        now = time.monotonic()
         if now - self._looked < LOOK:
             return
         self._looked = now
-        lines = self._lines(link, sync, execution)
+        lines = self._lines(self._link.shown(LINK_AGE), self._sync.shown(SYNC_AGE), self._present_execution())
         self.messages.on_lines(lines)
         payload = dumped(lines, marks=SPACED)
         if payload == self._told and now - self._told_at < REPEAT:
             return
         self._told, self._told_at = payload, now
-        self._publish(self._topics.screen, payload, 1, False)
+        self._connection.publish(self._topics.screen, payload)
 
-    def _lines(self, link: LinkReport | None, sync: SyncReport | None, execution: ExecutionReport | None) -> list[Line]:
+    def _lines(
+        self, link: Shown[LinkReport] | None, sync: Shown[SyncReport] | None, execution: Shown[ExecutionReport] | None
+    ) -> list[Line]:
         words = _word(link), _word(sync), _word(execution)
         deployment = self._deployment
         heard = ReportsNow(
             *words,
-            bare=link is not None and link.gateway_kind == "plc",
-            plan=self.plan,
+            bare=link is not None and link.report.gateway_kind == "plc",
+            plan=self._others.plan(),
             obstacle="" if execution is None else self._obstacle,
             cause="" if sync is None else hold_cause(self._hold),
-            engaged=execution is not None and bool(execution.engaged),
+            engaged=execution is not None and bool(execution.report.engaged),
             work=self._work,
         )
         if deployment is not None:
@@ -279,8 +392,21 @@ def _path_of(message: Plan) -> bytes:
     return PathView(message.id, [time / NANOSECONDS for time in times], path).to_json(PATH_POINTS, rests)
 
 
-def _word(report: LinkReport | SyncReport | ExecutionReport | None) -> Word | None:
-    return None if report is None else Word(report.text, report.reason, getattr(report, "gateway_state", ""))
+def _word(shown: Shown | None) -> Word | None:
+    if shown is None:
+        return None
+    return Word(shown.report.text, shown.report.reason, getattr(shown.report, "gateway_state", ""))
+
+
+def _pose_view(stream: LatestPose | None) -> PoseView | None:
+    if stream is None:
+        return None
+    try:
+        newest = stream.newest(MAX_POSE_AGE)
+    except (PoseUnknownError, PayloadError):
+        # it is shown as not known; who publishes something else on the stream is refused and counted by others
+        return None
+    return PoseView(newest.stamp / NANOSECONDS, time.monotonic() - newest.received, newest.positions)
 
 
 def deployment_of(started: Mapping[str, object] | None, namespace: str) -> Deployment | None:

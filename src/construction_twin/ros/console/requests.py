@@ -1,36 +1,44 @@
-"""Plan and IK requests of consoles: handed to the planner's own services, and answered. Nothing here moves.
+"""Motions from planners elsewhere, plan and IK requests: handed to the planner's own services, and answered. Nothing here moves.
 
-What a plan service makes waits for a person's verdict as any plan. A plan request is carried out in its turn (`RequestQueue`); the
-pose of an IK request, which is dragged, is worth solving only while it is the newest of its account, in a thread of its own
-(`NewestQueue`).
+What a plan service makes waits for a person's verdict as any plan. Motions and plan requests are carried out in their turn
+(`RequestQueue`); the pose of an IK request, which is dragged, is worth solving only while it is the newest of its account, in a
+thread of its own (`NewestQueue`).
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import genpy
 import rospy
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.errors import ConfigurationError, PayloadError
-from construction_twin.core.freshness import Moment, staleness
+from construction_twin.core.freshness import TOO_OLD, Moment, staleness
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.sentences import Sentence
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.link.remote_trajectory import TrajectoryRequest, parse_trajectory
 from construction_twin.link.remote_view import ClosestView
 from construction_twin.link.requests import GoalRequest, IkRequest, Joints, read_goal
 from construction_twin.mqtt.messages import Topics
-from construction_twin.mqtt.requests import IK, PLAN_REQUEST
+from construction_twin.mqtt.requests import IK, NAMELESS_TRAJECTORY, PLAN_REQUEST, TRAJECTORY, RequestKind
 from construction_twin.robot.frames import quaternion_to_rotation
+from construction_twin.ros.console.endpoint import Connection, Endpoint, Incoming, RequestCounts
+from construction_twin.ros.console.pose_judge import PoseJudge
+from construction_twin.ros.console.request_queue import NewestQueue, RequestQueue
 from construction_twin.ros.messages.plan_services import PLAN_SERVICES
-from construction_twin.ros.shared.endpoint import TOO_OLD, Endpoint, Incoming, Outlets
 from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.pose_judge import PoseJudge
-from construction_twin.ros.shared.request_counts import RequestCounts
-from construction_twin.ros.shared.request_queue import NewestQueue, RequestQueue
 from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.persistent_service import call
+from construction_twin.srv import PlanTrajectoryResponse
 
+#: Motions and plan requests that may wait while one is carried out; a person sends one at a time.
+WAITING = 4
+#: For so long after its answer the same bytes are the same message, sent twice by QoS 1 or by a sender that was run again [s].
+REPEAT_WINDOW = 5.0
 #: Accounts whose poses wait at once; each has one at most.
 IK_ACCOUNTS = 16
 #: How often the closest two bodies are looked for [s].
@@ -55,6 +63,14 @@ class RobotContext:
 
 
 @dataclass(frozen=True)
+class _Motion:
+    """A motion from elsewhere, and the account of its topic."""
+
+    asked: TrajectoryRequest
+    sender: str
+
+
+@dataclass(frozen=True)
 class _PlanAsked:
     """A plan request, who asked (for the reviewer), and when it arrived."""
 
@@ -64,15 +80,16 @@ class _PlanAsked:
 
 
 class ConsoleRequests:
-    """The endpoints of plan and IK requests.
+    """The endpoints of motions, plan and IK requests.
 
     Args:
-        queue: Where plan requests wait.
         services: Those that make plans, by kind of request.
-        source_of: Takes an account; returns who asks, for the reviewer.
+        plan_trajectory: The planner's, which checks and times a motion.
+        max_trajectory_bytes: Longest motion that is read; 0: neither motions nor plan requests are taken.
 
     Attributes:
-        plan_requests, ik: What takes messages of each kind.
+        endpoints: What takes messages of each kind.
+        queue: Where motions and plan requests wait.
         poses: Where poses wait, for a thread of their own.
     """
 
@@ -80,18 +97,20 @@ class ConsoleRequests:
         self,
         topics: Topics,
         joints: Joints,
-        queue: RequestQueue,
         services: Mapping[str, rospy.ServiceProxy],
+        plan_trajectory: rospy.ServiceProxy,
         judge: PoseJudge,
         around: RobotContext,
-        outlets: Outlets,
-        source_of: Callable[[str], str],
+        connection: Connection,
+        max_trajectory_bytes: int,
     ):
-        self._joints = joints
-        self._services, self._judge, self._around = services, judge, around
-        self._refuse, self._source_of = outlets.refuse, source_of
+        self._topics, self._joints, self._connection = topics, joints, connection
+        self._services, self._plan_trajectory, self._judge, self._around = services, plan_trajectory, judge, around
+        self._longest = max_trajectory_bytes
+        self._trajectories = RequestCounts("trajectories", "under review", "no plan")
         self._plans = RequestCounts("plan_requests", "under review", "no plan")
         self._poses = RequestCounts("ik", "solved", "not solved")
+        self.queue = RequestQueue(WAITING, REPEAT_WINDOW, lambda: time.monotonic())
         self.poses = NewestQueue(
             IK_ACCOUNTS,
             Sentence("link.payload.accounts", count=IK_ACCOUNTS),
@@ -99,24 +118,49 @@ class ConsoleRequests:
         )
         self._closest: tuple[ClosestView, float] | None = None
         self._problem = ""
-        self.plan_requests: Endpoint[_PlanAsked] = Endpoint(
-            PLAN_REQUEST,
-            topics,
-            self._read_plan_request,
-            self._carry_out,
-            self._plans,
-            outlets,
-            _describe,
-            lambda _: queue,
+        ik: Endpoint = Endpoint(
+            IK, topics, self._read_pose, self._solve, self._poses, connection, queue=lambda _: self.poses
         )
-        self.ik: Endpoint[IkRequest] = Endpoint(
-            IK, topics, self._read_pose, self._solve, self._poses, outlets, queue=lambda _: self.poses
-        )
+        plans: Endpoint = Endpoint(
+            PLAN_REQUEST, topics, self._read_plan_request, self._carry_out, self._plans, connection, _describe,
+            lambda _: self.queue,
+        )  # fmt: skip
+        motions = map(self._motion_endpoint, (NAMELESS_TRAJECTORY, TRAJECTORY))
+        self.endpoints: tuple[Endpoint, ...] = (*motions, plans, ik) if max_trajectory_bytes else (ik,)
+
+    def _motion_endpoint(self, kind: RequestKind) -> Endpoint[_Motion]:
+        return Endpoint(
+            kind, self._topics, self._read_motion, self._check_motion, self._trajectories, self._connection,
+            lambda motion: f"trajectory {motion.asked.id!r} from {motion.sender or 'an unknown sender'}",
+            lambda _motion: self.queue,
+        )  # fmt: skip
 
     @property
     def counts(self) -> dict[str, int]:
         """What was done so far, for `/diagnostics`."""
-        return self._poses.report() | self._plans.report()
+        waiting = {"trajectories waiting": self.queue.waiting}
+        return self._trajectories.report() | waiting | self._poses.report() | self._plans.report()
+
+    # -- motions
+
+    def _read_motion(self, incoming: Incoming) -> _Motion:
+        document = incoming.read_document("trajectory", self._longest, "max_trajectory_bytes")
+        return _Motion(parse_trajectory(document, self._joints), incoming.account)
+
+    def _check_motion(self, motion: _Motion) -> Outcome:
+        """Have a motion checked and timed."""
+        asked = motion.asked
+        answer = call(
+            self._plan_trajectory,
+            "the planner",
+            trajectory=trajectory_message(asked, self._joints),
+            speed_scale=asked.speed_scale,
+            acceleration_scale=asked.acceleration_scale,
+            retime=True,
+            source=source_of(asked.source, motion.sender, self._connection.proves_accounts),
+        )
+        outcome = Outcome.of(answer)
+        return replace(outcome, fields={**outcome.fields, "notes": [*asked.notes, *_timing_notes(asked, answer)]})
 
     # -- plan requests
 
@@ -135,7 +179,7 @@ class ConsoleRequests:
         if kind == "work_task" and not self._around.has_work():
             return Outcome(False, Sentence("link.no_work"))
         # a stop between the message and its turn voids the plan
-        source, arrived = self._source_of(request.account), str(request.arrived)
+        source, arrived = source_of("", request.account, self._connection.proves_accounts), str(request.arrived)
         fields = PLAN_SERVICES[kind].fields(asked, source=source, asked=arrived)
         return Outcome.of(call(self._services[kind], "its node", **fields))
 
@@ -173,7 +217,7 @@ class ConsoleRequests:
         except (ConfigurationError, SceneError) as error:
             clearance, problem = None, str(error)
         if problem and problem != self._problem:
-            self._refuse("closest", problem)
+            self._connection.refuse("closest", problem)
         self._problem = problem
         if clearance is not None:
             found = ClosestView(clearance.distance, clearance.between, clearance.point, 0.0), time.monotonic()
@@ -199,3 +243,40 @@ class ConsoleRequests:
 
 def _describe(request: _PlanAsked) -> str:
     return f"plan_request {request.asked.id!r} ({request.asked.kind}) from {request.account}"
+
+
+def source_of(says: str, sender: str, proven: bool) -> str:
+    """Return who asked, for the reviewer.
+
+    Args:
+        says: What the sender says of itself; empty: nothing.
+        sender: The account in the topic's name; empty when there is none.
+        proven: The broker knows accounts, and by a site's rules only this one writes on that topic.
+    """
+    if not sender:
+        known = "MQTT, sender not known"
+    else:
+        known = f"MQTT account {sender}" if proven else f"MQTT, on the topic of {sender}"
+    return f"{known}, which says it is {says!r}" if says else known
+
+
+def trajectory_message(asked: TrajectoryRequest, joints: Joints) -> JointTrajectory:
+    """Return the motion as `plan_trajectory` takes it; its header has no stamp, because a foreign clock proves nothing."""
+    points = [
+        JointTrajectoryPoint(
+            positions=point.positions,
+            velocities=point.velocities,
+            accelerations=point.accelerations,
+            time_from_start=genpy.Duration(*divmod(point.time_ns, NANOSECONDS)),
+        )
+        for point in asked.points
+    ]
+    return JointTrajectory(joint_names=list(joints.names), points=points)
+
+
+def _timing_notes(asked: TrajectoryRequest, answer: PlanTrajectoryResponse) -> list[str]:
+    """Return that the times were replaced, and why, where they were."""
+    if not answer.retimed:
+        return []
+    requested = (asked.points[-1].time_ns - asked.points[0].time_ns) / NANOSECONDS
+    return [f"timed anew: {answer.duration:.3f} s instead of {requested:.3f} s, because {answer.retimed}"]

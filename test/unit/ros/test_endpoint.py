@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.mqtt.requests import ANSWERS
-from construction_twin.ros.shared.request_counts import RequestCounts
+from construction_twin.ros.console.endpoint import RequestCounts
 
 
 def test_ten_at_once_then_ten_a_second_for_each_account_and_the_rest_is_counted():

@@ -1,4 +1,4 @@
-"""The node that shows plans and takes verdicts on MQTT, without ROS master and broker."""
+"""What people do by MQTT, and the plan that they see before, without ROS master and broker."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 import rospy
 from bridge_bench import Client, Refusals
-from construction_twin.msg import Plan, PlanCaller, Rehearsal, Review
+from construction_twin.msg import Link, Plan, PlanCaller, Rehearsal, Review
 from construction_twin.srv import (
     LimitSpeedResponse,
     ResumeFromScreenResponse,
@@ -23,15 +23,19 @@ from processes import wait_until
 from rospy.exceptions import TransportTerminated
 
 from construction_twin.core.freshness import Moment
+from construction_twin.mqtt.account import Account
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.interventions import ARM, PAUSE, RESET, RESUME, STOP
+from construction_twin.mqtt.messages import Topics
 from construction_twin.physics.report import FAILED, PASSED, RehearsalReport, finished
+from construction_twin.ros.console import acts as module
+from construction_twin.ros.console.acts import WAITING, Acts, Services
+from construction_twin.ros.console.endpoint import Connection
+from construction_twin.ros.console.shown_plan import ShownPlan
 from construction_twin.ros.messages.records import to_msg
-from construction_twin.ros.nodes import mqtt_review
-from construction_twin.ros.nodes.mqtt_review import WAITING, MqttReview, Settings
-from construction_twin.ros.shared import remote_interventions
-from construction_twin.ros.shared.diagnostics import WARN
 
+#: The robot's account on a site.
+SITE = Account(name="bridge.yaml")
 #: What starts something, and repeats a moment.
 STARTING = (RESUME, RESET, ARM)
 #: What the newest view said.
@@ -72,26 +76,16 @@ class Later:
 
 
 class Bench:
-    """The node, a client that remembers, and an executor that says yes."""
+    """What people do, the plan that they see, a client that remembers, and an executor that says yes."""
 
-    def __init__(self, account=""):
-        self.client = Client()
-        self.made = Refusals(None)
-        settings = Settings(host="127.0.0.1", port=1, account=account)
-        self.pressed = []
+    def __init__(self, account: Account | None = None):
+        self.client, self.made, self.pressed = Client(), Refusals(None), []
         self.services = {verb: Trigger(verb, self.pressed) for verb in (STOP, PAUSE, *STARTING)}
         self.decide, self.limit_speed = Later("work/decide"), Later("limit_speed")
-        self.node = MqttReview(
-            settings,
-            "kr120",
-            Broker("127.0.0.1", 1),
-            self.client,
-            self,
-            self.services,
-            self.made,
-            decide=self.decide,
-            limit_speed=self.limit_speed,
-        )
+        self.connection = Connection(Broker("127.0.0.1", 1, account=account), self.client, self.made.refuse)
+        services = Services(self, self, self.services, self.decide, self.limit_speed)
+        self.acts = Acts(Topics("twin", "kr120"), self.connection, services)
+        self.shown = ShownPlan(Topics("twin", "kr120"), self.connection)
 
     resolved_name = "/kr120/review_plan"
 
@@ -115,7 +109,7 @@ class Bench:
     def deliver(self, topic, payload, retain=False):
         """Hand over a message as the client does."""
         topic = f"twin/kr120/{topic}"
-        (endpoint,) = (each for each in self.node.endpoints if topic_matches_sub(each.topic, topic))
+        (endpoint,) = (each for each in self.acts.endpoints if topic_matches_sub(each.topic, topic))
         endpoint.on_message(SimpleNamespace(topic=topic, payload=payload, retain=retain))
 
     def verdict(self, plan="p1", verdict="approved"):
@@ -126,8 +120,8 @@ class Bench:
     def carry_out(self, verdict="approved"):
         """A verdict that is carried out."""
         self.verdict(verdict=verdict)
-        self.node.approvals.run()
-        self.node.rejections.run()
+        self.acts.queues["approve"].run()
+        self.acts.queues["reject"].run()
 
 
 @pytest.fixture
@@ -156,7 +150,7 @@ def test_an_executor_that_goes_away_during_the_call_is_told(bench, error):
 def test_a_verdict_that_was_carried_out_is_answered_and_counted(bench):
     bench.carry_out()
     assert json.loads(bench.client.published[-1][1])["ok"]
-    assert bench.node.report().values == {"verdicts taken": 1}
+    assert bench.acts.report() == {"verdicts taken": 1}
 
 
 def test_what_its_screen_had_shown_goes_to_the_executor_with_it_and_that_it_was_too_old_comes_back(bench):
@@ -169,7 +163,7 @@ def test_what_its_screen_had_shown_goes_to_the_executor_with_it_and_that_it_was_
 
 def test_on_a_site_a_verdict_in_no_name_is_refused_and_told_where_it_belongs(monkeypatch):
     monkeypatch.setattr(rospy, "wait_for_service", lambda *_: None)
-    site = Bench("/nowhere/account.json")
+    site = Bench(SITE)
     site.verdict()
     answer = json.loads(site.client.published[-1][1])
     assert not answer["ok"] and "publish it on review/<account>" in answer["reason"]
@@ -224,7 +218,7 @@ def test_what_is_refused_is_answered_with_whatever_can_be_read_of_it(bench, topi
 def test_the_answer_names_what_it_answers(bench, account, reviewer):
     verdict = {"plan_id": "p1", "plan_hash": "cafe", "verdict": "approved", "reviewer": "Ann"}
     bench.deliver(f"review/{account}" if account else "review", json.dumps(verdict | {"moment": MOMENT}).encode())
-    bench.node.approvals.run()
+    bench.acts.queues["approve"].run()
     assert json.loads(bench.client.published[-1][1]) == verdict | {
         "reviewer": reviewer,
         "account": account,
@@ -239,7 +233,7 @@ def test_who_floods_with_what_cannot_be_read_is_not_always_answered_and_a_verdic
         bench.deliver("review/kr120-reviewer-ada", b"{")
     answered = len(bench.client.published)
     assert 10 <= answered < 100 and bench.made.refused == {"format": 100}
-    assert bench.node.report().values == {"verdicts malformed, not answered": 100 - answered}
+    assert bench.acts.report() == {"verdicts malformed, not answered": 100 - answered}
     # nobody else's answers wait for that, and nothing that can be read does
     bench.deliver("review/kr120-reviewer-bob", b"{")
     assert json.loads(bench.client.published[-1][1])["account"] == "kr120-reviewer-bob"
@@ -249,7 +243,7 @@ def test_who_floods_with_what_cannot_be_read_is_not_always_answered_and_a_verdic
 
 
 def test_on_a_site_a_verdict_in_no_name_is_answered_as_often_as_it_comes(monkeypatch):
-    site = Bench("/nowhere/account.json")
+    site = Bench(SITE)
     for _ in range(100):
         site.verdict()
     assert len(site.client.published) == 100 and site.made.refused == {"sender": 100}
@@ -262,18 +256,14 @@ def reviews(bench):
 
 def test_a_rejection_does_not_wait_behind_an_approval_whose_record_waits_for_a_disk(bench, monkeypatch):
     ended, bench.disk = threading.Event(), threading.Event()
-    bench.client.disconnect = bench.client.loop_stop = lambda: None
     monkeypatch.setattr(rospy, "is_shutdown", ended.is_set)
-    bench.node.start_queues()
-    approving = threading.Thread(target=bench.node.run)
-    approving.start()
+    bench.acts.start()
     bench.verdict("p1")
     bench.verdict("p1", "rejected")
     wait_until(lambda: [answer["reason"] for answer in reviews(bench)] == ["rejected"], what="the rejection's answer")
     bench.disk.set()
     wait_until(lambda: len(reviews(bench)) == 2, what="the approval's answer")
     ended.set()
-    approving.join(10.0)
 
 
 def test_a_rejection_asks_no_master_while_the_connection_to_the_executor_stands(bench, monkeypatch):
@@ -294,11 +284,10 @@ def fail(*_given, **_named):
 def test_a_verdict_is_answered_although_the_log_fails(bench, monkeypatch, verdict):
     monkeypatch.setattr(rospy, "loginfo", fail)
     bench.carry_out(verdict)
-    bench.node.outlets.write_log()
+    bench.connection.write_log()
     assert reviews(bench)[-1]["ok"]
-    report = bench.node.report()
-    assert report.level == WARN and "RuntimeError: nobody foresaw this" in report.sentence
-    assert report.values["failed beside an act: the log"] == 1 and report.values["verdicts taken"] == 1
+    assert "RuntimeError: nobody foresaw this" in bench.connection.side_effects.sentence
+    assert bench.connection.side_effects.counts() == {"the log": 1} and bench.acts.report() == {"verdicts taken": 1}
 
 
 # -- stop, pause, resume
@@ -308,7 +297,7 @@ def test_a_verdict_is_answered_although_the_log_fails(bench, monkeypatch, verdic
 def pressing(bench, monkeypatch):
     ended = threading.Event()
     monkeypatch.setattr(rospy, "is_shutdown", ended.is_set)
-    bench.node.start_queues()
+    bench.acts.start()
     yield bench
     ended.set()
 
@@ -341,7 +330,7 @@ def test_what_is_pressed_is_carried_out_and_answered(pressing, verb, ack):
         }
     ]
     assert pressing.pressed == [verb]
-    assert pressing.node.report().values == {"interventions taken": 1}
+    assert pressing.acts.report() == {"interventions taken": 1}
 
 
 def test_a_stop_waits_for_nothing_else(pressing):
@@ -373,10 +362,10 @@ def test_a_press_is_answered_although_the_log_fails_and_the_next_one_is_taken(pr
         press(pressing, verb, str(number))
         wait_until(lambda: len(acks(pressing, verb)) > number, what="an answer")
         wait_until(
-            lambda: pressing.node.outlets.write_log() or pressing.node.outlets.side_effects.counts()["the log"] > number
+            lambda: pressing.connection.write_log() or pressing.connection.side_effects.counts()["the log"] > number
         )
     assert [answer["ok"] for answer in acks(pressing, verb)] == [True, True]
-    assert pressing.node.outlets.side_effects.counts() == {"the log": 2}
+    assert pressing.connection.side_effects.counts() == {"the log": 2}
 
 
 @pytest.mark.parametrize("verb", [STOP, PAUSE, "reject"])
@@ -385,7 +374,7 @@ def test_no_press_waits_for_the_log_of_the_one_before(pressing, monkeypatch, ver
     hangs = threading.Event()
     monkeypatch.setattr(rospy, "loginfo", lambda *words: hangs.wait(10.0))
     # the thread that writes may wait
-    writer = threading.Thread(target=pressing.node.outlets.write_log)
+    writer = threading.Thread(target=pressing.connection.write_log)
     for number in range(3):
         if verb == "reject":
             pressing.verdict(verdict="rejected")
@@ -411,13 +400,13 @@ def test_a_pause_waits_for_no_resume_that_waits_for_the_master(pressing):
 
 
 def test_a_resume_for_which_there_was_no_room_may_be_pressed_again(bench):
-    for number in range(remote_interventions.WAITING + 1):
+    for number in range(WAITING + 1):
         press(bench, "resume", str(number))
     assert [answer["ok"] for answer in acks(bench, "pause")] == [False] and bench.made.refused == {"busy": 1}
-    bench.node.start_queues()
-    wait_until(lambda: len(bench.pressed) == remote_interventions.WAITING, what="those that waited")
-    press(bench, "resume", str(remote_interventions.WAITING))
-    wait_until(lambda: len(bench.pressed) == remote_interventions.WAITING + 1, what="the one that had no room")
+    bench.acts.start()
+    wait_until(lambda: len(bench.pressed) == WAITING, what="those that waited")
+    press(bench, "resume", str(WAITING))
+    wait_until(lambda: len(bench.pressed) == WAITING + 1, what="the one that had no room")
 
 
 @pytest.mark.parametrize("verb", [STOP, PAUSE])
@@ -425,7 +414,7 @@ def test_a_press_whose_answer_cannot_be_sent_is_carried_out_and_so_is_the_next_o
     with monkeypatch.context() as broken:
         broken.setattr(pressing.client, "publish", fail)
         press(pressing, verb, "1")
-        wait_until(lambda: pressing.node.outlets.side_effects.counts() == {"the answer": 1}, what="the count")
+        wait_until(lambda: pressing.connection.side_effects.counts() == {"the answer": 1}, what="the count")
     press(pressing, verb, "2")
     wait_until(lambda: acks(pressing, verb), what="an answer")
     assert pressing.pressed == [verb] * 2 and acks(pressing, verb)[0]["id"] == "2"
@@ -503,7 +492,7 @@ def test_who_floods_with_what_is_no_press_is_not_always_answered_and_a_press_is(
         press(pressing, verb, payload=b"{}")
     answered = len(acks(pressing, ack))
     assert 10 <= answered < 100 and pressing.made.refused == {verb: 100}
-    assert pressing.node.report().values == {"interventions malformed, not answered": 100 - answered}
+    assert pressing.acts.report() == {"interventions malformed, not answered": 100 - answered}
     press(pressing, verb, "7")
     wait_until(lambda: len(acks(pressing, ack)) > answered, what="an answer")
     assert (acks(pressing, ack)[-1]["id"], acks(pressing, ack)[-1]["ok"]) == ("7", True)
@@ -516,7 +505,7 @@ def test_answers_are_no_presses(pressing):
 
 
 def test_more_than_may_wait_are_refused_and_answered(bench):
-    for number in range(remote_interventions.WAITING + 2):
+    for number in range(WAITING + 2):
         press(bench, "pause", str(number))
     assert bench.made.refused == {"busy": 2}
     assert [answer["ok"] for answer in acks(bench, "pause")] == [False] * 2
@@ -529,7 +518,7 @@ def test_an_executor_that_is_not_there_is_told(pressing, error):
     wait_until(lambda: acks(pressing, "stop"), what="an answer")
     answer = acks(pressing, "stop")[0]
     assert not answer["ok"] and "/kr120/stop does not answer" in answer["reason"]
-    assert pressing.node.report().values == {"interventions not taken": 1}
+    assert pressing.acts.report() == {"interventions not taken": 1}
 
 
 def shown(bench) -> dict | None:
@@ -542,19 +531,34 @@ def shown(bench) -> dict | None:
 def test_a_screen_says_when_the_client_whose_plan_it_shows_is_gone(bench, first):
     plan = Plan(id="p1", hash="cafe", source="follow_joint_trajectory from /matlab")
     gone = PlanCaller(plan_id="p1", client="/matlab", connected=False)
-    (bench.node.on_plan if first == "plan" else bench.node.on_caller)(plan if first == "plan" else gone)
-    (bench.node.on_caller if first == "plan" else bench.node.on_plan)(gone if first == "plan" else plan)
+    (bench.shown.on_plan if first == "plan" else bench.shown.on_caller)(plan if first == "plan" else gone)
+    (bench.shown.on_caller if first == "plan" else bench.shown.on_plan)(gone if first == "plan" else plan)
     assert shown(bench)["source"] == (
         "follow_joint_trajectory from /matlab (connected no more: nobody waits for the result)"
     )
-    bench.node.on_caller(PlanCaller(plan_id="p1", client="/matlab", connected=True))
+    bench.shown.on_caller(PlanCaller(plan_id="p1", client="/matlab", connected=True))
     assert shown(bench)["source"] == "follow_joint_trajectory from /matlab"
-    bench.node.on_caller(PlanCaller(plan_id="another", client="/x", connected=False))
+    bench.shown.on_caller(PlanCaller(plan_id="another", client="/x", connected=False))
     assert shown(bench)["source"] == "follow_joint_trajectory from /matlab"
     # a plan that was decided does not come back
-    bench.node.on_verdict(Review(plan_id="p1"))
-    bench.node.on_caller(gone)
+    bench.shown.on_review(Review(plan_id="p1"))
+    bench.shown.on_caller(gone)
     assert shown(bench) is None
+
+
+def test_the_plan_under_review_is_shown_until_it_is_decided_or_void(bench):
+    plan = bench.shown
+    plan.on_plan(Plan(id="p1"))
+    assert plan.plan == "p1" and shown(bench)["id"] == "p1"
+    plan.on_review(Review(plan_id="p1"))
+    assert plan.plan == "" and shown(bench) is None
+    plan.on_link(Link(session="one"))
+    plan.on_plan(Plan(id="p2"))
+    plan.on_link(Link(session="one"))
+    plan.on_link(Link(session=""))
+    assert plan.plan == "p2"
+    plan.on_link(Link(session="two"))
+    assert plan.plan == "" and shown(bench) is None
 
 
 # -- reset, arm, answers
@@ -596,7 +600,7 @@ def answering(bench, monkeypatch, now=5.0):
         return WorkDecideResponse(True, "T1: it stands at its place")
 
     bench.decide.do = decide
-    monkeypatch.setattr(mqtt_review, "present", lambda: Moment("c0ffee00", round(now * 1e9)))
+    monkeypatch.setattr(module, "present", lambda: Moment("c0ffee00", round(now * 1e9)))
     return asked
 
 
@@ -667,7 +671,7 @@ def test_a_speed_limit_goes_on_in_the_name_of_the_account_and_is_answered(pressi
     }
     assert acks(pressing, "speed") == [answer]
     assert asked == [{"limit": 0.3, "person": "dora", "moment": ""}]
-    assert pressing.node.report().values["speed limits taken"] == 1
+    assert pressing.acts.report()["speed limits taken"] == 1
 
 
 def test_that_a_raise_was_too_old_comes_back(pressing):
@@ -717,7 +721,7 @@ OVERRIDE = {
 
 def test_an_override_is_given_to_the_executor_in_the_name_of_its_account(bench):
     bench.deliver("override_rehearsal/kr120-lead-eva", json.dumps(OVERRIDE).encode())
-    bench.node.approvals.run()
+    bench.acts.queues["approve"].run()
     (asked,) = bench.asked
     assert (asked["override_rehearsal"], asked["reviewer"], asked["approve"]) == (True, "kr120-lead-eva", True)
     assert asked["rehearsal_hash"] == "f00d"
@@ -742,14 +746,14 @@ def test_an_override_is_given_to_the_executor_in_the_name_of_its_account(bench):
 def test_an_override_that_lacks_a_reason_or_what_was_seen_or_that_is_no_approval_is_refused(bench, changes):
     content = {key: value for key, value in (OVERRIDE | changes).items() if value is not None}
     bench.deliver("override_rehearsal/kr120-lead-eva", json.dumps(content).encode())
-    bench.node.approvals.run(0.0)
-    bench.node.rejections.run(0.0)
+    bench.acts.queues["approve"].run()
+    bench.acts.queues["reject"].run()
     assert len(bench.made.refused) == 1 and not bench.asked
 
 
 def test_an_override_in_spite_of_no_result_says_so(bench):
     bench.deliver("override_rehearsal/kr120-lead-eva", json.dumps(OVERRIDE | {"rehearsal_hash": ""}).encode())
-    bench.node.approvals.run()
+    bench.acts.queues["approve"].run()
     (asked,) = bench.asked
     assert (asked["override_rehearsal"], asked["rehearsal_hash"]) == (True, "")
 
@@ -757,10 +761,10 @@ def test_an_override_in_spite_of_no_result_says_so(bench):
 def test_what_comes_on_review_overrides_nothing(bench):
     plain = {key: value for key, value in OVERRIDE.items() if key != "rehearsal_hash"}
     bench.deliver("review/kr120-reviewer-ada", json.dumps(plain).encode())
-    bench.node.approvals.run()
+    bench.acts.queues["approve"].run()
     for more in ({"override_rehearsal": True}, {"rehearsal_hash": "f00d"}):
         bench.deliver("review/kr120-reviewer-ada", json.dumps(plain | more).encode())
-        bench.node.approvals.run(0.0)
+        bench.acts.queues["approve"].run()
     (asked,) = bench.asked
     assert asked["override_rehearsal"] is False and bench.made.refused == {"format": 2}
 
@@ -776,12 +780,12 @@ def rehearsed(**found) -> Rehearsal:
 def test_a_rehearsal_whose_hash_is_not_its_own_is_refused_and_counted(bench):
     message = rehearsed(state=PASSED)
     message.plan_hash = "another"
-    bench.node.on_rehearsal(message)
+    bench.shown.on_rehearsal(message)
     assert shown_rehearsals(bench) == [] and bench.made.refused == {"rehearsal": 1}
 
 
 def test_what_a_rehearsal_has_found_is_shown_until_its_plan_is_decided(bench):
-    bench.node.on_rehearsal(rehearsed(state=FAILED, reasons=("too heavy",), tracking=math.nan))
+    bench.shown.on_rehearsal(rehearsed(state=FAILED, reasons=("too heavy",), tracking=math.nan))
     (shown,) = map(json.loads, shown_rehearsals(bench))
     assert (shown["plan_id"], shown["state"], shown["reasons"], shown["tracking"]) == (
         "p1",
@@ -789,13 +793,13 @@ def test_what_a_rehearsal_has_found_is_shown_until_its_plan_is_decided(bench):
         ["too heavy"],
         None,
     )
-    bench.node.on_verdict(Review(plan_id="another"))
+    bench.shown.on_review(Review(plan_id="another"))
     assert shown_rehearsals(bench)[-1] != b""
-    bench.node.on_verdict(Review(plan_id="p1"))
+    bench.shown.on_review(Review(plan_id="p1"))
     assert shown_rehearsals(bench)[-1] == b""
 
 
 def test_a_rehearsal_that_comes_after_the_verdict_is_not_shown(bench):
-    bench.node.on_verdict(Review(plan_id="p1"))
-    bench.node.on_rehearsal(rehearsed(state=PASSED))
+    bench.shown.on_review(Review(plan_id="p1"))
+    bench.shown.on_rehearsal(rehearsed(state=PASSED))
     assert shown_rehearsals(bench)[-1] == b""

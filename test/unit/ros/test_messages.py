@@ -7,11 +7,12 @@ from types import SimpleNamespace
 
 import genpy
 import pytest
+from bridge_bench import Client
 
+from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
-from construction_twin.ros.shared.endpoint import Outlets
-from construction_twin.ros.shared.message_board import MessageBoard, MessageFile
-from construction_twin.ros.shared.request_counts import RequestCounts
+from construction_twin.ros.console.endpoint import Connection, RequestCounts
+from construction_twin.ros.console.messages import MessageBoard, MessageFile
 from construction_twin.views.message_history import RESET
 from construction_twin.views.startup import Word
 from construction_twin.views.status_line import ReportsNow, status_lines
@@ -27,12 +28,12 @@ class Bench:
     def __init__(self, path):
         self.told: list[list[dict]] = []
         self.refused: list[str] = []
-        self.published: list[tuple[str, dict]] = []
         self.now = 0.0
         self.file = MessageFile(path)
         self.board = MessageBoard(self._tell, self._refuse, self.file, lambda: self.now)
-        outlets = Outlets(lambda topic, payload, qos: self.published.append((topic, json.loads(payload))), self._refuse)
-        self.endpoint = self.board.endpoint(TOPICS, RequestCounts("messages"), outlets)
+        self.client = Client()
+        connection = Connection(Broker("127.0.0.1", 1), self.client, self._refuse)
+        self.endpoint = self.board.endpoint(TOPICS, RequestCounts("messages"), connection)
 
     def _tell(self, text: bytes) -> None:
         self.told.append(json.loads(text))
@@ -48,7 +49,7 @@ class Bench:
         payload = json.dumps({"id": id_, "message": message}).encode()
         topic = f"twin/kr120/acknowledge/{account}"
         self.endpoint.on_message(SimpleNamespace(topic=topic, payload=payload, retain=retain))
-        return self.published[-1][1]
+        return json.loads(self.client.published[-1][1])
 
 
 @pytest.fixture

@@ -1,37 +1,43 @@
-"""A request by MQTT, from its message to its answer: one `Endpoint` for each kind.
+"""A request by MQTT, from its message to its answer: one `Endpoint` for each kind, and the `Connection` by which it comes.
 
 An endpoint is what differs: its kind (`mqtt.requests`), how a message is read (a pure function of `link` or `mqtt`), where it waits
 (`request_queue`), and what carries it out. What all have in common is here. A message that cannot be read is refused and counted,
-and answered at a pace. What was asked for is carried out first and answered next; counts and log lines come after that, and hold up
-nothing (`deferred_log`). Of a safety act none of them can fail it either (`core.side_effects`).
+and answered at a pace. What was asked for is carried out first and answered next; counts and log lines come after that, hold up
+nothing (`deferred_log`), and cannot fail it (`core.side_effects`).
 """
 
 from __future__ import annotations
 
+import threading
 import time
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from types import MappingProxyType
 from typing import Any, Generic, TypeVar
 
 import rospy
 from paho.mqtt.client import MQTTMessage
 
 from construction_twin.core.errors import PayloadError, ServiceSilentError
+from construction_twin.core.freshness import TOO_OLD
 from construction_twin.core.rate_limit import SenderLimits
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.requests import Request as RequestModel
 from construction_twin.link.requests import read, read_document
+from construction_twin.mqtt.client import Broker, subscriptions
 from construction_twin.mqtt.messages import Topics, account_of, identity_of
-from construction_twin.mqtt.requests import RequestKind
+from construction_twin.mqtt.plain_client import PlainClient
+from construction_twin.mqtt.requests import RequestKind, answer_limits
+from construction_twin.ros.console.request_queue import Queue, Request
 from construction_twin.ros.shared.deferred_log import DeferredLog
+from construction_twin.ros.shared.mqtt_connection import connect, report_of
 from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.request_counts import RequestCounts
-from construction_twin.ros.shared.request_queue import Queue, Request
 
-#: Reasons of a PayloadError: what its screen had shown is too old; it came before, and was answered then.
-TOO_OLD, REPEATED = "too_old", "repeated"
+#: Reason of a PayloadError: it came before, and was answered then.
+REPEATED = "repeated"
 
 Asked = TypeVar("Asked")
 Model = TypeVar("Model", bound=RequestModel)
@@ -68,29 +74,84 @@ class Incoming:
         return identity_of(self.payload, self.document) | named
 
 
-class Outlets:
-    """Where the endpoints of a node say what they have to say.
+class Connection:
+    """A connection of the node to the broker, served by a thread of its own; endpoints hear and answer by it.
 
     Args:
-        publish: Takes topic, payload and QoS.
+        client: Not connected yet.
         refuse: Counts a refused input; takes reason and sentence.
 
-        safety: Some of the requests are safety acts: then what tells of a request cannot fail it, nor end the node. Elsewhere what
-            nobody foresaw ends the node, as everywhere (docs/architecture.md).
-
     Attributes:
-        side_effects: What ran beside a safety act, and failed.
+        side_effects: What ran beside a request, and failed: it fails neither the request nor the node, which may have a stop to
+            carry out.
         log: What `write_log` writes.
     """
 
-    def __init__(
-        self, publish: Callable[[str, bytes, int], object], refuse: Callable[[str, str], None], safety: bool = False
-    ):
-        self.publish, self.refuse = publish, refuse
-        self.side_effects = SideEffects()
-        self.log = DeferredLog()
-        #: Takes a part's name, the part and its arguments; returns what the part returns, or None where it failed beside an act.
-        self.tell: Callable[..., Any] = self.side_effects.run if safety else _just_do
+    def __init__(self, broker: Broker, client: PlainClient, refuse: Callable[[str, str], None]):
+        self._broker, self._client, self.refuse = broker, client, refuse
+        self._state = report_of(broker)
+        self.side_effects, self.log = SideEffects(), DeferredLog()
+        #: Takes a part's name, the part and its arguments; returns what the part returns, or None where it failed.
+        self.tell = self.side_effects.run
+
+    def connect(
+        self,
+        endpoints: Sequence[Endpoint],
+        first: Callable[[], tuple[str, bytes, bool]],
+        then: Callable[[], object],
+        heard: Mapping[str, Callable[[MQTTMessage], None]] = MappingProxyType({}),
+    ) -> None:
+        """Connect, and whenever there is a connection subscribe and publish.
+
+        Args:
+            first: Returns topic, payload and retain flag of the first message: the broker's answer shows whether this account may
+                write here.
+            then: Publishes what else is retained.
+            heard: What takes the messages of further topics.
+        """
+        topics = [*((topic, 1) for topic in heard), *((endpoint.topic, endpoint.qos) for endpoint in endpoints)]
+
+        def on_connect(client, _userdata, _flags, reason_code, properties) -> None:
+            if reason_code.is_failure:
+                self._state.refused(reason_code)
+                return
+            self._state.connected(client, properties)
+            topic, payload, retain = first()
+            client.subscribe(subscriptions(client, topics))
+            info = client.publish(topic, payload, qos=1, retain=retain)
+            self._state.watch_publish(client, topic, info.mid)
+            then()
+
+        def on_disconnect(_client, _userdata, _flags, reason_code, _properties) -> None:
+            self._state.lost(reason_code)
+
+        on_message = {**heard, **{endpoint.topic: endpoint.on_message for endpoint in endpoints}}
+        connect(self._client, self._broker, self._state, on_connect, on_disconnect, on_message)
+
+    def disconnect(self) -> None:
+        """Leave the broker, which publishes no last will then."""
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    @property
+    def problem(self) -> str:
+        """Why nothing comes or goes by it; empty while it is connected."""
+        return "" if self._client.is_connected() else self._state.sentence or "connecting to the broker"
+
+    @property
+    def proves_accounts(self) -> bool:
+        """Whether the broker knows accounts: by a site's rules each writes on its own topics only."""
+        return self._broker.account is not None
+
+    def publish(self, topic: str, payload: bytes, qos: int = 1, retain: bool = False) -> None:
+        """Publish where there is a connection; what could be sent later only would be of the past."""
+        if self._client.is_connected():
+            self._client.publish(topic, payload, qos=qos, retain=retain)
+
+    def answer(self, topic: str, payload: bytes, qos: int) -> None:
+        """Publish an answer; one that is acknowledged is sent later where there is no connection now."""
+        if qos or self._client.is_connected():
+            self._client.publish(topic, payload, qos=qos)
 
     def write_log(self) -> None:
         """Write what is to be said, and what has failed; for a thread that may wait for a disk or a terminal."""
@@ -98,8 +159,49 @@ class Outlets:
         self.side_effects.write(rospy.logerr)
 
 
-def _just_do(_what: str, part: Callable[..., Any], *arguments: object) -> Any:
-    return part(*arguments)
+class RequestCounts:
+    """What became of the requests of a kind, for `/diagnostics`, and how often an account is told that it sent what cannot be read.
+
+    Used by several threads.
+
+    Args:
+        kind: Of the requests: "verdicts".
+        done, not_done: What is counted of a request that was carried out, and of one that was not.
+        clock: Returns a time from any origin [ns].
+    """
+
+    def __init__(
+        self,
+        kind: str,
+        done: str = "taken",
+        not_done: str = "not taken",
+        clock: Callable[[], int] = time.monotonic_ns,
+    ):
+        self._kind = kind
+        self._words = {True: done, False: not_done}
+        self._clock = clock
+        self._answers = answer_limits()
+        self._lock = threading.Lock()
+        self._unanswered = 0
+        self._counts: Counter[str] = Counter()
+
+    def is_due(self, account: str) -> bool:
+        """Return whether a malformed message of an account is to be answered, and count it where it is not."""
+        with self._lock:
+            due = self._answers.take(account, self._clock())
+            self._unanswered += not due
+            return due
+
+    def add(self, ok: bool, word: str = "") -> None:
+        """Count a request that was carried out, or not; as `word` where there is one."""
+        with self._lock:
+            self._counts[word or self._words[ok]] += 1
+
+    def report(self) -> dict[str, int]:
+        """Return the counts; what never happened is left out."""
+        with self._lock:
+            found = {f"{self._kind} {word}": count for word, count in sorted(self._counts.items())}
+            return found | ({f"{self._kind} malformed, not answered": self._unanswered} if self._unanswered else {})
 
 
 class Endpoint(Generic[Asked]):
@@ -120,13 +222,13 @@ class Endpoint(Generic[Asked]):
         read: Callable[[Incoming], Asked],
         carry_out: Callable[[Asked], Outcome],
         counts: RequestCounts,
-        outlets: Outlets,
+        connection: Connection,
         describe: Callable[[Asked], str] | None = None,
         queue: Callable[[Asked], Queue] | None = None,
     ):
         self.topic, self.qos = topics.of(kind), kind.qos
         self._kind, self._topics, self._read, self._act = kind, topics, read, carry_out
-        self._counts, self._outlets, self._describe, self._queue = counts, outlets, describe, queue
+        self._counts, self._connection, self._describe, self._queue = counts, connection, describe, queue
         # a newer one follows: this one is not worth reading, and answering it would be as much again
         self._unread = SenderLimits(kind.pace) if kind.pace is not None and not kind.qos else None
 
@@ -205,11 +307,11 @@ class Endpoint(Generic[Asked]):
         if refused is not None:
             self._count_refusal(refused.reason, str(refused))
         if self._describe is not None:
-            self._outlets.tell("the log", self._say, self._describe, asked, outcome.message)
+            self._connection.tell("the log", self._say, self._describe, asked, outcome.message)
         return answer
 
     def _send(self, incoming: Incoming, outcome: Outcome) -> bytes:
-        answer = self._outlets.tell("the answer", self._payload, incoming, outcome) or b""
+        answer = self._connection.tell("the answer", self._payload, incoming, outcome) or b""
         if answer:
             self._publish(incoming, answer)
         return answer
@@ -222,10 +324,10 @@ class Endpoint(Generic[Asked]):
     def _publish(self, incoming: Incoming, answer: bytes) -> None:
         if self._kind.is_answered_to(incoming.account):
             topic = self._topics.ack_of(self._kind, incoming.account)
-            self._outlets.tell("the answer", self._outlets.publish, topic, answer, self.qos)
+            self._connection.tell("the answer", self._connection.answer, topic, answer, self.qos)
 
     def _count_refusal(self, reason: str, sentence: str) -> None:
-        self._outlets.tell("the count of refusals", self._outlets.refuse, reason, sentence)
+        self._connection.tell("the count of refusals", self._connection.refuse, reason, sentence)
 
     def _say(self, describe: Callable[[Asked], str], asked: Asked, sentence: str) -> None:
-        self._outlets.log.add(rospy.loginfo, "%s: %s", describe(asked), sentence)
+        self._connection.log.add(rospy.loginfo, "%s: %s", describe(asked), sentence)

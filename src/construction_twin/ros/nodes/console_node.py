@@ -1,0 +1,319 @@
+"""console_node: what operators and programs elsewhere see of a robot by MQTT, and what they ask for there.
+
+A node of its own: reading a long motion takes longer than the bridge's 4 ms, and checking one takes seconds. What people do (stop,
+pause, verdicts, ...) has a connection and threads of its own, see `ros.console.acts`.
+"""
+
+from __future__ import annotations
+
+import secrets
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pydantic
+import rospy
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from construction_twin.core.errors import PayloadError, PoseUnknownError
+from construction_twin.link.remote_view import ViewWriter
+from construction_twin.link.requests import Joints
+from construction_twin.mqtt.client import make_client, unique_id
+from construction_twin.mqtt.messages import Topics
+from construction_twin.mqtt.requests import BRIDGE, PRESSED
+from construction_twin.msg import (
+    Execution,
+    Hold,
+    Link,
+    Plan,
+    PlanCaller,
+    Rehearsal,
+    Review,
+    SessionRequest,
+    SpeedChange,
+    SpeedLimitInForce,
+    Sync,
+    WorkTasks,
+)
+from construction_twin.msg import Scene as SceneMsg
+from construction_twin.robot.description import RobotModel
+from construction_twin.robot.tool import tool_hash
+from construction_twin.ros.console.acts import Acts, Services
+from construction_twin.ros.console.endpoint import Connection, RequestCounts
+from construction_twin.ros.console.feed import MAX_POSE_AGE, ConsoleFeed, Others, Poses, deployment_of
+from construction_twin.ros.console.messages import MessageFile
+from construction_twin.ros.console.pose_judge import PoseJudge
+from construction_twin.ros.console.requests import ConsoleRequests, RobotContext
+from construction_twin.ros.console.shown_plan import ShownPlan
+from construction_twin.ros.messages.plan_services import PLAN_SERVICES
+from construction_twin.ros.shared.diagnostics import OK, WARN, Report
+from construction_twin.ros.shared.launch_arguments import BROKER, has_link
+from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of
+from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
+from construction_twin.ros.shared.params import ros_home
+from construction_twin.ros.shared.ports import Interface, NewestPose, Ports, SharedParameter, Subscription
+from construction_twin.ros.shared.private_files import PrivateFiles
+from construction_twin.ros.transport.latest_pose import LatestPose
+from construction_twin.ros.transport.persistent_service import PersistentService
+from construction_twin.srv import (
+    LimitSpeed,
+    PlanTrajectory,
+    ResumeFromScreen,
+    ReviewFromScreen,
+    SessionFromScreen,
+    WorkDecide,
+)
+
+#: Between two writings of log and messages [s].
+LOG_PERIOD = 0.1
+
+
+class Settings(MqttSettings):
+    """Private parameters; see config/console_node.yaml.
+
+    Attributes:
+        trajectories: Whether motions, and requests for plans, are taken by MQTT.
+        self_collision: YAML of the link pairs that are not checked; empty: no joint values are found for poses that are dragged.
+        messages: Folder of the messages that outlast this node, relative to ROS_HOME; empty: they do not.
+        servo_model: As the gate has it; empty: it does not expect the arm where its servos should have it.
+        private: Folder of what a console serves to whom is logged in, relative to ROS_HOME; empty: no console was started.
+        tool: Tool file; empty: no tool.
+    """
+
+    trajectories: bool = True
+    self_collision: str = ""
+    private: str = ""
+    messages: str = ""
+    servo_model: str = ""
+    tool: str = ""
+    max_trajectory_bytes: int = pydantic.Field(ge=1024, le=1 << 24)
+    view_rate: float = pydantic.Field(ge=1.0, le=50.0)
+
+
+class ConsoleNode:
+    """The parts of the node, and the threads in which they work.
+
+    Args:
+        topics: Of the robot.
+        acts_connection, connection: Connections for what people do, and for everything else.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        topics: Topics,
+        acts_connection: Connection,
+        connection: Connection,
+        acts: Acts,
+        shown_plan: ShownPlan,
+        feed: ConsoleFeed,
+        requests: ConsoleRequests,
+    ):
+        self._settings, self._topics = settings, topics
+        self._connections = acts_connection, connection
+        self.acts, self.shown_plan, self.feed, self.requests = acts, shown_plan, feed, requests
+        self._acknowledged = RequestCounts("messages", "acknowledged", "not acknowledged")
+
+    def connect(self) -> None:
+        """Connect to the broker, and serve each connection in a thread of its own."""
+        plan = self.shown_plan
+        own_plan = {self._topics.plan: lambda message: plan.on_own_plan(bytes(message.payload))}
+        acts, others = self._connections
+        acts.connect(self.acts.endpoints, plan.first, plan.publish_rehearsal, own_plan)
+        acknowledge = self.feed.messages.endpoint(self._topics, self._acknowledged, others)
+        others.connect((*self.requests.endpoints, acknowledge), self.feed.first, self.feed.publish_retained)
+
+    def run(self) -> None:
+        """Carry out what is asked for, and show everything, until shutdown."""
+        self.acts.start()
+        viewer = threading.Thread(target=self.run_view, name="view", daemon=True)
+        threads = {"connections": self.acts.run_connections, "log": self._run_log, "ik": self._run_ik}
+        for each in (*(threading.Thread(target=run, name=name, daemon=True) for name, run in threads.items()), viewer):
+            each.start()
+        while not rospy.is_shutdown():
+            self.requests.queue.run(0.2)
+        viewer.join(1.0)
+        self.shown_plan.take_away()
+        self.feed.publish_offline()
+        for connection in self._connections:
+            connection.disconnect()
+
+    def run_view(self) -> None:
+        """Show everything `view_rate` times a second."""
+        period = 1.0 / self._settings.view_rate
+        due = time.monotonic()
+        while not rospy.is_shutdown():
+            self.feed.publish_view()
+            self.feed.publish_status_line()
+            self.shown_plan.check()
+            # after a pause of the machine the next one is a whole period away: nobody needs what was missed
+            due = max(due + period, time.monotonic())
+            time.sleep(max(0.0, due - time.monotonic()))
+
+    def _run_ik(self) -> None:
+        self.requests.run(bool(self._settings.private))
+
+    def _run_log(self) -> None:
+        """Write log and messages: nothing else here waits for a disk or a terminal."""
+        while not rospy.is_shutdown():
+            self.write()
+            time.sleep(LOG_PERIOD)
+
+    def write(self) -> None:
+        """Write what waits to be written."""
+        for connection in self._connections:
+            connection.write_log()
+        self.feed.messages.write()
+
+    # -- from ROS, what several parts hear
+
+    def on_plan(self, message: Plan) -> None:
+        """Show a plan for review."""
+        self.shown_plan.on_plan(message)
+        self.feed.on_plan(message)
+
+    def on_rehearsal(self, message: Rehearsal) -> None:
+        """Show what a rehearsal has found."""
+        self.shown_plan.on_rehearsal(message)
+        self.feed.on_rehearsal(message)
+
+    def on_review(self, message: Review) -> None:
+        """Take a verdict."""
+        self.shown_plan.on_review(message)
+        self.feed.on_review(message)
+
+    def on_link(self, message: Link) -> None:
+        """Take the bridge's report."""
+        self.shown_plan.on_link(message)
+        self.feed.on_link(message)
+
+    def report(self) -> Report:
+        """Return the state for `/diagnostics`."""
+        values: dict[str, object] = {**self.acts.report(), **self.requests.counts, **self._acknowledged.report()}
+        for connection in reversed(self._connections):
+            values |= connection.side_effects.report()
+        failed = [connection.side_effects.sentence for connection in self._connections]
+        if problem := next(filter(None, (*failed, *(connection.problem for connection in self._connections))), ""):
+            return Report(WARN, problem, values)
+        shown = "a plan is shown" if self.shown_plan.plan else "no plan to review"
+        taken = "are taken" if self._settings.trajectories else "are not taken (trajectories: false)"
+        return Report(OK, f"{shown}; trajectories {taken}", values)
+
+
+def _services() -> Services:
+    """Return the services of what people do; what starts nothing is connected to for good, and may be called twice."""
+    pressed = {
+        kind.name: rospy.ServiceProxy(
+            f"{kind.name}_from_screen", SessionFromScreen if kind.by == BRIDGE else ResumeFromScreen
+        )
+        if kind.starts
+        else PersistentService(kind.name, Trigger)
+        for kind in PRESSED
+    }
+    return Services(
+        rospy.ServiceProxy("review_from_screen", ReviewFromScreen),
+        PersistentService("review_from_screen", ReviewFromScreen),
+        pressed,
+        rospy.ServiceProxy("work/decide", WorkDecide),
+        PersistentService("limit_speed", LimitSpeed),
+    )
+
+
+def _positions(stream: LatestPose | None) -> tuple[float, ...]:
+    """Return the newest pose, empty while it is not known."""
+    try:
+        return stream.newest(MAX_POSE_AGE).positions if stream is not None else ()
+    except (PoseUnknownError, PayloadError):
+        return ()
+
+
+def start(settings: Settings, robot: RobotModel, ports: Ports) -> ConsoleNode:
+    """Return the node with its parameters and topics, connecting to the broker."""
+    joints, topics = Joints(tuple(robot.joint_names), tuple(robot.linear)), Topics(settings.prefix, robot.name)
+    broker, refuse = broker_of(settings), ports.diagnostics.refuse
+    files = None
+    if settings.private:
+        files = PrivateFiles(ros_home() / settings.private, robot.name)
+        for problem in files.write_robot(robot.urdf):
+            refuse("mesh", problem)
+        if ports.parameters["work"] is None:
+            files.drop_building()
+    # its last will takes the plan away: while it is lost, a verdict is not heard
+    acts_connection = Connection(
+        broker, make_client(broker, unique_id(robot.name, "acts"), topics.plan, will=""), refuse
+    )
+    writer = ViewWriter(robot.name, secrets.token_hex(8), joints)
+    will = writer.offline().decode()
+    client = make_client(broker, unique_id(robot.name, "console"), topics.view, will, will_retained=False)
+    connection = Connection(broker, client, refuse)
+    poses = Poses(*(ports.poses.get(name) for name in (TWIN, ARM, EXPECTED)))
+    shown_plan = ShownPlan(topics, acts_connection, tool_hash(settings.tool))
+    feed = ConsoleFeed(
+        topics,
+        robot.base_link,
+        connection,
+        writer,
+        poses,
+        Others(lambda: shown_plan.plan, lambda: requests.closest(), lambda: ports.connections("execution") > 0),
+        deployment_of(ports.parameters["startup"], rospy.get_namespace().rstrip("/")),
+        files,
+        MessageFile(ros_home() / settings.messages / f"{robot.name}.json") if settings.messages else None,
+    )
+    requests = ConsoleRequests(
+        topics,
+        joints,
+        {kind: rospy.ServiceProxy(service.name, service.kind) for kind, service in PLAN_SERVICES.items()},
+        rospy.ServiceProxy("plan_trajectory", PlanTrajectory),
+        PoseJudge(robot, settings.self_collision, lambda: feed.scene),
+        RobotContext(lambda: _positions(poses.twin), lambda: ports.connections("work/tasks") > 0, feed.is_engaged),
+        connection,
+        settings.max_trajectory_bytes if settings.trajectories else 0,
+    )
+    acts = Acts(topics, acts_connection, _services())
+    node = ConsoleNode(settings, topics, acts_connection, connection, acts, shown_plan, feed, requests)
+    node.connect()
+    return node
+
+
+def _feed(handler: Callable[[ConsoleFeed, Any], object]) -> Callable[[ConsoleNode, Any], object]:
+    """Return a handler of the node, which gives its message to the feed."""
+    return lambda node, message: handler(node.feed, message)
+
+
+TWIN, ARM, EXPECTED = "twin/joint_states", "physical/joint_states", "expected/joint_states"
+INTERFACE = Interface(
+    report=ConsoleNode.report,
+    parameters=(SharedParameter("work"), SharedParameter("startup")),
+    reads=(
+        NewestPose(TWIN),
+        NewestPose(ARM),
+        NewestPose(EXPECTED, when=lambda settings: bool(settings.servo_model)),
+    ),
+    hears=(
+        Subscription("execution", Execution, _feed(ConsoleFeed.on_execution), queue_size=10),
+        Subscription("work/tasks", WorkTasks, _feed(ConsoleFeed.on_tasks), queue_size=2),
+        Subscription("scene", SceneMsg, _feed(ConsoleFeed.on_scene), queue_size=2),
+        Subscription("plan", Plan, ConsoleNode.on_plan, queue_size=5),
+        Subscription("rehearsal", Rehearsal, ConsoleNode.on_rehearsal, queue_size=5),
+        Subscription("plan_caller", PlanCaller, lambda node, message: node.shown_plan.on_caller(message), queue_size=5),
+        Subscription("review", Review, ConsoleNode.on_review, queue_size=10),
+        Subscription("sync", Sync, _feed(ConsoleFeed.on_sync), queue_size=1),
+        Subscription("hold", Hold, _feed(ConsoleFeed.on_hold), queue_size=1),
+        Subscription("approval_obstacle", String, _feed(ConsoleFeed.on_approval_obstacle), queue_size=1),
+        Subscription("link", Link, ConsoleNode.on_link, queue_size=5),
+        Subscription("session_request", SessionRequest, _feed(ConsoleFeed.on_session_request), queue_size=10),
+        Subscription("speed_change", SpeedChange, _feed(ConsoleFeed.on_speed_change), queue_size=50),
+        Subscription("speed_limit_in_force", SpeedLimitInForce, _feed(ConsoleFeed.on_speed), queue_size=1),
+    ),
+)
+# its threads take turns every millisecond: what computes a pose holds up no stop
+NODE = NodeShell(
+    "console_node", Settings, start, INTERFACE, file=ConfigFile(lambda _given: BROKER, has_link), fast=True
+)
+
+
+def main() -> None:
+    """Run the node."""
+    NODE.run()
