@@ -28,6 +28,10 @@ const docs = path.join(here, "..", "docs");
 const result = await build({
   entryPoints: [path.join(here, "src", "main.js"), path.join(here, "src", "style.css")],
   bundle: true,
+  // readers of mesh files come when they are needed
+  splitting: true,
+  chunkNames: "[name].[hash]",
+  alias: Object.fromEntries(["STL", "Collada"].map((each) => [`three/examples/jsm/loaders/${each}Loader.js`, path.join(here, "no_loader.js")])),
   define: {SENTENCES: JSON.stringify(files)},
   minify: true,
   format: "esm",

@@ -28,6 +28,7 @@
  *                unknown (plan panel)
  *   handle       {position, quaternion} or null: the handle by which the tool is dragged; null: none is shown (plan panel)
  *   picked       {element} or null: the element of the building model that is worked on, highlighted (tasks panel)
+ *   model        the joints' limits and the tool's place, or {trouble}: why they are not known (planning/model.js)
  *   drag         {position, quaternion, done}: the person drags the handle; x y z [m] of tool0 in base_link, x y z w (picture)
  *   tap          {element, object}: an element of the building model or an object of the scene was tapped, else "" (picture)
  *
@@ -55,7 +56,7 @@ const KINDS = {
 export const TOPICS = Object.keys(KINDS).map((topic) => ({topic, qos: topic === "view" ? 0 : 1}));
 /** Kinds whose newest value is kept. An answer is told once. */
 const FROM_BROKER = ["view", "screen", "scene", "plan", "rehearsal", "path", "tasks", "messages"];
-const KEPT = [...FROM_BROKER, "playback", "goal", "handle", "picked", "drawn", "said"];
+const KEPT = [...FROM_BROKER, "playback", "goal", "handle", "picked", "drawn", "said", "model"];
 /** What the broker stores; without a value: there is none any more. Of anything else that it has stored the age is not known. */
 const STORED = ["plan", "rehearsal", "path", "scene", "tasks", "messages"];
 /** What a message must be, but a view: of that by its version. */
@@ -210,7 +211,7 @@ export function makeStore({now = () => performance.now(), check: checkHash = che
     },
 
     /**
-     * What is known of a robot: view, screen, scene, plan, rehearsal, path, tasks, messages, playback, goal, handle, picked, drawn, said
+     * What is known of a robot: view, screen, scene, plan, rehearsal, path, tasks, messages, playback, goal, handle, picked, drawn, said, model
      * (null: not known), transitions, `old`
      * (the view is not the present), `heard` [ms] per kind. Null for a robot that was never heard.
      */

@@ -2,21 +2,19 @@
 import assert from "node:assert/strict";
 import {readFileSync} from "node:fs";
 import {test} from "node:test";
-import {DOMParser} from "linkedom";
 import * as motion from "../src/panels/motion.js";
 import * as progress from "../src/panels/progress.js";
 import {makeToolFields, numberOf, textsOf} from "../src/panels/tool_fields.js";
 import * as waypoints from "../src/panels/waypoints.js";
 import {fromAngles, shownAngle, toAngles} from "../src/planning/angles.js";
 import {axesOf, valueOf} from "../src/planning/axes.js";
-import {shortNames} from "../src/planning/model.js";
+import {readModels, shortNames} from "../src/planning/model.js";
 import {MOST, waypointsOf} from "../src/planning/waypoints.js";
 import {clock, percentOf, progressOf} from "../src/progress.js";
 import {fakePage, plan, view} from "./support/fake.js";
 import {textsIn} from "./support/sentences.js";
 
 const URDF = readFileSync(new URL("support/track.urdf", import.meta.url), "utf8");
-const parse = (text) => new DOMParser().parseFromString(text, "text/xml");
 const near = (found, wanted, within = 1e-6) => assert.ok(Math.abs(found - wanted) < within, `${found} is not ${wanted}`);
 
 // -- orientations
@@ -116,10 +114,11 @@ test("of a plan's waypoints a person gets every second or tenth, and the last", 
 // -- panels
 
 /** A panel with a timer that the test calls: `tick()`. */
-function panel(module, options = {}, means = {}) {
+function panel(module, {fetchText = async () => URDF, ...options} = {}, means = {}) {
   const timers = [];
   const page = fakePage({account: "ada", ...options});
   module.make(page.parent, page.store, page.connection, page.texts, {now: () => 0, every: (_, call) => timers.push(call), ...means});
+  readModels(page.store, page.connection, fetchText);
   const text = (selector) => page.parent.querySelector(selector).textContent;
   return {...page, text, tick: () => timers.forEach((call) => call()), find: (selector) => page.parent.querySelector(selector)};
 }
@@ -171,7 +170,7 @@ const standing = (changes = {}) => view({
 const settle = () => new Promise((resolve) => setTimeout(resolve));
 
 test("joints, limits, difference and tool are shown with the robot's model", async () => {
-  const it = panel(motion, {}, {fetchText: async () => URDF, parse});
+  const it = panel(motion);
   await it.hear("kr120", "view", standing());
   await settle();
   it.tick();
@@ -187,7 +186,7 @@ test("joints, limits, difference and tool are shown with the robot's model", asy
 });
 
 test("where the servos should have the arm is shown while that is known", async () => {
-  const it = panel(motion, {}, {fetchText: async () => URDF, parse});
+  const it = panel(motion);
   const marks = () => [...it.parent.querySelectorAll(".motion-at-expected")].map(({hidden}) => hidden);
   await it.hear("kr120", "view", standing());
   await settle();
@@ -207,7 +206,7 @@ test("where the servos should have the arm is shown while that is known", async 
 
 test("the curve has the largest difference of the last minute, and what is allowed", async () => {
   const clock = {at: 0};
-  const it = panel(motion, {}, {fetchText: async () => URDF, parse, now: () => clock.at});
+  const it = panel(motion, {}, {now: () => clock.at});
   const hear = async (at, error) => {
     clock.at = at;
     await it.hear("kr120", "view", standing({sync: {...view().sync, error: [0, 0, 0, 0, 0, 0, error], threshold: Array(7).fill(0.02)}}));
@@ -229,7 +228,7 @@ test("the curve has the largest difference of the last minute, and what is allow
 
 test("mode and override are shown where the controller sends them, else that it does not", async () => {
   for (const [language, not, unknown] of [["en", "not sent", "not known"], ["de", "nicht gesendet", "nicht bekannt"]]) {
-    const it = panel(motion, {language}, {fetchText: async () => URDF, parse});
+    const it = panel(motion, {language});
     const facts = () => [...it.parent.querySelectorAll(".motion-facts dd")].slice(0, 2).map(({textContent}) => textContent);
     const say = async (link) => {
       await it.hear("kr120", "view", standing({link}));
@@ -244,7 +243,7 @@ test("mode and override are shown where the controller sends them, else that it 
 });
 
 test("without a model the values are there, and why there are no limits", async () => {
-  const it = panel(motion, {}, {fetchText: async () => { throw new Error("robot.urdf: 404"); }, parse});
+  const it = panel(motion, {fetchText: async () => { throw new Error("robot.urdf: 404"); }});
   await it.hear("kr120", "view", standing());
   await settle();
   it.tick();

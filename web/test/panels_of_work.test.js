@@ -2,9 +2,9 @@
 import assert from "node:assert/strict";
 import {readFileSync} from "node:fs";
 import {test} from "node:test";
-import {DOMParser} from "linkedom";
 import * as plan from "../src/panels/plan.js";
 import * as tasks from "../src/panels/tasks.js";
+import {readModels} from "../src/planning/model.js";
 import {counts, group, isAskable, nextTask, stateOfElement, taskOfElement, waitsFor} from "../src/work/task_list.js";
 import {fakePage, view} from "./support/fake.js";
 import {robotSays, textsIn} from "./support/sentences.js";
@@ -28,12 +28,8 @@ async function planPanel({account = "kr120-planner-ada", refuse = null, rights =
   const kept = new Map();
   const storage = {getItem: (key) => kept.get(key) ?? null, setItem: (key, value) => void kept.set(key, value)};
   if (refuse !== null) page.connection.refuse(refuse);
-  plan.make(page.parent, page.store, page.connection, page.texts, {
-    fetchText,
-    parse: (text) => new DOMParser().parseFromString(text, "text/xml"),
-    now: () => page.time,
-    ...(keeps ? {storage} : {}),
-  });
+  plan.make(page.parent, page.store, page.connection, page.texts, {now: () => page.time, ...(keeps ? {storage} : {})});
+  readModels(page.store, page.connection, fetchText);
   await page.hear("kr120", "view", trackView());
   await settle();
   await page.hear("kr120", "view", trackView());
@@ -139,7 +135,7 @@ test("a model that cannot be read is told with the reason", async () => {
   });
   assert.match(page.text(".plan-told"), /could not be loaded \(404\)/);
   assert.equal(page.find(".plan-begin").hidden, true);
-  assert.equal((await planPanel({fetchText: async () => "<robot/>"})).text(".plan-told").includes("no joint track"), true);
+  assert.equal((await planPanel({fetchText: async () => "<robot></robot>"})).text(".plan-told").includes("no joint track"), true);
 });
 
 test("a slider sets the joint in degrees, and the handle follows the tool", async () => {

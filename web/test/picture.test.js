@@ -1,13 +1,12 @@
 import assert from "node:assert/strict";
 import {test} from "node:test";
 import {PerspectiveCamera, Vector3} from "three";
-import {closestOf, otherPoint} from "../src/picture/closest.js";
+import {closestOf} from "../src/picture/closest.js";
 import * as colours from "../src/picture/colours.js";
 import {around, clipped, corners, fit} from "../src/picture/fit.js";
-import {extentOf, floorOf, gridOf, numbersOf} from "../src/picture/grid.js";
+import {floorOf, makeFloor} from "../src/picture/floor.js";
 import {placed, sizeOf} from "../src/picture/labels.js";
 import {elementKey, entriesOf, goalKey} from "../src/picture/legend.js";
-import {makePace} from "../src/picture/pace.js";
 import {textsIn} from "./support/sentences.js";
 
 /** Numbers that look like chance, the same ones every time. */
@@ -66,27 +65,14 @@ test("a single point is not looked at from within", () => {
 
 // -- floor
 
-test("there are lines between the metres where one is near, and numbers that do not run into each other", () => {
-  assert.deepEqual(gridOf(0.05), {fine: 0, step: 5});
-  assert.deepEqual(gridOf(0.002), {fine: 1, step: 1});
-  assert.deepEqual(gridOf(1000), {fine: 0, step: 50});
-  for (let pixel = 0.001; pixel < 1; pixel *= 1.3) assert.ok(gridOf(pixel).step / pixel >= 44, String(pixel));
-});
-
-test("the numbered part of the floor is as large as what stands on it, in whole metres", () => {
-  assert.deepEqual(extentOf([]), [-2, -2, 2, 2]);
-  assert.deepEqual(extentOf([[3.2, 0, 1], [-4, -2.5, 0]]), [-4, -3, 4, 2]);
-  assert.deepEqual(extentOf([[1e6, 0, 0]]), [-2, -2, 30, 2]);
-});
-
-test("the numbers stand at the far edges, wherever one looks from", () => {
-  const extent = [-4, -3, 4, 2];
-  for (const [eye, x, y] of [[[5, -5, 2], -4, 2], [[-5, 5, 2], 4, -3], [[5, 5, 2], -4, -3]]) {
-    const numbers = numbersOf(extent, 1, eye);
-    assert.ok(numbers.every((each) => each.x === x || each.y === y));
-    assert.deepEqual(new Set(numbers.filter((each) => each.y === y).map(({text}) => text)).has("0 m"), true);
-  }
-  assert.deepEqual(numbersOf(extent, 2, [5, -5, 2]).map(({text}) => text), ["-2 m", "0 m", "2 m", "4 m", "-2 m", "0 m"]);
+test("the floor is as large as what stands on it, in whole metres, and as high as the scene has it", () => {
+  const floor = makeFloor();
+  const half = (...points) => {
+    floor.cover(points, -0.3);
+    return floor.userData.half;
+  };
+  assert.deepEqual([half(), half([3.2, 0, 1], [-4.5, -2.5, 0]), half([1e6, 0, 0])], [3, 5, 30]);
+  assert.equal(floor.position.z, -0.3);
 });
 
 const body = (name, changes) => ({
@@ -145,22 +131,6 @@ test("a plan under review has its own closest point, and only without one the pr
   for (const robot of [null, {plan: null, view: null}, {plan: null, view: {closest: null}}]) assert.equal(closestOf(robot), null);
 });
 
-test("the other body's nearest place is computed from its shape, and is shown only at the distance that was measured", () => {
-  const found = (shape, size, point, distance, changes = {}) => otherPoint(
-    {...clearance, point, distance}, [body("table", {shape, size, position: [1, 0, 0], ...changes})]);
-  const is = (one, other) => one.forEach((value, k) => near(value, other[k]));
-  is(found("box", [1, 1, 1], [1.2, 0, 0.7], 0.2), [1.2, 0, 0.5]);
-  is(found("sphere", [0.5], [2, 0, 0], 0.5), [1.5, 0, 0]);
-  is(found("cylinder", [0.5, 2], [1, 0.8, 0.3], 0.3), [1, 0.5, 0.3]);
-  // turned by 90 degrees about z: what was long in x is long in y
-  const turned = {orientation: [0, 0, Math.SQRT1_2, Math.SQRT1_2]};
-  is(found("box", [4, 1, 1], [1, 2.5, 0], 0.5, turned), [1, 2, 0]);
-  assert.equal(found("box", [1, 1, 1], [1.2, 0, 0.7], 0.25), null);
-  assert.equal(found("mesh", [1, 1, 1], [1.2, 0, 0.7], 0.2), null);
-  assert.equal(found("box", [1, 1, 1], [1.2, 0, 0.7], 0.2, {link: "tool0"}), null, "what is carried moves");
-  assert.equal(otherPoint({...clearance, between: ["link_2", "link_4"]}, []), null);
-});
-
 // -- words
 
 test("words have room or are not there: the more important first, none on another, on a button or outside", () => {
@@ -181,17 +151,4 @@ test("words have room or are not there: the more important first, none on anothe
   assert.equal(first, undefined);
   assert.deepEqual(placed([1, 2].map((rank) => ({x: 150, y: 100, width: 290, height: 60, rank})), 300, 180).map(({rank}) => rank), [2, 1]);
   assert.equal(placed([{x: NaN, y: 1, width: 1, height: 1, rank: 1}], 300, 180).length, 0);
-});
-
-// -- shadows
-
-test("a device draws shadows until most of its frames are slow, and then never again", () => {
-  const fast = makePace();
-  for (let k = 0; k < 200; k += 1) assert.ok(fast(k % 3 ? 3 : 80, k % 4 ? 33 : 0));
-  for (const [held, gap] of [[40, 0], [2, 120]]) {
-    const slow = makePace();
-    const answers = Array.from({length: 20}, () => slow(held, gap));
-    assert.deepEqual([answers.slice(0, 19).every(Boolean), answers[19]], [true, false]);
-    for (let k = 0; k < 60; k += 1) assert.equal(slow(1, 33), false);
-  }
 });

@@ -1,16 +1,15 @@
 import assert from "node:assert/strict";
 import {readFileSync} from "node:fs";
 import {test} from "node:test";
-import {DOMParser} from "linkedom";
 import {Asking, PATIENCE_S, jointsRequest, lineRequest, taskRequest, topic, wayBackRequest} from "../src/planning/asking.js";
-import {ends as chainEnds, forward} from "../src/planning/chain.js";
 import {Goal} from "../src/planning/goal.js";
 import {IkFollower, LOST_S, PERIOD_S} from "../src/planning/ik_follower.js";
-import {ends, fromShown, limits, shown, typed} from "../src/planning/joints.js";
+import {ends, fromShown, shown, typed} from "../src/planning/joints.js";
+import {modelOf} from "../src/planning/model.js";
 import {MOST, Poses, read} from "../src/planning/poses.js";
+import "./support/fake.js";
 
 const file = (name) => readFileSync(new URL(`support/${name}`, import.meta.url), "utf8");
-const xml = (text) => new DOMParser().parseFromString(text, "text/xml");
 const NAMES = ["track", "joint_a1", "joint_a2", "joint_a3", "joint_a4", "joint_a5", "joint_a6"];
 const JOINTS = [
   {name: "a", type: "revolute", lower: -1, upper: 2},
@@ -26,10 +25,8 @@ function storage(entries = {}) {
 // -- the tool's place
 
 test("the tool is where the library's own kinematics has it", () => {
-  const model = xml(file("track.urdf"));
-  const {base, tip} = chainEnds(model, "joint_a6");
+  const {base, tip, pose: tool} = modelOf(file("track.urdf"), NAMES);
   assert.deepEqual([base, tip], ["track_base", "tool0"]);
-  const tool = forward(model, base, tip);
   for (const {joints, position, quaternion} of JSON.parse(file("track_poses.json"))) {
     const found = tool(joints);
     found.position.forEach((value, axis) => assert.ok(Math.abs(value - position[axis]) < 1e-8));
@@ -39,31 +36,30 @@ test("the tool is where the library's own kinematics has it", () => {
   }
 });
 
-test("without tool0 the end of the chain is the tool, and no way there is an error", () => {
-  const model = xml(file("track.urdf").replaceAll('"tool0"', '"hand"'));
-  assert.equal(chainEnds(model, "joint_a6").tip, chainEnds(model, "joint_a5").tip);
-  assert.throws(() => forward(model, "joint_a1", "hand"), /leads from hand not to joint_a1/);
-  assert.throws(() => chainEnds(xml("<robot/>"), "a"), /0 roots/);
+test("the tool may have a prefix; without one the end of the chain is the tool", () => {
+  const tip = (name) => modelOf(file("track.urdf").replaceAll('"tool0"', `"${name}"`), NAMES).tip;
+  assert.deepEqual(["left_tool0", "hand"].map(tip), ["left_tool0", "hand"]);
+  assert.throws(() => modelOf("<html/>", NAMES), /no URDF/);
 });
 
 // -- joints
 
 test("the limits are those of the model, in the order of the view", () => {
-  const found = limits(xml(file("track.urdf")), NAMES);
+  const {joints: found} = modelOf(file("track.urdf"), NAMES);
   assert.deepEqual(found.map((joint) => joint.name), NAMES);
   assert.deepEqual(found.map((joint) => joint.type), ["prismatic", ...Array(6).fill("revolute")]);
   assert.ok(Math.abs(shown(found[1], found[1].upper) - 185) < 1e-9);
 });
 
 test("a joint that the model does not have, or has no limits, is named", () => {
-  assert.throws(() => limits(xml(file("track.urdf")), ["joint_b1"]), /joint_b1/);
-  const open = '<robot><joint name="j" type="revolute"><parent link="x"/><child link="y"/></joint></robot>';
-  assert.throws(() => limits(xml(open), ["j"]), /joint j .*no limits/);
-  assert.equal(limits(xml(open.replace("revolute", "continuous")), ["j"])[0].upper, Math.PI);
+  assert.throws(() => modelOf(file("track.urdf"), ["joint_b1"]), /joint_b1/);
+  const open = '<robot name="r"><link name="x"/><link name="y"/><joint name="j" type="revolute"><parent link="x"/><child link="y"/></joint></robot>';
+  assert.throws(() => modelOf(open, ["j"]), /joint j .*no limits/);
+  assert.equal(modelOf(open.replace("revolute", "continuous"), ["j"]).joints[0].upper, Math.PI);
 });
 
 test("a slider ends inside the limits, never beyond", () => {
-  for (const joint of [...limits(xml(file("track.urdf")), NAMES), ...JOINTS]) {
+  for (const joint of [...modelOf(file("track.urdf"), NAMES).joints, ...JOINTS]) {
     const {min, max} = ends(joint);
     assert.ok(fromShown(joint, min) >= joint.lower - 1e-9 && fromShown(joint, max) <= joint.upper + 1e-9, joint.name);
     assert.ok(shown(joint, joint.upper) - max < 1.01);

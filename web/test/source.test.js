@@ -9,12 +9,9 @@ const files = readdirSync(root, {recursive: true}).filter((name) => name.endsWit
 const read = (name) => readFileSync(path.join(root, name), "utf8");
 
 test("nothing that came from elsewhere can become markup or a program", () => {
-  const wrong = /innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\(|new Function|createContextualFragment|srcdoc/;
+  const wrong = /innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\(|new Function|createContextualFragment|srcdoc|DOMParser/;
   assert.ok(files.length > 5);
   for (const name of files) assert.doesNotMatch(read(name), wrong, name);
-  // a robot's model is read as XML: data, of which no element gets into the page
-  const asXml = /new DOMParser\(\)\.parseFromString\(text, "text\/xml"\)/g;
-  for (const name of files) assert.doesNotMatch(read(name).replace(asXml, ""), /DOMParser/, name);
 });
 
 test("the page names no other server", () => {

@@ -5,7 +5,7 @@
 import {add, addDrawing, clear, setText} from "../dom.js";
 import {axesOf} from "../planning/axes.js";
 import {shown} from "../planning/joints.js";
-import {MEANS, readModel, shortNames} from "../planning/model.js";
+import {shortNames} from "../planning/model.js";
 import {browser} from "./clock.js";
 import {textsOf} from "./tool_fields.js";
 
@@ -35,8 +35,7 @@ function withDeviation(kept, at, value) {
 }
 
 /** Make the panel. */
-export function make(parent, store, connection, texts, {now, every, ...means} = {...browser, ...MEANS}) {
-  const models = new Map();
+export function make(parent, store, connection, texts, {now, every} = browser) {
   const deviations = new Map();
   // it scrolls, and has nothing else in it that a keyboard reaches
   parent.setAttribute("tabindex", "0");
@@ -71,25 +70,6 @@ export function make(parent, store, connection, texts, {now, every, ...means} = 
   let rows = [];
   let shownNames = "";
   let dirty = true;
-
-  // -- the robot's model
-
-  const load = async (name) => {
-    const view = store.robot(name)?.view;
-    const known = models.get(name);
-    const names = view?.joints.names.join("\n");
-    if (!view || connection.state !== "connected" || known?.loading || known?.names === names) return;
-    const mine = {names, loading: true, model: null, trouble: ""};
-    models.set(name, mine);
-    try {
-      mine.model = await readModel(name, view.joints.names, means);
-    } catch (error) {
-      // no such file, a model that is none, a network that ended: values are shown without limits, until the next connection
-      mine.trouble = error.message;
-    }
-    mine.loading = false;
-    dirty = true;
-  };
 
   // -- what is shown
 
@@ -130,8 +110,7 @@ export function make(parent, store, connection, texts, {now, every, ...means} = 
     });
   };
 
-  const showTool = (view, mine) => {
-    const model = mine?.model ?? null;
+  const showTool = (view, model) => {
     tool.hidden = model === null;
     const of = (pose) => (model === null || !pose ? null : model.pose(Object.fromEntries(view.joints.names.map((name, k) => [name, pose.positions[k]]))));
     const [twin, arm] = [of(view.twin), of(view.arm)];
@@ -165,11 +144,11 @@ export function make(parent, store, connection, texts, {now, every, ...means} = 
     shownNames = names;
     // without a model of the servos nobody ever expects anything: no place is taken for it
     area.classList.toggle("has-expected", (view.expected ?? null) !== null);
-    const mine = models.get(robot.name);
-    axesOf(view, mine?.model?.joints ?? null).forEach((axis, k) => showRow(rows[k], axis));
-    showTool(view, mine);
+    const model = robot.model?.joints ? robot.model : null;
+    axesOf(view, model?.joints ?? null).forEach((axis, k) => showRow(rows[k], axis));
+    showTool(view, model);
     showCurve(robot.name);
-    setText(note, mine?.trouble ? texts("axes.no_limits", {why: mine.trouble}) : "");
+    setText(note, robot.model?.trouble ? texts("axes.no_limits", {why: robot.model.trouble}) : "");
     const told = (value, unit = "") => {
       if (view.link === null) return texts("axes.unknown");
       return value === "" || value === null || value === undefined ? texts("axes.not_sent") : `${value}${unit}`;
@@ -186,13 +165,8 @@ export function make(parent, store, connection, texts, {now, every, ...means} = 
     if (robot === store.selected) dirty = true;
     const deviation = view === null ? null : deviationOf(view);
     if (deviation !== null) deviations.set(robot, withDeviation(deviations.get(robot) ?? [], now(), deviation));
-    load(robot);
   });
-  store.on("connection", () => {
-    for (const [name, {trouble}] of models) if (trouble !== "") models.delete(name);
-    show();
-  });
-  store.on("selected", show);
+  for (const kind of ["selected", "connection", "model"]) store.on(kind, show);
   every(EVERY, () => {
     if (dirty && isOpen()) show();
   });

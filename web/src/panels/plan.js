@@ -6,10 +6,9 @@
  */
 import {add, button, clear, setText} from "../dom.js";
 import {Asking, jointsRequest, lineRequest, topic} from "../planning/asking.js";
-import {ends as chainEnds, forward} from "../planning/chain.js";
 import {Goal} from "../planning/goal.js";
 import {IkFollower} from "../planning/ik_follower.js";
-import {ends, fromShown, limits, shown, typed, unit} from "../planning/joints.js";
+import {ends, fromShown, shown, typed, unit} from "../planning/joints.js";
 import {LONGEST, Poses} from "../planning/poses.js";
 import {storageOf} from "../storage.js";
 import {showAsking} from "./asking_line.js";
@@ -27,10 +26,9 @@ class Desk {
     this.asking = new Asking(run);
     // what the broker has said to what a person asked for on this connection: "", "taken", "refused"
     this.broker = "";
-    // null until the model was read; then {joints, pose, poses}
+    // null until the model was read; then as in planning/model.js, and the saved poses
     this.model = null;
-    this.trouble = "";
-    this.loading = false;
+    this.poses = null;
     this.goal = null;
     this.dragged = null;
     this.asked = new Map();
@@ -45,15 +43,9 @@ class Desk {
  * @param {object} store see store.js
  * @param {object} connection see connection.js
  * @param {Function} texts see texts.js
- * @param {object} [means] for tests: `fetchText(path)`, `parse(text)`, `storage`, `now()` [s]
+ * @param {object} [means] for tests: `storage`, `now()` [s]
  */
-export function make(parent, store, connection, texts, means = {}) {
-  const {
-    fetchText = fetchFile,
-    parse = (text) => new DOMParser().parseFromString(text, "text/xml"),
-    storage = storageOf(),
-    now = () => performance.now() / 1000,
-  } = means;
+export function make(parent, store, connection, texts, {storage = storageOf(), now = () => performance.now() / 1000} = {}) {
   const desks = new Map();
   let timer = null;
   let shownJoints = null;
@@ -102,27 +94,13 @@ export function make(parent, store, connection, texts, means = {}) {
 
   // -- what the robot is, and whether this account may plan
 
-  /** Read the robot's model, once there is a connection and its joints are known. */
-  async function prepare(robot) {
-    const view = store.robot(robot)?.view;
+  function onModel(robot, model) {
     const mine = desk(robot);
-    if (!view || connection.state !== "connected" || mine.loading) return;
-    if (mine.model !== null && sameNames(mine.model.joints, view.joints.names)) return;
-    if (mine.trouble !== "") return;
-    mine.loading = true;
-    mine.model = null;
-    try {
-      const model = parse(await fetchText(`private/${encodeURIComponent(robot)}/robot.urdf`));
-      const joints = limits(model, view.joints.names);
-      const {base, tip} = chainEnds(model, joints.at(-1).name);
-      mine.model = {joints, pose: forward(model, base, tip), poses: new Poses(storage, robot, joints)};
-      mine.goal = new Goal(joints);
-      if (mine.model.poses.dropped > 0) mine.note = texts("plan.pose.dropped", {count: mine.model.poses.dropped});
-    } catch (error) {
-      // no such file, a model that is none, a network that ended: each is told, and tried again with the next connection
-      mine.trouble = error.message;
-    } finally {
-      mine.loading = false;
+    mine.model = model.trouble ? null : model;
+    if (mine.model !== null) {
+      mine.goal = new Goal(model.joints);
+      mine.poses = new Poses(storage, robot, model.joints);
+      if (mine.poses.dropped > 0) mine.note = texts("plan.pose.dropped", {count: mine.poses.dropped});
     }
     show();
   }
@@ -237,20 +215,20 @@ export function make(parent, store, connection, texts, means = {}) {
 
   function onSave() {
     const mine = selected();
-    const why = mine.model.poses.save(name.value, mine.goal.values);
+    const why = mine.poses.save(name.value, mine.goal.values);
     mine.note = why === "" ? texts("plan.pose.saved", {name: name.value.trim()}) : texts(`plan.pose.not.${why}`);
     if (why === "") name.value = "";
     show();
   }
 
   function usePose(pose) {
-    const found = selected().model.poses.find(pose);
+    const found = selected().poses.find(pose);
     if (found !== null) setGoal(found.joints);
   }
 
   function removePose(pose) {
     const mine = selected();
-    const why = mine.model.poses.remove(pose);
+    const why = mine.poses.remove(pose);
     mine.note = why === "" ? texts("plan.pose.removed", {name: pose}) : texts(`plan.pose.not.${why}`);
     show();
   }
@@ -308,7 +286,8 @@ export function make(parent, store, connection, texts, means = {}) {
   function sentence(robot, mine, connected) {
     if (mine === null || !connected) return texts("plan.not_connected");
     if (!mayPlan(robot)) return whoPlans(robot);
-    if (mine.trouble !== "") return texts("plan.no_model", {why: mine.trouble});
+    const trouble = store.robot(robot)?.model?.trouble;
+    if (trouble) return texts("plan.no_model", {why: trouble});
     if (mine.model === null) return texts("plan.loading");
     return hasPose ? "" : texts("plan.no_pose");
   }
@@ -372,7 +351,7 @@ export function make(parent, store, connection, texts, means = {}) {
   }
 
   function showPoses(mine) {
-    const {list} = mine.model.poses;
+    const {list} = mine.poses;
     const present = [...choice.children].map((option) => option.value);
     if (present.length !== list.length || list.some((pose, number) => pose.name !== present[number])) {
       clear(choice);
@@ -387,10 +366,10 @@ export function make(parent, store, connection, texts, means = {}) {
   // -- what the others tell
 
   store.on("view", (robot) => {
-    prepare(robot);
     if (robot === store.selected && hasPose !== (presentJoints(robot) !== null)) show();
   });
   for (const kind of ["selected", "old", "rights"]) store.on(kind, show);
+  store.on("model", onModel);
   store.on("drag", onDrag);
   store.on("ik_ack", onIkAnswer);
   store.on("plan_request_ack", (robot, message) => {
@@ -404,7 +383,6 @@ export function make(parent, store, connection, texts, means = {}) {
     for (const mine of desks.values()) {
       mine.follower.drop();
       mine.broker = "";
-      mine.trouble = "";
       if (state !== "connected") mine.asking.onLost();
     }
     show();
@@ -416,14 +394,4 @@ export function make(parent, store, connection, texts, means = {}) {
     if (mine.asking.isBusy || mine.follower.isLost(now())) show();
   }, LOOK_EVERY).unref?.();
   show();
-}
-
-function sameNames(joints, names) {
-  return joints.length === names.length && joints.every((joint, number) => joint.name === names[number]);
-}
-
-async function fetchFile(path) {
-  const answer = await fetch(path);
-  if (!answer.ok) throw new Error(`${path}: ${answer.status}`);
-  return answer.text();
 }

@@ -8,16 +8,13 @@ import {Box3, DirectionalLight, HemisphereLight, Object3D, PerspectiveCamera, Ra
 import {OrbitControls} from "three/addons/controls/OrbitControls.js";
 import {TransformControls} from "three/addons/controls/TransformControls.js";
 import {clock} from "../progress.js";
-import {closestOf, millimetres, otherPoint} from "./closest.js";
+import {closestOf, millimetres} from "./closest.js";
 import * as colours from "./colours.js";
 import {around, clipped, corners, fit} from "./fit.js";
-import {makeFloor} from "./floor.js";
-import {floorOf} from "./grid.js";
+import {floorOf, makeFloor} from "./floor.js";
 import {playedOf} from "./played.js";
 import {ghostOf, loadRobot, mainColour, reachOf, reasonOf, setJoints, toolOf} from "./robot_model.js";
-import {
-  axes, closestMarker, colourBuilding, dispose, ghostMaterial, isEngaged, loadBuilding, pathLine, playedPath, reachMarker, sceneBody,
-} from "./shapes.js";
+import {axes, colourBuilding, dispose, ghostMaterial, isEngaged, loadBuilding, markerBall, pathLine, playedPath, sceneBody} from "./shapes.js";
 
 /** Directions from which the cell is looked at: towards the camera. */
 const VIEWS = {home: [0.72, -0.62, 0.4], front: [1, 0, 0.14], side: [0, -1, 0.14], top: [0.001, 0, 1]};
@@ -31,13 +28,11 @@ const REACH = 2.5;
 const AROUND = 0.2;
 /** Length of the tool frame's axes, as a part of the arm's reach. */
 const AXES = 0.1;
-/** A body has its name beside it where it is at least so large on the screen [px]; so many have at most. */
-const NEAR = 60;
-const MOST_NAMES = 12;
+/** Radius of the balls that mark the closest point, and whether a goal is reached [m]. */
+const CLOSEST_BALL = 0.02;
+const REACH_BALL = 0.05;
 /** Joint values that differ by less show the same picture [rad], [m]. */
 const SAME = 1e-3;
-/** The camera has arrived after so long [ms]. */
-const GLIDE = 260;
 /** A finger that moved less than this [px] has tapped. */
 const TAP = 8;
 /** Wait before a model that could not be loaded is asked for again [ms]. */
@@ -55,9 +50,9 @@ const rounded = (key, value) => (typeof value === "number" ? Math.round(1e5 * va
  * @param {Element} overlay transparent, above its part of the picture: takes the gestures
  * @param {object} store
  * @param {() => void} redraw
- * @param {object} [options] `glides`: the camera takes a moment to get somewhere; `ratio`: pixels of the screen by pixel of the page
+ * @param {number} [ratio] pixels of the screen by pixel of the page
  */
-export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 1} = {}) {
+export function makeCell(name, overlay, store, redraw, ratio = 1) {
   const scene = new Scene();
   const camera = new PerspectiveCamera(FOV, 1, 0.05, 120);
   camera.up.set(0, 0, 1);
@@ -66,21 +61,17 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
   controls.minDistance = 0.3;
   // the floor is solid: from below nothing is seen
   controls.maxPolarAngle = Math.PI * 0.495;
-  const ground = makeFloor(overlay.ownerDocument);
+  const ground = makeFloor();
   scene.add(ground);
-  let high = 1;
   let inset = undefined;
   controls.addEventListener("change", () => {
     controls.target.z = Math.max(controls.target.z, ground.position.z);
-    lookAtFloor();
     redraw();
   });
   // the view that was chosen; "" once the person has turned or moved it by hand
   let chosen = "home";
-  let gliding = null;
   controls.addEventListener("start", () => {
     chosen = "";
-    gliding = null;
   });
   const sun = new DirectionalLight(0xffffff, 2.1);
   const fill = new DirectionalLight(0xdfe9ff, 0.5);
@@ -107,8 +98,6 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
   // whether the arm as measured is known; where it stands in the twin, it is hidden by it
   const there = {arm: false};
   let covered = false;
-  let nearKey = "";
-  let other = null;
   let building = null;
   let buildingOf = "";
   let sceneKey = "";
@@ -116,8 +105,8 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
   let drawnAt = -AT_LEAST_EVERY;
   let height = 0;
   const objects = [];
-  const closest = closestMarker();
-  const reach = reachMarker();
+  const closest = markerBall(CLOSEST_BALL, colours.CLOSEST);
+  const reach = markerBall(REACH_BALL);
   const playedLine = playedPath();
   scene.add(closest, reach, playedLine);
   let played = null;
@@ -279,13 +268,9 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
   }
 
   function showClosest() {
-    const found = closestOf(robot());
-    const key = JSON.stringify([found, sceneKey], rounded);
-    if (key === nearKey) return;
-    nearKey = key;
-    near = found;
-    other = near === null ? null : otherPoint(near, robot().scene?.objects ?? []);
-    closest.show(near, other);
+    near = closestOf(robot());
+    closest.visible = near !== null;
+    if (near !== null) closest.position.fromArray(near.point);
   }
 
   /** Show where the tool goes by the plan that is played. */
@@ -370,7 +355,6 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
       body.userData.carried = Boolean(object.link);
       objects.push(body);
     }
-    showClosest();
     refit();
     redraw();
   }
@@ -501,7 +485,6 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
     ground.cover(points, height);
     light();
     if (chosen !== "" && chosen !== "tool" && gizmo.object === undefined) look(chosen, points);
-    else lookAtFloor();
     redraw();
   }
 
@@ -513,10 +496,6 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
     sun.position.set(0.45, -0.5, 1).normalize().multiplyScalar(2 * radius).add(centre);
     Object.assign(sun.shadow.camera, {left: -radius, right: radius, top: radius, bottom: -radius, near: 0.1, far: 4 * radius});
     sun.shadow.camera.updateProjectionMatrix();
-  }
-
-  function lookAtFloor() {
-    ground.look(camera.position, controls.target, FOV, high);
   }
 
   function look(view, points = content()) {
@@ -550,32 +529,10 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
     goTo(fit([...points, ...box], camera.position.clone().sub(controls.target).toArray(), FOV, camera.aspect, inset));
   }
 
-  function goTo(place) {
-    const [position, target] = [new Vector3(...place.position), new Vector3(...place.target)];
-    gliding = null;
-    if (glides && camera.position.lengthSq() > 0) {
-      gliding = {from: camera.position.clone(), to: position, begin: performance.now(), fromTarget: controls.target.clone(), target};
-    } else {
-      stand(position, target);
-    }
-    redraw();
-  }
-
-  function stand(position, target) {
-    controls.target.copy(target);
-    camera.position.copy(position);
+  function goTo({position, target}) {
+    controls.target.fromArray(target);
+    camera.position.fromArray(position);
     controls.update();
-    lookAtFloor();
-  }
-
-  /** Move the camera on its way; called before each frame. */
-  function advance(now) {
-    if (gliding === null) return;
-    const {from, to, begin, fromTarget, target} = gliding;
-    const part = Math.min(1, (now - begin) / GLIDE);
-    const eased = part * part * (3 - 2 * part);
-    if (part === 1) gliding = null;
-    stand(from.clone().lerp(to, eased), fromTarget.clone().lerp(target, eased));
     redraw();
   }
 
@@ -589,39 +546,13 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
       if (projected.z < -1 || projected.z > 1) return;
       found.push({text, kind, rank, x: (projected.x + 1) / 2 * width, y: (1 - projected.y) / 2 * tall});
     };
-    if (near !== null) {
-      const point = new Vector3(...near.point);
-      at(other === null ? point : point.add(new Vector3(...other)).divideScalar(2), `${millimetres(near.distance)} mm`, "closest", 90);
-    }
+    if (near !== null) at(new Vector3(...near.point), `${millimetres(near.distance)} mm`, "closest", 90);
     if (played !== null && played.remaining !== null) at(new Vector3(...played.end), clock(played.remaining), "left", 95);
-    const names = [];
-    const name = (object, text, isTapped) => {
-      const box = new Box3().setFromObject(object);
-      if (box.isEmpty()) return;
-      const centre = box.getCenter(new Vector3());
-      const size = box.getSize(new Vector3()).length() / camera.position.distanceTo(centre) * high / (2 * Math.tan(FOV * Math.PI / 360));
-      if (isTapped || size >= NEAR) names.push({point: centre.setZ(isTapped ? box.max.z : centre.z), text, rank: isTapped ? 80 : Math.min(40, size / 20)});
-    };
-    for (const body of objects) if (body.visible) name(body, body.name, tapped?.object === body.name);
-    if (building !== null) {
-      const chosenElement = robot()?.picked?.element || tapped?.element;
-      for (const [element, {label, node}] of building.elements) {
-        const isChosen = element === chosenElement;
-        if (isChosen || camera.position.distanceTo(controls.target) < reachable) name(node, label, isChosen);
-      }
-    }
-    for (const {point, text, rank} of names.sort((one, other) => other.rank - one.rank).slice(0, MOST_NAMES)) at(point, text, "name", rank);
-    const plan = path === null ? null : robot()?.plan;
-    if (plan) {
-      const {tool_path: points, waypoints} = plan;
-      const last = points.length - 1;
-      // a thinned path has not all of them: then only its ends have a number
-      const all = waypoints === points.length;
-      points.forEach((point, k) => {
-        const isEnd = k === 0 || k === last;
-        if (isEnd || all && k % 5 === 4) at(new Vector3(...point), String(k === last ? waypoints : k + 1), "waypoint", isEnd ? 60 : 10);
-      });
-    }
+    // what was tapped or picked has its name
+    const picked = building?.elements.get(robot()?.picked?.element || tapped?.element);
+    const body = picked?.node ?? objects.find((each) => each.visible && each.name === tapped?.object);
+    const box = body && new Box3().setFromObject(body);
+    if (box && !box.isEmpty()) at(box.getCenter(new Vector3()).setZ(box.max.z), picked?.label ?? body.name, "name", 80);
     return found;
   }
 
@@ -656,7 +587,7 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
   refit();
 
   return {
-    name, scene, camera, state, look, labels, advance,
+    name, scene, camera, state, look, labels,
     /** Whether the handle moves the tool or turns it. */
     get turns() {
       return gizmo.mode === "rotate";
@@ -669,22 +600,14 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
     },
     /** Have another part of the picture, so many pixels large, of which `inset` (fit.js) is covered. */
     resize(width, tall, covered) {
-      high = tall;
       inset = covered;
       camera.aspect = width / tall;
       camera.updateProjectionMatrix();
       // what a person has chosen stays, at another size too
-      const moving = glides;
-      glides = false;
       if (chosen !== "") look(chosen);
-      else lookAtFloor();
-      glides = moving;
     },
-    /** Take the colours of the theme: of the floor, of its lines and of its numbers. */
-    theme(plain, line, text) {
-      ground.theme({plain, line, text});
-      lookAtFloor();
-    },
+    /** Take the colours of the theme: of the floor and of its lines. */
+    theme: ground.theme,
     /** Draw shadows, or none. */
     shadows(on) {
       sun.castShadow = on;
@@ -737,7 +660,7 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
         : {position: handle.position.toArray(), screen: onScreen(handle.position), axis: screenAxis(), mode: gizmo.mode};
       result.camera = {position: camera.position.toArray(), target: controls.target.toArray(), chosen};
       result.closest = closest.visible ? near : null;
-      result.floor = ground.userData;
+      result.floor = {height: ground.position.z, half: ground.userData.half};
       result.frame = toolFrame();
       result.reach = reach.visible ? reach.material.color.getHex() : null;
       result.reachAt = reach.position.toArray();
@@ -748,7 +671,6 @@ export function makeCell(name, overlay, store, redraw, {glides = false, ratio = 
       for (const stop of ends) stop();
       controls.dispose();
       gizmo.dispose();
-      ground.end();
       dispose(scene);
     },
   };

@@ -40,6 +40,8 @@ export const PATH = 0x2f7df6;
 /** While a plan is played: what is still ahead of the tool is drawn as the planned path was. */
 export const AHEAD = PATH;
 export const TRAVELLED = 0x8696b0;
+/** Of the waypoints on a path. */
+export const WAYPOINT = 0xffffff;
 export const PATH_ENGAGED = 0xf29a1a;
 export const CLOSEST = 0xd946ef;
 export const STANDING = 0xaab2be;

@@ -9,10 +9,10 @@ const ABOVE = 10;
 const overlap = (a, b) => a.x < b.x + b.width + GAP && b.x < a.x + a.width + GAP && a.y < b.y + b.height + GAP && b.y < a.y + a.height + GAP;
 
 /**
- * Return the labels that have room, each {...label, left, top}: the more important first, above its point, else below it or beside it
- * (with `beside` the other way round), within the picture. Pure.
+ * Return the labels that have room, each {...label, left, top}: the more important first, above its point, else below it or beside it,
+ * within the picture. Pure.
  *
- * @param {{x: number, y: number, width: number, height: number, rank: number, beside: boolean}[]} labels place of the point, size [px]
+ * @param {{x: number, y: number, width: number, height: number, rank: number}[]} labels place of the point, size [px]
  * @param {number} width, height of the picture [px]
  * @param {{x: number, y: number, width: number, height: number}[]} taken where nothing may stand
  */
@@ -22,10 +22,8 @@ export function placed(labels, width, height, taken = []) {
   for (const label of [...labels].sort((one, other) => other.rank - one.rank)) {
     const {x, y} = label;
     if (!(x >= 0 && x <= width && y >= 0 && y <= height)) continue;
-    const upright = [[x - label.width / 2, y - label.height - ABOVE], [x - label.width / 2, y + ABOVE]];
-    const beside = [[x + ABOVE, y - label.height / 2], [x - label.width - ABOVE, y - label.height / 2]];
-    const places = label.beside ? [...beside, ...upright] : [...upright, ...beside];
-    for (const [left, top] of places) {
+    const [middle, level] = [x - label.width / 2, y - label.height / 2];
+    for (const [left, top] of [[middle, y - label.height - ABOVE], [middle, y + ABOVE], [x + ABOVE, level], [x - label.width - ABOVE, level]]) {
       const box = {x: left, y: top, width: label.width, height: label.height};
       if (left < 0 || top < 0 || left + label.width > width || top + label.height > height) continue;
       if (boxes.some((each) => overlap(each, box))) continue;
@@ -38,8 +36,8 @@ export function placed(labels, width, height, taken = []) {
 }
 
 /** About how large a text is [px]: to ask the browser for each would have it lay out the page at each frame. */
-export function sizeOf(text, small) {
-  return small ? {width: 7 * text.length + 8, height: 16} : {width: 8.4 * text.length + 16, height: 22};
+export function sizeOf(text) {
+  return {width: 8.4 * text.length + 16, height: 22};
 }
 
 /**
@@ -52,8 +50,7 @@ export function makeLabels(overlay) {
   const layer = add(overlay, "div", {className: "labels", "aria-hidden": "true"});
   const elements = [];
   return (labels, width, height, taken) => {
-    const shown = placed(labels.map((label) => (
-      {...label, ...sizeOf(label.text, label.kind === "waypoint"), beside: label.kind === "closest"})), width, height, taken);
+    const shown = placed(labels.map((label) => ({...label, ...sizeOf(label.text)})), width, height, taken);
     while (elements.length < shown.length) elements.push(add(layer, "span"));
     elements.forEach((element, k) => {
       element.hidden = k >= shown.length;

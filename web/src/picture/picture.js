@@ -13,7 +13,6 @@ import {millimetres} from "./closest.js";
 import {drawIcon} from "./icons.js";
 import {makeLabels} from "./labels.js";
 import {entriesOf} from "./legend.js";
-import {makePace} from "./pace.js";
 import {IN_VIEW, seenWord} from "./seen.js";
 
 const VIEWS = ["home", "front", "side", "top", "tool"];
@@ -70,7 +69,6 @@ export function make(parent, store, connection, texts) {
   renderer.setScissorTest(true);
   renderer.shadowMap.enabled = true;
   renderer.shadowMap.type = PCFShadowMap;
-  const still = matchMedia("(prefers-reduced-motion: reduce)");
 
   const cells = new Map();
   let alone = false;
@@ -86,10 +84,6 @@ export function make(parent, store, connection, texts) {
   let folded = null;
   let listed = "";
   let covers = null;
-  let shadows = !software;
-  let painted = 0;
-  let waited = 0;
-  const pace = makePace();
   canvas.frames = 0;
   canvas.frameTime = 0;
   canvas.inspect = (name) => {
@@ -145,7 +139,7 @@ export function make(parent, store, connection, texts) {
   }
 
   function theme() {
-    for (const {cell} of cells.values()) cell.theme(colour("--floor"), colour("--grid"), colour("--soft"));
+    for (const {cell} of cells.values()) cell.theme(colour("--floor"), colour("--grid"));
     redraw();
   }
 
@@ -227,10 +221,8 @@ export function make(parent, store, connection, texts) {
       if (cells.has(name) || cells.size >= MOST) continue;
       const overlay = add(stage, "div", {className: "overlay", role: "group", "aria-label": texts("picture.part", {robot: name})});
       add(overlay, "span", {className: "overlay-name", text: name});
-      const cell = makeCell(name, overlay, store, redraw, {
-        glides: !software && !still.matches, ratio: renderer.getPixelRatio(),
-      });
-      cell.shadows(shadows);
+      const cell = makeCell(name, overlay, store, redraw, renderer.getPixelRatio());
+      cell.shadows(!software);
       const each = {overlay, cell, show: makeLabels(overlay), words: []};
       stage.append(above);
       cells.set(name, each);
@@ -284,28 +276,17 @@ export function make(parent, store, connection, texts) {
   turns.port1.onmessage = () => {
     const ended = performance.now();
     canvas.frameTime = ended - began;
-    if (shadows && !pace(canvas.frameTime, painted)) setShadows(false);
     nextFrame = Math.max(began + FRAME, ended + canvas.frameTime);
   };
 
-  function setShadows(on) {
-    shadows = on;
-    for (const {cell} of cells.values()) cell.shadows(on);
-    redraw();
-  }
-
   function draw() {
     requestAnimationFrame(draw);
-    waited = dirty ? waited + 1 : 0;
     if (dirty && width > 0 && performance.now() >= nextFrame) paint();
   }
 
   function paint() {
-    // frames that are asked for one after the other tell how long the graphics take with one
-    const now = performance.now();
-    painted = waited > 0 && waited < 6 ? now - began : 0;
     dirty = false;
-    began = now;
+    began = performance.now();
     nextFrame = Infinity;
     turns.port2.postMessage(null);
     showNote();
@@ -315,7 +296,6 @@ export function make(parent, store, connection, texts) {
     const visible = shown();
     visible.forEach(({cell}, k) => {
       const part = width / visible.length;
-      cell.advance(now);
       renderer.setViewport(k * part, 0, part, height);
       renderer.setScissor(k * part, 0, part, height);
       renderer.render(cell.scene, cell.camera);

@@ -3,11 +3,7 @@
  *
  * Copies share their geometries; each has materials of its own.
  */
-import {Group, Mesh, MeshLambertMaterial, Triangle, Vector3} from "three";
-import {ColladaLoader} from "three/addons/loaders/ColladaLoader.js";
-import {GLTFLoader} from "three/addons/loaders/GLTFLoader.js";
-import {OBJLoader} from "three/addons/loaders/OBJLoader.js";
-import {STLLoader} from "three/addons/loaders/STLLoader.js";
+import {Group, Mesh, MeshLambertMaterial} from "three";
 import {mergeVertices} from "three/addons/utils/BufferGeometryUtils.js";
 import URDFLoader from "urdf-loader";
 
@@ -39,16 +35,32 @@ function oneAfterTheOther() {
 
 const asText = (bytes) => new TextDecoder().decode(bytes);
 
-/** What reads a mesh file, by its ending: from its bytes to a three object in the file's own axes, as rviz takes them. */
+/** Return scene and asset of a GLB file. */
+export async function readGlb(bytes) {
+  const {GLTFLoader} = await import("three/addons/loaders/GLTFLoader.js");
+  return new GLTFLoader().parseAsync(bytes, "");
+}
+
+/**
+ * What reads a mesh file, by its ending: from its bytes to a three object in the file's own axes, as rviz takes them. A reader is
+ * loaded when a robot has such a file.
+ */
 const READERS = {
-  ".dae": (bytes) => {
+  ".dae": async (bytes) => {
+    const {ColladaLoader} = await import("three/addons/loaders/ColladaLoader.js");
     const {scene} = quietly(() => new ColladaLoader().parse(asText(bytes), ""));
     scene.quaternion.identity();
     return new Group().add(scene);
   },
-  ".glb": async (bytes) => (await new GLTFLoader().parseAsync(bytes, "")).scene,
-  ".obj": (bytes) => new OBJLoader().parse(asText(bytes)),
-  ".stl": (bytes, material) => new Mesh(new STLLoader().parse(bytes), material),
+  ".glb": async (bytes) => (await readGlb(bytes)).scene,
+  ".obj": async (bytes) => {
+    const {OBJLoader} = await import("three/addons/loaders/OBJLoader.js");
+    return new OBJLoader().parse(asText(bytes));
+  },
+  ".stl": async (bytes, material) => {
+    const {STLLoader} = await import("three/addons/loaders/STLLoader.js");
+    return new Mesh(new STLLoader().parse(bytes), material);
+  },
 };
 
 /** Return the meshes of a file as a three object. */
@@ -91,6 +103,31 @@ function quietly(read) {
 }
 
 /**
+ * Read a URDF.
+ *
+ * @param {string} text
+ * @param {string} here address that its meshes are relative to
+ * @param {object} [options] of the reader
+ * @returns {{robot: URDFRobot, wanted: {path: string, material: Material, done: Function}[]}} the meshes that belong into it
+ */
+export function parseRobot(text, here, options = {}) {
+  if (!/<robot[\s>]/.test(text)) throw new ModelError("the robot's model is no URDF");
+  const wanted = [];
+  const loader = Object.assign(new URDFLoader(), {
+    parseCollision: false,
+    loadMeshCb: (path, manager, material, done) => wanted.push({path: new URL(path, here).href, material, done}),
+    packages: (name) => {
+      throw new ModelError(`a mesh of the package ${name}: expected an address on this server`);
+    },
+    ...options,
+  });
+  const robot = loader.parse(text);
+  // where an arm stands is shown, also where it should not be
+  for (const joint of Object.values(robot.joints)) joint.ignoreLimits = true;
+  return {robot, wanted};
+}
+
+/**
  * Load a robot.
  *
  * @param {string} url of its URDF, whose meshes are addresses on this server, relative to it
@@ -99,15 +136,7 @@ function quietly(read) {
  */
 export async function loadRobot(url, onProgress) {
   const text = await fetchOwn(url, (answer) => answer.text());
-  const wanted = [];
-  const loader = new URDFLoader();
-  loader.parseCollision = false;
-  const here = new URL(url, location.href);
-  loader.loadMeshCb = (path, manager, material, done) => wanted.push({path: new URL(path, here).href, material, done});
-  loader.packages = (name) => {
-    throw new ModelError(`a mesh of the package ${name}: expected an address on this server`);
-  };
-  const robot = loader.parse(text);
+  const {robot, wanted} = parseRobot(text, new URL(url, location.href));
   // the colours of a URDF are meant as they are on a screen, in rviz as well; its reader takes them for amounts of light
   const own = new Set(wanted.map(({material}) => material));
   robot.traverse((child) => {
@@ -168,9 +197,10 @@ export function setJoints(robot, names, positions) {
   return missing;
 }
 
-/** Return the link whose pose is the tool's: tool0, else the last of the chain of links. */
+/** Return the link whose pose is the tool's: tool0, with the prefix that a model may have, else the last of the chain of links. */
 export function toolOf(robot) {
-  if (robot.links.tool0) return robot.links.tool0;
+  const named = robot.links.tool0 ?? Object.values(robot.links).find(({name}) => name.endsWith("tool0"));
+  if (named !== undefined) return named;
   let last = robot;
   let deepest = -1;
   for (const link of Object.values(robot.links)) {
@@ -197,21 +227,13 @@ export function reachOf(robot) {
   return reach;
 }
 
-/** Every so many triangles of a mesh are measured: what a person sees of a robot does not hang on a screw. */
-const EVERY = 7;
-
-/** Return the colour of the largest part of a robot's surface: the one that a person knows it by. */
+/** Return the colour of the largest part of a robot's shapes: the one that a person knows it by. */
 export function mainColour(robot) {
-  const areas = new Map();
-  const [a, b, c] = [new Vector3(), new Vector3(), new Vector3()];
+  const corners = new Map();
   robot.traverse((child) => {
     if (!child.isMesh) return;
-    const {index, attributes: {position}} = child.geometry;
-    const corner = (k, to) => to.fromBufferAttribute(position, index ? index.getX(k) : k);
-    let area = 0;
-    for (let k = 0; k + 2 < (index ?? position).count; k += 3 * EVERY) area += new Triangle(corner(k, a), corner(k + 1, b), corner(k + 2, c)).getArea();
     const colour = child.material.color.getHex();
-    areas.set(colour, (areas.get(colour) ?? 0) + area);
+    corners.set(colour, (corners.get(colour) ?? 0) + child.geometry.attributes.position.count);
   });
-  return [...areas].sort(([, one], [, other]) => other - one)[0]?.[0] ?? null;
+  return [...corners].sort(([, one], [, other]) => other - one)[0]?.[0] ?? null;
 }

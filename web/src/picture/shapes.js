@@ -1,15 +1,14 @@
 /** Objects of the scene, the building model, lines and markers. Metres, in base_link. */
 import {
   BoxGeometry, BufferGeometry, Color, CylinderGeometry, DoubleSide, EdgesGeometry, Float32BufferAttribute, Group, LineBasicMaterial, LineSegments,
-  Mesh, MeshBasicMaterial, MeshLambertMaterial, Points, ShaderMaterial, SphereGeometry,
+  Mesh, MeshBasicMaterial, MeshLambertMaterial, Points, PointsMaterial, SphereGeometry,
 } from "three";
-import {GLTFLoader} from "three/addons/loaders/GLTFLoader.js";
 import {Line2} from "three/addons/lines/Line2.js";
 import {LineGeometry} from "three/addons/lines/LineGeometry.js";
 import {LineMaterial} from "three/addons/lines/LineMaterial.js";
 import {mergeGeometries} from "three/addons/utils/BufferGeometryUtils.js";
 import * as colours from "./colours.js";
-import {fetchOwn, loadMesh} from "./robot_model.js";
+import {fetchOwn, loadMesh, readGlb} from "./robot_model.js";
 import {stateOfElement} from "../work/task_list.js";
 
 /** Free what a group holds on the graphics card. */
@@ -90,7 +89,7 @@ export function sceneBody(object, onChange) {
  */
 export async function loadBuilding(url) {
   const bytes = await fetchOwn(url, (answer) => answer.arrayBuffer());
-  const {scene, asset} = await new GLTFLoader().parseAsync(bytes, "");
+  const {scene, asset} = await readGlb(bytes);
   const group = new Group();
   group.rotation.x = Math.PI / 2;
   group.add(scene);
@@ -123,33 +122,12 @@ export function colourBuilding(building, tasks, picked) {
   }
 }
 
-const DOT_VERTEX = `
-uniform float size;
-attribute vec3 color;
-varying vec3 tint;
-void main() {
-  tint = color;
-  gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
-  // nearer than the line that goes through them
-  gl_Position.z -= 2e-4 * gl_Position.w;
-  gl_PointSize = size;
-}`;
-const DOT_FRAGMENT = `
-varying vec3 tint;
-void main() {
-  float far = 2.0 * length(gl_PointCoord - 0.5);
-  if (far > 1.0) discard;
-  gl_FragColor = vec4(mix(vec3(1.0), tint, smoothstep(0.5, 0.65, far)), 1.0);
-}`;
-
-/** Return points as white dots with a rim of the colour of each, so many pixels wide. */
-function dots(points, rims, size) {
+/** Return points as dots of these colours, so many pixels wide. */
+function dots(points, colours, size) {
   const geometry = new BufferGeometry();
   geometry.setAttribute("position", new Float32BufferAttribute(points.flat(), 3));
-  geometry.setAttribute("color", new Float32BufferAttribute(rims.flatMap((rim) => [rim >> 16, rim >> 8 & 255, rim & 255].map((value) => value / 255)), 3));
-  const found = new Points(geometry, new ShaderMaterial({uniforms: {size: {value: size}}, vertexShader: DOT_VERTEX, fragmentShader: DOT_FRAGMENT}));
-  found.renderOrder = 1;
-  return found;
+  geometry.setAttribute("color", new Float32BufferAttribute(colours.flatMap((colour) => new Color(colour).toArray()), 3));
+  return new Points(geometry, new PointsMaterial({size, sizeAttenuation: false, vertexColors: true}));
 }
 
 /** So large are the dots at the waypoints, and at the ends of a path and of its segments [px]. */
@@ -167,14 +145,13 @@ export function pathLine(points, segments = [], ratio = 1) {
   const group = new Group();
   const usable = points.filter((point) => isVector(point, 3));
   if (usable.length < 2) return group;
-  const rims = usable.map((point, k) => (isEngaged(segments, k) ? colours.PATH_ENGAGED : colours.PATH));
+  const own = usable.map((point, k) => (isEngaged(segments, k) ? colours.PATH_ENGAGED : colours.PATH));
   const geometry = new LineGeometry();
   geometry.setPositions(usable.flat());
-  geometry.setColors(rims.flatMap((rim) => new Color(rim).toArray()));
+  geometry.setColors(own.flatMap((colour) => new Color(colour).toArray()));
   group.add(new Line2(geometry, new LineMaterial({linewidth: 4, vertexColors: true})));
   const ends = [...new Set([0, ...segments.map((each) => each.tool_path_end), usable.length - 1])].filter((k) => k >= 0 && k < usable.length);
-  const marked = (which, size) => dots(which.map((k) => usable[k]), which.map((k) => rims[k]), size * ratio);
-  group.add(marked([...usable.keys()], DOT), marked(ends, END));
+  group.add(dots(usable, usable.map(() => colours.WAYPOINT), DOT * ratio), dots(ends.map((k) => usable[k]), ends.map((k) => own[k]), END * ratio));
   group.userData.waypoints = usable.length;
   return group;
 }
@@ -211,54 +188,12 @@ export function isEngaged(segments, k) {
   return Boolean(segments.find((each) => k <= each.tool_path_end)?.engaged);
 }
 
-/** Return a line between two points with a dot at each end, seen through everything; `show(points)` sets one or both. */
-function span(colour, width) {
-  const group = new Group();
-  const geometry = new LineGeometry();
-  geometry.setPositions([0, 0, 0, 0, 0, 0]);
-  const line = new Line2(geometry, new LineMaterial({color: colour, linewidth: width, depthTest: false, transparent: true}));
-  line.frustumCulled = false;
-  line.renderOrder = 4;
-  const ball = () => {
-    const found = new Mesh(new SphereGeometry(0.014, 12, 8), new MeshBasicMaterial({color: colour, depthTest: false, transparent: true}));
-    found.renderOrder = 4;
-    return found;
-  };
-  const ends = [ball(), ball()];
-  group.add(line, ...ends);
-  group.show = (points) => {
-    line.visible = points.length > 1;
-    ends.forEach((end, k) => {
-      end.visible = k < points.length;
-      if (end.visible) end.position.fromArray(points[k]);
-    });
-    if (line.visible) geometry.setPositions(points.flat());
-  };
-  return group;
-}
-
-/**
- * Return the marker of the closest point: where it is, a line to the other body where its place is known, else a sphere of the distance
- * as radius, which touches what is near.
- */
-export function closestMarker() {
-  const group = new Group();
-  const line = span(colours.CLOSEST, 3);
-  const ball = new Mesh(new SphereGeometry(1, 24, 16),
-    new MeshBasicMaterial({color: colours.CLOSEST, transparent: true, opacity: 0.1, depthWrite: false}));
-  group.add(line, ball);
-  group.visible = false;
-  /** Show a closest point (closest.js) and the other one, null where that is not known; null: nothing. */
-  group.show = (closest, other) => {
-    group.visible = closest !== null;
-    if (!group.visible) return;
-    line.show(other === null ? [closest.point] : [closest.point, other]);
-    ball.position.fromArray(closest.point);
-    // far bodies are no news, and their sphere would fill the picture
-    ball.visible = other === null && closest.distance > 0 && closest.distance < 0.35;
-    ball.scale.setScalar(Math.max(closest.distance, 1e-3));
-  };
-  return group;
+/** Return a ball of a colour that is seen through everything. */
+export function markerBall(radius, colour = 0xffffff) {
+  const ball = new Mesh(new SphereGeometry(radius, 20, 14), new MeshBasicMaterial({color: colour, transparent: true, opacity: 0.75, depthTest: false}));
+  ball.renderOrder = 3;
+  ball.visible = false;
+  return ball;
 }
 
 /** Return the axes of a frame as arrows, x red, y green, z blue, so long [m]. */
@@ -277,12 +212,4 @@ export function axes(length) {
   const found = new Mesh(geometry, new MeshBasicMaterial({vertexColors: true}));
   found.name = "axes";
   return found;
-}
-
-/** Return a ball that marks whether a goal can be reached. */
-export function reachMarker() {
-  const marker = new Mesh(new SphereGeometry(0.05, 20, 14), new MeshBasicMaterial({transparent: true, opacity: 0.75, depthTest: false}));
-  marker.renderOrder = 3;
-  marker.visible = false;
-  return marker;
 }

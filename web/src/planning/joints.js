@@ -1,26 +1,7 @@
-// The joints of a robot with their limits, from its URDF; degrees and millimetres for people, radians and metres for the rest.
+// The joints of a robot (planning/model.js) as people read them: degrees and millimetres; radians and metres for the rest.
 
 const DEGREES = 180 / Math.PI;
 const MILLIMETRES = 1000;
-
-// Return the movable joints of a URDF in the order of `names` (those of `view`): [{name, type, lower, upper}], rad or m.
-// document: the parsed XML. A joint that is not in it, or has no limits, raises an Error that names it.
-export function limits(document, names) {
-  const found = new Map();
-  for (const joint of document.getElementsByTagName("joint")) {
-    if (joint.hasAttribute("type")) found.set(joint.getAttribute("name"), joint);
-  }
-  return names.map((name) => {
-    const joint = found.get(name);
-    if (!joint) throw new Error(`the robot's model has no joint ${name}`);
-    const type = joint.getAttribute("type");
-    const limit = joint.getElementsByTagName("limit")[0];
-    const [lower, upper] = ["lower", "upper"].map((end) => Number.parseFloat(limit ? limit.getAttribute(end) : ""));
-    if (type === "continuous") return {name, type: "revolute", lower: -Math.PI, upper: Math.PI};
-    if (!(lower < upper)) throw new Error(`joint ${name} of the robot's model has no limits`);
-    return {name, type: type === "prismatic" ? "prismatic" : "revolute", lower, upper};
-  });
-}
 
 export function unit(joint) {
   return joint.type === "prismatic" ? "mm" : "°";

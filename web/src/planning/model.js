@@ -1,6 +1,6 @@
 /** What the page reads of a robot's model: its joints with their limits, and where its tool is. */
-import {ends, forward} from "./chain.js";
-import {limits} from "./joints.js";
+import {Quaternion, Vector3} from "three";
+import {parseRobot, toolOf} from "../picture/robot_model.js";
 
 async function fetchFile(path) {
   const answer = await fetch(path);
@@ -8,21 +8,56 @@ async function fetchFile(path) {
   return answer.text();
 }
 
-/** How a model is fetched and read; tests give others. */
-export const MEANS = {fetchText: fetchFile, parse: (text) => new DOMParser().parseFromString(text, "text/xml")};
+/** Return a joint of a model as {name, type, lower, upper} [rad, m]. */
+function jointOf(robot, name) {
+  const found = robot.joints[name];
+  if (found === undefined) throw new Error(`the robot's model has no joint ${name}`);
+  if (found.jointType === "continuous") return {name, type: "revolute", lower: -Math.PI, upper: Math.PI};
+  const {lower, upper} = found.limit;
+  if (!(lower < upper)) throw new Error(`joint ${name} of the robot's model has no limits`);
+  return {name, type: found.jointType === "prismatic" ? "prismatic" : "revolute", lower, upper};
+}
 
 /**
- * Return {joints, pose, base, tip}: the joints as `limits` has them; `pose` from joint values {name: value} to the pose of the link
- * `tip` in `base`. An Error says what is wrong with the file, or that there is none.
- *
- * @param {string} robot
- * @param {string[]} names of its joints, as `view` has them
+ * Return {joints, base, tip, pose} of a URDF: the joints in the order of `names`; `pose` from joint values {name: value} to the pose
+ * {position, quaternion} of the link `tip` in `base`, joints that are not given at 0. An Error says what the file lacks.
  */
-export async function readModel(robot, names, {fetchText, parse} = MEANS) {
-  const model = parse(await fetchText(`private/${encodeURIComponent(robot)}/robot.urdf`));
-  const joints = limits(model, names);
-  const {base, tip} = ends(model, joints.at(-1).name);
-  return {joints, base, tip, pose: forward(model, base, tip)};
+export function modelOf(text, names) {
+  const {robot} = parseRobot(text, "", {parseVisual: false});
+  const joints = names.map((name) => jointOf(robot, name));
+  const tool = toolOf(robot);
+  const pose = (values) => {
+    for (const [name, joint] of Object.entries(robot.joints)) joint.setJointValue(values[name] ?? 0);
+    const [position, quaternion] = [new Vector3(), new Quaternion()];
+    tool.updateWorldMatrix(true, false);
+    tool.matrixWorld.decompose(position, quaternion, new Vector3());
+    return {position: position.toArray(), quaternion: quaternion.toArray()};
+  };
+  return {joints, base: robot.name, tip: tool.name, pose};
+}
+
+/**
+ * Read the model of each robot that is heard, and tell it as `model`: what `modelOf` returns, or {trouble}, why there is none, which is
+ * tried again with the next connection.
+ */
+export function readModels(store, connection, fetchText = fetchFile) {
+  const asked = new Map();
+  store.on("view", async (robot, view) => {
+    const names = view?.joints.names ?? [];
+    const key = names.join("\n");
+    if (view === null || connection.state !== "connected" || asked.get(robot) === key) return;
+    asked.set(robot, key);
+    let model;
+    try {
+      model = modelOf(await fetchText(`private/${encodeURIComponent(robot)}/robot.urdf`), names);
+    } catch (error) {
+      model = {trouble: error.message};
+    }
+    if (asked.get(robot) === key) store.set("model", robot, model);
+  });
+  store.on("connection", () => {
+    for (const robot of asked.keys()) if (store.robot(robot).model?.trouble) asked.delete(robot);
+  });
 }
 
 /** Return names without what all of them begin with, up to a _: a1, a2 of joint_a1, joint_a2. One name alone stays as it is. */

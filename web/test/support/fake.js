@@ -6,10 +6,13 @@
  *   await hear("kr120", "view", view({sync: {...}}));
  *   connection.sent[0] -> {topic, robot, payload, qos}
  */
-import {parseHTML} from "linkedom";
+import {Document, DOMParser, Element, parseHTML} from "linkedom";
 import {NotPublished} from "../../src/connection.js";
 import {makeStore} from "../../src/store.js";
 import {textsIn} from "./sentences.js";
+
+// urdf-loader takes a browser's
+Object.assign(globalThis, {Document, DOMParser, Element});
 
 /** An exception that no test expects ends it, as one that nobody has caught. */
 function rethrow(error) {
