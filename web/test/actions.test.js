@@ -68,7 +68,7 @@ for (const [kind, verb] of [["rsi", "reset"], ["plc", "arm"]]) {
     assert.equal(button.disabled, true, "not twice");
     const answer = {id: payload.id, account: "ada", ok: false, reason: "cannot reset: the arm moves", by: "bridge", expired: false};
     await page.hear("kr120", `${verb}/ack`, answer);
-    assert.match(page.find(".actions-result").textContent, /was refused: cannot reset: the arm moves/);
+    assert.match(page.find(".actions-result").textContent, /was NOT carried out: cannot reset: the arm moves/);
     assert.equal(button.disabled, false);
   });
 }
@@ -99,7 +99,7 @@ test("an answer that is long in coming is no answer after fifteen seconds", asyn
   await page.pass(14000);
   assert.match(page.find(".actions-result").textContent, /under way/);
   await page.pass(2000);
-  assert.match(page.find(".actions-result").textContent, /no answer/);
+  assert.match(page.find(".actions-result").textContent, /NO ANSWER/);
 });
 
 test("who may not is told who can", async () => {

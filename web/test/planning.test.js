@@ -1,13 +1,15 @@
 import assert from "node:assert/strict";
 import {readFileSync} from "node:fs";
 import {test} from "node:test";
-import {Asking, PATIENCE_S, jointsRequest, lineRequest, taskRequest, topic, wayBackRequest} from "../src/planning/asking.js";
+import {jointsRequest, lineRequest, showAsking, taskRequest, wayBackRequest} from "../src/planning/asking.js";
 import {Goal} from "../src/planning/goal.js";
 import {IkFollower, LOST_S, PERIOD_S} from "../src/planning/ik_follower.js";
 import {ends, fromShown, shown, typed} from "../src/planning/joints.js";
 import {modelOf} from "../src/planning/model.js";
 import {MOST, Poses, read} from "../src/planning/poses.js";
-import "./support/fake.js";
+import {answered, heardBroker, pressed, waited} from "../src/requests.js";
+import {fakePage} from "./support/fake.js";
+import {textsIn} from "./support/sentences.js";
 
 const file = (name) => readFileSync(new URL(`support/${name}`, import.meta.url), "utf8");
 const NAMES = ["track", "joint_a1", "joint_a2", "joint_a3", "joint_a4", "joint_a5", "joint_a6"];
@@ -248,74 +250,21 @@ test("requests say what the planner reads", () => {
   assert.deepEqual(wayBackRequest(), {kind: "way_back"});
   assert.deepEqual(taskRequest(""), {kind: "work_task"});
   assert.deepEqual(taskRequest("3x"), {kind: "work_task", task: "3x"});
-  assert.equal(topic("ik", "kr120-planner-ada"), "ik/kr120-planner-ada");
-  assert.equal(topic("ik", ""), "ik/console");
 });
 
-test("a request is sent, waits and is answered; answers to others count for nothing", () => {
-  const asking = new Asking("run");
-  assert.equal(asking.onAnswer({id: "run-1", ok: true}), false);
-  const message = asking.ask(wayBackRequest(), 0, "c0ffee00-7");
-  assert.deepEqual(message, {id: "run-1", moment: "c0ffee00-7", kind: "way_back"});
-  assert.throws(() => asking.ask(wayBackRequest(), 1), /under way/);
-  asking.onTaken("run-1", 0);
-  assert.equal(asking.state, "waiting");
-  assert.equal(asking.onAnswer({id: "run-2", ok: true, reason: ""}), false);
-  assert.equal(asking.onAnswer({id: "run-1", ok: false, reason: "out of reach"}), true);
-  assert.deepEqual([asking.state, asking.reason, asking.isBusy], ["refused", "out of reach", false]);
-  assert.equal(asking.ask(taskRequest(""), 5).id, "run-2");
-});
-
-test("what was too old is told apart from what cannot be planned", () => {
-  const asking = new Asking("run");
-  asking.ask(wayBackRequest(), 0, "c0ffee00-7");
-  asking.onAnswer({id: "run-1", ok: false, expired: true, reason: "the request is too old"});
-  assert.deepEqual([asking.state, asking.isBusy], ["expired", false]);
-});
-
-test("that there is a plan is said while it is under review", () => {
-  const after = (...reviewed) => {
-    const asking = new Asking("run");
-    asking.ask(wayBackRequest(), 0, "c0ffee00-7");
-    asking.onReviewed(reviewed[0]);
-    asking.onAnswer({id: "run-1", ok: true, reason: "", plan_id: "p7"});
-    for (const id of reviewed.slice(1)) asking.onReviewed(id);
-    return asking.state;
+test("that there is a plan is said while it is under review; else what became of the request", () => {
+  const {parent} = fakePage();
+  const sent = heardBroker(pressed("plan_request", "1", 0), "1", "taken");
+  const told = (record, reviewed = "") => {
+    showAsking(parent, record, reviewed, "ada", textsIn("en"));
+    return parent.textContent;
   };
-  assert.equal(after("", "p7"), "done");
-  assert.equal(after("p6", "p6"), "done", "the answer has overtaken the plan");
-  assert.equal(after("", "p7", ""), "idle");
-  assert.equal(after("p7", "p8"), "idle");
-});
-
-test("an answer that overtakes the broker's own stays", () => {
-  const asking = new Asking("run");
-  asking.ask(wayBackRequest(), 0);
-  asking.onAnswer({id: "run-1", ok: true, reason: ""});
-  asking.onTaken("run-1", 0);
-  assert.equal(asking.state, "done");
-});
-
-test("what went wrong on the way is told apart: did not go out, forbidden, nobody listens, not known", () => {
-  const after = (act) => {
-    const asking = new Asking("run");
-    asking.ask(wayBackRequest(), 0);
-    act(asking);
-    return asking.state;
-  };
-  const failed = (reason) => (asking) => asking.onFailed("run-1", Object.assign(new Error("why"), {reason}));
-  assert.equal(after(failed("not_connected")), "unsent");
-  assert.equal(after(failed("refused")), "forbidden");
-  assert.equal(after(failed("broker")), "unsent");
-  assert.equal(after(failed("unanswered")), "doubtful");
-  assert.equal(after((asking) => asking.onTaken("run-1", 16)), "nobody");
-  assert.equal(after((asking) => asking.onLost()), "doubtful");
-  assert.equal(after((asking) => asking.onTime(PATIENCE_S - 1)), "sent");
-  assert.equal(after((asking) => asking.onTime(PATIENCE_S)), "doubtful");
-  // a late answer is still one
-  const asking = new Asking("run");
-  asking.ask(wayBackRequest(), 0);
-  asking.onTime(PATIENCE_S);
-  asking.onAnswer({id: "run-1", ok: true, reason: ""});
-  assert.equal(asking.state, "done");
+  const found = answered(sent, {id: "1", account: "ada", ok: true, reason: "", plan_id: "p7", duration: 2}, "ada");
+  assert.match(told(found, "p7"), /There is a plan \(2\.0 s\)/);
+  assert.deepEqual([told(found, "p8"), told(found)], ["", ""]);
+  assert.match(told(answered(sent, {id: "1", account: "ada", reason: "out of reach"}, "ada")), /^No plan: out of reach/);
+  assert.match(told(waited(sent, 59_999)), /planner is looking/);
+  for (const lost of [waited(sent, 60_000), heardBroker(sent, "1", "unanswered")]) assert.match(told(lost), /may have arrived/);
+  assert.match(told(heardBroker(sent, "1", "nobody")), /Nobody takes requests/);
+  assert.match(told(heardBroker(sent, "1", "refused")), /account ada/);
 });

@@ -2,8 +2,7 @@ import assert from "node:assert/strict";
 import {test} from "node:test";
 import * as speed from "../src/speed_state.js";
 
-const {idle, moved, due, sent, heardBroker, answered, passed, held, released, confirmed, raise, outcome, handle, known} = speed;
-const answer = (id, changes = {}) => ({id, account: "dora", ok: true, reason: "so be it", expired: false, limit: 0.5, ...changes});
+const {idle, moved, due, lowered, passed, raise, handle, known} = speed;
 
 test("the steps are of 5 %, from 5 to 100", () => {
   assert.deepEqual([100, 97.5, 33.3, 10, 5].map(speed.below), [95, 95, 30, 5, 5]);
@@ -15,7 +14,7 @@ test("the steps are of 5 %, from 5 to 100", () => {
 test("lowering goes out at once, then at a pace, and the last of it always", () => {
   let record = moved(idle(), 90, 100, 0);
   assert.equal(due(record, 100, 0), 90);
-  record = sent(record, "lower", 90, "1", 0);
+  record = lowered(record, 90, 0);
   assert.equal(due(record, 100, 0), null);
   record = moved(record, 60, 100, 50);
   record = moved(record, 40, 100, 100);
@@ -24,7 +23,7 @@ test("lowering goes out at once, then at a pace, and the last of it always", () 
 });
 
 test("back up while a lower one is on its way is a raise, and goes nowhere by itself", () => {
-  let record = sent(moved(idle(), 40, 100, 0), "lower", 40, "1", 0);
+  let record = lowered(moved(idle(), 40, 100, 0), 40, 0);
   assert.equal(known(record, 100), 40);
   record = moved(record, 60, 100, 50);
   assert.equal(due(record, 100, 500), null);
@@ -41,51 +40,19 @@ test("what somebody else sets sends nothing", () => {
   assert.equal(handle(record, 90), 90);
 });
 
-test("raising is a hold of a second on the limit that is shown", () => {
+test("a limit that nobody confirms is forgotten", () => {
   const asked = moved(idle(), 80, 50, 0);
   assert.equal(due(asked, 50, 5000), null);
-  const record = held(asked, 50, 100);
-  assert.equal(confirmed(record, 50, 1099), null);
-  assert.equal(confirmed(record, 50, 1100), 80);
-  assert.equal(confirmed(released(record), 50, 1100), null);
-  assert.equal(confirmed(passed(record, 30, 500), 30, 1100), null);
-  assert.equal(confirmed(record, 30, 1100), null);
-  assert.equal(confirmed(moved(record, 90, 50, 600), 50, 1100), null);
-  assert.equal(held(idle(), 50, 0).heldAt, null);
-});
-
-test("a limit that nobody confirms is forgotten, but not under the finger", () => {
-  const asked = moved(idle(), 80, 50, 0);
   assert.equal(handle(passed(asked, 50, 9999), 50), 80);
   assert.equal(handle(passed(asked, 50, speed.FORGOTTEN_AFTER), 50), 50);
-  assert.equal(handle(passed(held(asked, 50, 9900), 50, 10500), 50), 80);
 });
 
 test("what was lowered counts until the robot shows it, or until it has failed", () => {
-  const on = sent(moved(idle(), 40, 100, 0), "lower", 40, "1", 0);
-  assert.equal(known(answered(on, answer("1"), "dora"), 100), 40);
-  assert.equal(passed(on, 40, 100).lowered, null);
-  assert.equal(known(answered(on, answer("1", {ok: false}), "dora"), 100), 100);
-  assert.equal(known(heardBroker(on, "1", "not_connected"), 100), 100);
-  assert.equal(known(passed(on, 100, 1000), 100), 100);
-});
-
-test("what became of a message is one word", () => {
-  const on = (kind = "lower") => sent(idle(), kind, 40, "1", 0);
-  const taken = heardBroker(on(), "1", "taken");
-  assert.equal(outcome(idle()), "none");
-  assert.equal(outcome(on()), "sending");
-  assert.equal(outcome(taken), "waiting");
-  assert.equal(outcome(passed(taken, 100, 1000)), "silent");
-  assert.equal(outcome(answered(passed(taken, 100, 1000), answer("1"), "dora")), "done");
-  assert.equal(outcome(answered(taken, answer("1", {ok: false}), "dora")), "refused");
-  assert.equal(outcome(answered(taken, answer("1", {ok: false, expired: true}), "dora")), "expired");
-  assert.equal(outcome(heardBroker(on("raise"), "1", "not_shown")), "expired");
-  assert.equal(outcome(answered(taken, answer("2"), "dora")), "waiting");
-  assert.equal(outcome(answered(taken, answer("1"), "ada")), "waiting");
-  for (const [word, told] of [["not_connected", "not_sent"], ["refused", "no_right"], ["unanswered", "unknown"], ["broker", "unknown"]]) {
-    assert.equal(outcome(passed(heardBroker(on(), "1", word), 100, 5000)), told);
-  }
+  const on = lowered(moved(idle(), 40, 100, 0), 40, 0);
+  for (const word of ["sending", "waiting", "done"]) assert.equal(known(passed(on, 100, 500, word), 100), 40);
+  assert.equal(passed(on, 40, 100, "done").lowered, null);
+  for (const word of ["refused", "not_sent", "no_right", "silent", "unknown"]) assert.equal(known(passed(on, 100, 100, word), 100), 100);
+  assert.equal(known(passed(on, 100, 1000, "done"), 100), 100);
 });
 
 test("nothing may be set without a connection, without a view, without the limit", () => {
@@ -100,12 +67,10 @@ test("nothing may be set without a connection, without a view, without the limit
 });
 
 test("a lost connection ends what was begun", () => {
-  const record = speed.connectionChanged(held(moved(idle(), 80, 50, 0), 50, 0));
-  assert.equal(confirmed(record, 50, 2000), null);
-  assert.equal(handle(record, 50), 50);
+  assert.equal(handle(speed.connectionChanged(moved(idle(), 80, 50, 0)), 50), 50);
 });
 
-test("whatever a person and others do, nothing higher than what is shown goes out without a hold", () => {
+test("whatever a person and others do, nothing goes out by itself that is not lower than what is shown", () => {
   let seed = 7;
   const random = (most) => {
     seed = (seed * 1103515245 + 12345) % 2147483648;
@@ -114,22 +79,15 @@ test("whatever a person and others do, nothing higher than what is shown goes ou
   for (let run = 0; run < 300; run += 1) {
     let record = idle();
     let people = 100;
-    let holding = 0;
-    for (let at = 0, id = 0; at < 20000; at += 50) {
-      const act = random(12);
+    for (let at = 0; at < 20000; at += 50) {
+      const act = random(8);
       if (act < 4) record = moved(record, 5 + 5 * random(20), people, at);
-      else if (act === 4) record = held(record, people, at);
-      else if (act === 5) record = released(record);
-      else if (act === 6) people = 5 + 5 * random(20);
-      else if (act === 7 && record.message.id) record = answered(record, answer(record.message.id, {ok: random(2) === 0}), "dora");
-      holding = record.heldAt === null ? 0 : at - record.heldAt;
-      record = passed(record, people, at);
+      else if (act === 4) people = 5 + 5 * random(20);
+      record = passed(record, people, at, ["sending", "done", "refused"][random(3)]);
       const lower = due(record, people, at);
-      const higher = confirmed(record, people, at);
       assert.ok(lower === null || lower < people && at - record.sentAt >= speed.PACE);
-      assert.ok(higher === null || holding >= speed.HELD_FOR && record.of === people && higher > known(record, people));
-      if (lower !== null) record = sent(record, "lower", lower, String(id += 1), at);
-      else if (higher !== null) record = sent(record, "raise", higher, String(id += 1), at);
+      assert.ok(raise(record, people) === null || raise(record, people) > known(record, people));
+      if (lower !== null) record = lowered(record, lower, at);
     }
   }
 });

@@ -2,7 +2,9 @@
  * What a person must not miss: each thing for which the arm stood still, and what people did, newest first, with who has read it. The
  * robot keeps them, so they outlast this page. Who has the right may acknowledge one, in the name of the account.
  */
-import {add, button, clear, setText} from "../dom.js";
+import {add, button, clear} from "../dom.js";
+import {isBusy, makeRequests, outcome, showOutcome} from "../requests.js";
+import {browser} from "./clock.js";
 import {wordsOf} from "./status.js";
 
 /** Topic of what people did: there is nothing to acknowledge. */
@@ -18,7 +20,7 @@ export function make(parent, store, connection, texts, {when = timeOf} = {}) {
   const none = add(parent, "p", {className: "messages-none", text: texts("messages.none")});
   const told = add(parent, "p", {className: "messages-told", role: "status"});
   const list = add(parent, "ul", {className: "messages-list"});
-  const sent = new Map();
+  const requests = makeRequests(store, connection, browser, ["acknowledge_ack"], () => show());
 
   const show = () => {
     const robot = store.robot(store.selected);
@@ -27,6 +29,10 @@ export function make(parent, store, connection, texts, {when = timeOf} = {}) {
     parent.tab?.mark(count ? String(count) : "");
     none.hidden = messages.length > 0;
     const may = store.rightsOf.may(store.selected, "operate") !== false && connection.state === "connected";
+    const record = requests.of(store.selected);
+    const isSent = ({id}) => record.payload.message === id && isBusy(record);
+    // that it is done stands at the message
+    showOutcome(told, record, texts, {what: texts("messages.acknowledge"), hidden: isBusy(record) || outcome(record) === "done"});
     clear(list);
     for (const message of [...messages].reverse()) {
       const {line, until} = message;
@@ -37,30 +43,11 @@ export function make(parent, store, connection, texts, {when = timeOf} = {}) {
       if (message.acknowledged_by) {
         add(item, "p", {className: "message-read", text: texts("messages.read", {account: message.acknowledged_by, at: when(message.acknowledged_at, texts)})});
       } else if (line.topic !== PERSON && may) {
-        button(item, texts("messages.acknowledge"), () => acknowledge(message.id), {className: "message-acknowledge", disabled: sent.has(message.id)});
+        button(item, texts("messages.acknowledge"), () => requests.send(store.selected, "acknowledge", {message: message.id}), {className: "message-acknowledge", disabled: isSent(message)});
       }
     }
   };
 
-  function acknowledge(message) {
-    const robot = store.selected;
-    const id = globalThis.crypto.randomUUID();
-    sent.set(message, id);
-    setText(told, "");
-    connection.publish(connection.own("acknowledge"), robot, {id, message}).catch((error) => {
-      sent.delete(message);
-      setText(told, texts(error.reason === "refused" ? "messages.no_right" : "messages.not_sent"));
-      show();
-    });
-    show();
-  }
-
-  store.on("acknowledge_ack", (robot, answer) => {
-    if (sent.get(answer.message) !== answer.id) return;
-    sent.delete(answer.message);
-    if (!answer.ok) setText(told, texts.reason(answer.reason));
-    show();
-  });
   store.on("messages", (robot) => robot === store.selected && show());
   for (const kind of ["connection", "selected", "robots", "rights"]) store.on(kind, show);
   show();

@@ -5,13 +5,14 @@
  * not reads who can, in place of sliders. Where there is no list, everything is drawn, and a refusal of the broker is told.
  */
 import {add, button, clear, setText} from "../dom.js";
-import {Asking, jointsRequest, lineRequest, topic} from "../planning/asking.js";
+import {jointsRequest, lineRequest, showAsking} from "../planning/asking.js";
 import {Goal} from "../planning/goal.js";
 import {IkFollower} from "../planning/ik_follower.js";
 import {ends, fromShown, shown, typed, unit} from "../planning/joints.js";
 import {LONGEST, Poses} from "../planning/poses.js";
 import {storageOf} from "../storage.js";
-import {showAsking} from "./asking_line.js";
+import {isBusy, makeRequests, outcome} from "../requests.js";
+import {browser} from "./clock.js";
 import {makeToolFields} from "./tool_fields.js";
 
 /** Fractions of the limits that can be chosen; 0: what the planner has set. */
@@ -23,7 +24,6 @@ const LOOK_EVERY = 500;
 class Desk {
   constructor(run) {
     this.follower = new IkFollower(run);
-    this.asking = new Asking(run);
     // what the broker has said to what a person asked for on this connection: "", "taken", "refused"
     this.broker = "";
     // null until the model was read; then as in planning/model.js, and the saved poses
@@ -177,7 +177,7 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
       while (mine.asked.size > 8) mine.asked.delete(mine.asked.keys().next().value);
       // one with QoS 0 that the broker's rules refuse disappears without a word
       const qos = mine.broker === "taken" || store.rightsOf.may(robot, "operate") ? 0 : 1;
-      connection.publish(topic("ik", connection.account), robot, question, {qos}).then(
+      connection.publish(connection.own("ik"), robot, question, {qos}).then(
         () => {
           if (qos === 1) mine.broker = "taken";
         },
@@ -235,22 +235,19 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
 
   // -- asking
 
+  const requests = makeRequests(store, connection, {now: () => 1000 * now(), every: browser.every}, ["plan_request_ack"], (robot) => {
+    if (outcome(requests.of(robot)) === "no_right") desk(robot).broker = "refused";
+    show();
+  });
+
   function onAsk(kind) {
     const robot = store.selected;
     const mine = desk(robot);
-    if (mine.asking.isBusy || !mine.goal.isAskable) return;
+    if (isBusy(requests.of(robot)) || !mine.goal.isAskable) return;
     const fraction = Number(speed.value);
     const request =
       kind === "joints" ? jointsRequest(mine.goal.values, fraction) : lineRequest(linePose(mine), fraction);
-    const message = mine.asking.ask(request, now(), store.moment(robot));
-    connection.publish(topic("plan_request", connection.account), robot, message).then(
-      (code) => mine.asking.onTaken(message.id, code),
-      (error) => {
-        mine.asking.onFailed(message.id, error);
-        if (mine.asking.state === "forbidden") mine.broker = "refused";
-      },
-    ).finally(show);
-    show();
+    requests.send(robot, "plan_request", request);
   }
 
   function linePose(mine) {
@@ -278,9 +275,9 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
     showReach(mine);
     showPoses(mine);
     const old = store.robot(robot)?.old ?? true;
-    ask.disabled = !connected || old || mine.asking.isBusy || !mine.goal.isAskable || !mine.follower.settled;
+    ask.disabled = !connected || old || isBusy(requests.of(robot)) || !mine.goal.isAskable || !mine.follower.settled;
     line.disabled = ask.disabled;
-    showAsking(answer, mine.asking, connection.account, texts);
+    showAsking(answer, requests.of(robot), store.robot(robot)?.plan?.id ?? "", connection.account, texts);
   }
 
   function sentence(robot, mine, connected) {
@@ -372,26 +369,16 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
   store.on("model", onModel);
   store.on("drag", onDrag);
   store.on("ik_ack", onIkAnswer);
-  store.on("plan_request_ack", (robot, message) => {
-    if (desk(robot).asking.onAnswer(message)) show();
-  });
-  store.on("plan", (robot, plan) => {
-    desk(robot).asking.onReviewed(plan?.id ?? "");
-    show();
-  });
-  store.on("connection", (_, state) => {
+  store.on("plan", show);
+  store.on("connection", () => {
     for (const mine of desks.values()) {
       mine.follower.drop();
       mine.broker = "";
-      if (state !== "connected") mine.asking.onLost();
     }
     show();
   });
   setInterval(() => {
-    const mine = selected();
-    if (mine === null) return;
-    mine.asking.onTime(now());
-    if (mine.asking.isBusy || mine.follower.isLost(now())) show();
+    if (selected()?.follower.isLost(now())) show();
   }, LOOK_EVERY).unref?.();
   show();
 }

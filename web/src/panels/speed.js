@@ -3,7 +3,8 @@
  * raising is held. What may go out when is speed_state.js; whether an account may at all is the broker's to decide.
  */
 import {add, button, setText} from "../dom.js";
-import {onHold} from "../press.js";
+import {holdButton} from "../hold.js";
+import {makeRequests, outcome, showOutcome} from "../requests.js";
 import * as speed from "../speed_state.js";
 import {browser} from "./clock.js";
 
@@ -12,7 +13,6 @@ const TICK_EVERY = 50;
 const ALONG = 10;
 /** The right that each way needs. */
 const RIGHT = {lower: "operate", raise: "approve"};
-const BAD = ["refused", "expired", "silent", "not_sent", "no_right", "unknown"];
 
 /** Return what the robot says of the limit in force, as sentences. */
 export function saying(view, texts, clockOf = (seconds) => new Date(1000 * seconds).toLocaleString()) {
@@ -32,9 +32,9 @@ export function saying(view, texts, clockOf = (seconds) => new Date(1000 * secon
 }
 
 /** Make the panel. */
-export function make(parent, store, connection, texts, {now, every, time = browser.time} = browser) {
+export function make(parent, store, connection, texts, clock = browser) {
+  const {now, every} = clock;
   const records = new Map();
-  const times = new Map();
   const area = add(parent, "div", {className: "speed", role: "group", "aria-label": texts("speed.title")});
   const title = add(area, "p", {className: "speed-now"});
   const who = add(area, "p", {className: "speed-who", hidden: true});
@@ -43,16 +43,18 @@ export function make(parent, store, connection, texts, {now, every, time = brows
   const slider = add(row, "input", {type: "range", min: speed.LEAST, max: speed.MOST, step: speed.STEP, className: "speed-slider", "aria-label": texts("speed.title")});
   const more = button(row, "+", () => move(speed.above(place())), {className: "speed-step", "aria-label": texts("speed.more")});
   const shown = add(row, "span", {className: "speed-percent", "aria-hidden": "true"});
-  const confirm = add(area, "button", {type: "button", className: "speed-raise", hidden: true});
-  add(confirm, "span", {className: "speed-fill", "aria-hidden": "true"});
-  const confirmText = add(confirm, "span", {className: "speed-raise-text"});
+  const confirm = holdButton(area, {
+    text: "", className: "speed-raise", onHeld: () => raise(store.selected),
+    // somebody has changed it under the finger: look again
+    key: () => JSON.stringify([store.selected, peopleOf(store.selected), place(), why(store.selected)]),
+  }, clock);
   const hint = add(area, "p", {className: "speed-hint", hidden: true});
   const result = add(area, "p", {className: "speed-result", role: "alert"});
 
   const recordOf = (robot) => records.get(robot) ?? speed.idle();
   const peopleOf = (robot) => speed.percentOf(store.robot(robot)?.view?.speed?.people ?? 1);
   const place = () => speed.handle(recordOf(store.selected), peopleOf(store.selected));
-  const may = (robot, kind) => store.rightsOf.may(robot, RIGHT[kind]) !== false && !recordOf(robot).denied.includes(kind);
+  const may = (robot, kind) => store.rightsOf.may(robot, RIGHT[kind]) !== false;
   const why = (robot) => {
     const found = store.robot(robot);
     if (!may(robot, "lower") && !may(robot, "raise")) return "right";
@@ -64,29 +66,25 @@ export function make(parent, store, connection, texts, {now, every, time = brows
     if (robot === store.selected) show();
   };
 
-  const send = (robot, kind, limit) => {
-    const id = globalThis.crypto.randomUUID();
-    const moment = store.moment(robot);
-    times.set(robot, time());
-    take(robot, speed.sent(recordOf(robot), kind, limit, id, now()));
-    const message = {id, limit: limit / 100, ...(kind === "raise" ? {moment} : {})};
-    // to raise makes the arm faster: who sees nothing of it must look first
-    const publish = kind === "raise" && moment === "" ? Promise.reject(Object.assign(new Error("nothing of the robot is shown"), {reason: "not_shown"}))
-      : connection.publish(connection.own(`${kind}_speed`), robot, message);
-    publish.then(() => "taken", (error) => error.reason ?? "not_connected").then((word) => take(robot, speed.heardBroker(recordOf(robot), id, word)));
+  const requests = makeRequests(store, connection, clock, ["speed_ack"], (robot) => {
+    look(robot);
+    if (robot === store.selected) show();
+  });
+  const raise = (robot) => {
+    const limit = speed.raise(recordOf(robot), peopleOf(robot));
+    if (limit === null) return;
+    take(robot, speed.confirmed(recordOf(robot)));
+    requests.send(robot, "raise_speed", {limit: limit / 100});
   };
   const look = (robot) => {
-    const at = now();
     const people = peopleOf(robot);
     const before = recordOf(robot);
-    const record = speed.passed(before, people, at);
+    const record = speed.passed(before, people, now(), outcome(requests.of(robot)));
     if (record !== before) take(robot, record);
-    if (why(robot) !== "") return;
-    const lower = speed.due(record, people, at);
-    const higher = speed.confirmed(record, people, at);
-    if (lower !== null) send(robot, "lower", lower);
-    else if (higher !== null) send(robot, "raise", higher);
-    else if (robot === store.selected && record.heldAt !== null) show();
+    const limit = why(robot) === "" ? speed.due(record, people, now()) : null;
+    if (limit === null) return;
+    take(robot, speed.lowered(record, limit, now()));
+    requests.send(robot, "lower_speed", {limit: limit / 100});
   };
   const move = (limit) => {
     const robot = store.selected;
@@ -118,22 +116,13 @@ export function make(parent, store, connection, texts, {now, every, time = brows
     more.disabled = slider.disabled || !may(robot, "raise");
     const higher = speed.raise(record, people);
     confirm.hidden = higher === null || reason !== "";
-    confirm.style.setProperty("--held", speed.progress(record, now()).toFixed(3));
-    if (higher !== null) setText(confirmText, texts(record.heldAt === null ? "speed.raise" : "speed.keep", {percent: String(higher)}));
+    if (higher !== null) confirm.say(texts("speed.raise", {percent: String(higher)}));
     const only = less.disabled === more.disabled ? "" : less.disabled ? "raise" : "lower";
     hint.hidden = reason === "" && higher === null && only === "";
     if (!hint.hidden) setText(hint, texts(reason !== "" ? `speed.blocked.${reason}` : higher === null ? `speed.only.${only}` : "speed.hint"));
-    showResult(robot, record);
+    const {verb, payload: {limit}} = requests.of(robot);
+    showOutcome(result, requests.of(robot), texts, {what: verb && texts(`speed.pressed.${verb}`, {percent: String(Math.round(100 * limit))})});
   };
-  const showResult = (robot, record) => {
-    const found = speed.outcome(record);
-    result.className = `speed-result ${BAD.includes(found) ? "is-bad" : found === "done" ? "is-done" : ""}`;
-    const {message} = record;
-    const what = found === "none" ? "" : texts(`speed.pressed.${message.kind}`, {percent: String(message.limit)});
-    const values = {what, reason: texts.reason(message.answer?.reason ?? "")};
-    setText(result, found === "none" ? "" : texts("speed.at", {time: times.get(robot) ?? "", what: texts(`speed.result.${found}`, values)}));
-  };
-
   // -- the person
 
   // a finger that begins to scroll on the slider moves its handle at once: what it means is known when it moves along, or is lifted
@@ -158,29 +147,13 @@ export function make(parent, store, connection, texts, {now, every, time = brows
     finger = null;
     slider.value = String(place());
   });
-  const press = () => {
-    const robot = store.selected;
-    if (robot !== "" && why(robot) === "") take(robot, speed.held(recordOf(robot), peopleOf(robot), now()));
-  };
-  const release = (robot = store.selected) => {
-    const record = recordOf(robot);
-    if (record.heldAt !== null) take(robot, speed.released(record));
-  };
-  onHold(confirm, press, () => release());
-  parent.ownerDocument.addEventListener("visibilitychange", () => release());
-
   // -- what is heard
 
   store.on("connection", () => {
     for (const [robot, record] of records) records.set(robot, speed.connectionChanged(record));
     show();
   });
-  let selected = store.selected;
-  store.on("selected", () => {
-    release(selected);
-    selected = store.selected;
-    show();
-  });
+  store.on("selected", show);
   store.on("robots", show);
   store.on("rights", show);
   store.on("old", show);
@@ -188,7 +161,6 @@ export function make(parent, store, connection, texts, {now, every, time = brows
     if (view !== null) look(robot);
     if (robot === store.selected) show();
   });
-  store.on("speed_ack", (robot, answer) => take(robot, speed.answered(recordOf(robot), answer, connection.own("raise_speed").split("/")[1] ?? "")));
   every(TICK_EVERY, () => {
     for (const robot of records.keys()) look(robot);
   });

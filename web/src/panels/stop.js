@@ -6,16 +6,15 @@
  * With several robots one button stops them all, a stop and an answer for each; pause and resume are of the robot that is shown.
  */
 import {add, button, clear, setText} from "../dom.js";
-import {answered, heardBroker, idle, outcome, pressed, waited} from "../stop_state.js";
+import {makeRequests, outcome, showOutcome} from "../requests.js";
 import {browser} from "./clock.js";
 
 const VERBS = ["stop", "pause", "resume"];
 /** The right that a verb needs. */
 const RIGHT = {stop: "stop", pause: "operate", resume: "approve"};
-const BAD = ["refused", "expired", "silent", "not_sent", "no_right", "unknown"];
 
 /** Make the panel. */
-export function make(parent, store, connection, texts, {now, every, time = browser.time} = browser) {
+export function make(parent, store, connection, texts, clock = browser) {
   const rows = new Map();
   // what became of presses lies over the picture: the bar keeps its height, and no button moves
   const results = add(parent, "div", {className: "stop-results"});
@@ -27,47 +26,24 @@ export function make(parent, store, connection, texts, {now, every, time = brows
   const who = add(beside, "p", {className: "stop-who", hidden: true});
   add(beside, "p", {className: "stop-not-emergency", text: texts("stop.not_emergency")});
   const close = button(results, "\u00d7", () => {
-    for (const row of rows.values()) {
-      row.press = idle();
-      show(row);
-    }
+    for (const name of rows.keys()) requests.move(name);
   }, {className: "stop-close", "aria-label": texts("stop.close")});
 
-  const send = (name, verb) => {
-    const row = rows.get(name);
-    const id = globalThis.crypto.randomUUID();
-    row.press = pressed(verb, id, now());
-    row.at = time();
-    const moment = store.moment(name);
-    // a resume starts the arm: who sees nothing of it, or only what is long past, must look first
-    const blind = verb === "resume" && connection.state === "connected" && name !== "" && moment === "";
-    const message = verb === "resume" ? {id, moment} : {id};
-    const publish = name === "" ? Promise.reject(new Error("no robot is known"))
-      : blind ? Promise.reject(Object.assign(new Error("nothing of the robot is shown"), {reason: "not_shown"})) : connection.publish(connection.own(verb), name, message);
-    publish.then(
-      () => heardBroker(row.press, id, "taken"),
-      (error) => heardBroker(row.press, id, error.reason ?? "not_connected"),
-    ).then((press) => {
-      row.press = press;
-      show(row);
-    });
-    show(row);
-  };
+  const requests = makeRequests(store, connection, clock, ["stop_ack", "pause_ack"], (name) => show(name));
 
   // the line stays until the next press, so it says of when it is, and of which robot where there are several
-  const show = ({name, press, result, at = ""}) => {
-    const found = outcome(press);
-    const bad = BAD.includes(found);
-    result.className = `stop-result ${bad ? "is-bad" : found === "done" ? "is-done" : ""}`;
-    const said = press.answers.filter(({ok}) => ok || found === "refused");
-    const reasons = said.map(({by, reason}) => {
+  const show = (name) => {
+    const row = rows.get(name);
+    if (row === undefined) return;
+    const record = requests.of(name);
+    const said = record.answers.filter(({ok}) => ok || outcome(record) === "refused");
+    const reason = said.map(({by, reason: why}) => {
       const author = texts.has(`stop.by.${by}`) ? texts(`stop.by.${by}`) : by;
-      return reason ? texts("stop.said", {who: author, reason: texts.reason(reason)}) : author;
+      return why ? texts("stop.said", {who: author, reason: texts.reason(why)}) : author;
     }).join("; ");
-    const verb = found === "none" ? "" : texts(`stop.${press.verb}`);
-    const what = found === "none" ? "" : texts(`stop.result.${found}`, {verb: name && store.robots.length > 1 ? texts("stop.label", {verb, robot: name}) : verb, reasons});
-    setText(result, what && texts("stop.at", {time: at, what}));
-    close.hidden = [...rows.values()].every((row) => outcome(row.press) === "none");
+    const verb = record.verb && texts(`stop.${record.verb}`);
+    showOutcome(row.result, record, texts, {key: "stop.result", reason, what: verb && name && store.robots.length > 1 ? texts("stop.label", {verb, robot: name}) : verb});
+    close.hidden = [...rows.keys()].every((each) => outcome(requests.of(each)) === "none");
   };
 
   const stopButton = (place, onStop, options) => {
@@ -86,18 +62,17 @@ export function make(parent, store, connection, texts, {now, every, time = brows
   const makeRow = (name) => {
     const several = store.robots.length > 1;
     const element = add(box, "div", {className: "stop-robot", role: "group", "aria-label": name ? texts("stop.of", {robot: name}) : texts("stop.all")});
-    // what was pressed before a robot was known did not go out to this one either: that stays to be read
-    const row = Object.assign(rows.get(name) ?? {...rows.get("") ?? {press: idle()}}, {name, element, buttons: {}});
+    const row = Object.assign(rows.get(name) ?? {}, {name, element, buttons: {}});
     for (const verb of VERBS) {
       const label = name ? texts("stop.label", {verb: texts(`stop.${verb}`), robot: name}) : texts(`stop.${verb}`);
       const shown = several && verb === "stop" ? label : texts(`stop.${verb}`);
-      if (verb === "stop") row.buttons.stop = stopButton(element, () => send(name, verb), {"aria-label": label, text: shown});
-      else row.buttons[verb] = button(element, shown, () => send(name, verb), {className: `stop-${verb}`, "aria-label": label});
+      if (verb === "stop") row.buttons.stop = stopButton(element, () => requests.send(name, verb), {"aria-label": label, text: shown});
+      else row.buttons[verb] = button(element, shown, () => requests.send(name, verb), {className: `stop-${verb}`, "aria-label": label});
     }
     row.result?.remove();
     row.result = add(results, "p", {className: "stop-result", role: "alert"});
     rows.set(name, row);
-    show(row);
+    show(name);
   };
 
   /** Draw what works: for a robot that is not shown its stop alone. */
@@ -117,21 +92,17 @@ export function make(parent, store, connection, texts, {now, every, time = brows
     clear(box);
     const names = store.robots.length ? store.robots : [""];
     if (names.length > 1 && names.some((name) => may(name, "stop"))) {
-      const all = () => names.filter((name) => may(name, "stop")).forEach((name) => send(name, "stop"));
+      const all = () => names.filter((name) => may(name, "stop")).forEach((name) => requests.send(name, "stop"));
       stopButton(box, all, {text: texts("stop.stop_all"), className: "stop-stop stop-all"});
     }
     for (const name of names) makeRow(name);
-    if (store.robots.length) {
-      rows.get("")?.result.remove();
+    if (store.robots.length && rows.has("")) {
+      rows.get("").result.remove();
       rows.delete("");
+      // what was pressed before a robot was known did not go out to this one either: that stays to be read
+      requests.move("", store.robots[0]);
     }
     arrange();
-  };
-  const onAnswer = (robot, answer) => {
-    const row = rows.get(robot);
-    if (row === undefined) return;
-    row.press = answered(row.press, answer, connection.own("stop").split("/")[1] ?? "");
-    show(row);
   };
   const showConnection = () => {
     offline.hidden = connection.state === "connected";
@@ -140,16 +111,6 @@ export function make(parent, store, connection, texts, {now, every, time = brows
   store.on("robots", build);
   store.on("rights", build);
   store.on("selected", arrange);
-  store.on("stop_ack", onAnswer);
-  store.on("pause_ack", onAnswer);
-  every(100, () => {
-    for (const row of rows.values()) {
-      const press = waited(row.press, now());
-      if (press === row.press) continue;
-      row.press = press;
-      show(row);
-    }
-  });
   showConnection();
   build();
 }

@@ -5,13 +5,11 @@
  * only a person beside the element knows (is it in the grip?) is asked here, and answered by who has the right, held to confirm.
  */
 import {add, button, clear, setText} from "../dom.js";
-import {Asking, taskRequest, topic, wayBackRequest} from "../planning/asking.js";
+import {showAsking, taskRequest, wayBackRequest} from "../planning/asking.js";
+import {isBusy, makeRequests, showOutcome} from "../requests.js";
 import {counts, group, isAskable, nextTask, taskOfElement, waitsFor} from "../work/task_list.js";
 import {holdButton} from "../hold.js";
-import {showAsking} from "./asking_line.js";
 import {browser} from "./clock.js";
-
-const LOOK_EVERY = 500;
 
 /**
  * Make the panel; it and its area are hidden for a robot without a building model.
@@ -20,15 +18,11 @@ const LOOK_EVERY = 500;
  * @param {object} store see store.js
  * @param {object} connection see connection.js
  * @param {Function} texts see texts.js
- * @param {object} [means] for tests: `now()` [s]
  */
-export function make(parent, store, connection, texts, {now = () => performance.now() / 1000, clock = browser} = {}) {
-  const askings = new Map();
+export function make(parent, store, connection, texts, clock = browser) {
   const picks = new Map();
   let drawn = null;
 
-  // the answer that was given here last, by robot: {id, task, text}
-  const answers = new Map();
   let asked = "";
 
   const root = add(parent, "div", {className: "tasks", hidden: true});
@@ -49,25 +43,15 @@ export function make(parent, store, connection, texts, {now = () => performance.
   const detail = add(root, "div", {className: "tasks-detail", role: "status", hidden: true});
   const notes = add(root, "ul", {className: "tasks-notes"});
 
-  function asking(robot) {
-    if (!askings.has(robot)) askings.set(robot, new Asking(crypto.randomUUID().slice(0, 13)));
-    return askings.get(robot);
-  }
+  const requests = makeRequests(store, connection, clock, ["plan_request_ack"], () => show());
+  const answers = makeRequests(store, connection, clock, ["answer_ack"], () => show());
 
   function work() {
     return store.robot(store.selected)?.tasks ?? null;
   }
 
   function onAsk(request) {
-    const robot = store.selected;
-    const mine = asking(robot);
-    if (mine.isBusy) return;
-    const message = mine.ask(request, now(), store.moment(robot));
-    connection.publish(topic("plan_request", connection.account), robot, message).then(
-      (code) => mine.onTaken(message.id, code),
-      (error) => mine.onFailed(message.id, error),
-    ).finally(show);
-    show();
+    if (!isBusy(requests.of(store.selected))) requests.send(store.selected, "plan_request", request);
   }
 
   function pick(task) {
@@ -102,7 +86,7 @@ export function make(parent, store, connection, texts, {now = () => performance.
     setText(reason, texts.reason(now_.reason));
     reason.hidden = now_.reason === "";
     showNext(now_);
-    showAsking(answer, asking(store.selected), connection.account, texts);
+    showAsking(answer, requests.of(store.selected), store.robot(store.selected).plan?.id ?? "", connection.account, texts);
     showList(now_);
     showDetail(now_);
   }
@@ -119,7 +103,7 @@ export function make(parent, store, connection, texts, {now = () => performance.
   }
 
   function canAsk() {
-    return connection.state === "connected" && !asking(store.selected).isBusy;
+    return connection.state === "connected" && !isBusy(requests.of(store.selected));
   }
 
   function showList(tasks) {
@@ -195,48 +179,19 @@ export function make(parent, store, connection, texts, {now = () => performance.
       }
     }
     for (const each of choices.querySelectorAll("button")) each.disabled = connection.state !== "connected";
-    const told = answers.get(robot);
-    setText(answered, told?.task === task?.id ? told?.text ?? "" : "");
+    const record = answers.of(robot);
+    showOutcome(answered, record, texts, {what: texts("tasks.answer"), hidden: record.payload.task !== task?.id});
   }
 
   function onAnswer(robot, task, answer) {
-    const id = crypto.randomUUID();
-    const tell = (text) => {
-      answers.set(robot, {id, task: task.id, text});
-      show();
-    };
-    tell(texts("tasks.answering"));
-    const message = {id, task: task.id, question: task.question, answer, moment: store.moment(robot)};
-    connection.publish(connection.own("answer"), robot, message).catch((error) => tell(texts(error.reason === "refused" ? "tasks.no_right" : "tasks.not_sent")));
+    answers.send(robot, "answer", {task: task.id, question: task.question, answer});
   }
 
-  store.on("answer_ack", (robot, {id, ok, reason: why}) => {
-    const given = answers.get(robot);
-    if (given?.id !== id) return;
-    answers.set(robot, {...given, text: texts(ok ? "tasks.answered" : "tasks.not_answered", {reason: texts.reason(why)})});
-    show();
-  });
   store.on("rights", show);
   store.on("tasks", (robot) => robot === store.selected && show());
   store.on("selected", show);
   store.on("tap", onTap);
-  store.on("plan_request_ack", (robot, message) => {
-    if (asking(robot).onAnswer(message)) show();
-  });
-  store.on("plan", (robot, plan) => {
-    asking(robot).onReviewed(plan?.id ?? "");
-    show();
-  });
-  store.on("connection", (_, state) => {
-    if (state !== "connected") for (const mine of askings.values()) mine.onLost();
-    show();
-  });
-  setInterval(() => {
-    for (const mine of askings.values()) {
-      if (!mine.isBusy) continue;
-      mine.onTime(now());
-      show();
-    }
-  }, LOOK_EVERY).unref?.();
+  store.on("plan", show);
+  store.on("connection", show);
   show();
 }

@@ -229,11 +229,12 @@ export function reachOf(robot) {
 
 /** Return the colour of the largest part of a robot's shapes: the one that a person knows it by. */
 export function mainColour(robot) {
-  const corners = new Map();
+  const sizes = new Map();
   robot.traverse((child) => {
     if (!child.isMesh) return;
     const colour = child.material.color.getHex();
-    corners.set(colour, (corners.get(colour) ?? 0) + child.geometry.attributes.position.count);
+    child.geometry.computeBoundingSphere();
+    sizes.set(colour, (sizes.get(colour) ?? 0) + child.geometry.boundingSphere.radius ** 2);
   });
-  return [...corners].sort(([, one], [, other]) => other - one)[0]?.[0] ?? null;
+  return [...sizes].sort(([, one], [, other]) => other - one)[0]?.[0] ?? null;
 }

@@ -1,13 +1,7 @@
-// What is asked of the planner on `plan_request/<account>`, and what became of it. Pure: times [s] are arguments.
+// What is asked of the planner on `plan_request/<account>`, and in one line what became of it.
 
-// A plan may take a while to be found; after so long without an answer a person is told that there was none.
-export const PATIENCE_S = 60;
-// The account in the topic where the broker knows none.
-export const NOBODY = "console";
-
-export function topic(name, account) {
-  return `${name}/${account || NOBODY}`;
-}
+import {outcome, reasonsOf} from "../requests.js";
+import {setText} from "../dom.js";
 
 // A motion of all joints to {name: value}; speed: fraction of the limits, 0 for what the planner has set.
 export function jointsRequest(joints, speed) {
@@ -32,77 +26,13 @@ function scale(speed) {
   return speed > 0 ? {speed_scale: speed} : {};
 }
 
-// One request at a time. States: "idle", "sent" (on its way), "waiting" (the broker has it), "done", "refused" (by the planner),
-// "expired" (it came too late after what the page had shown), "forbidden" (by the broker's rules), "unsent", "nobody" (nobody takes
-// requests), "doubtful" (no answer, it may have arrived).
-export class Asking {
-  constructor(run) {
-    this._run = run;
-    this._number = 0;
-    this._id = "";
-    this._since = 0;
-    this.state = "idle";
-    this.answer = null;
-    this.reason = "";
-    this._reviewed = "";
-    this._wasThere = false;
-  }
-
-  get isBusy() {
-    return this.state === "sent" || this.state === "waiting";
-  }
-
-  // Return the message for a request; until it is answered no other may be asked. moment: the newest that the page has received.
-  ask(request, now, moment) {
-    if (this.isBusy) throw new Error("a request is under way");
-    this._number += 1;
-    this._id = `${this._run}-${this._number}`;
-    this._since = now;
-    this.state = "sent";
-    this.answer = null;
-    this.reason = "";
-    return {id: this._id, moment, ...request};
-  }
-
-  // The broker has taken the message. code: MQTT's reason; 16: nobody has subscribed to it.
-  onTaken(id, code) {
-    if (id !== this._id || this.state !== "sent") return;
-    this.state = code === 16 ? "nobody" : "waiting";
-  }
-
-  // The message was not published.
-  onFailed(id, error) {
-    if (id !== this._id || !this.isBusy) return;
-    this.reason = error.message ?? "";
-    if (error.reason === "refused") this.state = "forbidden";
-    else if (error.reason === "unanswered") this.state = "doubtful";
-    else this.state = "unsent";
-  }
-
-  // An answer of the planner; one that came before the broker's own counts as well. Returns whether it was ours.
-  onAnswer(answer) {
-    if (answer.id !== this._id || this.state === "idle") return false;
-    this.answer = answer;
-    this.reason = answer.reason;
-    this._wasThere = answer.plan_id === this._reviewed;
-    this.state = answer.ok ? "done" : answer.expired === true ? "expired" : "refused";
-    return true;
-  }
-
-  // Id of the plan under review; "": none. That there is a plan is said while there is: it was decided, or another one came.
-  onReviewed(id) {
-    this._reviewed = id;
-    if (this.state !== "done") return;
-    if (id === this.answer.plan_id) this._wasThere = true;
-    else if (this._wasThere) this.state = "idle";
-  }
-
-  // The connection has ended: what was under way may have arrived, and its answer may have been missed.
-  onLost() {
-    if (this.isBusy) this.state = "doubtful";
-  }
-
-  onTime(now) {
-    if (this.isBusy && now - this._since >= PATIENCE_S) this.state = "doubtful";
-  }
+// Say what became of a request (requests.js), in words; the planner's own sentence follows where there is one. That there is a plan is
+// said while that is under review: then it was decided, or another one came.
+export function showAsking(element, record, reviewed, account, texts) {
+  const found = outcome(record);
+  const {plan_id: id, duration = 0} = record.answers.at(-1) ?? {};
+  const word = found === "done" && id && id !== reviewed ? "none" : found === "silent" ? "unknown" : found;
+  element.className = `plan-answer answer-${word}`;
+  const values = {account: account || "-", reason: reasonsOf(record, texts), duration: duration.toFixed(1)};
+  setText(element, word === "none" ? "" : texts(`plan.answer.${word}`, values));
 }

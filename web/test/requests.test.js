@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import {test} from "node:test";
-import {answered, heardBroker, idle, outcome, pressed, waited} from "../src/stop_state.js";
+import {answered, heardBroker, idle, outcome, pressed, waited} from "../src/requests.js";
 
 const answer = (by, ok, changes = {}) => ({id: "1", account: "ada", ok, reason: by, by, ...changes});
 const stop = () => heardBroker(pressed("stop", "1", 0), "1", "taken");
