@@ -18,14 +18,20 @@ const texts = makeTexts(language, await (await fetch(SENTENCES[language])).json(
 root.lang = language;
 document.title = texts("page.title");
 
-const theme = asked.get("theme") ?? remembered("theme");
-if (theme === "dark" || theme === "light") root.dataset.theme = theme;
-function onTheme() {
-  const dark = root.dataset.theme ? root.dataset.theme === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
-  root.dataset.theme = dark ? "light" : "dark";
-  remember("theme", root.dataset.theme);
+// the device's, until a person chooses one
+const device = matchMedia("(prefers-color-scheme: dark)");
+let theme = asked.get("theme") ?? remembered("theme");
+function showTheme() {
+  root.dataset.theme = ["dark", "light"].includes(theme) ? theme : device.matches ? "dark" : "light";
   dispatchEvent(new Event("theme"));
 }
+function onTheme() {
+  theme = root.dataset.theme === "dark" ? "light" : "dark";
+  remember("theme", theme);
+  showTheme();
+}
+device.addEventListener("change", showTheme);
+showTheme();
 function onLanguage() {
   remember("language", language === "en" ? "de" : "en");
   location.search = withoutLanguage(location.search);

@@ -106,9 +106,9 @@ export function makeOverride(parent, texts, {press, release, changed}) {
   const part = add(parent, "fieldset", {className: "override", hidden: true});
   add(part, "legend", {text: texts("verdict.override.title")});
   const reason = makeReason(part, texts, "verdict.override.why", REASONS, changed);
-  const approve = add(part, "button", {type: "button", className: "override-approve", "aria-describedby": "override-hint", disabled: true});
-  add(approve, "span", {className: "verdict-fill", "aria-hidden": "true"});
-  const words = add(approve, "span", {className: "override-text"});
+  const approve = add(part, "button", {type: "button", className: "hold override-approve", "aria-describedby": "override-hint", disabled: true});
+  add(approve, "span", {className: "hold-fill", "aria-hidden": "true"});
+  const words = add(approve, "span", {className: "hold-text"});
   const hint = add(part, "p", {id: "override-hint", className: "override-hint"});
   onHold(approve, () => {
     if (!approve.disabled) press();

@@ -93,9 +93,9 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   const name = add(nameLabel, "input", {type: "text", maxlength: LONGEST_NAME, autocomplete: "off"});
   // stays in view however long the rest is
   const act = add(area, "div", {className: "verdict-act"});
-  const approve = add(act, "button", {type: "button", className: "verdict-approve", "aria-describedby": "verdict-hint", disabled: true});
-  add(approve, "span", {className: "verdict-fill", "aria-hidden": "true"});
-  const approveText = add(approve, "span", {className: "verdict-approve-text", text: texts("verdict.approve")});
+  const approve = add(act, "button", {type: "button", className: "hold verdict-approve", "aria-describedby": "verdict-hint", disabled: true});
+  add(approve, "span", {className: "hold-fill", "aria-hidden": "true"});
+  const approveText = add(approve, "span", {className: "hold-text verdict-approve-text", text: texts("verdict.approve")});
   const hint = add(act, "p", {id: "verdict-hint", className: "verdict-hint"});
   const rejection = add(area, "fieldset", {className: "verdict-rejection"});
   add(rejection, "legend", {text: texts("verdict.reject_title")});

@@ -328,7 +328,6 @@ export function make(parent, store, connection, texts) {
   document.addEventListener("visibilitychange", () => tellSeen());
   new ResizeObserver(arrange).observe(stage);
   addEventListener("theme", theme);
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", theme);
   addRobots();
   requestAnimationFrame(draw);
 }
