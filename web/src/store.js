@@ -14,7 +14,6 @@
  *   robots       a robot was heard for the first time; value: all names
  *   selected     the robot that the panels are about; value: its name
  *   old          value true: no view for a second, what is shown is not the present; false: it is again
- *   transition   {at, part, from, state, reason}: a state of sync, link or execution has changed; `at` [ms] as performance.now()
  *   refused      {kind, sentence}: a message was not as expected and is not shown
  *   failed       {part}: a part of the page had an exception (`failed`); told once for each exception of a part
  *   playback     {names, positions, time} or null: the pose of a plan at `time` [s] that the picture shows (playback panel)
@@ -40,9 +39,6 @@ import {ACKNOWLEDGE_ACK, ANSWER_ACK, IK_ACK, MESSAGES, PATH, PLAN, PLAN_REQUEST_
 
 /** A view is old after so long [ms]. */
 const OLD_AFTER = 1000;
-/** Most transitions that are kept per robot, and for how long [ms]. */
-const MOST_TRANSITIONS = 1000;
-const TRANSITIONS_FOR = 600000;
 /** Most robots: names come from topics, and a page that keeps all of them could be filled by anybody who may publish. */
 const MOST_ROBOTS = 32;
 /** The kind that a topic below `<prefix>/<robot>/` has. */
@@ -134,7 +130,7 @@ export function makeStore({now = () => performance.now(), check: checkHash = che
   function record(name) {
     let robot = robots.get(name);
     if (robot === undefined) {
-      robot = {name, transitions: [], heard: {}, old: true};
+      robot = {name, heard: {}, old: true};
       for (const kind of KEPT) robot[kind] = null;
       robots.set(name, robot);
       tell("robots", "", [...robots.keys()].sort());
@@ -149,20 +145,6 @@ export function makeStore({now = () => performance.now(), check: checkHash = che
     tell(kind, robot.name, value);
   }
 
-  function note(robot, view) {
-    for (const part of ["sync", "link", "execution"]) {
-      const state = view?.[part]?.state ?? "";
-      const from = robot.view?.[part]?.state ?? "";
-      if (state === from) continue;
-      const transition = {at: now(), part, from, state, reason: view?.[part]?.reason ?? ""};
-      robot.transitions.push(transition);
-      while (robot.transitions.length > MOST_TRANSITIONS || robot.transitions[0].at < transition.at - TRANSITIONS_FOR) {
-        robot.transitions.shift();
-      }
-      tell("transition", robot.name, transition);
-    }
-  }
-
   function setOld(robot, old) {
     if (robot.old === old) return;
     robot.old = old;
@@ -174,7 +156,6 @@ export function makeStore({now = () => performance.now(), check: checkHash = che
     const last = robot.view;
     // a lower number of the same run is an older one
     if (last !== null && view.online && last.run === view.run && view.seq <= last.seq) return;
-    note(robot, view);
     put(robot, "view", view);
     setOld(robot, !view.online);
   }
@@ -212,8 +193,7 @@ export function makeStore({now = () => performance.now(), check: checkHash = che
 
     /**
      * What is known of a robot: view, screen, scene, plan, rehearsal, path, tasks, messages, playback, goal, handle, picked, drawn, said, model
-     * (null: not known), transitions, `old`
-     * (the view is not the present), `heard` [ms] per kind. Null for a robot that was never heard.
+     * (null: not known), `old` (the view is not the present), `heard` [ms] per kind. Null for a robot that was never heard.
      */
     robot(name) {
       return robots.get(name) ?? null;
@@ -270,7 +250,6 @@ export function makeStore({now = () => performance.now(), check: checkHash = che
     connection(state) {
       if (state !== "connected") {
         for (const robot of robots.values()) {
-          note(robot, null);
           setOld(robot, true);
           plans.set(robot.name, (plans.get(robot.name) ?? 0) + 1);
           for (const kind of FROM_BROKER) if (robot[kind] !== null) put(robot, kind, null);

@@ -123,19 +123,6 @@ test("a stored answer or view is of unknown age and does not count", async () =>
   assert.deepEqual(acks, [{id: "1"}]);
 });
 
-test("changes of state are kept for ten minutes", async () => {
-  const {store, hear, later} = fakePage();
-  await hear("r", "view", view());
-  const held = {...view().sync, state: "HOLDING", reason: "arm too far"};
-  await hear("r", "view", view({sync: held}));
-  assert.deepEqual(store.robot("r").transitions.map(({part, from, state}) => [part, from, state]), [
-    ["sync", "", "IN_SYNC"], ["link", "", "READY"], ["execution", "", "IDLE"], ["sync", "IN_SYNC", "HOLDING"],
-  ]);
-  later(600001);
-  await hear("r", "view", view());
-  assert.deepEqual(store.robot("r").transitions.map(({state}) => state), ["IN_SYNC"]);
-});
-
 test("names in topics cannot fill the page", async () => {
   const {store, hear} = fakePage();
   for (let k = 0; k < 100; k += 1) await hear(`robot${k}`, "view", view());

@@ -1,17 +1,11 @@
 /** The tool's pose as numbers: x y z in mm and A B C in degrees, beside the handle in the picture. What is typed is taken all at once. */
 import {add, button, setText} from "../dom.js";
 import {fromAngles, shownAngle, toAngles} from "../planning/angles.js";
+import {numberOf} from "../planning/joints.js";
 
 const FIELDS = ["x", "y", "z", "a", "b", "c"];
 /** Farthest that is sent [mm]: what is typed wrongly is told here, and what an arm does not reach the planner says. */
 const FARTHEST = 100000;
-
-/** Return the number that a person typed; null when it is none, or beyond `most`. A comma may stand for the point. */
-export function numberOf(text, most) {
-  const plain = text.trim().replace(",", ".").replace("−", "-");
-  if (!/^[+-]?(\d+\.?\d*|\.\d+)$/.test(plain)) return null;
-  return Math.abs(Number(plain)) <= most ? Number(plain) : null;
-}
 
 /** Return the six texts of a pose {position [m], quaternion}. */
 export function textsOf({position, quaternion}) {

@@ -31,10 +31,6 @@ export class Goal {
     return true;
   }
 
-  setJoint(name, value) {
-    return this.values !== null && this.setJoints({...this.values, [name]: value});
-  }
-
   // Take what the planner said of a pose of the tool. Without joint values, or with another word than REACHES, the last ones stay to
   // be seen, and cannot be asked for.
   setAnswer(pose, {reach, joints, sentence}) {

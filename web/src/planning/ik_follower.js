@@ -48,7 +48,7 @@ export class IkFollower {
     return Math.max(this._sent + PERIOD_S, free);
   }
 
-  // Take an answer: returns it with `last` (whether it answers where the tool is now), or null for one that is another's or old.
+  // Take an answer: returns it, or null for one that is another's or old.
   answer(message) {
     const [run, digits] = splitId(message.id);
     const number = Number(digits);
@@ -56,7 +56,7 @@ export class IkFollower {
     this._waiting = this._waiting.filter((question) => question.number !== number);
     if (number <= this._answered) return null;
     this._answered = number;
-    return {...message, last: number === this._number && this._newest === null};
+    return message;
   }
 
   // Whether where the tool is now was answered.

@@ -25,12 +25,17 @@ export function ends(joint) {
   };
 }
 
-// The value [rad, m] that a person typed, or null when it is no number or outside of the limits. A comma may stand for the point.
-export function typed(joint, text) {
+// The number that a person typed; null when it is none, or beyond `most`. A comma may stand for the point.
+export function numberOf(text, most = Infinity) {
   const plain = text.trim().replace(",", ".").replace("−", "-");
-  if (!/^[+-]?(\d+\.?\d*|\.\d+)$/.test(plain)) return null;
-  const value = fromShown(joint, Number(plain));
-  return isInside(joint, value) ? value : null;
+  return /^[+-]?(\d+\.?\d*|\.\d+)$/.test(plain) && Math.abs(Number(plain)) <= most ? Number(plain) : null;
+}
+
+// The value [rad, m] of a joint that a person typed, or null when it is no number or outside of the limits.
+export function typed(joint, text) {
+  const number = numberOf(text);
+  const value = number === null ? null : fromShown(joint, number);
+  return value !== null && isInside(joint, value) ? value : null;
 }
 
 export function isInside(joint, value) {
