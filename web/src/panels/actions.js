@@ -2,7 +2,7 @@
  * What a person can do about what the state says: lift a stop or a fault (`reset`), arm a bare PLC. Held to confirm, in the name of the account;
  * whether it may is the broker's to decide, and whether it counts the robot's. Below stands whose stop it lifts: the state's own reason.
  */
-import {add, clear, setText} from "../dom.js";
+import {add, setText} from "../dom.js";
 import {holdButton} from "../hold.js";
 import {isBusy, makeRequests, outcome, showOutcome} from "../requests.js";
 import {browser} from "./clock.js";

@@ -111,7 +111,6 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
   scene.add(closest, reach, playedLine);
   let played = null;
   let playedId = "";
-  let ended = false;
 
   // -- the handle by which the goal is dragged
 
@@ -151,7 +150,7 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
   // -- model
 
   async function load() {
-    if (template !== null || state.loading !== null || resting || ended) return;
+    if (template !== null || state.loading !== null || resting) return;
     state.failed = "";
     const done = (async () => {
       const loaded = await loadRobot(`private/${encodeURIComponent(name)}/robot.urdf`, (done, all) => {
@@ -194,11 +193,11 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
 
   /** Load the building model that tasks are of, by the model's hash. A file of another model is not taken: it may be an old one. */
   async function loadModel(hash) {
-    if (buildingOf === hash || ended) return;
+    if (buildingOf === hash) return;
     buildingOf = hash;
     try {
       const loaded = await loadBuilding(`private/${encodeURIComponent(name)}/building.glb`);
-      if (buildingOf !== hash || ended) return;
+      if (buildingOf !== hash) return;
       state.lacks = "";
       state.stale = loaded.hash !== hash;
       if (!state.stale) {
@@ -402,14 +401,14 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
     showHandle(robot()?.handle ?? null);
   }
 
-  const mine = (listener) => (whose, value) => {
-    if (whose === name) listener(value);
-  };
-  const ends = [
-    store.on("view", mine(showView)), store.on("plan", mine(showPlan)), store.on("path", mine(showPlayed)), store.on("goal", mine(showGoal)),
-    store.on("playback", mine(showPlayback)), store.on("scene", mine(showScene)), store.on("tasks", mine(showTasks)),
-    store.on("picked", mine(showPicked)), store.on("handle", mine(showHandle)),
-  ];
+  for (const [kind, show] of Object.entries({
+    view: showView, plan: showPlan, path: showPlayed, goal: showGoal, playback: showPlayback, scene: showScene, tasks: showTasks,
+    picked: showPicked, handle: showHandle,
+  })) {
+    store.on(kind, (whose, value) => {
+      if (whose === name) show(value);
+    });
+  }
 
   // -- taps
 
@@ -665,13 +664,6 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
       result.reach = reach.visible ? reach.material.color.getHex() : null;
       result.reachAt = reach.position.toArray();
       return result;
-    },
-    end() {
-      ended = true;
-      for (const stop of ends) stop();
-      controls.dispose();
-      gizmo.dispose();
-      dispose(scene);
     },
   };
 }
