@@ -181,14 +181,14 @@ def test_a_finger_that_slides_off_approves_nothing(phone_of, robot):
     robot.show_plan()
     open_checks(thumb)
     x, y = thumb.down(console.approve_button, "approve", LARGE)
-    expect(console.approve_button).to_have_class("verdict-approve is-pressing")
+    expect(console.approve_button).to_have_class("hold verdict-approve is-pressing")
     # to the sentence at the top, with the finger still down
     thumb.slide((x, y), (x, 120))
     expect(console.notice).to_contain_text("released before the second was over")
     expect(console.notice).to_be_in_viewport()
     # nor when it comes back
     thumb.slide((x, 120), (x, y))
-    expect(console.approve_button).to_have_class("verdict-approve")
+    expect(console.approve_button).to_have_class("hold verdict-approve")
     thumb.up()
     assert not robot.payloads("review") and robot.plan is not None
 

@@ -113,7 +113,7 @@ def test_what_lay_on_its_way_starts_nothing_and_who_looks_again_can_ask_anew(pag
     page.intervene("pause")
     wait_until(lambda: robot.state == "PAUSED", PATIENCE_S, "the pause")
     page.intervene("resume")
-    expect(page.stop_result).to_contain_text(words("stop.result.expired", verb=words("stop.resume")))
+    expect(page.stop_result).to_contain_text(words("stop.result.expired", what=words("stop.resume")))
     assert robot.state == "PAUSED"
     robot.delay = 0.0
     page.intervene("resume")

@@ -29,7 +29,7 @@ const AROUND = 0.2;
 /** Length of the tool frame's axes, as a part of the arm's reach. */
 const AXES = 0.1;
 /** Radius of the balls that mark the closest point, and whether a goal is reached [m]. */
-const CLOSEST_BALL = 0.02;
+const CLOSEST_BALL = 0.03;
 const REACH_BALL = 0.05;
 /** Joint values that differ by less show the same picture [rad], [m]. */
 const SAME = 1e-3;
@@ -224,6 +224,7 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
     building = null;
     buildingOf = "";
     state.stale = false;
+    state.lacks = "";
   }
 
   // -- what the store knows

@@ -3,7 +3,7 @@
  *
  * Copies share their geometries; each has materials of its own.
  */
-import {Group, Mesh, MeshLambertMaterial} from "three";
+import {Group, Mesh, MeshLambertMaterial, Triangle} from "three";
 import {mergeVertices} from "three/addons/utils/BufferGeometryUtils.js";
 import URDFLoader from "urdf-loader";
 
@@ -227,14 +227,23 @@ export function reachOf(robot) {
   return reach;
 }
 
-/** Return the colour of the largest part of a robot's shapes: the one that a person knows it by. */
+/** Every so many triangles of a mesh are measured: what a person sees of a robot does not hang on a screw. */
+const EVERY = 7;
+
+/** Return the colour of the largest part of a robot's surface: the one that a person knows it by. */
 export function mainColour(robot) {
-  const sizes = new Map();
+  const areas = new Map();
+  const triangle = new Triangle();
   robot.traverse((child) => {
     if (!child.isMesh) return;
+    const {index, attributes: {position}} = child.geometry;
     const colour = child.material.color.getHex();
-    child.geometry.computeBoundingSphere();
-    sizes.set(colour, (sizes.get(colour) ?? 0) + child.geometry.boundingSphere.radius ** 2);
+    let area = areas.get(colour) ?? 0;
+    for (let k = 0; k + 2 < (index ?? position).count; k += 3 * EVERY) {
+      const corners = [k, k + 1, k + 2].map((each) => (index ? index.getX(each) : each));
+      area += triangle.setFromAttributeAndIndices(position, ...corners).getArea();
+    }
+    areas.set(colour, area);
   });
-  return [...sizes].sort(([, one], [, other]) => other - one)[0]?.[0] ?? null;
+  return [...areas].sort(([, one], [, other]) => other - one)[0]?.[0] ?? null;
 }
