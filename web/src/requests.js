@@ -74,13 +74,13 @@ export const isBusy = (record) => ["sending", "waiting"].includes(outcome(record
 /** Return the reasons that the answers give, in the page's language. */
 export const reasonsOf = ({answers}, texts) => answers.map(({reason}) => texts.reason(reason)).filter(Boolean).join("; ");
 
-/** Say in one line what became of a request; `what` is what was pressed, `key` where its words stand. */
-export function showOutcome(element, record, texts, {what, key = "sent", reason = reasonsOf(record, texts), hidden = false}) {
+/** Say in one line what became of a request; `what` is what was pressed, `wordsOf` has the sentence of an outcome. */
+export function showOutcome(element, record, texts, {what, wordsOf = (found) => `sent.${found}`, reason = reasonsOf(record, texts), hidden = false}) {
   const found = hidden ? "none" : outcome(record);
   element.classList.add("outcome");
   element.classList.toggle("is-bad", BAD.includes(found));
   element.classList.toggle("is-done", found === "done");
-  const said = found === "none" ? "" : texts(`${key}.${found}`, {what, reason});
+  const said = found === "none" ? "" : texts(wordsOf(found), {what, reason});
   setText(element, said && record.time ? texts("sent.at", {time: record.time, what: said}) : said);
 }
 

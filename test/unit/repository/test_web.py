@@ -15,8 +15,8 @@ ROOT = Path(__file__).resolve().parents[3]
 WEB = ROOT / "web"
 PAGE = ROOT / ".ws" / "console" / "page"
 NODE = ROOT / ".ws" / "console" / "node.path"
-#: Most that a browser gets before it can draw, without the robot's meshes, compressed [bytes].
-LARGEST = 600_000
+#: Most that a browser gets of script and style before it can draw, compressed [bytes].
+LARGEST = 400_000
 
 page_is_built = pytest.mark.skipif(not NODE.is_file(), reason="the page is not built: setup/setup.sh console")
 
@@ -38,21 +38,24 @@ def test_the_tests_of_the_page_pass(file):
 
 @page_is_built
 def test_the_page_is_small_and_its_files_may_be_kept_for_ever():
-    # not the documents, which are pages of their own
-    files = [file for file in PAGE.iterdir() if file.is_file() and file.suffix not in (".txt", ".gz")]
-    assert sum(len(gzip.compress(file.read_bytes(), 6)) for file in files) < LARGEST
-    names = [file.name for file in files if file.suffix in (".js", ".css")]
-    assert len(names) == 2
-    for name in names:
-        assert re.fullmatch(r"(main|style)\.[0-9A-Z]{8}\.(js|css)", name)
-        assert f'"{name}"' in (PAGE / "index.html").read_text()
+    named = re.findall(r'"((?:main|style)\.[0-9A-Z]{8}\.(?:js|css))"', (PAGE / "index.html").read_text())
+    assert len(named) == 2
+    # what these import at once; the readers of mesh files come when an arm has such meshes
+    at_first, found = set(), set(named)
+    while found - at_first:
+        name = (found - at_first).pop()
+        at_first.add(name)
+        found |= set(re.findall(r"""(?:from|import) ?["']\./([^"']+)["']""", (PAGE / name).read_text()))
+    assert not any("Loader" in name for name in at_first)
+    assert sum((PAGE / f"{name}.gz").stat().st_size for name in at_first) < LARGEST
+    for name in (file.name for file in PAGE.iterdir() if file.suffix in (".js", ".css")):
+        assert re.fullmatch(r"\w+\.[0-9A-Z]{8}\.(js|css)", name)
         assert gzip.decompress((PAGE / f"{name}.gz").read_bytes()) == (PAGE / name).read_bytes()
 
 
 @page_is_built
 def test_the_licences_of_other_peoples_code_are_beside_it():
-    (licences,) = PAGE.glob("*.LEGAL.txt")
-    assert "three" in licences.read_text().lower()
+    assert any("three" in licences.read_text().lower() for licences in PAGE.glob("*.LEGAL.txt"))
 
 
 def test_versions_are_exact():

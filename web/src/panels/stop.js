@@ -42,7 +42,7 @@ export function make(parent, store, connection, texts, clock = browser) {
       return why ? texts("stop.said", {who: author, reason: texts.reason(why)}) : author;
     }).join("; ");
     const verb = record.verb && texts(`stop.${record.verb}`);
-    showOutcome(row.result, record, texts, {key: "stop.result", reason, what: verb && name && store.robots.length > 1 ? texts("stop.label", {verb, robot: name}) : verb});
+    showOutcome(row.result, record, texts, {wordsOf: (found) => `stop.result.${found}`, reason, what: verb && name && store.robots.length > 1 ? texts("stop.label", {verb, robot: name}) : verb});
     close.hidden = [...rows.keys()].every((each) => outcome(requests.of(each)) === "none");
   };
 
