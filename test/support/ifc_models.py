@@ -145,6 +145,13 @@ class IfcModel:
         attributes = {name: value / self.unit for name, value in lengths.items()}
         return self.make(kind, ProfileType="AREA", Position=self.axes_2d(), **attributes)
 
+    def weigh(self, element: Entity, weight: float, unit: Entity | None = None) -> Entity:
+        """Give an element a weight, in kg or a unit of its own."""
+        quantity = self.make("IfcQuantityWeight", "NetWeight", None, unit, weight)
+        quantities = self.root("IfcElementQuantity", Name="Qto_MemberBaseQuantities", Quantities=[quantity])
+        self.root("IfcRelDefinesByProperties", RelatedObjects=[element], RelatingPropertyDefinition=quantities)
+        return element
+
     def extrusion(
         self, profile: Entity, depth: float, direction: tuple = (0.0, 0.0, 1.0), at: tuple = (0, 0, 0)
     ) -> Entity:
@@ -281,3 +288,12 @@ class IfcModel:
     def inputs(self, task: Entity, *products: Entity) -> Entity:
         """Assign products to a task as what it works on."""
         return self.root("IfcRelAssignsToProcess", RelatedObjects=list(products), RelatingProcess=task)
+
+
+def two_studs(schema="IFC4"):
+    """A model with two studs, each placed by a task, the second after the first."""
+    model = IfcModel(schema)
+    studs = [model.box(name, (0.1, 0.1, 1.0), at=(k, 0, 0)) for k, name in enumerate(("a", "b"))]
+    tasks = [model.task(f"place {stud.Name}", [stud]) for stud in studs]
+    model.sequence(*tasks)
+    return model, studs, tasks

@@ -55,3 +55,8 @@ def holds(part: str, key: str, /) -> Callable[[ConstructionTwinError], bool]:
 def because(key: str, /, **values: Value) -> Callable[[TaskPlanningError], bool]:
     """Return the same check of the reason why a task cannot be planned."""
     return lambda error: key_of(error.reason) == key and values.items() <= error.reason.values.items()
+
+
+def remarked(model, one, *parts: str) -> bool:
+    """Whether a remark on one element or task has these keys and values."""
+    return any(has_parts(remark, *parts) for remark in model.remarks.get(one.GlobalId, ()))

@@ -213,9 +213,6 @@ def test_a_mass_that_no_material_has_in_that_box_is_doubted(read):
         *model.project.UnitsInContext.Units, model.make("IfcSIUnit", UnitType="MASSUNIT", Prefix="KILO", Name="GRAM"),
     ]  # fmt: skip
     for name, weight in (("lead", 110.0), ("grams", 4500.0)):
-        quantity = model.make("IfcQuantityWeight", "NetWeight", None, None, weight)
-        quantities = model.root("IfcElementQuantity", Name="Qto_MemberBaseQuantities", Quantities=[quantity])
-        stud = model.box(name, (0.1, 0.1, 1.0))
-        model.root("IfcRelDefinesByProperties", RelatedObjects=[stud], RelatingPropertyDefinition=quantities)
+        model.weigh(model.box(name, (0.1, 0.1, 1.0)), weight)
     found = read(model)
     assert [key_of(found[name].doubt) for name in ("lead", "grams")] == ["", "ifc.doubt.heavy"]

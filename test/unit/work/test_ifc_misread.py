@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ifc_models import IfcModel
-from sentence_checks import has_parts, key_of
+from ifc_models import IfcModel, two_studs
+from sentence_checks import has_parts, key_of, remarked
 
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
-from construction_twin.work.ifc.model_file import load, save
 from construction_twin.work.ifc.reader import read_ifc
 from construction_twin.work.proposed_schedule import propose
 from construction_twin.work.schedule import Schedule
@@ -22,31 +21,9 @@ LITRES = 36.0
 POUND, CUBIC_FOOT = 0.45359237, 0.3048**3
 
 
-@pytest.fixture
-def read(tmp_path):
-    """Write a model or its text, and read it again, through the file in which another process hands it over."""
-
-    def write_and_read(model):
-        path = tmp_path / "model.ifc"
-        if isinstance(model, IfcModel):
-            model.save(path)
-        else:
-            path.write_bytes(model if isinstance(model, bytes) else model.encode("ascii"))
-        found = read_ifc(path, 1 << 24)
-        save(found, tmp_path / "model.npz")
-        return load(tmp_path / "model.npz", found.file, found.digest)
-
-    return write_and_read
-
-
 def said(model, *parts: str) -> bool:
     """Whether a note has these keys and values."""
     return any(has_parts(note, *parts) for note in model.notes)
-
-
-def remarked(model, one, *parts: str) -> bool:
-    """Whether a remark on one element or task has these keys and values."""
-    return any(has_parts(remark, *parts) for remark in model.remarks.get(one.GlobalId, ()))
 
 
 def add_units(model: IfcModel, *units) -> None:
@@ -84,13 +61,6 @@ def of_material(model: IfcModel, element, name: str, density: float | None = Non
     model.root("IfcRelAssociatesMaterial", RelatedObjects=[element], RelatingMaterial=material)
 
 
-def weigh(model: IfcModel, element, weight: float, unit=None):
-    """Give an element a weight."""
-    quantity = model.make("IfcQuantityWeight", "NetWeight", None, unit, weight)
-    quantities = model.root("IfcElementQuantity", Name="Qto_PlateBaseQuantities", Quantities=[quantity])
-    model.root("IfcRelDefinesByProperties", RelatedObjects=[element], RelatingPropertyDefinition=quantities)
-
-
 def board(model: IfcModel):
     """A plate of 36 l."""
     return model.box("board", BOARD, kind="IfcPlate")
@@ -115,7 +85,7 @@ def test_a_quantity_and_a_property_have_units_of_their_own(read):
     tonne = model.make("IfcSIUnit", UnitType="MASSUNIT", Prefix="MEGA", Name="GRAM")
     plate, panel = board(model), board(model)
     add_units(model, pound(model))
-    weigh(model, plate, 0.0288, tonne)
+    model.weigh(plate, 0.0288, tonne)
     metre = model.make("IfcSIUnit", UnitType="LENGTHUNIT", Name="METRE")
     of_material(model, panel, "Gypsum", 0.8, density_unit(model, tonne, metre))
     model.properties(panel, "Pset_PlateCommon", Reference="p")
@@ -150,7 +120,7 @@ def test_a_density_or_weight_of_feet_without_a_unit_of_mass_is_not_guessed(read,
     for one in (dense, both):
         of_material(model, one, "Gyp", 50.0 if one is dense else 2400.0)
     for one in (heavy, both):
-        weigh(model, one, 63.5)
+        model.weigh(one, 63.5)
     found = read(model)
     assert [found.elements[one.GlobalId].mass for one in (dense, heavy)] == [None, None]
     assert remarked(found, dense, "ifc.note.density_unit", "50")
@@ -162,13 +132,13 @@ def test_a_density_or_weight_of_feet_without_a_unit_of_mass_is_not_guessed(read,
 def test_a_weight_of_a_metric_project_without_a_unit_of_mass_is_taken_as_kilograms_and_told(read):
     model = IfcModel()
     plate = board(model)
-    weigh(model, plate, 28.8)
+    model.weigh(plate, 28.8)
     found = read(model)
     assert found.elements[plate.GlobalId].mass == pytest.approx(28.8)
     assert said(found, "ifc.note.kilograms")
     model = IfcModel(unit="foot")
     own = board(model)
-    weigh(model, own, 63.5, pound(model))
+    model.weigh(own, 63.5, pound(model))
     found = read(model)
     assert found.elements[own.GlobalId].mass == pytest.approx(63.5 * POUND) and found.notes == ()
 
@@ -178,22 +148,13 @@ def test_a_mass_that_its_volume_cannot_have_is_doubted(read, weight):
     model = IfcModel()
     add_units(model, model.make("IfcSIUnit", UnitType="MASSUNIT", Prefix="KILO", Name="GRAM"))
     plate = board(model)
-    weigh(model, plate, weight)
+    model.weigh(plate, weight)
     found = read(model)
     assert found.elements[plate.GlobalId].mass == pytest.approx(weight)
     assert (found.notes == ()) if weight == 28.8 else remarked(found, plate, "ifc.note.mass", "5", "23000")
 
 
 # -- what is done, what stands, what goes
-
-
-def two_studs(schema="IFC4"):
-    """A model with two studs, each placed by a task, the second after the first."""
-    model = IfcModel(schema)
-    studs = [model.box(name, (0.1, 0.1, 1.0), at=(k, 0, 0)) for k, name in enumerate(("a", "b"))]
-    tasks = [model.task(f"place {stud.Name}", [stud]) for stud in studs]
-    model.sequence(*tasks)
-    return model, studs, tasks
 
 
 def completed_by_status(model, task):

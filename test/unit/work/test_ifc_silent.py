@@ -3,46 +3,13 @@
 from __future__ import annotations
 
 import pytest
-from ifc_models import IfcModel
-from sentence_checks import has_parts
+from ifc_models import IfcModel, two_studs
+from sentence_checks import has_parts, remarked
 
 from construction_twin.core.work_errors import BuildingError
-from construction_twin.work.ifc.model_file import load, save
-from construction_twin.work.ifc.reader import read_ifc
 from construction_twin.work.schedule import Schedule
 
 STUD = (0.1, 0.1, 1.0)
-
-
-@pytest.fixture
-def read(tmp_path):
-    """Write a model or its text, and read it again, through the file in which another process hands it over."""
-
-    def write_and_read(model):
-        path = tmp_path / "model.ifc"
-        if isinstance(model, IfcModel):
-            model.save(path)
-        else:
-            path.write_text(model, encoding="ascii")
-        found = read_ifc(path, 1 << 24)
-        save(found, tmp_path / "model.npz")
-        return load(tmp_path / "model.npz", found.file, found.digest)
-
-    return write_and_read
-
-
-def remarked(model, one, *parts: str) -> bool:
-    """Whether a remark on one element or task has these keys and values."""
-    return any(has_parts(remark, *parts) for remark in model.remarks.get(one.GlobalId, ()))
-
-
-def two_studs(schema="IFC4"):
-    """A model with two studs, each placed by a task, the second after the first."""
-    model = IfcModel(schema)
-    studs = [model.box(name, STUD, at=(k, 0, 0)) for k, name in enumerate(("a", "b"))]
-    tasks = [model.task(f"place {stud.Name}", [stud]) for stud in studs]
-    model.sequence(*tasks)
-    return model, studs, tasks
 
 
 def jobs(found):
@@ -348,13 +315,6 @@ def test_units_that_the_kernel_cannot_read_and_two_projects_are_refused(read):
         read(model)
 
 
-def weigh(model, element, weight: float):
-    """Give an element a weight."""
-    quantity = model.make("IfcQuantityWeight", "NetWeight", None, None, weight)
-    quantities = model.root("IfcElementQuantity", Name="Qto_MemberBaseQuantities", Quantities=[quantity])
-    model.root("IfcRelDefinesByProperties", RelatedObjects=[element], RelatingPropertyDefinition=quantities)
-
-
 def kilograms(model):
     """Give the project a unit of mass."""
     kilogram = model.make("IfcSIUnit", UnitType="MASSUNIT", Prefix="KILO", Name="GRAM")
@@ -365,7 +325,7 @@ def kilograms(model):
 def test_a_weight_of_nothing_or_less_is_told(read, weight):
     model, (stud, _), _ = two_studs()
     kilograms(model)
-    weigh(model, stud, weight)
+    model.weigh(stud, weight)
     found = read(model)
     assert found.elements[stud.GlobalId].mass is None and remarked(found, stud, "ifc.note.no_weight")
 

@@ -8,18 +8,7 @@ from sentence_checks import has_parts
 
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.building import Sequence
-from construction_twin.work.ifc.reader import read_ifc
 from construction_twin.work.schedule import Schedule
-
-
-@pytest.fixture
-def read(tmp_path):
-    """Write a model and read it again."""
-
-    def write_and_read(model):
-        return read_ifc(model.save(tmp_path / "model.ifc"), 1 << 24)
-
-    return write_and_read
 
 
 def two_tasks(schema="IFC4"):

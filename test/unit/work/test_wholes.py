@@ -10,42 +10,22 @@ from ifc_models import IfcModel
 from sentence_checks import has_parts
 from work_samples import box_pieces, building, element, robot, site
 
-from construction_twin.work.ifc.reader import read_ifc
 from construction_twin.work.schedule import Schedule
 from construction_twin.work.site_scene import Layout, WorkState
 from construction_twin.work.wholes import comes_after
 
-
-@pytest.fixture
-def read(tmp_path):
-    """Write a model and read it again."""
-
-    def write_and_read(model):
-        return read_ifc(model.save(tmp_path / "model.ifc"), 1 << 24)
-
-    return write_and_read
-
-
 STUD = (0.1, 0.1, 1.0)
 NAIL = (0.01, 0.01, 0.2)
-
-
-def weighed(model, product, kilograms):
-    """Give a product a weight."""
-    quantity = model.make("IfcQuantityWeight", Name="NetWeight", WeightValue=kilograms)
-    definition = model.root("IfcElementQuantity", Name="Qto_BaseQuantities", Quantities=[quantity])
-    model.root("IfcRelDefinesByProperties", RelatedObjects=[product], RelatingPropertyDefinition=definition)
-    return product
 
 
 def panel(model, **attributes):
     """An assembly 10 m away of two studs and a nail, each weighed."""
     whole = model.element("IfcElementAssembly", "panel", at=(10.0, 0.0, 0.0), **attributes)
     parts = [
-        weighed(model, model.box(name, STUD, at=(k, 0.0, 0.0), within=whole), 4.0) for k, name in enumerate(("a", "b"))
+        model.weigh(model.box(name, STUD, at=(k, 0.0, 0.0), within=whole), 4.0) for k, name in enumerate(("a", "b"))
     ]
     nail = model.box("nail", NAIL, at=(0.0, 0.0, 0.9), kind="IfcMechanicalFastener", within=whole)
-    model.aggregate(whole, [*parts, weighed(model, nail, 0.1)])
+    model.aggregate(whole, [*parts, model.weigh(nail, 0.1)])
     return whole, parts, nail
 
 
@@ -93,10 +73,10 @@ def test_an_assembly_of_which_a_task_makes_a_part_is_made_of_its_parts(read):
 
 def slab(model):
     """A slab with a bar in it and a bracket on it, and a screw that fixes it to something."""
-    whole = weighed(model, model.box("slab", (1.0, 0.2, 0.06), kind="IfcSlab"), 30.0)
-    bar = weighed(model, model.box("bar", (0.01, 0.01, 0.2), kind="IfcReinforcingBar", within=whole), 0.2)
+    whole = model.weigh(model.box("slab", (1.0, 0.2, 0.06), kind="IfcSlab"), 30.0)
+    bar = model.weigh(model.box("bar", (0.01, 0.01, 0.2), kind="IfcReinforcingBar", within=whole), 0.2)
     screw = model.box("screw", NAIL, kind="IfcMechanicalFastener", within=whole)
-    bracket = weighed(model, model.box("nib", (0.1, 0.1, 0.3), kind="IfcProjectionElement", within=whole), 1.0)
+    bracket = model.weigh(model.box("nib", (0.1, 0.1, 0.3), kind="IfcProjectionElement", within=whole), 1.0)
     model.aggregate(whole, [bar, screw])
     model.root("IfcRelProjectsElement", RelatingElement=whole, RelatedFeatureElement=bracket)
     return whole, bar, screw, bracket
