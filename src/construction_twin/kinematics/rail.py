@@ -117,12 +117,12 @@ class _Ranked(NamedTuple):
     """`_Rows` with respect to a seed.
 
     Attributes:
-        away: Shape (r, m, 7). Distances of position [m] and joints [rad] from the seed.
         rank: Shape (r, m). The lower the better, see `_OUT`; inf: there is no such branch.
+        away: Shape (r, m, 7). Distances of position [m] and joints [rad] from the seed.
     """
 
-    away: np.ndarray
     rank: np.ndarray
+    away: np.ndarray
 
 
 class _Found(NamedTuple):
@@ -168,7 +168,7 @@ class RailInverse(InverseKinematics):
         start = self._checked(pose, seed)
         flange = self._flange(pose)
         rows = self._along(flange, float(start[0]), configuration)
-        best, singular = self._divide(flange, rows, start, None, one=True)
+        best, singular = self._divide(flange, rows, start, one=True)
         found = list(self._first_confirmed(best, pose, start))
         for position in (float(start[0]), *singular):
             found += self._nearest_at(position, pose, start, configuration)
@@ -177,21 +177,24 @@ class RailInverse(InverseKinematics):
         return self._search_or_explain(pose, start, configuration)
 
     def all(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> list[IkSolution]:
-        """See `InverseKinematics.all`: for each branch and choice of whole turns, the nearest position of the carriage.
+        """See `InverseKinematics.all`: for each branch the nearest position of the carriage.
 
-        Besides, solutions spaced along the branches, for whoever cannot use the nearest: who has to avoid contacts takes the first
-        that is free.
+        With other whole turns the nearest of the evenly spaced positions. Besides, solutions spaced along the branches, for whoever
+        cannot use the nearest: who has to avoid contacts takes the first that is free.
         """
         start = self._checked(pose, seed)
         flange = self._flange(pose)
-        found = self._nearest_at(float(start[0]), pose, start, configuration)
         rows = self._along(flange, float(start[0]), configuration)
-        singular: set[float] = set()
+        best, singular = self._divide(flange, rows, start, one=False)
+        found = self._nearest_at(float(start[0]), pose, start, configuration)
+        for slot in rows.slots.tolist():
+            found += self._first_confirmed((each for each in best if each.slot == slot), pose, start)
         for turns in self._choices_of_turns(start):
-            best, positions = self._divide(flange, rows, start, np.array(turns), one=False)
-            singular.update(positions)
-            for slot in range(len(SLOTS)):
-                found += self._first_confirmed([each for each in best if each.slot == slot], pose, start)
+            rank, away = self._rank(rows, start, np.array(turns))
+            for row, (at, slot) in enumerate(zip(rank.argmin(axis=1).tolist(), rows.slots.tolist())):
+                other = _Found(float(rank[row, at]), slot, start + away[row, at])
+                if other.rank < _OUT and not any(_has_turns(each, other) for each in found):
+                    found += self._first_confirmed([other], pose, start)
         if singular:
             found = [solution for solution in found if self._wrist_angle(solution.q) > _OF_FAMILY]
             found += self._families(pose, start, configuration, singular)
@@ -284,7 +287,7 @@ class RailInverse(InverseKinematics):
         away = np.concatenate([rows.positions[..., None] - seed[0], joints - seed[1:]], axis=-1)
         rank = np.where(worst <= _ROUNDING, np.einsum("ijk,ijk->ij", away, away), _OUT + worst)
         rank[np.isnan(worst)] = math.inf
-        return _Ranked(away, rank)
+        return _Ranked(rank, away)
 
     def _in_range(self, rows: _Rows, ranked: _Ranked, seed: np.ndarray) -> list[_Found]:
         """Return what is in range, the nearest first."""
@@ -295,20 +298,17 @@ class RailInverse(InverseKinematics):
             for row, at in inside.tolist()
         ]
 
-    def _divide(
-        self, flange: np.ndarray, rows: _Rows, seed: np.ndarray, turns: np.ndarray | None, one: bool
-    ) -> tuple[list[_Found], list[float]]:
+    def _divide(self, flange: np.ndarray, rows: _Rows, seed: np.ndarray, one: bool) -> tuple[list[_Found], list[float]]:
         """Return what is nearest to the seed, the nearest first, and the positions where joints flip: the wrist is singular there.
 
         Args:
-            turns: As in `_rank`.
             one: The nearest of all branches, not of each.
         """
         best = np.full(len(SLOTS), math.inf)
         found: list[_Found] = []
         flips: list[float] = []
         while len(rows.slots):
-            ranked = self._rank(rows, seed, turns)
+            ranked = self._rank(rows, seed, None)
             lowest = ranked.rank.argmin(axis=1)
             for row, (at, slot) in enumerate(zip(lowest.tolist(), rows.slots.tolist())):
                 rank = float(ranked.rank[row, at])
@@ -395,6 +395,11 @@ class RailInverse(InverseKinematics):
         self._arm.raise_range_error(rows[np.isfinite(rows).all(axis=1)])
 
 
+def _has_turns(solution: IkSolution, other: _Found) -> bool:
+    """Return whether a solution is of a branch, with the same whole turns."""
+    return solution.configuration == SLOTS[other.slot] and bool(np.abs(solution.q - other.q)[1:].max() < 0.5 * TURN)
+
+
 def _promising(
     rows: _Rows, ranked: _Ranked, best: np.ndarray, axis: tuple[float, float]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[float]]:
@@ -408,7 +413,7 @@ def _promising(
         Row, first and last position of k intervals, shape (k,) each; and the positions where a joint flips within the shortest
         interval.
     """
-    away, rank = ranked
+    rank, away = ranked
     wide = np.diff(rows.positions, axis=1)
     moved = np.diff(rows.joints, axis=1)
     moved -= TURN * np.rint(moved * (1.0 / TURN))

@@ -172,7 +172,8 @@ def test_configuration_on_the_track_is_kept_or_refused():
                 solution = RAIL.nearest(pose, TRACK.home, slot)
             except BranchError as error:
                 refused += 1
-                assert error.available and str(slot) not in error.available
+                available = error.sentence.values["available"]
+                assert available and str(slot) not in available
             else:
                 kept += 1
                 assert_solves(RAIL.chain, solution, pose, TRACK.home)
