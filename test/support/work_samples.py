@@ -149,8 +149,3 @@ def job(one: Element, **changes: object) -> WorkJob:
     here = one.model_T_element
     made = WorkJob("task", one, bodies=box_pieces(one), base_T_stock=here, base_T_goal=here)
     return replace(made, **changes)
-
-
-def pieces_of(*boxes: tuple[tuple[float, float, float], tuple[float, float, float]]) -> tuple[SceneObject, ...]:
-    """Return boxes, each of size and middle, as the pieces of one element."""
-    return tuple(SceneObject(f"e/{number}", "box", size, middle) for number, (size, middle) in enumerate(boxes))

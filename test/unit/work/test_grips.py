@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from work_samples import BRICK, pieces_of, recipes, tool
+from work_samples import BRICK, recipes, tool
 
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.objects import SceneObject, product
@@ -20,7 +20,8 @@ def grips(*boxes, mass=3.0, up=UP, **changes):
     recipe = recipes().recipes["brick"]
     wanted = {"along": (0.0,), "turns_deg": (0.0,), "yaws_deg": (0.0,), "min_cups": 1, **changes}
     recipe = recipe.model_copy(update={"grips": recipe.grips.model_copy(update=wanted)})
-    return find_grips(Pieces(pieces_of(*boxes)), up, mass, recipe, tool().tool)
+    pieces = tuple(SceneObject(f"e/{number}", "box", size, middle) for number, (size, middle) in enumerate(boxes))
+    return find_grips(Pieces(pieces), up, mass, recipe, tool().tool)
 
 
 BEAM = ((1.0, 0.06, 0.12), (0.0, 0.0, 0.06))
