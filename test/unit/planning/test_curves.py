@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from construction_twin.planning.curves import interpolated, monotone, rounded
+from construction_twin.planning.curves import rounded
 
 PACE = np.array([1.0, 2.0, 0.5])
 paths = st.lists(st.lists(st.floats(-2.0, 2.0), min_size=3, max_size=3), min_size=3, max_size=9)
@@ -26,30 +26,6 @@ def check_smooth(curve) -> None:
     for order in range(3):
         before, after = curve(inner - step, order), curve(inner + step, order)
         assert np.max(np.abs(after - before)) <= 1e-5 * max(1.0, np.max(np.abs(curve(curve.knots, order))))
-
-
-@settings(max_examples=60, deadline=None, derandomize=True)
-@given(points=paths)
-def test_curves_through_the_points_are_smooth(points):
-    path = as_path(points)
-    if path is None:
-        return
-    for curve in (interpolated(path, PACE), monotone(path, PACE)):
-        check_smooth(curve)
-        at = np.concatenate(([0.0], np.cumsum(np.max(np.abs(np.diff(path, axis=0)) / PACE, axis=1))))
-        assert np.max(np.abs(curve(at) - path)) < 1e-9
-
-
-@settings(max_examples=60, deadline=None, derandomize=True)
-@given(points=paths)
-def test_a_monotone_curve_stays_between_the_two_points_it_connects(points):
-    path = as_path(points)
-    if path is None:
-        return
-    curve = monotone(path, PACE)
-    for begin, end, first, last in zip(curve.knots[:-1], curve.knots[1:], path[:-1], path[1:]):
-        q = curve(np.linspace(begin, end, 50))
-        assert np.all(q >= np.minimum(first, last) - 1e-9) and np.all(q <= np.maximum(first, last) + 1e-9)
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
@@ -79,18 +55,3 @@ def test_a_rounded_corner_misses_its_point_by_a_sixth_of_its_reach(fraction):
     # on the lines the progress is even
     speed = np.linalg.norm(curve(np.array([0.1 * (1 - reach), 3.9]), 1), axis=1)
     assert speed == pytest.approx([1.0, 1.0])
-
-
-def test_two_points_make_a_straight_line():
-    path = np.array([[0.0, 0, 0], [1.0, -1.0, 0.25]])
-    for make in (interpolated, monotone, lambda points, pace: rounded(points, pace, 0.5)):
-        curve = make(path, PACE)
-        assert curve.straight and curve.length == 1.0
-        assert np.allclose(curve(np.array([0.5])), [[0.5, -0.5, 0.125]])
-        assert np.allclose(curve(np.array([0.5]), 1), [[1.0, -1.0, 0.25]]) and not curve(np.array([0.5]), 2).any()
-
-
-def test_points_on_a_line_stay_a_line():
-    path = np.array([[0.0, 0, 0], [1.0, 1, 1], [3.0, 3, 3]])
-    q = rounded(path, PACE, 1.0)(np.linspace(0, 6, 50))
-    assert np.max(np.ptp(q, axis=1)) < 1e-12 and np.all(np.diff(q[:, 0]) > 0)

@@ -56,13 +56,6 @@ def test_no_point_of_the_arm_moves_further_than_the_step_between_two_checks(star
         assert np.max(np.linalg.norm(CHAIN.skeleton(first) - CHAIN.skeleton(second), axis=1)) <= step + 1e-9
 
 
-def test_the_end_and_the_middle_are_looked_at_first():
-    recorder = Recorder()
-    MotionValidator(recorder, np.ones(6), 0.1).free(np.zeros(6), np.array([0.8, 0, 0, 0, 0, 0]))
-    assert [round(q[0], 9) for q in recorder.asked][:4] == [0.8, 0.4, 0.2, 0.6]
-    assert sorted(round(q[0], 9) for q in recorder.asked) == pytest.approx(np.arange(1, 9) / 10)
-
-
 def test_an_edge_of_no_length_checks_its_end():
     recorder = Recorder(most=-1.0)
     assert not MotionValidator(recorder, LEVERS, 0.1).free(HOME, HOME)
@@ -160,40 +153,6 @@ def test_a_shortcut_is_free_only_if_the_whole_edge_is_and_blocked_only_by_a_cont
     for asked in (check, ShortcutCheck(edges)):
         found = asked.first_free(starts[differ], ends[differ])
         assert found == (free.index(True) if True in free else None)
-
-
-def test_shortcuts_ask_nothing_twice_and_look_beside_the_last_contact_first():
-    class Pole(Recorder):
-        def is_free(self, q) -> bool:
-            return super().is_free(q) and not (0.4 < q[0] < 0.45 and abs(q[1]) < 0.3)
-
-    pole, end = Pole(), np.eye(6)[0]
-    check = ShortcutCheck(MotionValidator(pole, np.ones(6), 0.02))
-    assert not check.free(np.zeros(6), end)
-    first = len(pole.asked)
-    assert first > 3
-    assert not check.free(np.zeros(6), end)
-    assert len(pole.asked) == first
-    # another edge to the same end: one question, beside where the first one touched
-    assert not check.free(0.1 * np.eye(6)[1], end)
-    assert len(pole.asked) == first + 1
-    # what the last contact does not tell, the states of the edge do
-    assert not check.free(np.array([0.42, 2.0, 0.0, 0.0, 0.0, 0.0]), np.array([0.42, -2.0, 0.0, 0.0, 0.0, 0.0]))
-    assert check.free(np.eye(6)[1], end + np.eye(6)[1])
-
-
-def test_of_a_part_of_a_free_edge_only_the_end_is_asked():
-    recorder, end = Recorder(), np.array([1.0, 0.3, -0.7, 0.0, 0.2, 0.0])
-    check = MotionValidator(recorder, np.ones(6), 0.05).shortcuts
-    assert check.free(np.zeros(6), end)
-    asked = len(recorder.asked)
-    assert check.free(0.1 * end, end / 3.0) and check.free(0.9 * end, np.zeros(6))
-    # nothing but their ends, because the start of the free edge was not asked
-    assert len(recorder.asked) == asked + 2
-    for beside in (1.001 * end, -0.1 * end, 0.5 * end + 1e-6 * np.eye(6)[5]):
-        asked = len(recorder.asked)
-        assert check.free(0.2 * end, beside)
-        assert len(recorder.asked) > asked + 1
 
 
 def test_a_path_begins_at_the_start_and_ends_at_one_of_the_goals():

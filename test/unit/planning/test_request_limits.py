@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from planning_cell import CHAIN, HOME, LEFT, QUICK, REQUEST, RIGHT, ROBOT, SELF_COLLISION, Clock, planner, solver, world
+from planning_cell import CHAIN, HOME, LEFT, QUICK, REQUEST, RIGHT, ROBOT, SELF_COLLISION, Clock, solver
 from sentence_checks import says
 
 from construction_twin.core.motion_errors import (
@@ -167,8 +167,3 @@ def test_a_scene_that_came_meanwhile_is_not_forgotten():
     made.forget_scene(made.scene)
     with pytest.raises(NoSceneError):
         made.wait_for_scene(0.0)
-
-
-def test_a_searched_plan_is_bounded_too():
-    with pytest.raises(PlanSizeError):
-        planner(max_duration=0.5).plan_to_joints(RIGHT, LEFT, REQUEST, world())

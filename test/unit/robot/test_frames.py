@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rotations import rotation_angle
 from scipy.spatial.transform import Rotation
 from sentence_checks import says
 
@@ -76,24 +75,6 @@ def test_quaternion_order_is_x_y_z_w():
 def test_what_is_no_unit_quaternion_is_refused(values):
     with pytest.raises(KinematicsError, check=says("motion.pose.quaternion")):
         quaternion_to_rotation(values)
-
-
-@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-9, 1e-3, 1.0, 3.1])
-def test_rotation_angle_is_exact_also_where_it_is_tiny(angle):
-    base = abc_to_rotation(1.0, 0.4, -2.0)
-    assert rotation_angle(base, base @ abc_to_rotation(0, 0, angle)) == pytest.approx(angle, rel=1e-3, abs=1e-15)
-
-
-def test_rotation_angle_of_opposite_orientations_is_half_a_turn():
-    assert rotation_angle(np.eye(3), np.diag([1.0, -1.0, -1.0])) == pytest.approx(math.pi)
-
-
-def test_roll_pitch_and_yaw_turn_about_fixed_axes_as_urdf_says():
-    rpy_deg = (10.0, -20.0, 130.0)
-    roll, pitch, yaw = np.deg2rad(rpy_deg)
-    np.testing.assert_allclose(rpy_to_rotation(rpy_deg), abc_to_rotation(yaw, pitch, roll), atol=1e-15)
-    np.testing.assert_allclose(quaternion_to_rotation(rpy_to_quaternion(rpy_deg)), rpy_to_rotation(rpy_deg), atol=1e-15)
-    assert rpy_to_quaternion((0.0, 0.0, 270.0))[3] >= 0.0
 
 
 RPY = st.tuples(*[st.floats(-720.0, 720.0) | st.sampled_from([0.0, 90.0, -90.0, 180.0, 360.0])] * 3)

@@ -22,7 +22,7 @@ from neighbour_cell import (
     other,
 )
 from neighbour_distance import distance_to
-from planning_cell import HOME, QUICK, REQUEST, ROBOT, SELF_COLLISION, Clock, planner, solver
+from planning_cell import HOME, QUICK, REQUEST, ROBOT, SELF_COLLISION, Clock, solver
 from sentence_checks import says
 
 from construction_twin.core.errors import ConfigurationError
@@ -151,11 +151,6 @@ def test_an_arm_out_of_reach_costs_nothing():
     assert [pair.between for pair in beside] == [pair.between for pair in alone]
 
 
-def test_the_scene_keeps_its_version():
-    world = empty_world()
-    assert world.with_neighbour(other().between(AWAY, AWAY)).scene.hash == world.scene.hash
-
-
 def test_what_the_other_arm_carries_is_an_obstacle_and_what_stands_in_its_scene_is_not():
     beam = SceneObject("beam", "box", (0.1, 0.1, 2.0), (0.0, 0.0, 1.0), link="tool0", touch=("link_6",))
     table = SceneObject("table", "box", (1.0, 1.0, 1.0), (1.5, 0.0, 0.5))
@@ -240,11 +235,6 @@ def test_a_silent_neighbour_is_never_taken_to_be_absent():
 
     with pytest.raises(NeighbourUnknownError, check=says("motion.neighbour", neighbour="kr120_2")):
         pipeline(unknown).to_joints(HOME, NEAR, REQUEST)
-
-
-def test_a_robot_alone_plans_as_before():
-    alone = planner().plan_to_joints(HOME, NEAR, REQUEST, empty_world())
-    assert alone.hash == pipeline(None).to_joints(HOME, NEAR, REQUEST).hash
 
 
 def test_the_cell_says_where_the_other_arm_stands():
