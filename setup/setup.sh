@@ -224,6 +224,7 @@ source "$workspace/devel/setup.bash"
 export PATH="$venv/bin:\$PATH"
 EOF
   mv "$work/env.bash.new" "$work/env.bash"
+  ln -sfn "$root/setup/roslaunch" "$venv/bin/roslaunch"
 }
 
 check_path

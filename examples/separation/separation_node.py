@@ -90,7 +90,7 @@ INTERFACE = Interface(
     hears=(Subscription("separation_distance", Range, SeparationNode.on_range, queue_size=1, tcp_nodelay=True),),
     every=(Every(lambda settings: 1.0 / settings.rate, lambda node, _ports: node.update()),),
 )
-NODE = NodeShell("separation", Settings, start, INTERFACE, lambda settings, _robot: SpeedTable(settings.table))
+NODE = NodeShell("separation", Settings, start, INTERFACE, lambda settings, _robot, _shared: SpeedTable(settings.table))
 
 
 def main() -> None:

@@ -146,8 +146,8 @@ class BringupTest(RobotTest):
         second = ["roslaunch", "construction_twin", "bringup.launch", "broker:=false", "gateway:=false"]
         run = subprocess.run(second, capture_output=True, text=True, timeout=60.0)
         self.assertEqual(run.returncode, 1)
-        said = run.stderr.splitlines()[-1]
-        self.assertTrue(said.startswith(f"preflight: robot:=kr120: it runs already on {uri}: /kr120/display on "), said)
+        said = "cannot start: /kr120/startup: found '/kr120/startup on "
+        self.assertEqual((run.stderr.count("cannot start: "), run.stderr.count(said)), (1, 1), run.stderr)
         self.assertNotIn("Traceback", run.stderr)
         self.assertEqual(running(nodes, uri), before)
         self.assertEqual(self.client.link.session, session)

@@ -99,6 +99,7 @@ class BridgeBench:
         self.client = Client()
         self.physical, self.links, self.tools, self.asked = (Published() for _ in range(4))
         settings = Settings(
+            arm="mock",
             host="127.0.0.1",
             port=1,
             protocol="5" if properties else "3.1.1",

@@ -1,6 +1,4 @@
-"""Launch files as roslaunch reads them, in this process: the commands of parameters are not carried out but stand as texts, so that
-what `preflight` would be asked can be asked here.
-"""
+"""Launch files as roslaunch reads them, in this process: of the commands of parameters only that of the URDF is carried out."""
 
 from __future__ import annotations
 
@@ -12,44 +10,35 @@ from roslaunch.config import ROSLaunchConfig, load_config_default
 from roslaunch.core import RLException
 from roslaunch.xmlloader import XmlLoader
 
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.robot.urdf import expand_xacro, xacro_arguments
 from construction_twin.ros.commands import preflight
-from construction_twin.views.roslaunch_call import RoslaunchCall
 
 LAUNCH = Path(__file__).resolve().parents[2] / "launch"
+_expanded = functools.cache(lambda path, words: expand_xacro(path, xacro_arguments(words)))
 
 
 class Reader(XmlLoader):
     """roslaunch's own reader, which starts no program."""
 
-    #: The command of the last parameter `preflight` that was read.
-    asked = ""
-
     def param_value(self, verbose, name, ptype, value, textfile, binfile, command):
         """Return a parameter's value; of one that is a command its text."""
         if command is None:
             return super().param_value(verbose, name, ptype, value, textfile, binfile, command)
-        if name == "preflight":
-            self.asked = command
-        return command
+        if not name.endswith("robot_description"):
+            return command
+        _, path, *words = shlex.split(command)
+        try:
+            return _expanded(path, shlex.join(words))
+        except ConfigurationError as error:
+            raise RLException(f"robot_xacro: {error}") from error
 
 
 @functools.cache
-def _read(file: str, *words: str) -> tuple[ROSLaunchConfig | RLException, str]:
-    """Return what roslaunch would start, or why it cannot be read, and the command of `preflight`, which comes before the rest."""
-    reader, launch = Reader(), [(str(LAUNCH / f"{file}.launch"), list(words))]
-    try:
-        config = load_config_default(launch, None, loader=reader, verbose=False, assign_machines=False)
-    except RLException as error:
-        return error, reader.asked
-    return config, reader.asked
-
-
 def read_launch(file: str, *words: str) -> ROSLaunchConfig:
     """Return what roslaunch would start with arguments ``name:=value``; `file` is a name in launch/."""
-    config, _ = _read(file, *words)
-    if isinstance(config, RLException):
-        raise config
-    return config
+    launch = [(str(LAUNCH / f"{file}.launch"), list(words))]
+    return load_config_default(launch, None, loader=Reader(), verbose=False, assign_machines=False)
 
 
 def node_names(file: str, *words: str) -> list[str]:
@@ -64,7 +53,7 @@ def node_arguments(name: str, file: str, *words: str) -> str:
 
 
 def parameters(file: str, *words: str) -> dict[str, object]:
-    """Return the parameters by name, those of commands as texts."""
+    """Return the parameters by name, those of commands but the URDF as texts."""
     return {name: param.value for name, param in read_launch(file, *words).params.items()}
 
 
@@ -77,15 +66,18 @@ def twin_in_tf(*words: str) -> str:
     return nodes["display"].get("twin/joint_states", "twin/joint_states")
 
 
-def asked(file: str, *words: str) -> dict[str, str]:
-    """Return the arguments with which the launch file calls `preflight`."""
-    _, command = _read(file, *words)
-    return dict(word.split(":=", 1) for word in shlex.split(command) if ":=" in word)
+def refusals(file: str, *words: str, only: str = "", **changes: object) -> dict[str, list[str]]:
+    """Return which nodes would refuse this start, by their sentence.
 
-
-def refusal(file: str, *words: str) -> str:
-    """Return why `preflight` would refuse this start, without a look at what runs here; empty when it would not."""
-    given = dict(word.split(":=", 1) for word in words)
-    call = RoslaunchCall(("construction_twin", f"{file}.launch"), given, {})
-    # the whole call is looked at first: what no launch file reads, roslaunch would not pass on either
-    return preflight.call_problem(call) or preflight.refusal(asked(file, *words), call, "")
+    Args:
+        only: Name of the one node that is asked; empty: all are.
+        changes: Parameters of the robot kr120 that a file of config/ would set otherwise: node__key.
+    """
+    config = read_launch(file, *words)
+    values = {name: param.value for name, param in config.params.items()}
+    for name, value in changes.items():
+        full = f"/kr120/{name.replace('__', '/')}"
+        values = {key: kept for key, kept in values.items() if not key.startswith(f"{full}/") and key != full}
+        if value is not None:
+            values[full] = value
+    return preflight.refusals([node for node in config.nodes if only in ("", node.name)], values)

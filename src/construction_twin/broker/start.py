@@ -18,6 +18,7 @@ import sys
 import time
 from pathlib import Path
 
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.network import listening_ports, port_is_free
 from construction_twin.core.realtime import request_realtime
 
@@ -31,11 +32,18 @@ END_TIME = 5.0
 _LOOK = 0.02
 #: mosquitto puts the time in front of what it logs.
 _LOG_TIME = re.compile(r"^\d+: ")
-_NOT_INSTALLED = "mosquitto is not installed; run setup/setup.sh"
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Become mosquitto; exit with one sentence when that is not possible."""
+    """Become mosquitto; ConfigurationError where that is not possible."""
+    arguments = read_arguments(sys.argv[1:] if argv is None else argv)
+    program, text = check(arguments.config, arguments.port)
+    print(f"broker: {request_realtime(arguments.realtime)}", flush=True)
+    os.execv(program, [program, "-c", f"/dev/fd/{_in_memory(_complete(text, arguments.port))}"])
+
+
+def read_arguments(argv: list[str]) -> argparse.Namespace:
+    """Return the options; a wrong one ends the process."""
     parser = argparse.ArgumentParser(
         prog="broker",
         description="Run mosquitto: on loopback, or where the listeners of the configuration file say.",
@@ -51,39 +59,49 @@ def main(argv: list[str] | None = None) -> None:
         "--realtime", type=int, default=0, metavar="PRIORITY", help="SCHED_FIFO priority, 0 for none [%(default)s]"
     )
     # roslaunch adds __name:= and __log:= for nodes that speak ROS
-    arguments = parser.parse_args([a for a in (sys.argv[1:] if argv is None else argv) if ":=" not in a])
+    return parser.parse_args([word for word in argv if ":=" not in word])
+
+
+def check(path: str, port: int) -> tuple[str, str]:
+    """Return mosquitto's path and the text of its configuration; ConfigurationError where it could not start, or not stay."""
     program = _program()
     if program is None:
-        sys.exit(f"broker: {_NOT_INSTALLED}")
-    try:
-        text = Path(arguments.config).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        sys.exit(f"broker: {arguments.config}: {getattr(error, 'strerror', error)}")
-    listeners = listener_ports(text)
-    for port in listeners or [arguments.port]:
-        if not port_is_free(socket.SOCK_STREAM, port):
-            sys.exit(
-                f"broker: TCP port {port} on 127.0.0.1 is taken, probably by another MQTT broker; stop it, give another "
-                "broker_port, or use it with broker:=false"
-            )
-    print(f"broker: {request_realtime(arguments.realtime)}", flush=True)
-    os.execv(program, [program, "-c", f"/dev/fd/{_in_memory(_complete(text, arguments.port))}"])
-
-
-def trial(path: str, port: int) -> str:
-    """Start mosquitto as `main` would, and end it once it listens; return why it cannot work, empty when it can.
-
-    Args:
-        path: Of the configuration file.
-        port: TCP port on 127.0.0.1, for a file without listeners.
-    """
-    program = _program()
-    if program is None:
-        return _NOT_INSTALLED
+        raise ConfigurationError("mosquitto", None, "it to be installed; run setup/setup.sh")
     try:
         text = Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        return str(getattr(error, "strerror", error))
+        raise ConfigurationError(
+            "broker_config", path, f"a file that can be read: {getattr(error, 'strerror', error)}"
+        ) from error
+    for number in listener_ports(text) or [port]:
+        if not port_is_free(socket.SOCK_STREAM, number):
+            expected = (
+                "a free TCP port: another MQTT broker may have it, which broker:=false uses; or give another port"
+            )
+            raise ConfigurationError("broker_port", number, expected)
+    if cause := trial(program, text, port):
+        raise ConfigurationError("broker_config", path, f"one that mosquitto can start with: {cause}")
+    return program, text
+
+
+def lets_in_everybody(path: str) -> bool:
+    """Return whether a mosquitto configuration permits clients without an account; one that cannot be read is taken to."""
+    try:
+        lines = Path(path).read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError):
+        return True
+    # of several lines the last one counts; without one mosquitto 2 refuses clients without an account
+    permitted = [line.split()[1:] for line in lines if line.split()[:1] == ["allow_anonymous"]]
+    return bool(permitted) and permitted[-1] == ["true"]
+
+
+def trial(program: str, text: str, port: int) -> str:
+    """Start mosquitto as `main` would, and end it once it listens; return why it cannot work, empty when it can.
+
+    Args:
+        text: Of the configuration file.
+        port: TCP port on 127.0.0.1, for a file without listeners.
+    """
     # port 0 is that of a listener on a Unix socket
     wanted = {number for number in listener_ports(text) or [port] if number}
     file = _in_memory(_complete(text, port))

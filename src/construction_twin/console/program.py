@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from construction_twin.console.given_files import broker_tls, check_rights, own_tls
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.core.network import is_loopback
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.network import is_loopback, port_is_free
 from construction_twin.core.sentences import Sentence
 
 if TYPE_CHECKING:
@@ -28,27 +28,29 @@ DEFAULT_PORT = 8480
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Serve until a signal; return the exit code."""
-    arguments = _arguments(argv)
-    if importlib.util.find_spec("aiohttp") is None:
-        print("console: the Python package aiohttp is not installed; run setup/setup.sh console")
-        return 1
+    """Serve until a signal; return the exit code. ConfigurationError where it cannot be served."""
+    arguments, settings = check(argv)
     logging.basicConfig(level=logging.INFO, format="console: %(message)s")
-    try:
-        settings = settings_of(arguments)
-    except ConstructionTwinError as error:
-        print(f"console: {error}")
-        return 1
     try:
         asyncio.run(_serve(settings, arguments))
     except asyncio.CancelledError:
         return 0
-    except OSError as error:
-        print(
-            f"console: {arguments.listen}:{arguments.port}: {error.strerror}; stop what holds it, or give another --port"
-        )
-        return 1
     return 0
+
+
+def check(argv: list[str] | None) -> tuple[argparse.Namespace, ServerSettings]:
+    """Return the options and what they mean; ConfigurationError where nothing can be served with them."""
+    arguments = _arguments(argv)
+    if importlib.util.find_spec("aiohttp") is None:
+        command = "setup/setup.sh console"
+        raise ConfigurationError("the Python package aiohttp", None, Sentence("expected.installed", command=command))
+    settings = settings_of(arguments)
+    if not port_is_free(socket.SOCK_STREAM, arguments.port, arguments.listen):
+        where = f"{arguments.listen}:{arguments.port}"
+        raise ConfigurationError(
+            "--listen and --port", where, "an address of this machine, and a free port, as --port 8490"
+        )
+    return arguments, settings
 
 
 def _arguments(argv: list[str] | None) -> argparse.Namespace:

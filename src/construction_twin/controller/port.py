@@ -408,16 +408,16 @@ class Make(Generic[LayoutT]):
     file: FileForm[LayoutT] | None = None
     references: tuple[str, ...] = ()
 
-    def layout_of(self, text: str, axes: Sequence[str]) -> LayoutT:
-        """Return the layout of an arm; ConfigurationError for a text that is none.
+    def layout_of(self, given: str, axes: Sequence[str]) -> LayoutT:
+        """Return the layout of an arm; ConfigurationError for a file that describes none.
 
         Args:
-            text: Of the file that describes it; "" for the plain one.
+            given: Path of the file that describes it, or its text, which has several lines; "" for the plain one.
         """
-        if not text:
+        if not given:
             return self.plain(axes)
-        form = self.form_of(text)
-        return form.read(text, form.name).layout
+        form = self.form_of(given)
+        return (form.read(given, form.name) if "\n" in given else form.load(given)).layout
 
     def form_of(self, given: str) -> FileForm[LayoutT]:
         """Return the form of a file that was given; ConfigurationError when the make has no files."""

@@ -9,6 +9,7 @@ import secrets
 import signal
 import sys
 import threading
+from dataclasses import dataclass
 from logging.handlers import QueueHandler, QueueListener
 from pathlib import Path
 from queue import SimpleQueue
@@ -22,7 +23,7 @@ from construction_twin.gateway.config import GatewayConfig, load_config
 from construction_twin.gateway.service import GatewayService
 from construction_twin.gateway.states import Mode, noted
 from construction_twin.gateway.stop_file import StopFile
-from construction_twin.gateway.trace import TraceWriter
+from construction_twin.gateway.trace import TraceWriter, check_trace
 from construction_twin.mqtt.account import load_account
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
@@ -74,7 +75,8 @@ def log_beside_the_loop() -> QueueListener:
 log = logging.getLogger("rsi_gateway")
 
 
-def _arguments(argv: list[str]) -> argparse.Namespace:
+def read_arguments(argv: list[str]) -> argparse.Namespace:
+    """Return the options; a wrong one ends the process."""
     parser = argparse.ArgumentParser(
         prog="rsi_gateway",
         description="Bridge between MQTT joint strings and a robot controller (KUKA RSI). Needs no ROS. Not safety rated.",
@@ -145,23 +147,49 @@ def _listen_address(text: str, config: GatewayConfig) -> tuple[str, int]:
     return host, port or config.layout.port
 
 
+@dataclass(frozen=True)
+class _Ends:
+    """Between whom the gateway stands."""
+
+    broker: Broker
+    topics: Topics
+    address: tuple[str, int]
+    controller: str | None
+
+
+def _ends(arguments: argparse.Namespace, config: GatewayConfig) -> _Ends:
+    account = load_account(arguments.account) if arguments.account else None
+    if account is not None and account.password_file:
+        account.password()
+    if account is not None and account.ca_file:
+        account.context()
+    broker = Broker(*_address(arguments.broker, "--broker"), protocol=arguments.protocol, account=account)
+    address = _listen_address(arguments.listen, config)
+    controller = address_of(arguments.controller, "--controller") if arguments.controller else None
+    if controller is None and not is_loopback(address[0]):
+        raise ConfigurationError("--controller", "", Sentence("expected.controller_address", address=address[0]))
+    return _Ends(broker, Topics(arguments.prefix, config.robot), address, controller)
+
+
+def check(arguments: argparse.Namespace, config: GatewayConfig) -> None:
+    """Raise the ConstructionTwinError that a gateway with these options would not start with; leave nothing behind."""
+    bind(*_ends(arguments, config).address).close()
+    if arguments.trace:
+        check_trace(arguments.trace, len(config.axes))
+
+
 def _run(arguments: argparse.Namespace) -> int:
     try:
         config = load_config(arguments.config)
-        account = load_account(arguments.account) if arguments.account else None
-        broker = Broker(*_address(arguments.broker, "--broker"), protocol=arguments.protocol, account=account)
-        topics = Topics(arguments.prefix, config.robot)
-        address = _listen_address(arguments.listen, config)
+        ends = _ends(arguments, config)
+        address, controller = ends.address, ends.controller
         file = arguments.ethernet_xml
         told = config.make.form_of(file).sends_to(file, config.layout) if file else address[0]
-        controller = address_of(arguments.controller, "--controller") if arguments.controller else None
-        if controller is None and not is_loopback(address[0]):
-            raise ConfigurationError("--controller", "", Sentence("expected.controller_address", address=address[0]))
         run, commissioning = secrets.token_hex(8), arguments.commissioning == "true"
         sock = bind(*address)
         # behind the address, which no second gateway gets
         stops = StopFile(arguments.stop_file or Path(arguments.config).with_name(f"{config.robot}.stopped"))
-        service = GatewayService(config, sock, broker, topics, run, controller, commissioning, stops=stops)
+        service = GatewayService(config, sock, ends.broker, ends.topics, run, controller, commissioning, stops=stops)
         # last: it takes room on a disk, which what else may be refused must not leave taken
         trace = TraceWriter(arguments.trace, len(config.axes)) if arguments.trace else None
         if trace is not None:
@@ -201,7 +229,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the gateway until SIGINT or SIGTERM; return the exit code."""
-    arguments = _arguments(sys.argv[1:] if argv is None else argv)
+    arguments = read_arguments(sys.argv[1:] if argv is None else argv)
     # the log's thread may keep the interpreter for 5 ms otherwise, more than a cycle
     sys.setswitchinterval(0.001)
     listener = log_beside_the_loop()

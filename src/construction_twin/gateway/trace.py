@@ -8,9 +8,11 @@ another gateway records is refused, before it is changed. Standard library only;
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import mmap
 import os
+import shutil
 import stat
 import struct
 from dataclasses import dataclass
@@ -39,6 +41,20 @@ def _entry(axes: int) -> struct.Struct:
 def room(axes: int, cycles: int = DEFAULT_CYCLES) -> int:
     """Return what a trace of so many values per position and cycles takes on the disk [bytes]."""
     return _HEADER.size + cycles * _entry(axes).size
+
+
+def check_trace(path: str, axes: int) -> None:
+    """Raise a ConfigurationError where `TraceWriter` would; change nothing."""
+    file = Path(path).resolve()
+    if file.exists() and not file.is_file():
+        raise ConfigurationError("--trace", path, Sentence("expected.trace.regular"))
+    if not os.access(file if file.exists() else file.parent, os.W_OK):
+        problem = "no such folder" if not file.parent.is_dir() else "Permission denied"
+        raise ConfigurationError("--trace", path, Sentence("expected.writable_but", problem=problem))
+    there = file.stat().st_blocks * 512 if file.exists() else 0
+    if shutil.disk_usage(file.parent).free + there < (needed := room(axes)):
+        problem = os.strerror(errno.ENOSPC)
+        raise ConfigurationError("--trace", path, Sentence("expected.trace.room", room=needed / 1e6, problem=problem))
 
 
 def _open(path: str) -> tuple[str, BinaryIO]:

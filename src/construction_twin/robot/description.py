@@ -213,16 +213,6 @@ def read_robot_files(urdf_path: str | Path, yaml_path: str | Path, xacro_args: s
     return load_robot(expand_xacro(urdf_path, xacro_arguments(xacro_args)), _read_description(yaml_path))
 
 
-def home_positions(yaml_path: str | Path) -> dict[str, float]:
-    """Return the home pose of a robot YAML, and where its other joints stand, by joint name [rad], [m]; needs no URDF."""
-    parsed = _validate(_RobotDescription, _read_description(yaml_path), "robot")
-    kinds = {name: _PrismaticJoint if "home_mm" in joint else _RevoluteJoint for name, joint in parsed.joints.items()}
-    home = {
-        name: _validate(kinds[name], joint, f"robot/joints/{name}").si().home for name, joint in parsed.joints.items()
-    }
-    return home | parsed.other_joints
-
-
 def _read_description(yaml_path: str | Path) -> dict:
     try:
         description = yaml.safe_load(read_text(yaml_path))

@@ -17,9 +17,10 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.physics.report import BROKEN, FAILED, PASSED, AxisLoad, RehearsalReport, RehearsedContact
 from construction_twin.robot.frames import quaternion_to_rotation
 from construction_twin.scene.objects import SceneObject, product
-from construction_twin.views.rehearsal_table import ESTIMATE
 from construction_twin.views.sync_picture import Shape
 
+#: Behind a number that is an estimate.
+ESTIMATE = "~"
 #: Colours r, g, b, a of the arm by how the rehearsal ended. A rehearsal that broke off has no arm to show.
 GHOSTS = {PASSED: (0.0, 0.55, 0.7, 0.4), FAILED: (0.9, 0.1, 0.1, 0.45)}
 #: Of the columns, from the fraction of the limit on that stands before each; and of one without a limit.

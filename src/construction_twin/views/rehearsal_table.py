@@ -10,9 +10,8 @@ from rich.table import Table
 from rich.text import Text
 
 from construction_twin.physics.report import PASSED, AxisLoad, RehearsalReport
+from construction_twin.views.rehearsal_picture import ESTIMATE
 
-#: Behind a number that is an estimate.
-ESTIMATE = "~"
 _STYLES = {PASSED: "bold green"}
 
 

@@ -36,6 +36,7 @@ from construction_twin.broker import make_site
 from construction_twin.console.pipe import BROKER_AWAY, NOT_MQTT, TOO_MUCH, BrokerAddress, PipeLimits
 from construction_twin.console.program import main
 from construction_twin.console.server import ServerSettings, origin_refusal
+from construction_twin.core.errors import ConfigurationError
 
 PORT, BROKER_PORT, FAKE_BROKER_PORT = 28480, 28481, 28483
 URL = f"http://127.0.0.1:{PORT}/"
@@ -508,9 +509,9 @@ def test_ten_thousand_junk_frames_leave_it_alive(broker, tmp_path):
         (["--page", "nowhere"], "--page"),
     ),
 )
-def test_what_cannot_work_or_would_send_passwords_in_the_clear_is_refused(capsys, arguments, words):
-    assert main(arguments) == 1
-    assert words in capsys.readouterr().out
+def test_what_cannot_work_or_would_send_passwords_in_the_clear_is_refused(arguments, words):
+    with pytest.raises(ConfigurationError, match=words):
+        main(arguments)
 
 
 def test_without_a_page_it_only_pipes(broker):

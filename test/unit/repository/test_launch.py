@@ -1,27 +1,33 @@
 """Every launch file is one that roslaunch accepts, and `--ros-args` explains every argument of it.
 
-Most is read in this process (`launch_files`), and what a start would be refused for is asked of `preflight`'s functions. roslaunch
-itself is started where its own part is tested: one start that is accepted, refusals, and what it prints around them.
+Most is read in this process (`launch_files`); what a start is refused for is tested in `test_preflight`, and live in test_refusals.
 """
 
 from __future__ import annotations
 
 import re
-import subprocess
+from importlib import import_module
 from pathlib import Path
+from pkgutil import iter_modules
 from xml.etree import ElementTree
 
 import pytest
-from launch_files import Reader, asked, node_arguments, node_names, parameters, read_launch, refusal, twin_in_tf
+from launch_files import Reader, node_arguments, node_names, parameters, read_launch, twin_in_tf
 from roslaunch import rlutil
 
-from construction_twin.ros.commands.node_files import node_shells
+from construction_twin.ros import nodes
 from construction_twin.ros.shared.frame_listener import FRAMES
-from construction_twin.views.preflight import notes
+from construction_twin.ros.shared.node_shell import NodeShell
 
 ROOT = Path(__file__).resolve().parents[3]
 ARCHITECTURE = (ROOT / "docs/architecture.md").read_text()
 LAUNCHES = sorted((ROOT / "launch").glob("*.launch"))
+
+
+def node_shells() -> list[NodeShell]:
+    """Return the shell of every node of a robot, by name."""
+    modules = (import_module(f"{nodes.__name__}.{found.name}") for found in iter_modules(nodes.__path__))
+    return [module.NODE for module in modules if hasattr(module, "NODE")]
 
 
 def name_of(path: Path) -> str:
@@ -34,8 +40,6 @@ def is_whole(path: Path) -> bool:
     return all({"default", "value"} & set(arg.attrib) for arg in arguments)
 
 
-#: What a launch file needs that is not on every machine, and words with which it is not asked for.
-ELSEWHERE = {"gazebo": ("gzserver:=true",)}
 WHOLE = [path for path in LAUNCHES if is_whole(path)]
 
 
@@ -49,11 +53,6 @@ def test_roslaunch_accepts_it(path, monkeypatch):
     assert rlutil.check_roslaunch(str(path)) is None
 
 
-@pytest.mark.parametrize("path", WHOLE, ids=name_of)
-def test_preflight_has_nothing_against_it_as_it_is(path):
-    assert refusal(path.stem, *ELSEWHERE.get(path.stem, ())) == ""
-
-
 @pytest.mark.parametrize("file", ["bringup", "experiment"])
 @pytest.mark.parametrize("given", ["", "192.168.1.20"])
 def test_the_controller_s_address_reaches_the_gateway(file, given):
@@ -63,8 +62,8 @@ def test_the_controller_s_address_reaches_the_gateway(file, given):
 
 def test_the_make_of_the_controller_reaches_gateway_bridge_and_mock():
     names = ("gateway/make", "mock_rsi/make", "gateway/ethernet_xml", "mock_rsi/ethernet_xml")
-    known = parameters("bringup")
-    assert [str(known[f"/kr120/{name}"])[:5] for name in names] == ["rsi", "rsi", "<ROOT", "<ROOT"]
+    known = parameters("bringup", "ethernet_xml:=/some.xml")
+    assert [known[f"/kr120/{name}"] for name in names] == ["rsi", "rsi", "/some.xml", "/some.xml"]
     known = parameters("experiment", "controller_make:=frames")
     assert [known.get(f"/kr120/{name}") for name in names] == ["frames", "frames", None, None]
 
@@ -112,11 +111,6 @@ def test_what_takes_the_commands_is_started_and_nothing_else_of_it(arguments, no
     words = arguments.split()
     started = {name.rsplit("/", 1)[-1] for name in node_names("bringup", *words)}
     assert "mqtt_bridge" in started and started & {"rsi_gateway", "mock_rsi", "plc"} == nodes
-    assert refusal("bringup", *words) == ""
-    told = " ".join(notes(asked("bringup", *words)))
-    assert ("gateway_kind:=plc with arm:=real: a bare PLC is commanded by joint strings alone" in told) == (
-        "real" in arguments
-    )
 
 
 #: Those that compare the simulated pose, or only wait for it.
@@ -153,41 +147,6 @@ def test_frames_that_goals_are_looked_up_in_are_no_simulated_pose_s(twin, stream
     given = parameters("bringup", f"twin:={twin}", "servo_model:=/servos.yaml", "arm:=none")
     expected = {"twin": twin, "servo_model": "/servos.yaml", "arm": "none"}
     assert {name: given[f"/kr120/display/{name}"] for name in expected} == expected
-
-
-REFUSED = {
-    "twin:=bullet": "twin:=bullet: expected kinematic, mujoco or gazebo",
-    "twin:=gazebo gzserver:=/no/gzserver": "twin:=gazebo: gzserver: found '/no/gzserver', expected a program that starts Gazebo",
-    "drives:=/none.yaml": "drives:=/none.yaml: expected ",
-    "arm:=foo": "arm:=foo: expected mock, real or none",
-    "controller_make:=fanuc": "controller_make:=fanuc: expected rsi",
-    "rsi_cycle:=8": "rsi_cycle:=8: expected 4 or 12",
-    "ethernet_xml:=none": "ethernet_xml:=none: path: found 'none', expected that of the controller's Ethernet XML",
-    "robot_config:=/no/such.yaml": "robot_config:=/no/such.yaml: expected the absolute path",
-    "scene:=/no/such.yaml": "scene:=/no/such.yaml: expected the absolute path",
-    "arm:=real": "bridge_account:='' with arm:=real: ",
-    "arm:=real auto_approve:=true": "auto_approve:=true with arm:=real: ",
-    "scene:=": "scene:='': roslaunch drops an empty value",
-    "brocker:=false": "brocker:=false: bringup.launch has no such argument; did you mean broker:=false?",
-}
-
-
-@pytest.mark.parametrize("arguments, sentence", REFUSED.items())
-def test_an_argument_that_cannot_work_is_refused(arguments, sentence):
-    assert refusal("bringup", *arguments.split()).startswith(sentence)
-
-
-def test_an_argument_that_cannot_work_ends_the_launch_before_it_begins():
-    """One that roslaunch does not pass on."""
-    argument = "scene:="
-    run = subprocess.run(
-        ["roslaunch", "--nodes", "construction_twin", "bringup.launch", argument],
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert run.returncode != 0 or "Invalid" in run.stderr
-    assert f"preflight: {REFUSED[argument]}" in run.stderr and "Traceback" not in run.stderr
 
 
 def test_the_monitor_ends_before_what_it_watches():

@@ -43,7 +43,7 @@ class Cell:
     def __init__(self, port: int, protocol: str, prefix: str):
         self.topics, self.broker = Topics(prefix, "kr120"), Broker(port=port, protocol=protocol)
         settings = Settings(
-            host="127.0.0.1", port=port, protocol=protocol, prefix=prefix, gateway_kind="plc", reset_timeout=5.0,
+            arm="mock", host="127.0.0.1", port=port, protocol=protocol, prefix=prefix, gateway_kind="plc", reset_timeout=5.0,
             max_state_age=0.1,
         )  # fmt: skip
         self.client = make_client(self.broker, unique_id("kr120", "bridge"), self.topics.bridge_status, direct=True)

@@ -135,18 +135,22 @@ def test_that_a_person_is_waited_for_outlasts_the_bridge_until_a_person_has_rese
 def test_a_bridge_that_is_started_again_reads_what_the_one_before_it_waited_for(clocks, monkeypatch):
     bench = BridgeBench(clocks)
     bench.client.on_stream = lambda *_: None
-    monkeypatch.setattr(mqtt_bridge, "config_from_parameters", lambda **_: CONFIG)
+    monkeypatch.setattr(mqtt_bridge, "config_of_link", lambda *_: CONFIG)
     monkeypatch.setattr(mqtt_bridge, "make_client", lambda *_, **__: bench.client)
     monkeypatch.setattr(mqtt_bridge, "connect", lambda *_: None)
     ports = SimpleNamespace(
         publishers=defaultdict(Published),
         diagnostics=bench.diagnostics,
-        parameters={mqtt_bridge.MIRROR_MODE: False, mqtt_bridge.WAITS: "not armed within 5 s; call reset"},
+        parameters={
+            "gateway": {},
+            mqtt_bridge.MIRROR_MODE: False,
+            mqtt_bridge.WAITS: "not armed within 5 s; call reset",
+        },
         keeper=lambda name: lambda value: None,
     )
     axes = [SimpleNamespace(name=name, sign=1, offset=0.0) for name in CONFIG.axes]
     robot = SimpleNamespace(name="arm", joint_names=CONFIG.axes, axes=axes, linear=(False,) * 2)
-    settings = mqtt_bridge.Settings(host="127.0.0.1", port=1, reset_timeout=1.0, max_state_age=0.1)
+    settings = mqtt_bridge.Settings(host="127.0.0.1", port=1, arm="mock", reset_timeout=1.0, max_state_age=0.1)
     bench.bridge = mqtt_bridge.start(settings, robot, ports)
     bench.connect()
     for _ in range(100):

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 
 import pytest
+import rosgraph
 from ros_master import PID, Node, ros_master
 from sentence_checks import says
 
-from construction_twin.core.errors import SilenceError
+from construction_twin.core.errors import ConfigurationError, SilenceError
 from construction_twin.core.sentences import Sentence
-from construction_twin.ros.commands import preflight
 from construction_twin.ros.shared.master import expect_publisher, running
+from construction_twin.ros.shared.start_refusal import expect_no_other
 
 
 @pytest.fixture
@@ -57,7 +59,6 @@ def test_another_node_on_the_port_of_one_that_was_killed_is_not_taken_for_it(mas
     try:
         assert [node.name for node in running(["/camera"], master)] == ["/camera"]
         assert running(["/kr120/executor"], master) == []
-        assert preflight.running_problem({"robot": "kr120"}, master) == ""
         with pytest.raises(
             SilenceError, check=says("view.silent", problem=Sentence("view.silent.ended", nodes="/kr120/executor"))
         ):
@@ -70,7 +71,41 @@ def test_a_node_that_does_not_tell_its_name_counts_and_what_removes_it_is_said(m
     """Those of roscpp answer `getPid`, and know no `getName`."""
     node = Node(master, "/kr120/robot_state_publisher")
     node.server.funcs.pop("getName")
-    said = preflight.running_problem({"robot": "kr120"}, master)
+    (said,) = map(str, running(["/kr120/robot_state_publisher"], master))
     node.end()
-    assert "/kr120/robot_state_publisher on 127.0.0.1, process 4711 (which tells no name; if it has ended, " in said
-    assert "`rosnode cleanup` removes it);" in said
+    assert said.startswith(
+        "/kr120/robot_state_publisher on 127.0.0.1, process 4711 (which tells no name; if it has ended, "
+    )
+
+
+def test_a_node_that_does_not_answer_may_live(master):
+    with socket.socket() as mute:
+        mute.bind(("127.0.0.1", 0))
+        mute.listen()
+        uri = f"http://127.0.0.1:{mute.getsockname()[1]}"
+        rosgraph.Master("/kr120/executor", master).registerPublisher("/t", "std_msgs/String", uri)
+        (said,) = map(str, running(["/kr120/executor"], master))
+    assert said == "/kr120/executor on 127.0.0.1 (does not answer; if it has ended, `rosnode cleanup` removes it)"
+
+
+def test_a_node_of_a_name_that_runs_already_does_not_take_its_place(master, monkeypatch):
+    monkeypatch.setenv("ROS_MASTER_URI", master)
+    monkeypatch.setenv("ROS_NAMESPACE", "kr120")
+    node = Node(master, "/kr120/executor")
+    try:
+        with pytest.raises(
+            ConfigurationError, match="/kr120/executor: found .* process 4711.*, expected no such node on"
+        ):
+            expect_no_other("executor")
+    finally:
+        node.end()
+    expect_no_other("executor")
+    # a gateway, too, which is no node any more once it runs, does not start beside another launch of its robot
+    node = Node(master, "/kr120/startup")
+    expect_no_other("rsi_gateway")
+    monkeypatch.setenv("CONSTRUCTION_TWIN_LAUNCH", "second")
+    try:
+        with pytest.raises(ConfigurationError, match="/kr120/startup: found .* process 4711"):
+            expect_no_other("rsi_gateway")
+    finally:
+        node.end()

@@ -10,6 +10,7 @@ from pathlib import Path
 import pydantic
 import pytest
 import yaml
+from launch_files import refusals
 from scene_samples import kr120
 
 from construction_twin.core.errors import ConstructionTwinError
@@ -18,7 +19,6 @@ from construction_twin.robot.description import load_robot
 from construction_twin.robot.tool import read_tool
 from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.commands.experiment_settings import ExperimentSettings
-from construction_twin.ros.commands.node_files import NODE_FILES, node_files_problem
 from construction_twin.scenario.definition import read_scenario
 from construction_twin.scene.cell import load_cell
 from construction_twin.scene.scene_yaml import read_scene
@@ -104,23 +104,28 @@ def test_a_mistyped_key_of_a_file_is_named(name, tmp_path):
             assert wrong in str(refusal.value), place
 
 
-@pytest.mark.parametrize("node", NODE_FILES, ids=lambda file: file.name)
-def test_a_mistyped_key_of_a_node_s_file_is_named(node, tmp_path):
-    folder = shutil.copytree(CONFIG, tmp_path / "config")
-    file = folder / f"{node.name}.yaml"
-    document = yaml.safe_load(file.read_text())
-    given = {"neighbour": "b", "tool_marker": "true", "separation": "true", "work_model": "x", "arm": "mock"}
-    robot = kr120()
+#: Nodes with a file of config/, and the words with which bringup.launch starts them.
+NODES = (
+    "executor",
+    "pca_monitor",
+    "planner",
+    "rehearsal",
+    "mqtt_bridge",
+    "console_node",
+    "mock_rsi",
+    "follow_joint_trajectory",
+    "tool_marker",
+    "separation",
+    "gateway",
+)
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_a_mistyped_key_of_a_node_s_file_is_named(node):
+    document = yaml.safe_load((CONFIG / f"{node}.yaml").read_text())
+    asked = "mqtt_bridge" if node == "gateway" else node
+    words = ("broker:=false", "gateway:=false", "tool_marker:=true", "separation:=true")
     for place in places(document):
         changed, wrong = mistyped(document, place, keep=False)
-        file.write_text(yaml.safe_dump(changed, sort_keys=False))
-        assert wrong in node_files_problem(given, robot, folder), place
-
-
-def test_a_scenario_that_changes_a_node_which_is_none_is_refused(tmp_path):
-    file = tmp_path / "mine.yaml"
-    file.write_text((CONFIG / "scenarios" / "stall_replan.yaml").read_text().replace("pca_monitor:", "pca_monitr:"))
-    said = node_files_problem({"scenario": str(file), "arm": "mock"}, kr120(), CONFIG)
-    assert said == (
-        f"scenario:={file}: pca_monitr: expected `scenario`, or the name of a node that it changes; did you mean pca_monitor?"
-    )
+        changes = {f"{node}__{key}": changed.get(key) for key in {*document, *changed}}
+        assert any(wrong in said for said in refusals("bringup", *words, only=asked, **changes)), place

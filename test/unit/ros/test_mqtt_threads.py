@@ -78,7 +78,7 @@ def caught(monkeypatch):
 def test_an_error_in_a_callback_reaches_the_hook_that_ends_the_node(monkeypatch, caught, direct, method, topic):
     monkeypatch.setattr(MqttBridge, method, fail)
     broker = TinyBroker(message(topic, b"x") if topic else b"")
-    settings = Settings(host="127.0.0.1", port=broker.port, reset_timeout=1.0, max_state_age=0.1)
+    settings = Settings(arm="mock", host="127.0.0.1", port=broker.port, reset_timeout=1.0, max_state_age=0.1)
     address = Broker("127.0.0.1", broker.port)
     client = make_client(address, "bridge", "twin/arm/bridge/status", direct=direct)
     bench = BridgeBench(Clocks(monkeypatch, mqtt_bridge))

@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import yaml
+from launch_files import refusals
 from new_arms import ARMS, write_arm
 from roslaunch.substitution_args import resolve_args
 
@@ -18,7 +19,6 @@ from construction_twin.planning.pipeline import PlanningPipeline
 from construction_twin.planning.planner import PlannerSettings, PlanRequest
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.new_robot import ESTIMATED
-from construction_twin.ros.commands import preflight
 from construction_twin.ros.commands.new_arm import main
 from construction_twin.rsi.ethernet_xml import load_ethernet_xml
 from construction_twin.scene.collision_world import CollisionWorld
@@ -93,21 +93,16 @@ def check_home(robot: RobotModel, given: dict[str, str]) -> None:
 
 
 def check_start(given: dict[str, str]) -> None:
-    """What bringup.launch asks of the files before anything starts."""
-    asked = given | {
-        "arm": "mock",
-        "decimals": "3",
-        "cell": "",
-        "neighbour": "",
-        "bridge_account": "",
-        "gateway_account": "",
-    }
-    assert preflight.contents_problem(asked) == ""
-    assert f"estimates: found {list(robot_estimates(given))}" in preflight.contents_problem(asked | {"arm": "real"})
+    """What the nodes of bringup.launch ask of the files before anything starts."""
+    words = [f"{name}:={value}" for name, value in given.items() if value]
+    words += ["broker:=false", "gateway:=false", "anonymous_broker_is_meant:=true"]
+    assert refusals("bringup", *words) == {}
+    (said,) = refusals("bringup", *words, "arm:=real")
+    assert said.startswith(f"estimates: found {list(robot_estimates(given))}")
     entered = yaml.safe_load(Path(given["robot_config"]).read_text()) | {"estimates": []}
     file = Path(given["robot_config"]).with_name("entered.yaml")
     file.write_text(yaml.safe_dump(entered, sort_keys=False))
-    assert preflight.contents_problem(asked | {"arm": "real", "robot_config": str(file)}) == ""
+    assert refusals("bringup", *words, "arm:=real", f"robot_config:={file}") == {}
 
 
 def check_planning(robot: RobotModel, given: dict[str, str]) -> None:

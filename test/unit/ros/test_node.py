@@ -102,17 +102,16 @@ def test_a_log_line_that_a_full_disk_does_not_take_ends_nobody():
 
 def test_a_typed_error_is_one_sentence():
     ended = run("raise PayloadError('values', 'nan')")
-    assert ended.returncode == 1 and "cannot run: nan" in ended.stderr and "Traceback" not in ended.stderr
+    assert ended.returncode == 1 and "cannot start: nan" in ended.stderr and "Traceback" not in ended.stderr
 
 
 def test_simulated_time_is_one_sentence(monkeypatch):
-    """Where a launch file sets it beside the nodes, after preflight has asked."""
     monkeypatch.setenv("ROS_IP", "127.0.0.1")
     with ros_master() as uri:
         rosgraph.Master("/roslaunch", uri).setParam("/use_sim_time", True)
         monkeypatch.setenv("ROS_MASTER_URI", uri)
         ended = run("raise TypeError('a clock that has not begun')")
-    assert ended.returncode == 1 and "cannot run: /use_sim_time: found True, expected false" in ended.stderr
+    assert ended.returncode == 1 and "cannot start: /use_sim_time: found True, expected false" in ended.stderr
     assert "Traceback" not in ended.stderr
 
 

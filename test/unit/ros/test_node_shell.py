@@ -17,7 +17,6 @@ from unplugged import Unplugged
 
 from construction_twin.core.errors import ConfigurationError, PoseUnknownError
 from construction_twin.ros import nodes
-from construction_twin.ros.commands.node_files import NODE_FILES
 from construction_twin.ros.shared import node_shell as module
 from construction_twin.ros.shared import ports
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
@@ -49,7 +48,7 @@ class Settings(pydantic.BaseModel):
     rate: float
 
 
-def refuse_fast(settings: Settings, robot) -> None:
+def refuse_fast(settings: Settings, robot, _shared) -> None:
     if settings.rate > 10.0:
         raise ConfigurationError("rate", settings.rate, f"at most 10 for {robot.name}")
 
@@ -61,8 +60,8 @@ def started(monkeypatch, values: dict) -> list:
     shell = NodeShell("fast", Settings, start, Interface(), refuse_fast)
     monkeypatch.setattr(rospy, "get_param", lambda name, default=None: values)
     monkeypatch.setattr(rospy, "get_name", lambda: "/kr120/fast")
-    monkeypatch.setattr(module, "robot_from_parameters", lambda: ROBOT)
-    monkeypatch.setattr(module, "run_node", lambda name, start: start())
+    monkeypatch.setattr(module, "robot_from_parameters", lambda parameters: ROBOT)
+    monkeypatch.setattr(module, "run_node", lambda name, start, refused: start())
     shell.run()
     return found
 
@@ -72,19 +71,9 @@ def test_a_node_starts_with_parameters_and_robot(monkeypatch):
 
 
 @pytest.mark.parametrize("values, says", [({"rate": 50.0}, "at most 10 for kr120"), ({}, "rate")])
-def test_what_preflight_refuses_the_node_refuses_in_the_same_words(monkeypatch, values, says):
-    with pytest.raises(ConfigurationError, match=says) as caught:
-        NodeShell("fast", Settings, lambda *_: None, Interface(), refuse_fast).check_values(values, ROBOT)
-    with pytest.raises(ConfigurationError) as ended:
+def test_parameters_with_which_it_cannot_work_are_refused_before_it_is_made(monkeypatch, values, says):
+    with pytest.raises(ConfigurationError, match=says):
         started(monkeypatch, values)
-    assert str(ended.value).endswith(str(caught.value))
-
-
-def test_every_node_with_a_file_in_config_is_checked_by_preflight():
-    # scene.yaml holds objects, and no parameters
-    files = {path.stem for path in (ROOT / "config").glob("*.yaml")} - {"scene"}
-    checked = {file.name for file in NODE_FILES}
-    assert {name for name in shells() if name in files} <= checked
 
 
 def test_every_node_runs_its_shell():

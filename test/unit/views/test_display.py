@@ -66,6 +66,12 @@ def test_a_view_follows_the_robot_s_name():
     for word in ("/kr120/robot_description", "kr120/twin/tool0"):
         assert word in text and word.replace("kr120", "my_arm") in view_for(text, "my_arm")
     assert "kr120" not in view_for(text, "my_arm")
+    below = view_for(text, "my_arm", "/cell/")
+    assert (
+        "Marker Topic: /cell/my_arm/sync_markers\n" in below
+        and "TF Prefix: my_arm/twin\n" in below
+        and ": /my_arm/" not in below
+    )
     two = (ROOT / "rviz/two_robots.rviz").read_text()
     assert "kr120_1/twin" in two and view_for(two, "my_arm").count("kr120_1/") == two.count("kr120_1/")
 

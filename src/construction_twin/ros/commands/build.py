@@ -30,7 +30,7 @@ from construction_twin.ros.commands.experiment import point_latest
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.node import ending_on_signals
 from construction_twin.ros.shared.operator_client import OperatorClient
-from construction_twin.ros.shared.params import read_parameters
+from construction_twin.ros.shared.params import Parameters, read_parameters
 from construction_twin.ros.shared.refusal_log import warn_of_refusals
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.srv import WorkDecide
@@ -433,13 +433,20 @@ def answer_of(inputs: Mapping[str, bool], confirm: Mapping[str, bool], last: str
     return wanted if wanted in answers else ""
 
 
+def checked(parameters: Parameters = rospy) -> Settings:
+    """Return what the node starts with; raise the ConstructionTwinError that it is refused for."""
+    settings = read_parameters(Settings, parameters)
+    check_writable(Path(settings.results_dir).expanduser())
+    return settings
+
+
 def main() -> int:
     """Run the session; return the exit code."""
     console = Console()
     try:
         with ending_on_signals():
             rospy.init_node("build", disable_signals=True)
-            files = Builder(read_parameters(Settings), console).run()
+            files = Builder(checked(), console).run()
     except ConstructionTwinError as error:
         console.print(f"build: {error}", soft_wrap=True, highlight=False)
         return 1

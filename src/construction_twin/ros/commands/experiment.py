@@ -27,9 +27,8 @@ from construction_twin.ros.commands.experiment_settings import ExperimentSetting
 from construction_twin.ros.commands.recorder import Recorder
 from construction_twin.ros.shared.master import await_master
 from construction_twin.ros.shared.node import ending_on_signals
-from construction_twin.ros.shared.params import read_parameters, robot_from_parameters
+from construction_twin.ros.shared.params import Parameters, read_parameters, robot_from_parameters
 from construction_twin.ros.shared.refusal_log import warn_of_refusals
-from construction_twin.ros.shared.roslaunch_parent import print_after, roslaunch_parent
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.srv import PlanToJoints
 
@@ -261,6 +260,14 @@ def point_latest(results: Path, directory: Path) -> None:
     link.replace(results / "latest")
 
 
+def checked(parameters: Parameters = rospy) -> tuple[ExperimentSettings, RobotModel]:
+    """Return what the node starts with; raise the ConstructionTwinError that it is refused for."""
+    settings, robot = read_parameters(ExperimentSettings, parameters), robot_from_parameters(parameters=parameters)
+    check_goals(settings, robot)
+    check_writable(Path(settings.results_dir).expanduser())
+    return settings, robot
+
+
 def main() -> int:
     """Run the experiment node; return the process's status: 0, or 1 after a sentence."""
     console = table_console()
@@ -268,13 +275,9 @@ def main() -> int:
         await_master()
         with ending_on_signals():
             rospy.init_node("experiment", disable_signals=True)
-            settings = read_parameters(ExperimentSettings)
-            report = Experiment(settings, robot_from_parameters(), console).run()
+            report = Experiment(*checked(), console).run()
     except (ConstructionTwinError, rospy.ROSException, rospy.ServiceException, OSError) as error:
         print(f"experiment: {spoken(error)}", file=sys.stderr, flush=True)
-        # the node is required: what roslaunch says of everything that it ends now would stand below the reason
-        above = roslaunch_parent()
-        print_after(f"experiment: {spoken(error)}", above[0] if above else None)
         return 1
     render_tables(report.summary, console)
     print_files(console, report.files)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import json
 import shutil
 import sys
@@ -15,13 +16,14 @@ from typing import Annotated, Any
 
 import pydantic
 import rospy
+import yaml
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from construction_twin.core.errors import ConstructionTwinError, ScenarioError, spoken
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, ScenarioError, spoken
 from construction_twin.core.files import check_writable
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.sentences import Sentence
@@ -30,15 +32,15 @@ from construction_twin.evaluation.tables import table_console
 from construction_twin.gateway.trace import read_trace
 from construction_twin.msg import Execution, Link, Plan, Sync, Transition
 from construction_twin.robot.description import RobotModel, read_robot_files
+from construction_twin.ros import nodes
 from construction_twin.ros.commands.evaluate import package_file
 from construction_twin.ros.commands.experiment import RestDetector
 from construction_twin.ros.commands.recorder import Recorder
 from construction_twin.ros.commands.scenario_bag import BAG, NOTES, TOPICS, TRACE, VERDICT, read_run
 from construction_twin.ros.shared.master import await_master
 from construction_twin.ros.shared.node import ending_on_signals
-from construction_twin.ros.shared.params import robot_from_parameters, settings_of
+from construction_twin.ros.shared.params import Parameters, robot_from_parameters, settings_of
 from construction_twin.ros.shared.refusal_log import warn_of_refusals
-from construction_twin.ros.shared.roslaunch_parent import print_after, roslaunch_parent
 from construction_twin.ros.transport.persistent_service import PersistentService
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, Step, make_scenario, read_scenario
@@ -75,6 +77,7 @@ class ScenarioSettings(pydantic.BaseModel):
     name: Annotated[str, pydantic.Field(pattern=r"^[a-z0-9_]+$")]
     results_dir: Annotated[str, pydantic.Field(pattern=r"^[/~]")]
     trace: Annotated[str, pydantic.Field(pattern=r"^/")]
+    file: str
 
 
 class ScenarioDriver:
@@ -357,8 +360,21 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _checked(given: dict) -> ScenarioSettings:
-    return settings_of(ScenarioSettings, given, rospy.get_name())
+def checked(parameters: Parameters = rospy) -> tuple[ScenarioSettings, dict]:
+    """Return the node's settings and its scenario; raise the ConstructionTwinError that it is refused for."""
+    content = parameters.get_param("~", {})
+    given = {name: content.pop(name) for name in ScenarioSettings.model_fields if name in content}
+    settings = settings_of(ScenarioSettings, given, parameters.get_name())
+    make_scenario(settings.name, content)
+    known = {path.stem for path in Path(nodes.__path__[0]).glob("*.py")} | {"scenario", "gateway", "separation"}
+    for name in yaml.safe_load(Path(settings.file).read_text(encoding="utf-8")):
+        if name not in known:
+            near = "".join(f"; did you mean {each}?" for each in difflib.get_close_matches(name, known, n=1))
+            raise ConfigurationError(
+                settings.file, name, f"`scenario`, or the name of a node whose parameters it changes{near}"
+            )
+    check_writable(Path(settings.results_dir).expanduser())
+    return settings, content
 
 
 def main() -> int:
@@ -371,15 +387,12 @@ def main() -> int:
         await_master()
         with ending_on_signals():
             rospy.init_node("scenario", disable_signals=True)
-            content = rospy.get_param("~", {})
-            given = {name: content.pop(name) for name in ScenarioSettings.model_fields if name in content}
-            verdict = run_scenario(_checked(given), content, console)
+            settings, content = checked()
+            verdict = run_scenario(settings, content, console)
     except (ConstructionTwinError, rospy.ROSException, OSError) as error:
         print(f"scenario: {spoken(error)}", file=sys.stderr, flush=True)
-        above = roslaunch_parent()
-        print_after(f"scenario: {spoken(error)}", above[0] if above else None)
         return 1
     print_verdict(verdict, console)
-    console.print(f"Written: {Path(given['results_dir']).expanduser() / given['name'] / VERDICT}", soft_wrap=True)
+    console.print(f"Written: {Path(settings.results_dir).expanduser() / settings.name / VERDICT}", soft_wrap=True)
     sys.stdout.flush()
     return 0 if verdict.passed else 1

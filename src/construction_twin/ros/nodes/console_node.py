@@ -49,9 +49,8 @@ from construction_twin.ros.console.requests import ConsoleRequests, RobotContext
 from construction_twin.ros.console.shown_plan import ShownPlan
 from construction_twin.ros.messages.plan_services import PLAN_SERVICES
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
-from construction_twin.ros.shared.launch_arguments import BROKER, has_link
-from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of
-from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
+from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, check_broker
+from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.params import ros_home
 from construction_twin.ros.shared.ports import Interface, NewestPose, Ports, SharedParameter, Subscription
 from construction_twin.ros.shared.private_files import PrivateFiles
@@ -309,9 +308,7 @@ INTERFACE = Interface(
     ),
 )
 # its threads take turns every millisecond: what computes a pose holds up no stop
-NODE = NodeShell(
-    "console_node", Settings, start, INTERFACE, file=ConfigFile(lambda _given: BROKER, has_link), fast=True
-)
+NODE = NodeShell("console_node", Settings, start, INTERFACE, check_broker, fast=True)
 
 
 def main() -> None:

@@ -39,6 +39,7 @@ from construction_twin.ros.shared.ports import (
     PoseSubscription,
     Publication,
     Served,
+    Shared,
     SharedParameter,
     Subscription,
     has_arm,
@@ -262,7 +263,15 @@ INTERFACE = Interface(
         Every(lambda _settings: SYNC_PERIOD, lambda node, _ports: node.show_sync()),
     ),
 )
-NODE = NodeShell("display", Settings, DisplayNode, INTERFACE)
+
+
+def check(_settings: Settings, robot: RobotModel, shared: Shared) -> None:
+    """Check that the robot has a place in the cell; see `NodeShell`."""
+    if shared["cell"] is not None:
+        load_cell(shared["cell"]).world_T_root(robot.name)
+
+
+NODE = NodeShell("display", Settings, DisplayNode, INTERFACE, check)
 
 
 def main() -> None:

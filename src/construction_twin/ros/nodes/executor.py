@@ -19,6 +19,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from construction_twin.core.errors import (
+    ConfigurationError,
     ConstructionTwinError,
     ExecutionError,
     ExpiredError,
@@ -61,7 +62,7 @@ from construction_twin.msg import SpeedChange as SpeedChangeMessage
 from construction_twin.physics.report import RehearsalReport, is_whole
 from construction_twin.review.plan_under_review import EXECUTOR, REJECTED, Verdict
 from construction_twin.review.record import Release, Responsibility, ReviewLog
-from construction_twin.robot.description import RobotModel
+from construction_twin.robot.description import ESTIMATES, RobotModel
 from construction_twin.robot.plan import Plan as PlanContent
 from construction_twin.robot.tool import tool_hash
 from construction_twin.ros.messages.convert import plan_from_msg
@@ -70,8 +71,7 @@ from construction_twin.ros.messages.tool import engagement_to_msg, order_to_msg,
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.engagement_file import ENDED, EngagementFile
-from construction_twin.ros.shared.launch_arguments import arm_of
-from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
+from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import NodeSettings, robot_file
 from construction_twin.ros.shared.ports import (
@@ -82,6 +82,7 @@ from construction_twin.ros.shared.ports import (
     PoseSubscription,
     Publication,
     Served,
+    Shared,
     Subscription,
     has_arm,
 )
@@ -124,6 +125,7 @@ class Settings(NodeSettings):
 
     arm: Literal["mock", "real", "none"]
     auto_approve: bool = False
+    auto_approve_is_meant: bool = False
     auto_approve_sources: tuple[Annotated[str, pydantic.Field(min_length=1)], ...] = ()
     review_file: Annotated[str, pydantic.Field(min_length=1)]
     neighbour: str = ""
@@ -763,8 +765,17 @@ def execution_report(
     return replace(report, plan_id=plan.id, plan_start=start, duration=duration, segment_name=name)
 
 
-def check(settings: Settings, robot: RobotModel) -> None:
-    """Check files before anything starts; see `NodeShell`."""
+def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
+    """Check files, and that a real arm moves by a person's word and by looked-up values; see `NodeShell`."""
+    if settings.arm == "real" and settings.auto_approve and not settings.auto_approve_is_meant:
+        raise ConfigurationError(
+            "auto_approve",
+            True,
+            "false with arm:=real, for a person to approve each plan; or also give auto_approve_is_meant:=true",
+        )
+    if settings.arm == "real" and robot.estimates:
+        keys = " and ".join(ESTIMATES[word] for word in robot.estimates)
+        raise ConfigurationError("estimates", list(robot.estimates), Sentence("expected.no_estimates", keys=keys))
     tool_hash(settings.tool)
     check_writable(robot_file(settings.review_file, robot.name).parent)
 
@@ -854,8 +865,7 @@ INTERFACE = Interface(
         ),
     ),
 )  # fmt: skip
-FILE = ConfigFile(lambda given: {"arm": arm_of(given)})
-NODE = NodeShell("executor", Settings, start, INTERFACE, check, FILE, fast=True)
+NODE = NodeShell("executor", Settings, start, INTERFACE, check, fast=True)
 
 
 def main() -> None:

@@ -52,14 +52,21 @@ from construction_twin.ros.messages.joint_goals import (
     trajectory_goal,
 )
 from construction_twin.ros.shared.diagnostics import OK, Report
-from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
-from construction_twin.ros.shared.ports import Interface, Ports, PoseSubscription, Publication, Subscription, has_arm
+from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.ports import (
+    Interface,
+    Ports,
+    PoseSubscription,
+    Publication,
+    Shared,
+    Subscription,
+    has_arm,
+)
 from construction_twin.ros.transport.joint_stream import from_time
 from construction_twin.ros.transport.persistent_service import NO_ANSWER
 from construction_twin.ros.transport.publisher import Publisher
 from construction_twin.ros.transport.subscriber import Subscriber, caller_of
 from construction_twin.srv import PlanTrajectory, ReviewPlan, StopPlan
-from construction_twin.views.preflight import is_true
 
 #: Messages kept for a client, and of clients, that are busy.
 QUEUE = 50
@@ -487,8 +494,14 @@ INTERFACE = Interface(
         Subscription("execution", Execution, FollowJointTrajectoryNode.on_execution, queue_size=50, tcp_nodelay=True),
     ),
 )
-FILE = ConfigFile(lambda _given: {"arm": "mock"}, lambda given: is_true(given, "follow_joint_trajectory", "true"))
-NODE = NodeShell("follow_joint_trajectory", Settings, FollowJointTrajectoryNode, INTERFACE, file=FILE)
+
+
+def check(_settings: Settings, _robot: RobotModel, _shared: Shared) -> None:
+    """Check that the action's messages are installed; see `NodeShell`."""
+    control_messages()
+
+
+NODE = NodeShell("follow_joint_trajectory", Settings, FollowJointTrajectoryNode, INTERFACE, check)
 
 
 def main() -> None:

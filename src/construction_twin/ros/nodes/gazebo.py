@@ -29,7 +29,7 @@ from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.params import ros_home
-from construction_twin.ros.shared.ports import Interface, Ports, Subscription
+from construction_twin.ros.shared.ports import Interface, Ports, Shared, Subscription
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene
 
@@ -208,7 +208,7 @@ def _how(code: int) -> str:
     return f"code {code}" if code >= 0 else signal.Signals(-code).name
 
 
-def check(settings: Settings, robot: RobotModel) -> None:
+def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
     """Check program, files and robot before anything starts; see `NodeShell`."""
     find_gzserver(settings.gzserver)
     if settings.drives:

@@ -23,13 +23,11 @@ from construction_twin.mock.network import MockRsi
 from construction_twin.mock.program import MockSettings, axis_angles, build_controller, gateway_address, joint_angles
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
-from construction_twin.ros.shared.launch_arguments import arm_of, controller_settings, tool_settings
-from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
+from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.ports import Interface, Ports, PosePublication, Publication, Served
+from construction_twin.ros.shared.ports import Interface, Ports, PosePublication, Publication, Served, Shared
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.srv import InjectFault, InjectFaultRequest
-from construction_twin.views.preflight import is_bare
 
 #: Between two reports on `~status` [s].
 _STATUS_PERIOD = 0.5
@@ -215,11 +213,14 @@ INTERFACE = Interface(
         Served("~inject", InjectFault, MockRsiNode.on_inject, refused=MockRsiNode.active_faults),
     ),
 )
-FILE = ConfigFile(
-    lambda given: {"gateway_host": "127.0.0.1"} | controller_settings(given) | tool_settings(given),
-    lambda given: arm_of(given) == "mock" and not is_bare(given),
-)
-NODE = NodeShell("mock_rsi", MockSettings, MockRsiNode, INTERFACE, build_controller, FILE)
+
+
+def check(settings: MockSettings, robot: RobotModel, _shared: Shared) -> None:
+    """Check that there can be such a controller; see `NodeShell`."""
+    build_controller(settings, robot)
+
+
+NODE = NodeShell("mock_rsi", MockSettings, MockRsiNode, INTERFACE, check)
 
 
 def main() -> None:

@@ -16,7 +16,8 @@ import pydantic
 import rospy
 from std_srvs.srv import SetBool, Trigger
 
-from construction_twin.core.errors import ExpiredError, PayloadError
+from construction_twin.broker.start import lets_in_everybody
+from construction_twin.core.errors import ConfigurationError, ExpiredError, PayloadError
 from construction_twin.core.freshness import TOO_OLD, parse_moment, staleness
 from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.reports import LinkReport, SessionRequest, ToolReport
@@ -67,10 +68,9 @@ from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.tool import tool_report_to_msg
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.gateway_config import config_from_parameters
-from construction_twin.ros.shared.launch_arguments import BROKER, has_link
+from construction_twin.ros.shared.gateway_config import ACCOUNTS, config_of_link
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
-from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
+from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.ports import (
     Interface,
@@ -79,6 +79,7 @@ from construction_twin.ros.shared.ports import (
     PoseSubscription,
     Publication,
     Served,
+    Shared,
     SharedParameter,
     Subscription,
 )
@@ -102,9 +103,16 @@ LOG_PERIOD = 0.05
 
 
 class Settings(MqttSettings):
-    """Private parameters; see config/mqtt_bridge.yaml."""
+    """Private parameters; see config/mqtt_bridge.yaml.
 
+    Attributes:
+        broker_config: mosquitto's, where the broker is started with the bridge.
+    """
+
+    arm: Literal["mock", "real"]
     gateway_kind: Literal["rsi", "plc"] = "rsi"
+    broker_config: str = ""
+    anonymous_broker_is_meant: bool = False
     reset_timeout: float = pydantic.Field(gt=0)
     max_state_age: float = pydantic.Field(gt=0)
 
@@ -731,7 +739,7 @@ class MqttBridge:
 
 def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttBridge:
     """Return the bridge with its parameters, topics and services, connecting to the broker."""
-    config = config_from_parameters(needs_file=settings.gateway_kind != PLC)
+    config = config_of_link(robot, ports.parameters["gateway"], settings.gateway_kind != PLC)
     broker = broker_of(settings)
     topics = Topics(settings.prefix, robot.name)
     bridge = MqttBridge(
@@ -761,7 +769,11 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttBridge:
 
 INTERFACE = Interface(
     report=MqttBridge.report,
-    parameters=(SharedParameter(MIRROR_MODE, False, kept=True), SharedParameter(WAITS, "", kept=True)),
+    parameters=(
+        SharedParameter(MIRROR_MODE, False, kept=True),
+        SharedParameter(WAITS, "", kept=True),
+        SharedParameter("gateway"),
+    ),
     publishes=(
         PosePublication("physical/joint_states"),
         PosePublication("physical/feedback", Feedback),
@@ -787,8 +799,19 @@ INTERFACE = Interface(
         Served("mirror", SetBool, MqttBridge.on_mirror),
     ),
 )
-FILE = ConfigFile(lambda _given: BROKER, has_link)
-NODE = NodeShell("mqtt_bridge", Settings, start, INTERFACE, file=FILE, fast=True)
+
+
+def check(settings: Settings, robot: RobotModel, shared: Shared) -> None:
+    """Check configuration and account, and that a real arm takes commands from accounts alone; see `NodeShell`."""
+    config_of_link(robot, shared["gateway"], settings.gateway_kind != PLC)
+    broker_of(settings)
+    open_to_all = not settings.account or (settings.broker_config and lets_in_everybody(settings.broker_config))
+    if settings.arm == "real" and open_to_all and not settings.anonymous_broker_is_meant:
+        where = "broker_config" if settings.account else "bridge_account"
+        raise ConfigurationError(where, settings.broker_config if settings.account else "", ACCOUNTS)
+
+
+NODE = NodeShell("mqtt_bridge", Settings, start, INTERFACE, check, fast=True)
 
 
 def main() -> None:

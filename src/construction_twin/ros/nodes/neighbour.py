@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import rosgraph
 import rospy
 
 from construction_twin.coordination.conflict import braking_horizon
@@ -30,7 +31,7 @@ from construction_twin.ros.shared.arm_listener import (
     listen_to_other_arm,
 )
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
-from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
+from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.planning_scene import PLANNING_SCENE, OtherArmPublisher
 from construction_twin.ros.shared.ports import Interface, Ports, Publication
 from construction_twin.ros.transport.publisher import Sink
@@ -207,7 +208,7 @@ def start(settings: NeighbourSettings, robot: RobotModel, ports: Ports) -> Neigh
     """Return the watch with its parameters and topics."""
     refuse = ports.diagnostics.refuse
     other = listen_to_other_arm(robot.name, settings, refuse, streams=True)
-    own = ArmListener(robot, refuse, streams=True)
+    own = ArmListener(robot, rosgraph.names.namespace(rospy.get_namespace()), refuse, streams=True)
     timeout = VERDICT_TIMEOUT / NANOSECONDS
     horizon = braking_horizon(robot, other.robot, OTHER_POSE_AGE, timeout, DELAY)
     judge = PathJudge(robot, settings.name, settings.watch_padding, OWN_STEP, horizon)
@@ -222,8 +223,7 @@ INTERFACE = Interface(
     publishes=(Publication("conflict", ConflictMsg, queue_size=10), PLANNING_SCENE),
     listeners=(*ARM_TOPICS, *ARM_POSES),
 )
-FILE = ConfigFile(lambda _given: {"name": "other"}, lambda given: bool(given.get("neighbour")))
-NODE = NodeShell("neighbour", NeighbourSettings, start, INTERFACE, file=FILE)
+NODE = NodeShell("neighbour", NeighbourSettings, start, INTERFACE)
 
 
 def main() -> None:

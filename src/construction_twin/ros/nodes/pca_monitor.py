@@ -42,8 +42,7 @@ from construction_twin.msg import Transition as TransitionMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.launch_arguments import arm_of, decimals_of
-from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
+from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.params import NodeSettings, robot_file, ros_home
 from construction_twin.ros.shared.ports import (
     Every,
@@ -53,6 +52,7 @@ from construction_twin.ros.shared.ports import (
     PoseSubscription,
     Publication,
     Served,
+    Shared,
     SharedParameter,
     Subscription,
     has_arm,
@@ -403,9 +403,15 @@ def knows_servos(settings: Settings) -> bool:
     return bool(settings.servo_model) and settings.arm != "none"
 
 
-def check(settings: Settings, robot: RobotModel) -> None:
+def check(settings: Settings, robot: RobotModel, shared: Shared) -> None:
     """Check what fits the model and yet cannot work; see `NodeShell`."""
     make_gate(settings, robot, 0)
+    if knows_servos(settings):
+        # servos of another cycle: the arm would never be judged
+        known = read_servos(settings.servo_model, robot.joint_names).cycle_ns // 1_000_000
+        cycle = (shared["gateway"] or {}).get("cycle", known)
+        if known != cycle:
+            raise ConfigurationError("cycle_ms", known, Sentence("expected.servo_cycle", cycle=cycle))
     check_writable(robot_file(settings.transition_file, robot.name).parent)
 
 
@@ -494,14 +500,7 @@ INTERFACE = Interface(
         Every(lambda _settings: AGAIN, lambda node, _ports: node.speed.write()),
     ),
 )
-FILE = ConfigFile(
-    lambda given: {
-        "arm": arm_of(given),
-        "decimals": decimals_of(given),
-        "servo_model": given.get("servo_model", ""),
-    }
-)
-NODE = NodeShell("pca_monitor", Settings, start, INTERFACE, check, FILE, fast=True)
+NODE = NodeShell("pca_monitor", Settings, start, INTERFACE, check, fast=True)
 
 
 def main() -> None:

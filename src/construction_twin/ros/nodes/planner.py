@@ -50,9 +50,9 @@ from construction_twin.ros.shared.arm_listener import OTHER_POSE_AGE, listen_to_
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.frame_listener import FRAMES
 from construction_twin.ros.shared.frames import listen_to_frames
-from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
+from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.ports import Interface, NewestPose, Ports, Publication, Served, Subscription
+from construction_twin.ros.shared.ports import Interface, NewestPose, Ports, Publication, Served, Shared, Subscription
 from construction_twin.ros.shared.request_handler import OccupiedSpace, RequestHandler
 from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.subscriber import caller_of
@@ -430,8 +430,14 @@ INTERFACE = Interface(
         Served("plan_way_back", Trigger, PlannerNode.on_plan_way_back),
     ),
 )
-FILE = ConfigFile(lambda _given: {"self_collision": "", "tf_prefix": ""})
-NODE = NodeShell("planner", Settings, PlannerNode, INTERFACE, file=FILE)
+
+
+def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
+    """Check the file of pairs; see `NodeShell`."""
+    read_self_collision(settings.self_collision, robot)
+
+
+NODE = NodeShell("planner", Settings, PlannerNode, INTERFACE, check)
 
 
 def main() -> None:

@@ -28,6 +28,7 @@ from construction_twin.msg import Rehearsal, Review, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.physics.drive import read_drives
 from construction_twin.physics.known_mass import body_of
+from construction_twin.physics.mass import payload_of
 from construction_twin.physics.report import BROKEN, PASSED, RehearsalReport, finished
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
@@ -37,9 +38,8 @@ from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.element_masses import element_masses, placed_elements, tool_mass
-from construction_twin.ros.shared.launch_arguments import Given, Values, payload_of_launch
-from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
-from construction_twin.ros.shared.ports import Interface, Ports, Publication, Subscription
+from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.ports import Interface, Ports, Publication, Shared, Subscription
 from construction_twin.ros.shared.rehearsal_process import PROGRAM, Question
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.publisher import Sink
@@ -357,7 +357,7 @@ def _hash_of(path: str) -> str:
     return hashlib.sha256(Path(path).read_bytes()).hexdigest() if path else ""
 
 
-def check(settings: Settings, robot: RobotModel) -> None:
+def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
     """Check packages and files before anything starts; see `NodeShell`."""
     if settings.mode != "auto":
         check_extras("physics")
@@ -365,6 +365,8 @@ def check(settings: Settings, robot: RobotModel) -> None:
         read_drives(settings.drives, robot)
     if settings.tool:
         read_tool(settings.tool)
+    read_self_collision(settings.self_collision, robot)
+    payload_of(settings.payload, "payload")
 
 
 def start(settings: Settings, robot: RobotModel, ports: Ports) -> RehearsalNode:
@@ -385,17 +387,6 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> RehearsalNode:
     )  # fmt: skip
 
 
-def _launched(given: Given) -> Values:
-    mode = given.get("rehearsal", "auto")
-    return {
-        "mode": mode if mode != "off" else "auto",
-        "drives": given.get("drives", ""),
-        "tool": "",
-        "self_collision": "",
-        "payload": payload_of_launch(given.get("payload", "")),
-    }
-
-
 INTERFACE = Interface(
     report=RehearsalNode.report,
     publishes=(Publication("rehearsal", Rehearsal, queue_size=2, latch=True),),
@@ -406,8 +397,7 @@ INTERFACE = Interface(
         Subscription("review", Review, RehearsalNode.on_review, queue_size=10),
     ),
 )
-FILE = ConfigFile(_launched, lambda given: given.get("rehearsal", "auto") != "off")
-NODE = NodeShell("rehearsal", Settings, start, INTERFACE, check, FILE)
+NODE = NodeShell("rehearsal", Settings, start, INTERFACE, check)
 
 
 def main() -> None:

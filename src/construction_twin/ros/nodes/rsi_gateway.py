@@ -10,11 +10,13 @@ from pathlib import Path
 import rosgraph
 import rospy
 
-from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.files import write_whole
-from construction_twin.ros.shared.gateway_config import config_from_parameters
-from construction_twin.ros.shared.master import wait_for_master
-from construction_twin.ros.shared.params import ros_home
+from construction_twin.gateway.command_line import check, read_arguments
+from construction_twin.gateway.config import GatewayConfig
+from construction_twin.ros.shared.gateway_config import ACCOUNTS, config_from_parameters
+from construction_twin.ros.shared.node import run_node
+from construction_twin.ros.shared.params import Parameters, ros_home
 
 #: In the robot's namespace, by the launch file: which arm it is. A mock is another one in each launch: nobody has stopped it yet.
 ARM, NEW_MOCK, MOCK = "gateway_arm", "new mock", "mock"
@@ -35,14 +37,25 @@ def stop_file(arm: str, config: Path, robot: str) -> Path:
     return stops
 
 
+def checked(words: list[str], parameters: Parameters = rospy) -> GatewayConfig:
+    """Return the configuration of a gateway with these options; raise the ConstructionTwinError that it is refused for."""
+    config = config_from_parameters(parameters=parameters)
+    options = read_arguments([*words, "--config", ""])
+    check(options, config)
+    is_meant = parameters.get_param("mqtt_bridge/anonymous_broker_is_meant", False)
+    if parameters.get_param(ARM, "") == "real" and not options.account and not is_meant:
+        raise ConfigurationError("gateway_account", "", ACCOUNTS)
+    return config
+
+
 def main() -> None:
     """Start the gateway on this machine as roslaunch would start a node; ROS ends where the gateway begins."""
-    try:
-        wait_for_master("rsi_gateway")
-        rospy.init_node("rsi_gateway", disable_signals=True, disable_rosout=True)
-        config = config_from_parameters()
-    except ConstructionTwinError as error:
-        sys.exit(f"rsi_gateway cannot run: {error}")
+    run_node("rsi_gateway", _hand_over)
+
+
+def _hand_over() -> None:
+    arguments = rospy.myargv(sys.argv)[1:]
+    config = checked(arguments)
     # one file per node and ROS master: two masters of one user must not hand each other's configuration over
     name = re.sub(r"\W+", "_", f"{rosgraph.get_master_uri()} {rospy.get_name()}")
     path = ros_home() / f"{name}.json"
@@ -52,6 +65,5 @@ def main() -> None:
         rospy.set_param(ARM, MOCK)
     write_whole(path, config.to_json())
     rospy.signal_shutdown("handing over to the gateway")
-    arguments = rospy.myargv(sys.argv)[1:]
     files = ["--config", str(path), "--stop-file", str(stops)]
     os.execv(sys.executable, [sys.executable, "-m", "construction_twin.gateway", *files, *arguments])

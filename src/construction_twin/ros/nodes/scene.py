@@ -30,8 +30,18 @@ from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import ros_home
 from construction_twin.ros.shared.planning_scene import PLANNING_SCENE, PlanningScenePublisher
-from construction_twin.ros.shared.ports import Every, Interface, NewestPose, Ports, Publication, Served, SharedParameter
+from construction_twin.ros.shared.ports import (
+    Every,
+    Interface,
+    NewestPose,
+    Ports,
+    Publication,
+    Served,
+    Shared,
+    SharedParameter,
+)
 from construction_twin.ros.transport.publisher import Sink
+from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.edits import SceneFile
 from construction_twin.scene.objects import Scene, SceneObject, product, relative
@@ -345,7 +355,15 @@ INTERFACE = Interface(
     ),
     every=(Every(lambda _settings: CHECK_PERIOD, lambda node, _ports: node.check()),),
 )
-NODE = NodeShell("scene", Settings, SceneNode, INTERFACE)
+
+
+def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
+    """Check the files: objects by names of links and objects that exist, with meshes that can be used; see `NodeShell`."""
+    read_self_collision(settings.self_collision, robot)
+    RobotBodies(robot).place_all(read_scene(settings.scene))
+
+
+NODE = NodeShell("scene", Settings, SceneNode, INTERFACE, check)
 
 
 def main() -> None:

@@ -1,24 +1,44 @@
-"""startup: tells the operator what a start waits for and what to do, and when everything is there."""
+"""startup: ends a start that cannot work, and tells the operator what one that can waits for, and when everything is there."""
 
 from __future__ import annotations
 
+import difflib
+import os
+import re
+import sys
+import threading
 import time
+import urllib.parse
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Literal
 
 import pydantic
+import rosgraph
 import rospy
 
-from construction_twin.msg import Feedback, Scene
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.network import reaches_itself
+from construction_twin.core.sentences import Sentence
+from construction_twin.core.share import share_folder
+from construction_twin.msg import Feedback, Scene, StartRefused
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.other_joints import other_joints_text
-from construction_twin.ros.shared.diagnostics import OK, WARN, Report
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
 from construction_twin.ros.shared.node_shell import NodeShell
-from construction_twin.ros.shared.ports import Every, Interface, Ports, Subscription
+from construction_twin.ros.shared.ports import Every, Interface, Ports, Shared, Subscription
+from construction_twin.ros.shared.refusal_log import warn_of_refusals
 from construction_twin.ros.shared.robot_listener import REPORTS, RobotListener
+from construction_twin.ros.shared.start_refusal import TOPIC, launch
+from construction_twin.ros.transport.subscriber import Subscriber, caller_of
 from construction_twin.views.startup import Deployment, Seen, StartUp, Word
 
 #: How often it checks [s].
 PERIOD = 0.25
+#: How long other nodes are listened to, once one has refused to start [s].
+COLLECT = 0.7
+#: How long a connection of this machine to itself may take [s].
+ADDRESS_TIME = 2.0
 #: Topics of which one message is enough.
 FEEDBACK, TWIN, SCENE = "physical/feedback", "twin/joint_states", "scene"
 
@@ -33,6 +53,46 @@ class Settings(pydantic.BaseModel):
     rsi: str
     gateway: bool
     gateway_kind: Literal["rsi", "plc"] = "rsi"
+    console: bool = False
+
+
+class Refusals:
+    """Hears which nodes of this launch cannot start."""
+
+    def __init__(self) -> None:
+        self._nodes: dict[str, list[str]] = {}
+        above = rosgraph.names.namespace(rospy.get_namespace())
+        for topic in (TOPIC, f"{above}{TOPIC}"):
+            Subscriber(topic, StartRefused, self._on_refused, warn_of_refusals(), queue_size=50)
+
+    def __bool__(self) -> bool:
+        return bool(self._nodes)
+
+    def add(self, node: str, sentence: str) -> None:
+        """Note why a node cannot start."""
+        nodes = self._nodes.setdefault(sentence, [])
+        # a name that rospy made anonymous
+        node = re.sub(r"_\d+_\d{13}$", "", node)
+        if node not in nodes:
+            nodes.append(node)
+
+    def _on_refused(self, message: StartRefused) -> None:
+        if message.launch == launch():
+            self.add(caller_of(message), message.sentence)
+
+    @property
+    def sentences(self) -> list[str]:
+        """Each sentence once, with the nodes that say it."""
+        return [
+            f"cannot start: {sentence} ({', '.join(sorted(nodes))})" for sentence, nodes in dict(self._nodes).items()
+        ]
+
+    def end_launch(self) -> None:
+        """Say all sentences, and end the process: the node is required, so roslaunch ends all others."""
+        time.sleep(COLLECT)
+        for sentence in self.sentences:
+            print(sentence, file=sys.stderr, flush=True)
+        sys.exit(1)
 
 
 class StartupNode:
@@ -40,11 +100,17 @@ class StartupNode:
 
     def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
         namespace = rospy.get_namespace().rstrip("/")
-        self._startup = StartUp(Deployment(namespace=namespace, **settings.model_dump()))
+        named = settings.model_dump(exclude={"console"})
+        self._startup = StartUp(Deployment(namespace=namespace, **named))
+        self._refusals, self._refused = Refusals(), threading.Event()
+        self._said: set[str] = set()
+        self._was_ready = False
         self._came: set[str] = set()
         others = other_joints_text(robot.other_joints, robot.base_link, robot.tip_link)
         if others:
             rospy.loginfo("%s", others)
+        if settings.gateway_kind == "plc" and settings.arm == "real":
+            rospy.logwarn("%s", Sentence("preflight.bare"))
         self._listener = RobotListener(namespace, robot)
         self._ports = ports
         self._heard: set[str] = set()
@@ -61,8 +127,20 @@ class StartupNode:
         """Note that there is a scene."""
         self._came.add(SCENE)
 
+    def run(self) -> None:
+        """Wait for the end of ROS, or end the launch: only while nothing has been ready, so that no arm is left in the midst."""
+        while not rospy.core.is_shutdown_requested():
+            if self._refused.wait(PERIOD):
+                self._refusals.end_launch()
+
     def update(self) -> None:
         """Say what has changed."""
+        if self._refusals and not self._was_ready:
+            self._refused.set()
+            return
+        for sentence in set(self._refusals.sentences) - self._said:
+            self._said.add(sentence)
+            rospy.logerr("%s", sentence)
         for topic in self._came - self._heard:
             self._heard.add(topic)
             self._ports.stop_hearing(topic)  # one message of a 250 Hz stream is enough
@@ -89,11 +167,80 @@ class StartupNode:
         for line in self._startup.update(seen, time.monotonic()):
             waits = self._startup.missing is not None
             (rospy.logwarn if waits else rospy.loginfo)("%s", line)
+        self._was_ready = self._was_ready or self._startup.missing is None
 
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
+        if self._refusals:
+            return Report(ERROR, "; ".join(self._refusals.sentences))
         missing = self._startup.missing
         return Report(OK, "ready") if missing is None else Report(WARN, str(missing))
+
+
+def expect_reachable(environ: Mapping[str, str]) -> None:
+    """Raise a ConfigurationError when nodes of this machine would not reach each other, or the master.
+
+    Each node tells the master an address of its own: `ROS_HOSTNAME`, else `ROS_IP`, else the machine's name. With one that leads
+    nowhere every node starts, and none hears another.
+    """
+    if environ.get("ROS_IPV6") == "on":
+        return
+    variable = next((name for name in ("ROS_HOSTNAME", "ROS_IP") if name in environ), "")
+    own = environ[variable] if variable else rosgraph.network.get_host_name()
+    to_do = f"an address of this machine, or unset {variable}"
+    if not variable:
+        to_do = "a name that /etc/hosts has beside 127.0.1.1, or ROS_IP set to an address of this machine"
+    why = reaches_itself(own, ADDRESS_TIME) if own else "it is empty"
+    if why:
+        raise ConfigurationError(variable or "this machine's name", own, f"{to_do}: {why}")
+    master = urllib.parse.urlsplit(rosgraph.get_master_uri()).hostname or ""
+    if master == "localhost" and (why := reaches_itself(master, ADDRESS_TIME)):
+        raise ConfigurationError("localhost", master, f"the line `127.0.0.1 localhost` in /etc/hosts: {why}")
+
+
+def expect_known(words: list[str]) -> None:
+    """Raise a ConfigurationError about an argument for a launch file of this package that none of them has.
+
+    Args:
+        words: Of roslaunch's command line, which takes any name; others' launch files are not looked at.
+    """
+    files = list((share_folder() / "launch").glob("*.launch"))
+    if not {file.name for file in files} & {Path(word).name for word in words}:
+        return
+    known = {name for file in files for name in re.findall(r'<arg name="(\w+)"', file.read_text(encoding="utf-8"))}
+    for word in words:
+        name, assigned, value = word.partition(":=")
+        if assigned and not name.startswith("_") and name not in known:
+            near = "".join(f"; did you mean {each}:=?" for each in difflib.get_close_matches(name, known, n=1))
+            raise ConfigurationError(name, value, f"an argument that `roslaunch --ros-args` lists{near}")
+
+
+def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
+    """Check what is no other node's: addresses, roslaunch's words, and what would start beside something missing."""
+    expect_reachable(os.environ)
+    expect_known(_words_of_parent())
+    if settings.gateway_kind == "plc" and settings.arm == "mock" and any(robot.linear):
+        raise ConfigurationError(
+            "gateway_kind",
+            "plc",
+            "rsi with track:=true: the PLC of examples/plc, which is the mock arm then, has no track",
+        )
+    if settings.console and settings.arm == "none":
+        raise ConfigurationError(
+            "console", True, "false with arm:=none: nothing is told by MQTT then, and the page would stay empty"
+        )
+
+
+def _words_of_parent() -> list[str]:
+    words = Path(f"/proc/{os.getppid()}/cmdline").read_bytes().decode(errors="replace").split("\0")
+    return words if any(Path(word).name == "roslaunch" for word in words[:2]) else []
+
+
+def refused(sentence: str) -> None:
+    """End the launch, with what others say, too."""
+    refusals = Refusals()
+    refusals.add(rospy.get_name(), sentence)
+    refusals.end_launch()
 
 
 INTERFACE = Interface(
@@ -103,10 +250,10 @@ INTERFACE = Interface(
         Subscription(TWIN, rospy.AnyMsg, StartupNode.on_twin, queue_size=1),
         Subscription(SCENE, Scene, StartupNode.on_scene, queue_size=1),
     ),
-    listeners=REPORTS,
+    listeners=(*REPORTS, TOPIC),
     every=(Every(lambda _settings: PERIOD, lambda node, _ports: node.update()),),
 )
-NODE = NodeShell("startup", Settings, StartupNode, INTERFACE)
+NODE = NodeShell("startup", Settings, StartupNode, INTERFACE, check, refused=refused)
 
 
 def main() -> None:

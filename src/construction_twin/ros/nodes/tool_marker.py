@@ -28,7 +28,7 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.convert import pose_from_msg, pose_to_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg, tf_frame
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
-from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
+from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.ports import Interface, NewestPose, Ports, Publication, Subscription
 from construction_twin.ros.shared.robot_listener import REPORTS, RobotListener
@@ -39,7 +39,6 @@ from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.self_collision import read_self_collision
 from construction_twin.views.marker_goal import MarkerGoal, moved
-from construction_twin.views.preflight import is_true
 from construction_twin.views.reachability import PoseVerdict, Reach, judge_pose
 from construction_twin.views.texts import waiting_plan
 
@@ -300,11 +299,7 @@ INTERFACE = Interface(
     ),
     listeners=REPORTS,
 )
-FILE = ConfigFile(
-    lambda _given: {"self_collision": "", "tf_prefix": "", "reviewer": "operator"},
-    lambda given: is_true(given, "tool_marker"),
-)
-NODE = NodeShell("tool_marker", Settings, ToolMarkerNode, INTERFACE, file=FILE)
+NODE = NodeShell("tool_marker", Settings, ToolMarkerNode, INTERFACE)
 
 
 def main() -> None:

@@ -10,10 +10,13 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import rosgraph
 import rospy
 
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.sentences import Sentence
 from construction_twin.ros.shared.params import ros_home
+from construction_twin.ros.shared.start_refusal import expect_no_other
 
 #: Robot that the files in rviz/ are written for.
 ROBOT = "kr120"
@@ -62,9 +65,13 @@ def connect_display(host: str, number: int) -> None:
     raise problem
 
 
-def view_for(text: str, robot: str) -> str:
-    """Return a view file's text for a robot of another name: `kr120` as a whole word becomes its name."""
-    return re.sub(rf"\b{ROBOT}\b", robot, text)
+def view_for(text: str, robot: str, above: str = "/") -> str:
+    """Return a view file's text for a robot of another name: `kr120` as a whole word becomes its name.
+
+    Args:
+        above: Namespace that the robots are in: topics and parameters of `kr120`, `kr120_1` and so on begin with it.
+    """
+    return re.sub(rf"\b{ROBOT}\b", robot, re.sub(rf": /(?={ROBOT}\w*/)", f": {above}", text))
 
 
 def main() -> None:
@@ -77,16 +84,23 @@ def main() -> None:
     if problem:
         print(f"view: {problem}", flush=True)
         return
-    config = _config(Path(options.config), options.robot)
+    try:
+        expect_no_other("view")
+    except ConfigurationError as error:
+        print(f"view: {error}", flush=True)
+        return
+    # in the namespace where this is started; view.launch has one of its own, and gives the whole name
+    above, _, robot = rosgraph.names.ns_join(rospy.get_namespace(), options.robot).rpartition("/")
+    config = _config(Path(options.config), robot, f"{above}/")
     remappings = [word for word in sys.argv[1:] if ":=" in word]
     os.execvp("rviz", ["rviz", "-d", str(config), *remappings])
 
 
-def _config(path: Path, robot: str) -> Path:
+def _config(path: Path, robot: str, above: str) -> Path:
     """Return the view file for a robot: the given one, or a copy with the robot's name in ROS_HOME."""
     try:
         text = path.read_text(encoding="utf-8")
-        written = view_for(text, robot)
+        written = view_for(text, robot, above)
         if written == text:
             return path
         copy = ros_home() / f"{robot}_{path.name}"

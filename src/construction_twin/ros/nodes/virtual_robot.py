@@ -14,7 +14,7 @@ import pydantic
 import rospy
 from sensor_msgs.msg import JointState
 
-from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.extras import check_extras
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.sentences import Sentence
@@ -34,6 +34,7 @@ from construction_twin.ros.shared.ports import (
     PosePublication,
     PoseSubscription,
     Publication,
+    Shared,
     Subscription,
     has_arm,
 )
@@ -328,7 +329,6 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> VirtualRobotNo
 
 
 def _simulation(settings: Settings, robot: RobotModel, ports: Ports) -> Simulation:
-    check_extras("physics")
     # only here: what simulates is not everywhere
     from construction_twin.physics.live_twin import LiveTwin
 
@@ -359,7 +359,24 @@ INTERFACE = Interface(
         PoseSubscription("gazebo/joint_states", VirtualRobotNode.on_simulated, when=is_in_gazebo),
     ),
 )
-NODE = NodeShell("virtual_robot", Settings, start, INTERFACE, fast=True)
+
+
+def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
+    """Check that a twin with mass can be simulated; see `NodeShell`."""
+    if settings.twin == "gazebo" and settings.payload:
+        raise ConfigurationError("payload", settings.payload, Sentence("expected.gazebo_payload"))
+    if is_simulated_here(settings):
+        check_extras("physics")
+        # only here: what simulates is not everywhere, and takes long to load
+        from construction_twin.physics.drive import read_drives
+        from construction_twin.physics.mass import payload_of
+
+        payload_of(settings.payload, "payload")
+        if settings.drives:
+            read_drives(settings.drives, robot)
+
+
+NODE = NodeShell("virtual_robot", Settings, start, INTERFACE, check, fast=True)
 
 
 def main() -> None:

@@ -26,7 +26,8 @@ from geometry_msgs.msg import TransformStamped
 from std_srvs.srv import Trigger, TriggerRequest
 from visualization_msgs.msg import MarkerArray
 
-from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.extras import check_extras
 from construction_twin.core.motion_errors import FrameError
 from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Chain, Pose
@@ -39,7 +40,7 @@ from construction_twin.ros.messages.work_marker_convert import work_marker_array
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.frame_listener import FRAMES
 from construction_twin.ros.shared.frames import listen_to_frames
-from construction_twin.ros.shared.node_shell import ConfigFile, NodeShell
+from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import robot_file, ros_home
 from construction_twin.ros.shared.ports import (
@@ -48,6 +49,7 @@ from construction_twin.ros.shared.ports import (
     Ports,
     Publication,
     Served,
+    Shared,
     SharedParameter,
     Subscription,
     has_arm,
@@ -76,6 +78,7 @@ from construction_twin.work.glb import ShownElement, glb
 from construction_twin.work.jobs import TaskMotions
 from construction_twin.work.ledger import Ledger
 from construction_twin.work.recipe import DEFAULT
+from construction_twin.work.site import read_site
 from construction_twin.work.task_board import Prepared, TaskBoard, WorkRefused
 from construction_twin.work.task_memory import Entry
 from construction_twin.work.task_states import TaskState
@@ -92,6 +95,7 @@ class Settings(pydantic.BaseModel):
 
     Attributes:
         model, cell: Absolute paths of the IFC file and of the cell file.
+        tool, scene: Absolute paths of the robot's: those that the cell file names.
         self_collision: YAML of the link pairs that are not checked.
         tf_prefix: Of the twin's tf frames.
         folder: Of the ledgers.
@@ -108,6 +112,8 @@ class Settings(pydantic.BaseModel):
     tf_prefix: str
     folder: str
     arm: str
+    tool: str = ""
+    scene: str = ""
     private: str = ""
     service_timeout: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]
     listen_time: Annotated[float, pydantic.Field(gt=0.0, le=60.0)]
@@ -622,13 +628,25 @@ INTERFACE = Interface(
         Served("work/measured", WorkMeasured, WorkNode.on_measured, refused=lambda *_: NOT_MEASURED),
     ),
 )
-FILE = ConfigFile(
-    lambda _given: {
-        "model": "", "cell": "", "self_collision": "", "tf_prefix": "", "arm": "mock",
-    },
-    lambda given: bool(given.get("work_model")),
-)  # fmt: skip
-NODE = NodeShell("work", Settings, start, INTERFACE, file=FILE)
+
+
+def check(settings: Settings, _robot: RobotModel, _shared: Shared) -> None:
+    """Check packages, files, and that the robot's tool and scene are the cell's; see `NodeShell`."""
+    check_extras("work")
+    for name, path in (("model", settings.model), ("cell", settings.cell)):
+        if not Path(path).is_file():
+            raise ConfigurationError(f"work_{name}", path, "the absolute path of a file")
+    site = read_site(settings.cell)
+    for name, given, named in (("tool", settings.tool, site.file.tool), ("scene", settings.scene, site.file.scene)):
+        wanted = (Path(settings.cell).parent / named).resolve()
+        if Path(given).resolve() != wanted:
+            path, cell = str(wanted), settings.cell
+            raise ConfigurationError(
+                name, given, Sentence("expected.as_cell", wanted=path, cell=cell, name=name, path=path)
+            )
+
+
+NODE = NodeShell("work", Settings, start, INTERFACE, check)
 
 
 def main() -> None:

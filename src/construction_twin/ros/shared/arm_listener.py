@@ -10,6 +10,7 @@ from typing import Annotated
 
 import numpy as np
 import pydantic
+import rosgraph
 import rospy
 
 from construction_twin.coordination.conflict import Claim
@@ -101,14 +102,15 @@ class ArmListener:
 
     Args:
         robot: Its name is its namespace.
+        above: What that is in: ``/``, or ``/cell/``.
         refused: Called as ``refused(reason, sentence)`` for a message that is not used.
         streams: True: subscribe to the poses permanently. False: only during `poses`, which makes it about 50 ms slower and costs
             nothing otherwise.
     """
 
-    def __init__(self, robot: RobotModel, refused: Refuse, streams: bool):
+    def __init__(self, robot: RobotModel, above: str, refused: Refuse, streams: bool):
         self.robot = robot
-        self._space = f"/{robot.name}"
+        self._space = f"{above}{robot.name}"
         self._refused = refused
         self._lock = threading.Lock()
         self._book = PlanBook()
@@ -285,7 +287,8 @@ def listen_to_other_arm(
     Raises:
         ConfigurationError: If the other robot's description is missing, or the cell does not hold both.
     """
-    robot = robot_from_parameters(f"/{settings.name}/")
+    above = rosgraph.names.namespace(namespace or rospy.get_namespace())
+    robot = robot_from_parameters(f"{above}{settings.name}/")
     cell = load_cell(rospy.get_param(f"{namespace}cell", None))
     arm = Neighbour(settings.name, robot, cell.root_T_root(own, settings.name), settings.step)
-    return OtherArm(ArmListener(robot, refused, streams), arm, OTHER_POSE_AGE)
+    return OtherArm(ArmListener(robot, above, refused, streams), arm, OTHER_POSE_AGE)

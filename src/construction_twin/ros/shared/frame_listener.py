@@ -14,6 +14,7 @@ import threading
 from collections.abc import Callable
 from functools import partial
 
+import rosgraph
 import rospy
 import tf2_ros
 from geometry_msgs.msg import TransformStamped
@@ -56,6 +57,7 @@ class FrameListener:
         self._refused = refused
         self._lock = threading.Lock()
         self._last = rospy.Time.now()
+        self._above = rosgraph.names.namespace(rospy.get_namespace())
         #: Of each frame that is of no robot's tree: the node that publishes it.
         self._owners: dict[str, str] = {}
         self._look_at = _OWNERS
@@ -127,7 +129,7 @@ class FrameListener:
         who = caller or "a node without a name"
         robot, tree = _tree(frame)
         if tree in PUBLISHERS:
-            expected = [f"/{robot}/{name}" for name in PUBLISHERS[tree]]
+            expected = [f"{self._above}{robot}/{name}" for name in PUBLISHERS[tree]]
             if caller in expected:
                 return ""
             return f"message from {who}; only {' and '.join(expected)} may publish frames of {robot}/{tree} on /tf"

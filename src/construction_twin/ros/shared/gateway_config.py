@@ -17,32 +17,41 @@ from construction_twin.gateway.config import GatewayConfig
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.tool import Tool, tool_of
-from construction_twin.ros.shared.params import robot_from_parameters
+from construction_twin.ros.shared.params import Parameters, robot_from_parameters
 
+#: What a real arm is commanded by.
+ACCOUNTS = (
+    "accounts, with arm:=real: this broker lets in everybody, and every client could command the arm; make a site with make_site, "
+    "and give its accounts and its broker_config, or give anonymous_broker_is_meant:=true"
+)
 #: Time-out of a controller in every set-up that is known to be used with ROS [cycles] (docs/rsi.md, section 5).
 TIMEOUT = 100
 
 
-def config_from_parameters(namespace: str = "", needs_file: bool = True) -> GatewayConfig:
+def config_from_parameters(namespace: str = "", parameters: Parameters = rospy) -> GatewayConfig:
     """Return the configuration that a namespace's `robot_description`, `robot` and `gateway` parameters describe.
 
     Args:
         namespace: ``/kr120/``; the node's own by default.
+    """
+    robot = robot_from_parameters(namespace, parameters)
+    return config_of_link(robot, parameters.get_param(namespace + "gateway", None))
+
+
+def config_of_link(robot: RobotModel, settings: Mapping | None, needs_file: bool = True) -> GatewayConfig:
+    """Return the configuration of a robot's `gateway` parameters.
+
+    Args:
         needs_file: Whether the file that describes a controller's telegrams belongs to it, where the make has one; it does not with
             a bare PLC.
     """
-    name = namespace + "gateway"
-    if not rospy.has_param(name):
-        raise ConfigurationError(rospy.resolve_name(name), None, Sentence("expected.link_settings"))
-    settings = rospy.get_param(name)
+    if settings is None:
+        raise ConfigurationError(f"{robot.name}/gateway", None, Sentence("expected.link_settings"))
     form = make_of(settings.get("make", DEFAULT)).file
     if "ethernet_xml" not in settings and needs_file and form is not None:
-        raise ConfigurationError(
-            rospy.resolve_name(f"{name}/ethernet_xml"),
-            None,
-            Sentence("expected.form_loaded", file=form.name),
-        )
-    return gateway_config(robot_from_parameters(namespace), settings)
+        where = f"{robot.name}/gateway/ethernet_xml"
+        raise ConfigurationError(where, None, Sentence("expected.form_loaded", file=form.name))
+    return gateway_config(robot, settings)
 
 
 def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
@@ -51,9 +60,9 @@ def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
     Args:
         robot: Its joint ranges are turned into ranges of the controller's axes (sign and offset).
         settings: The other keys of `GatewayConfig`, SI units; see config/gateway.yaml. In place of `layout` it holds `make`, the
-            controller's, and `ethernet_xml`: the text of the file that describes its telegrams, of RSI the Ethernet XML; none: the
-            make's plain layout. `timeout` is a number of the controller's cycles; `tool` is the content of a tool file, {} for
-            none. A layout without any channel of a tool makes it a tool without hands: the configuration has none then.
+            controller's, and `ethernet_xml`: path or text of the file that describes its telegrams; none: the make's plain layout.
+            `timeout` is a number of the controller's cycles; `tool` is the content of a tool file, {} for none. A layout without
+            any channel of a tool makes it a tool without hands: the configuration has none then.
 
     Raises:
         ConfigurationError: For an unknown key, or a value that does not fit: also a range that the joint string cannot carry, and

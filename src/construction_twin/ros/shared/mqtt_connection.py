@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
+from typing import Literal
 
 import pydantic
 import rospy
@@ -13,7 +14,9 @@ from construction_twin.mqtt.account import load_account
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.failures import ConnectionReport
 from construction_twin.mqtt.plain_client import PlainClient
+from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.params import NodeSettings
+from construction_twin.ros.shared.ports import Shared
 
 #: How long a node waits before it says that the broker is gone [s]: one Ctrl-C ends both, and the broker is often first.
 GRACE = 1.0
@@ -30,7 +33,7 @@ class MqttSettings(NodeSettings):
 
     host: str
     port: int = pydantic.Field(gt=0, lt=65536)
-    protocol: str = "5"
+    protocol: Literal["5", "3.1.1"] = "5"
     prefix: str = "twin"
     account: str = ""
 
@@ -38,7 +41,16 @@ class MqttSettings(NodeSettings):
 def broker_of(settings: MqttSettings) -> Broker:
     """Return the broker; ConfigurationError when the account file cannot be used."""
     account = load_account(settings.account) if settings.account else None
+    if account is not None and account.password_file:
+        account.password()
+    if account is not None and account.ca_file:
+        account.context()
     return Broker(settings.host, settings.port, settings.protocol, account=account)
+
+
+def check_broker(settings: MqttSettings, _robot: RobotModel, _shared: Shared) -> None:
+    """Check the account; see `NodeShell`."""
+    broker_of(settings)
 
 
 def report_of(broker: Broker) -> ConnectionReport:

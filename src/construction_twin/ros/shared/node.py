@@ -32,6 +32,7 @@ from rosgraph.roslogging import RosStreamHandler
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.realtime import release_realtime, request_realtime
 from construction_twin.ros.shared.master import await_master, expect_wall_clock, wait_for_master
+from construction_twin.ros.shared.start_refusal import expect_no_other, expect_own_parameters, refuse
 
 #: Exit code of a process that an unexpected exception has ended.
 UNFORESEEN = 1
@@ -41,7 +42,7 @@ ANSWER_TIME = 0.2
 WRITE_TIME = 1.0
 
 
-def run_node(name: str, start: Callable[[], object]) -> None:
+def run_node(name: str, start: Callable[[], object], refused: Callable[[str], object] = refuse) -> None:
     """Initialise ROS, build the node, serve until shutdown.
 
     The private parameter ``~realtime_priority``, where a node has one, applies to all its threads.
@@ -49,6 +50,7 @@ def run_node(name: str, start: Callable[[], object]) -> None:
     Args:
         name: Default node name.
         start: Builds the node; its result is kept alive. A result with a `run` method is run in the main thread.
+        refused: Takes why it cannot start; returns when the process should end.
     """
     try:
         wait_for_master(name)
@@ -56,27 +58,35 @@ def run_node(name: str, start: Callable[[], object]) -> None:
         sys.exit(f"{name} cannot run: {error}")
     with ending_on_signals():
         try:
-            # rospy has read words and namespace of the process that loaded it, which may be another: `loaded_process`
-            rospy.names._set_caller_id(rosgraph.names.make_caller_id("unnamed"))
+            expect_no_other(name)
             rospy.init_node(name, argv=sys.argv, disable_signals=True)
         except rospy.exceptions.ROSInitException:
             # Ctrl-C came meanwhile
             if rospy.core.is_shutdown_requested():
                 return
             raise
+        except ConstructionTwinError as error:
+            # under a name that ends nobody
+            rospy.init_node(name, argv=sys.argv[:1], anonymous=True, disable_signals=True)
+            refused(error.sentence)
+            return
         try:
-            _serve(name, start)
+            _serve(name, start, refused)
         finally:
-            # the master is told in a copy of the loaded process, too, which ends without Python's exit functions
             rospy.signal_shutdown("ended")
 
 
-def _serve(name: str, start: Callable[[], object]) -> None:
+def _serve(name: str, start: Callable[[], object], refused: Callable[[str], object]) -> None:
     threading.excepthook = end_on_error
     _report_lines_that_cannot_be_written()
     try:
-        expect_wall_clock(rosgraph.get_master_uri())
-        node = start()
+        try:
+            expect_wall_clock(rosgraph.get_master_uri())
+            expect_own_parameters()
+            node = start()
+        except ConstructionTwinError as error:
+            refused(error.sentence)
+            return
         rospy.on_shutdown(release_realtime)
         rospy.loginfo(request_realtime(rospy.get_param("~realtime_priority", 0)))
         if hasattr(node, "run"):

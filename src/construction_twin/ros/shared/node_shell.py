@@ -3,42 +3,22 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic
 
 import pydantic
+import rospy
 
 from construction_twin.robot.description import RobotModel
-from construction_twin.ros.shared.launch_arguments import Given, Values
 from construction_twin.ros.shared.node import run_node
-from construction_twin.ros.shared.params import Settings, read_parameters, robot_from_parameters, settings_of
-from construction_twin.ros.shared.ports import Interface, Ports
+from construction_twin.ros.shared.params import Parameters, Settings, read_parameters, robot_from_parameters
+from construction_twin.ros.shared.ports import Interface, Ports, Shared
+from construction_twin.ros.shared.start_refusal import refuse
 
 
-def nothing_more(_settings: pydantic.BaseModel, _robot: RobotModel) -> None:
+def nothing_more(_settings: pydantic.BaseModel, _robot: RobotModel, _shared: Shared) -> None:
     """Check nothing: what the model of the parameters accepts, the node can start with."""
-
-
-def _nothing(_given: Given) -> Values:
-    return {}
-
-
-def _always(_given: Given) -> bool:
-    return True
-
-
-@dataclass(frozen=True)
-class ConfigFile:
-    """The file of a node's parameters, `config/<name>.yaml`, as bringup.launch loads it.
-
-    Attributes:
-        launched: Takes the arguments; returns what the launch files give beside the file: where any value will do, one that does.
-        loaded: Takes the arguments; returns whether it is loaded.
-    """
-
-    launched: Callable[[Given], Values] = _nothing
-    loaded: Callable[[Given], bool] = _always
 
 
 @dataclass(frozen=True)
@@ -50,33 +30,31 @@ class NodeShell(Generic[Settings]):
         settings: Model of its private parameters.
         start: Makes the node of these, its robot and what is open by then; a result with a `run` method is run in the main thread.
         interface: All that it has to do with ROS.
-        check: Raises a ConstructionTwinError for parameters that fit the model and yet cannot work with this robot. Pure.
-        file: Of its parameters, which preflight reads and checks; None: the launch files give them all.
+        check: Takes parameters, robot and the shared parameters of the interface; raises a ConstructionTwinError where the node
+            cannot work with them, or must not. Changes nothing.
         fast: It is on the 250 Hz path: its threads take turns every millisecond.
+        refused: As of `run_node`.
     """
 
     name: str
     settings: type[Settings]
     start: Callable[[Settings, RobotModel, Ports], object]
     interface: Interface
-    check: Callable[[Settings, RobotModel], object] = nothing_more
-    file: ConfigFile | None = None
+    check: Callable[[Settings, RobotModel, Shared], object] = nothing_more
     fast: bool = False
+    refused: Callable[[str], object] = refuse
 
-    def check_values(self, values: Mapping[str, object], robot: RobotModel) -> None:
-        """Raise the ConstructionTwinError that the node would end with, were these its private parameters."""
-        self.check(settings_of(self.settings, values), robot)
+    def checked(self, parameters: Parameters = rospy) -> tuple[Settings, RobotModel]:
+        """Return what the node starts with; raise the ConstructionTwinError that it is refused for."""
+        settings, robot = read_parameters(self.settings, parameters), robot_from_parameters(parameters=parameters)
+        self.check(settings, robot, self.interface.shared(parameters))
+        return settings, robot
 
     def run(self) -> None:
         """Be the node's process."""
         if self.fast:
             sys.setswitchinterval(0.001)
-        run_node(self.name, self._start)
-
-    def _start(self) -> object:
-        settings, robot = read_parameters(self.settings), robot_from_parameters()
-        self.check(settings, robot)
-        return self.open(settings, robot)
+        run_node(self.name, lambda: self.open(*self.checked()), self.refused)
 
     def open(self, settings: Settings, robot: RobotModel) -> Any:
         """Return the node, with all that it has to do with ROS."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, Protocol, TypeVar
 
 import pydantic
 import rospy
@@ -16,6 +16,16 @@ from construction_twin.core.validation import configuration_error
 from construction_twin.robot.description import RobotModel, load_robot
 
 Settings = TypeVar("Settings", bound=pydantic.BaseModel)
+
+
+class Parameters(Protocol):
+    """Where a node's parameters are: `rospy`, or what a launch file would set."""
+
+    def get_name(self) -> str:
+        """Return the node's name."""
+
+    def get_param(self, param_name: str, default: Any = ..., /) -> Any:
+        """Return a parameter's value by a name as the node has it; KeyError where there is none, and no default."""
 
 
 class NodeSettings(pydantic.BaseModel):
@@ -38,7 +48,7 @@ def settings_of(model: type[Settings], values: Mapping[str, object], where: str 
         raise configuration_error(error, model, where) from error
 
 
-def read_parameters(model: type[Settings]) -> Settings:
+def read_parameters(model: type[Settings], parameters: Parameters = rospy) -> Settings:
     """Read the node's private parameters into `model`.
 
     Roslaunch leaves its own bookkeeping and other nodes' keys elsewhere, so everything under ``~`` must be known to the
@@ -48,12 +58,12 @@ def read_parameters(model: type[Settings]) -> Settings:
         model: A pydantic model with ``extra="forbid"``.
 
     Raises:
-        ConfigurationError: With the resolved parameter name, its value and what was expected.
+        ConfigurationError: With the parameter's name, its value and what was expected.
     """
-    return settings_of(model, rospy.get_param("~", {}), rospy.get_name())
+    return settings_of(model, parameters.get_param("~", {}))
 
 
-def robot_from_parameters(namespace: str = "") -> RobotModel:
+def robot_from_parameters(namespace: str = "", parameters: Parameters = rospy) -> RobotModel:
     """Return the robot described by a namespace's ``robot_description`` (URDF) and ``robot`` (YAML) parameters.
 
     Args:
@@ -63,10 +73,11 @@ def robot_from_parameters(namespace: str = "") -> RobotModel:
         ConfigurationError: If one is missing or does not make sense.
     """
     names = [namespace + name for name in ("robot_description", "robot")]
-    for name in names:
-        if not rospy.has_param(name):
+    values = [parameters.get_param(name, None) for name in names]
+    for name, value in zip(names, values):
+        if value is None:
             raise ConfigurationError(rospy.resolve_name(name), None, Sentence("expected.robot_loaded"))
-    return load_robot(*map(rospy.get_param, names))
+    return load_robot(*values)
 
 
 def robot_file(path: str, robot: str) -> Path:

@@ -22,6 +22,7 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.diagnostics import WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.node import Service
 from construction_twin.ros.shared.outcome import Outcome
+from construction_twin.ros.shared.params import Parameters
 from construction_twin.ros.transport.joint_stream import QUEUE, JointPublisher, JointSubscriber
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.ros.transport.publisher import Publisher, Sink
@@ -29,6 +30,8 @@ from construction_twin.ros.transport.subscriber import Subscriber
 
 _Topic = TypeVar("_Topic", bound="Publication | PosePublication | Subscription | PoseSubscription")
 Refuse = Callable[[str, str], None]
+#: Values of the shared parameters of an interface, by name.
+Shared = Mapping[str, Any]
 #: Takes the node's parameters; returns whether there is such a topic with them.
 When = Callable[[Any], bool]
 
@@ -231,6 +234,10 @@ class Interface:
     serves: tuple[Served, ...] = ()
     every: tuple[Every, ...] = ()
 
+    def shared(self, parameters: Parameters) -> dict[str, Any]:
+        """Return the values of the shared parameters, by name."""
+        return {each.name: parameters.get_param(each.name, each.default) for each in self.parameters}
+
 
 class Ports:
     """A node's topics and services, opened in an order in which nothing comes before somebody can take it.
@@ -247,9 +254,7 @@ class Ports:
     def __init__(self, interface: Interface, settings: Any, robot: RobotModel):
         self._interface, self._settings, self._robot = interface, settings, robot
         self._node: object = None
-        self.parameters: dict[str, Any] = {
-            each.name: rospy.get_param(each.name, each.default) for each in interface.parameters
-        }
+        self.parameters = interface.shared(rospy)
         self._diagnostics = None
         if interface.report is not None:
             self._diagnostics = NodeDiagnostics(robot.name, self._report)

@@ -1,0 +1,106 @@
+"""How a start is refused: a node publishes one sentence on `start_refused`, and waits until `startup` ends the launch.
+
+A node that ended instead would be started again, with the same result.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import NoReturn
+
+import rosgraph
+
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.ros.shared.master import RunningNode, running
+
+#: In the robot's namespace; of broker and console, which serve several robots, in the one above.
+TOPIC = "start_refused"
+#: Variable that bringup.launch gives to its nodes, and parameter of the robot: which roslaunch it is of.
+VARIABLE, PARAMETER = "CONSTRUCTION_TWIN_LAUNCH", "launch"
+
+
+def launch() -> str:
+    """Return which roslaunch started this process; empty: none, or a launch file of somebody else's."""
+    return os.environ.get(VARIABLE, "")
+
+
+def expect_no_other(name: str) -> None:
+    """Raise a ConfigurationError where a node of this name runs, which the master would end in favour of this one, or where another
+    launch has started the robot.
+    """
+    uri = rosgraph.get_master_uri()
+    name = rosgraph.names.load_mappings(sys.argv).get("__name", name)
+    own, startup = (rosgraph.names.ns_join(rosgraph.names.get_ros_namespace(), each) for each in (name, "startup"))
+    # what all nodes of a second launch find alike comes first
+    others = [node for node in running([startup] if launch() else [], uri) if not _is_beside(node)]
+    found = others or running([own], uri)
+    if found:
+        expected = f"no such node on {uri}: end its launch, or give another robot"
+        raise ConfigurationError(found[0].name, str(found[0]), expected)
+
+
+def _is_beside(node: RunningNode) -> bool:
+    """Return whether a node is of this process's launch."""
+    try:
+        return f"{VARIABLE}={launch()}".encode() in Path(f"/proc/{node.pid}/environ").read_bytes().split(b"\0")
+    except OSError:
+        return False  # of another machine, or user
+
+
+def become_alone() -> None:
+    """Become the program that this one's words name, unless a node of its name runs: for stock nodes of a launch."""
+    try:
+        expect_no_other("")
+    except ConfigurationError as error:
+        print(error, flush=True)
+        signal.pause()
+    os.execvp(sys.argv[1], sys.argv[1:])
+
+
+def expect_own_parameters() -> None:
+    """Raise a ConfigurationError where a later launch has replaced the robot's parameters."""
+    import rospy
+
+    if launch() and rospy.get_param(PARAMETER, launch()) != launch():
+        found = f"parameters of another launch in {rospy.get_namespace()}"
+        raise ConfigurationError(rospy.resolve_name(PARAMETER), found, "this one's: end both launches, and start one")
+
+
+def refuse(sentence: str, log: bool = True) -> NoReturn:
+    """Publish why this node cannot start, and wait until it is ended; started by hand, end with the sentence.
+
+    Args:
+        log: Whether standard output is a log file, as of a node whose `output` is not the screen.
+    """
+    import rospy
+
+    from construction_twin.msg import StartRefused
+
+    if not launch():
+        sys.exit(f"{rospy.get_name()} cannot start: {sentence}")
+    publisher = rospy.Publisher(TOPIC, StartRefused, queue_size=1, latch=True)
+    publisher.publish(launch(), sentence)
+    if log:
+        print(f"cannot start: {sentence}", flush=True)
+    rospy.spin()
+    sys.exit(0)
+
+
+def run_program(name: str, main: Callable[[], int | None]) -> NoReturn:
+    """Run a program that speaks no ROS, as a node of a launch; what it raises at its start refuses that."""
+    try:
+        sys.exit(main())
+    except ConstructionTwinError as error:
+        if not launch():
+            sys.exit(f"{name}: {error}")
+        import rospy
+
+        try:
+            rospy.init_node(name)
+        except rospy.exceptions.ROSInitException:
+            sys.exit(1)  # it is asked to end
+        refuse(str(error), log=False)
