@@ -118,7 +118,8 @@ def test_a_scene_that_changes_while_planning_drops_the_plan(look):
     clock.edit = lambda: made.set_scene(WALLED)
     with pytest.raises(SceneChangedError, check=says("motion.scene_changed")) as caught:
         made.to_joints(RIGHT, LEFT, REQUEST)
-    assert (caught.value.planned, caught.value.present) == (EMPTY.hash, WALLED.hash)
+    values = caught.value.sentence.values
+    assert (values["planned"], values["present"]) == (EMPTY.hash[:8], WALLED.hash[:8])
     assert made.to_joints(RIGHT, LEFT, REQUEST).scene == WALLED.hash
 
 
