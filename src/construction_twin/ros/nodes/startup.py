@@ -37,6 +37,8 @@ from construction_twin.views.startup import Deployment, Seen, StartUp, Word
 PERIOD = 0.25
 #: How long other nodes are listened to, once one has refused to start [s].
 COLLECT = 0.7
+#: So long after it was first ready a node that loads slowly may still refuse the start, where nothing has been played yet [s].
+LATE = 30.0
 #: How long a connection of this machine to itself may take [s].
 ADDRESS_TIME = 2.0
 #: Topics of which one message is enough.
@@ -104,7 +106,8 @@ class StartupNode:
         self._startup = StartUp(Deployment(namespace=namespace, **named))
         self._refusals, self._refused = Refusals(), threading.Event()
         self._said: set[str] = set()
-        self._was_ready = False
+        self._ready_at: float | None = None
+        self._is_over = False
         self._came: set[str] = set()
         others = other_joints_text(robot.other_joints, robot.base_link, robot.tip_link)
         if others:
@@ -128,14 +131,14 @@ class StartupNode:
         self._came.add(SCENE)
 
     def run(self) -> None:
-        """Wait for the end of ROS, or end the launch: only while nothing has been ready, so that no arm is left in the midst."""
+        """Wait for the end of ROS, or end the launch: only at its start, so that no arm is left in the midst."""
         while not rospy.core.is_shutdown_requested():
             if self._refused.wait(PERIOD):
                 self._refusals.end_launch()
 
     def update(self) -> None:
         """Say what has changed."""
-        if self._refusals and not self._was_ready:
+        if self._refusals and not self._is_over:
             self._refused.set()
             return
         for sentence in set(self._refusals.sentences) - self._said:
@@ -164,10 +167,15 @@ class StartupNode:
             controller=told.get("controller_sentence", ""),
             clock=told.get("cycle_sentence", ""),
         )
-        for line in self._startup.update(seen, time.monotonic()):
+        now = time.monotonic()
+        for line in self._startup.update(seen, now):
             waits = self._startup.missing is not None
             (rospy.logwarn if waits else rospy.loginfo)("%s", line)
-        self._was_ready = self._was_ready or self._startup.missing is None
+        if self._ready_at is None and self._startup.missing is None:
+            self._ready_at = now
+        is_late = self._ready_at is not None and now - self._ready_at > LATE
+        played = seen.execution is not None and seen.execution.state not in ("WAITING", "IDLE")
+        self._is_over = self._is_over or is_late or played
 
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
