@@ -26,7 +26,7 @@ from construction_twin.core.units import CYCLE, format_allowance, from_wire
 from construction_twin.gateway.trace import read_trace
 from construction_twin.physics.report import RehearsalReport
 from construction_twin.ros.messages.records import from_msg
-from construction_twin.ros.shared.gateway_config import config_from_parameters
+from construction_twin.ros.shared.gateway_config import config_of_link
 from construction_twin.ros.shared.params import robot_file, robot_from_parameters
 from construction_twin.scenario.judge import trace_excesses
 
@@ -118,7 +118,7 @@ class TwinClient:
         self.decimals = rospy.get_param("gateway/decimals")
         #: The controller's cycle [s].
         self.period = rospy.get_param("gateway/cycle", 4) / 1000
-        self._limits = config_from_parameters(needs_file=False).limits
+        self._limits = config_of_link(self.robot, rospy.get_param("gateway"), needs_file=False).limits
         self._trace = rospy.get_param("~gateway_trace", "")
         self.link = self.sync = self.execution = None
         self.syncs: list[Sync] = []

@@ -315,9 +315,9 @@ def test_without_mujoco_it_rests_where_nobody_asked_for_it_and_else_does_not_sta
     rests.node.work(0.0)
     assert rests.published["rehearsal"] == [] and bench.process.questions == []
     assert "mujoco" in rests.node.report().sentence
-    NODE.check(SETTINGS.model_copy(update={"mode": "auto"}), ROBOT)
+    NODE.check(SETTINGS.model_copy(update={"mode": "auto"}), ROBOT, {})
     with pytest.raises(ConfigurationError):
-        NODE.check(SETTINGS, ROBOT)
+        NODE.check(SETTINGS, ROBOT, {})
 
 
 def test_the_process_rehearses_a_plan_and_its_result_crosses_the_topic_unchanged():
