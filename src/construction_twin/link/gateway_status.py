@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, FailFast, Field, ValidationError
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
@@ -42,6 +42,8 @@ _Number = Annotated[float, Field(gt=-(2.0**63), lt=2.0**63)]
 _Shown = str | _Number | None
 _Name = Annotated[str, Field(max_length=64)]
 _Group = Annotated[dict[_Name, _Shown], Field(max_length=32)]
+# a record of each fault in a long list would hold up the bridge
+_Counts = Annotated[list[_Count], FailFast()]
 _PerAxis = Annotated[list[_Number], Field(max_length=12)]
 _Signals = Annotated[dict[_Name, bool], Field(max_length=16)]
 
@@ -51,8 +53,8 @@ class _Part(BaseModel):
 
 
 class _Histogram(_Part):
-    bins: list[_Count] = []
-    counts: list[_Count] = []
+    bins: _Counts = []
+    counts: _Counts = []
 
 
 class _Switch(_Part):

@@ -17,7 +17,7 @@ from pydantic import Field
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.requests import LARGEST, Fraction, Id, Joints, Number, Request, Text, read, shown
+from construction_twin.link.requests import LARGEST, Fraction, Id, Joints, Many, Number, Request, Text, read, shown
 
 #: What COMPAS calls the type of compas_fab's trajectory; its values are rad and m by definition.
 COMPAS_TYPE = "compas_fab.robots/JointTrajectory"
@@ -83,9 +83,9 @@ class Units(Request):
 class Point(Request):
     """A point of our own form; empty rows: not given."""
 
-    positions: list[Number] = Field(min_length=1)
-    velocities: list[Number] = []
-    accelerations: list[Number] = []
+    positions: Annotated[Many[Number], Field(min_length=1)]
+    velocities: Many[Number] = []
+    accelerations: Many[Number] = []
     time_from_start: Annotated[Number, Field(ge=0.0)] = 0.0
 
 
@@ -93,8 +93,8 @@ class PlainTrajectory(Envelope):
     """Our own form."""
 
     units: Units
-    joint_names: list[str]
-    points: list[Point]
+    joint_names: Many[str]
+    points: Many[Point]
 
 
 class CompasTime(Request):
@@ -107,20 +107,20 @@ class CompasTime(Request):
 class CompasPoint(Request):
     """A point of compas_fab."""
 
-    joint_values: list[Number] = Field(min_length=1)
-    joint_types: list[int]
-    joint_names: list[str] = []
-    velocities: list[Number] = []
-    accelerations: list[Number] = []
-    effort: list[Number] = []
+    joint_values: Annotated[Many[Number], Field(min_length=1)]
+    joint_types: Many[int]
+    joint_names: Many[str] = []
+    velocities: Many[Number] = []
+    accelerations: Many[Number] = []
+    effort: Many[Number] = []
     time_from_start: CompasTime = CompasTime(secs=0, nsecs=0)
 
 
 class CompasData(Request):
     """A trajectory of compas_fab; what is `Any` tells how it was made, and is not read."""
 
-    points: list[CompasPoint]
-    joint_names: list[str]
+    points: Many[CompasPoint]
+    joint_names: Many[str]
     fraction: Number | None = None
     start_configuration: Any = None
     start_state: Any = None

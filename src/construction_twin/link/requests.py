@@ -71,12 +71,23 @@ Position = Annotated[Vector, Field(min_length=3, max_length=3)]
 Quaternion = Annotated[Vector, Field(min_length=4, max_length=4), AfterValidator(_unit_length)]
 #: By the joints' names.
 JointValues = Annotated[dict[str, Number], Field(min_length=1)]
+_Item = TypeVar("_Item")
+#: A list that is read up to its first fault: a record of each of a million would hold up every thread of a node for seconds.
+Many = Annotated[list[_Item], pydantic.FailFast()]
 
 
 class Request(pydantic.BaseModel):
     """A message, or a part of one."""
 
     model_config = pydantic.ConfigDict(strict=True, extra="forbid", frozen=True)
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _has_no_key_too_many(cls, found: Any) -> Any:
+        # as of `Many`, before each unknown key is one more fault
+        if isinstance(found, dict) and len(found) > len(cls.model_fields):
+            raise ValueError(f"expected no keys but {', '.join(cls.model_fields)}")
+        return found
 
 
 _Model = TypeVar("_Model", bound=Request)
@@ -131,8 +142,10 @@ def refusal(error: pydantic.ValidationError, what: str) -> PayloadError:
 
 def shown(value: object) -> str:
     """Return what was found, short enough for a sentence; of what is nested only the kind."""
-    if isinstance(value, (dict, list)) and any(isinstance(item, (dict, list)) for item in value):
-        return Sentence(f"link.payload.{'an_object' if isinstance(value, dict) else 'a_list'}", count=len(value))
+    if isinstance(value, dict) and (len(value) > 8 or any(isinstance(item, (dict, list)) for item in value.values())):
+        return Sentence("link.payload.an_object", count=len(value))
+    if isinstance(value, list) and any(isinstance(item, (dict, list)) for item in value):
+        return Sentence("link.payload.a_list", count=len(value))
     if isinstance(value, int) and abs(value) > LARGEST:
         return Sentence("link.payload.a_number", bits=value.bit_length())
     words = repr(value[:8] if isinstance(value, list) else value)

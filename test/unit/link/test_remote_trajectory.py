@@ -6,6 +6,7 @@ import copy
 import json
 import math
 
+import pydantic
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,6 +16,8 @@ from construction_twin.core.errors import PayloadError
 from construction_twin.core.sentences import Sentence
 from construction_twin.link.remote_trajectory import (
     COMPAS_TYPE,
+    BareCompas,
+    PlainTrajectory,
     TrajectoryPoint,
     TrajectoryRequest,
     parse_trajectory,
@@ -354,6 +357,29 @@ def test_a_trajectory_that_is_too_long_is_not_even_read():
     ) as caught:
         read_document(payload, False, "trajectory", len(payload) - 1)
     assert caught.value.reason == "size"
+
+
+@pytest.mark.parametrize(
+    "model, document",
+    [
+        (PlainTrajectory, PLAIN | {"points": [1] * 1000}),
+        (PlainTrajectory, PLAIN | {"joint_names": [1] * 1000}),
+        *((PlainTrajectory, PLAIN | {"points": [{"positions": [1.0], key: [None] * 1000}] * 9})
+          for key in ("positions", "velocities", "accelerations")),
+        (PlainTrajectory, PLAIN | {"points": [dict.fromkeys(map(str, range(1000)), 1)]}),
+        (PlainTrajectory, PLAIN | dict.fromkeys(map(str, range(1000)), 1)),
+        (BareCompas, COMPAS | {"data": COMPAS["data"] | {"points": [1] * 1000}}),
+        *((BareCompas, COMPAS | {"data": COMPAS["data"] | {"points": [compas_point([1.0], **{key: [None] * 1000})]}})
+          for key in ("joint_values", "joint_types", "joint_names", "velocities", "accelerations", "effort")),
+    ],
+)  # fmt: skip
+def test_a_message_full_of_faults_is_refused_for_its_first_ones_as_stops_wait_for_the_reading(model, document):
+    with pytest.raises(pydantic.ValidationError) as caught:
+        model.model_validate(document)
+    assert caught.value.error_count() <= 10
+    with pytest.raises(PayloadError) as refused:
+        parse_trajectory(document, JOINTS)
+    assert len(str(refused.value)) < 600
 
 
 @pytest.mark.parametrize(
