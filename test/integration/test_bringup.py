@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
 """After bringup: every topic at its rate, tf, diagnostics, twin and arm in the same pose."""
 
+import os
 import subprocess
 import sys
 import tempfile
@@ -144,7 +145,9 @@ class BringupTest(RobotTest):
         wait(lambda: [node.name for node in running(nodes, uri) if node.pid] == nodes, f"{nodes} to answer", 30.0)
         before, session = running(nodes, uri), self.client.link.session
         second = ["roslaunch", "construction_twin", "bringup.launch", "broker:=false", "gateway:=false"]
-        run = subprocess.run(second, capture_output=True, text=True, timeout=60.0)
+        # below the root, as the first: this test has the robot's namespace
+        outside = {name: value for name, value in os.environ.items() if name != "ROS_NAMESPACE"}
+        run = subprocess.run(second, capture_output=True, text=True, timeout=60.0, env=outside)
         self.assertEqual(run.returncode, 1)
         said = "cannot start: /kr120/startup: found '/kr120/startup on "
         self.assertEqual((run.stderr.count("cannot start: "), run.stderr.count(said)), (1, 1), run.stderr)
