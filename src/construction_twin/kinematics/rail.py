@@ -38,6 +38,8 @@ from construction_twin.robot.urdf import chain_joints, parse_urdf
 _POSITIONS, _PARTS = 71, 40
 #: Most intervals divided at once; shorter ones are not divided [m].
 _INTERVALS, _FINEST = 64, 1e-11
+#: A wrist that bends by less may pass its singularity between two even positions; by less than the second, it is there [rad].
+_BENT, _PASS = 0.1, 3e-7
 #: A joint that moves by more than the first between two positions may turn round between them, by more than the second turn either
 #: way. Where all move by less than the last, the nearest of the positions is near enough [rad].
 _FAST, _EITHER_WAY, _SMOOTH = 0.2, 1.5, 3e-4
@@ -410,8 +412,7 @@ def _promising(
         axis: Ends of the linear axis.
 
     Returns:
-        Row, first and last position of k intervals, shape (k,) each; and the positions where a joint flips within the shortest
-        interval.
+        Row, first and last position of k intervals, shape (k,) each; and the positions where a wrist is exactly singular.
     """
     rank, away = ranked
     wide = np.diff(rows.positions, axis=1)
@@ -424,19 +425,26 @@ def _promising(
     gaps *= away[:, 1:] * away[:, :-1] > 0.0
     either = fastest > _EITHER_WAY
     gaps[..., [1, 4, 5, 6]] *= ~either[..., None]
-    bounds, total = gaps.sum(axis=-1), square.sum(axis=-1)
+    bounds = gaps.sum(axis=-1)
     ends = np.isnan(fastest)
-    bounds[ends] = (
-        np.maximum(0.0, np.sqrt(np.fmin(total[:, 1:], total[:, :-1])[ends]) - _FALL * np.sqrt(wide[ends])) ** 2
-    )
+    wrist = np.fmin(rows.wrist[:, 1:], rows.wrist[:, :-1])
+    if ends.any():
+        # a wrist that passes its singularity turns joints 4 and 6 by anything; else the branch ends as the elbow is stretched
+        square[..., [4, 6]] *= (~(rows.wrist < _BENT))[..., None]
+        total = square.sum(axis=-1)
+        least = np.sqrt(np.fmin(total[:, 1:], total[:, :-1])[ends])
+        bounds[ends] = np.maximum(0.0, least - _FALL * np.sqrt(wide[ends])) ** 2
     # a joint out of range at both ends may be within it between them if it moves by as much
     least = np.minimum(rank[:, 1:], rank[:, :-1])
     enters = ~(least - _OUT > fastest + _ROUNDING) | either
     promising = enters & np.isfinite(least) & (bounds < np.maximum(0.0, np.sqrt(best)[:, None] + wide - _NEARER) ** 2)
     wild = promising & ~(fastest <= _FAST)
-    # of those in which a branch ends, only where the wrist ends it and not the reach
-    flips = wild & (wide <= _FINEST) & (~ends | (np.fmin(rows.wrist[:, 1:], rows.wrist[:, :-1]) < _OF_FAMILY))
-    bounds[~promising | (wide <= _FINEST)] = math.inf
+    passes = wild & ((wrist < _PASS) | ((wrist < _OF_FAMILY) & (wide <= _FINEST)))
+    flips = np.unique(
+        np.round(np.where(rows.wrist[:, 1:] == wrist, rows.positions[:, 1:], rows.positions[:, :-1])[passes], 8)
+    )
+    wild &= ~passes
+    bounds[~promising | passes | (wide <= _FINEST)] = math.inf
     # beyond the ends of the axis there is nothing, beyond those of an interval something lower
     beyond = np.where(rows.positions[:, [0, -1]] == axis, math.inf, -math.inf)
     padded = np.concatenate([beyond[:, :1], rank, beyond[:, 1:]], axis=1)
@@ -451,4 +459,4 @@ def _promising(
     order = every.argsort(kind="stable")[: min(_INTERVALS, int(np.isfinite(every).sum()))]
     chosen = np.concatenate([row, wild_row])[order]
     first, last = np.concatenate([first, wild_at])[order], np.concatenate([last, wild_at + 1])[order]
-    return chosen, first, last, rows.positions[:, 1:][flips].tolist()
+    return chosen, first, last, flips.tolist()

@@ -151,6 +151,13 @@ def test_singular_wrist_on_the_track_is_kept(a5):
         assert RAIL.nearest(RAIL.chain.forward(q), q).distance < 1e-6
 
 
+def test_a_singular_wrist_elsewhere_on_the_track_is_found():
+    for q in np.random.default_rng(3).uniform(TRACK.lower, TRACK.upper, (40, 7)):
+        q[5] = 0.0
+        seed = q - [math.copysign(0.3, q[0]), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        assert RAIL.nearest(RAIL.chain.forward(q), seed).distance < 0.3 + 1e-5
+
+
 def test_configuration_on_the_track_is_kept_or_refused():
     kept = refused = 0
     for q in np.random.default_rng(12).uniform(TRACK.lower, TRACK.upper, (3, 7)):
