@@ -1,22 +1,19 @@
 """JSON Schemas of what travels, made from the records: prints that of `view`, or writes those of the page: `schemas.py [FILE]`.
 
-Types are the annotations, meanings the docstrings, and what stands in `Annotated` beside a type is taken over as it is: `minimum`,
-`pattern`, ...; `since` is the version of the message that has added a key. A field with a default may be missing.
+Types, bounds and meanings are those of the records and their docstrings, as pydantic tells them; `since` is the version of the
+message that has added a key. A field with a default may be missing.
 """
 
 from __future__ import annotations
 
-import inspect
 import json
-import re
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any
 
-from construction_twin.core.records import ZERO
+from pydantic import TypeAdapter
+
 from construction_twin.core.reports import WorkReport
 from construction_twin.core.sentences import REASONS
 from construction_twin.link.remote_review import PathView, PlanView
@@ -37,8 +34,6 @@ from construction_twin.views.message_history import Message
 from construction_twin.views.scene_view import SceneView
 from construction_twin.views.status_line import Line
 
-_TYPES = {str: "string", bool: "boolean", int: "integer", float: "number", NoneType: "null"}
-_ATTRIBUTES = "\n\nAttributes:\n"
 _WIDTH = 132
 #: What the page checks, by the name of the constant in web/src/schemas.js; of a kind of request its answer. `pause/ack` is as
 #: `stop/ack`.
@@ -62,72 +57,40 @@ CHECKED: dict[str, Any] = {
 
 
 def schema(kind: Any, words: bool = True) -> dict[str, Any]:
-    """Return the schema of a type.
+    """Return the schema of a type, with its records where they stand.
 
     Args:
         words: With descriptions.
     """
-    if get_origin(kind) is Annotated:
-        inner, beside = get_args(kind)
-        return dict(beside) if "const" in beside else schema(inner, words) | beside
-    if get_origin(kind) in (Union, UnionType):
-        (inner,) = (each for each in get_args(kind) if each is not NoneType)
-        made = schema(inner, words)
-        return made | {"type": [made["type"], "null"]}
-    if get_origin(kind) is Literal:
-        return {"enum": list(get_args(kind))}
     if isinstance(kind, RequestKind):
         answer = schema(Answer, words)
         return answer | {"properties": {name: answer["properties"][name] for name in kind.answer}}
-    if is_dataclass(kind):
-        return _record(kind, words)
-    if kind is Any:
-        return {}
-    if get_origin(kind) is not None and issubclass(get_origin(kind), Mapping):
-        return {"type": "object", "additionalProperties": schema(get_args(kind)[1], words)}
-    if get_origin(kind) is not None and issubclass(get_origin(kind), Sequence):
-        return {"type": "array", "items": schema(get_args(kind)[0], words)}
-    return {"type": _TYPES[kind]}
+    made = TypeAdapter(kind).json_schema(mode="serialization")
+    return _inlined(made, made.pop("$defs", {}), words)
 
 
-def _record(kind: Any, words: bool) -> dict[str, Any]:
-    hints = get_type_hints(kind, include_extras=True)
-    about, meanings = _told(kind)
-    properties = {}
-    for each in fields(kind):
-        name = each.name
-        made = _seconds(each.metadata[ZERO]) if ZERO in each.metadata else schema(hints[name], words)
-        meaning = {"description": meanings[name]} if words and name in meanings else {}
-        properties[name] = made | meaning
-    return {
-        **({"description": about} if words else {}),
-        "type": "object",
-        "additionalProperties": False,
-        "required": [each.name for each in fields(kind) if not _may_be_missing(each)],
-        "properties": properties,
+def _inlined(node: dict[str, Any], known: Mapping[str, Any], words: bool) -> dict[str, Any]:
+    """Return a schema without references, and without the keywords that the page does not know."""
+    beside = {
+        key: value for key, value in node.items() if key not in ("title", "default", "description", "$ref", "anyOf")
     }
-
-
-def _seconds(zero: float | None) -> dict[str, Any]:
-    return {"type": "number" if zero is not None else ["number", "null"]}
-
-
-def _may_be_missing(field: Any) -> bool:
-    return field.default is not MISSING or field.default_factory is not MISSING
-
-
-def _told(kind: type) -> tuple[str, dict[str, str]]:
-    """Return what a record's docstring says of it, and of its fields."""
-    about, _, rest = (inspect.getdoc(kind) or "").partition(_ATTRIBUTES)
-    meanings = {}
-    for entry in re.findall(r"^    (\S.*(?:\n {8}.*)*)", rest, re.MULTILINE):
-        names, _, meaning = entry.partition(": ")
-        meanings.update(dict.fromkeys(names.split(", "), _line(meaning)))
-    return _line(about), meanings
-
-
-def _line(text: str) -> str:
-    return " ".join(text.split())
+    if words and "description" in node:
+        beside["description"] = " ".join(node["description"].split())
+    if "$ref" in node:
+        return _inlined(known[node["$ref"].rpartition("/")[2]], known, words) | beside
+    if "anyOf" in node:
+        one = _inlined(node["anyOf"][0], known, words)
+        return one | {"type": [one["type"], "null"]} | beside
+    if "properties" in node:
+        properties = {name: _inlined(each, known, words) for name, each in node["properties"].items()}
+        return {"required": [], **beside, "properties": properties, "additionalProperties": False}
+    if "prefixItems" in node:
+        beside["items"] = beside.pop("prefixItems")[0]
+    if "items" in beside:
+        beside["items"] = _inlined(beside["items"], known, words)
+    if isinstance(inner := beside.get("additionalProperties"), dict):
+        beside["additionalProperties"] = _inlined(inner, known, words)
+    return {key: {} if value is True else value for key, value in beside.items()}
 
 
 def view_schema() -> str:

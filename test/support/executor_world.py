@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import rospy
 from construction_twin.msg import Link, Scene, Sync
-from construction_twin.srv import ReviewFromScreenRequest, ReviewPlanRequest
+from construction_twin.srv import ActAsSeenRequest, ReviewPlanRequest
 from executor_bench import ROBOT, SCENE, make_plan
 
 from construction_twin.core.freshness import Moment
@@ -115,7 +115,7 @@ class World:
     def playing(self) -> World:
         """Play a plan."""
         plan = self.waiting()
-        assert self.node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, "")).success
+        assert self.node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, "", "")).success
         return self.run(50)
 
     def shown(self, age: float = 0.0) -> str:
@@ -124,10 +124,14 @@ class World:
 
     def from_screen(self, plan, moment: str, approve: bool = True):
         """Give a verdict as console_node does; return the answer."""
-        request = ReviewFromScreenRequest(
+        request = ReviewPlanRequest(
             plan_id=plan.id, plan_hash=plan.hash, approve=approve, reviewer="kr120-reviewer-ada", moment=moment
         )
-        return self.node.on_screen_review(request)
+        return self.node.on_review(request)
+
+    def resume_from_screen(self, moment: str):
+        """Resume as console_node does; return the answer."""
+        return self.node.on_act_as_seen(ActAsSeenRequest("resume", "ada", moment))
 
     def slow_disk(self, seconds: float, wall: float | None = None) -> None:
         """Let every record take so long, while the wall clock goes on by `wall` [s] in its place."""

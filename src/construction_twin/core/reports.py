@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Annotated, Protocol
 
-from construction_twin.core.records import as_seconds
+from construction_twin.core.records import OR_NULL, SECONDS, as_seconds
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import seconds
 
@@ -21,7 +21,7 @@ NO_REPORT = Sentence("executor.tool.no_report")
 #: Numbers of the states WAITING and IDLE of `Execution.msg`.
 _NOTHING_PLAYED = (0, 1)
 #: A number that may be nan, which JSON has as null.
-_OrNan = Annotated[float, {"type": ["number", "null"]}]
+_OrNan = Annotated[float, OR_NULL]
 
 
 @dataclass(frozen=True)
@@ -262,8 +262,8 @@ class TaskReport:
     answers: tuple[str, ...] = ()
     grip: str = ""
     scheduled_start: str = ""
-    begun: int = as_seconds(None)
-    settled: int = as_seconds(None)
+    begun: Annotated[int, OR_NULL] = as_seconds(None)
+    settled: Annotated[int, OR_NULL] = as_seconds(None)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -281,7 +281,7 @@ class WorkReport:
         notes: What a person should know of model, schedule and ledger: what was left out, or understood in some way.
     """
 
-    stamp: int = as_seconds()
+    stamp: Annotated[int, SECONDS] = as_seconds()
     model: str
     model_hash: str
     schedule: str

@@ -7,7 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
-from construction_twin.core.records import SPACED, decimals, dumped, left_out
+import pydantic
+from pydantic import Field
+
+from construction_twin.core.records import OR_NULL
+from construction_twin.link.requests import rounded
 
 #: Most numbers of a trajectory that a plan carries, about 5000 waypoints of six joints: brokers limit a message (a site's: 4 MiB).
 MAX_TRAJECTORY_NUMBERS = 100_000
@@ -19,6 +23,10 @@ _MOST_OBJECTS = 20
 _DISPLAYED, _MICRO = 4, 6
 
 Point = tuple[float, float, float]
+_Shown = Annotated[float, rounded(_DISPLAYED)]
+_ShownPoint = tuple[_Shown, _Shown, _Shown]
+#: Of a field that is written only where it is not None.
+_LEFT_OUT = Field(exclude_if=lambda value: value is None)
 
 
 @dataclass(frozen=True)
@@ -71,7 +79,7 @@ class ClearanceView:
         point: In the plan's `frame` [m].
     """
 
-    distance: Annotated[float, {"type": ["number", "null"]}]
+    distance: Annotated[float, OR_NULL]
     time: float
     between: Sequence[str]
     point: Point
@@ -106,28 +114,28 @@ class PlanView:
         task, content, segments: Of a work plan only. `content` is the text whose SHA-256 is its hash.
     """
 
-    id: Annotated[str, {"minLength": 1}]
+    id: Annotated[str, Field(min_length=1)]
     hash: str
     source: str
     planner: str
     scene: str
     frame: str
     created_ns: int
-    duration: float = decimals(_MICRO)
-    planning_time: float = decimals(_MICRO)
+    duration: Annotated[float, rounded(_MICRO)]
+    planning_time: Annotated[float, rounded(_MICRO)]
     joints: Sequence[str]
     start: Sequence[float]
     goal: Sequence[float]
     waypoints: int
-    tool_path: Sequence[Point] = decimals(_DISPLAYED)
-    tool_path_deviation: float = decimals(_MICRO, 0.0)
+    tool_path: Sequence[_ShownPoint]
+    tool_path_deviation: Annotated[float, rounded(_MICRO)] = 0.0
     clearance: ClearanceView | None
     use: UseView
     trajectory: Mapping[str, Any] | None
-    tool: str | None = left_out()
-    task: str | None = left_out()
-    content: str | None = left_out()
-    segments: Sequence[SegmentView] | None = left_out()
+    tool: Annotated[str | None, _LEFT_OUT] = None
+    task: Annotated[str | None, _LEFT_OUT] = None
+    content: Annotated[str | None, _LEFT_OUT] = None
+    segments: Annotated[Sequence[SegmentView] | None, _LEFT_OUT] = None
 
     def to_json(self, points: int) -> bytes:
         """Return the payload for `plan`.
@@ -152,12 +160,15 @@ class PlanView:
             trajectory=None if self._is_too_long() else self.trajectory,
             segments=sent or None,
         )
-        return dumped(message, marks=SPACED)
+        return _PLANS.dump_json(message)
 
     def _is_too_long(self) -> bool:
         """Return whether the trajectory has more numbers than a message may carry."""
         times = self.trajectory["times"] if self.trajectory is not None else ()
         return len(times) * (1 + 3 * len(self.joints)) > MAX_TRAJECTORY_NUMBERS
+
+
+_PLANS = pydantic.TypeAdapter(PlanView)
 
 
 def shown(text: str) -> str:
@@ -243,10 +254,6 @@ class PlanBoard:
         self.on_verdict(self._plan)
 
 
-#: Decimals of a time [s] and of a place that is drawn [m].
-_TIME, _PLACE = 6, 4
-
-
 @dataclass(frozen=True)
 class PathView:
     """A message on <prefix>/<robot>/path: the tool's path of the plan that is played.
@@ -257,9 +264,9 @@ class PathView:
         tool_path: Of tool0 in base_link [m].
     """
 
-    plan_id: Annotated[str, {"minLength": 1}]
-    times: Sequence[float] = decimals(_TIME)
-    tool_path: Sequence[Point] = decimals(_PLACE)
+    plan_id: Annotated[str, Field(min_length=1)]
+    times: Sequence[Annotated[float, rounded(_MICRO)]]
+    tool_path: Sequence[_ShownPoint]
 
     def to_json(self, points: int, keep: Sequence[int] = ()) -> bytes:
         """Return the payload for `path`.
@@ -269,4 +276,9 @@ class PathView:
             keep: Numbers of points that are kept besides.
         """
         kept = kept_points(len(self.tool_path), points, keep)
-        return dumped(PathView(self.plan_id, [self.times[k] for k in kept], [self.tool_path[k] for k in kept]))
+        return _PATHS.dump_json(
+            PathView(self.plan_id, [self.times[k] for k in kept], [self.tool_path[k] for k in kept])
+        )
+
+
+_PATHS = pydantic.TypeAdapter(PathView)

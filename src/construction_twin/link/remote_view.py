@@ -1,6 +1,6 @@
-"""`view` on MQTT: the state of twin, arm, gate, link and execution in one message of plain JSON. Pure; standard library only.
+"""`view` on MQTT: the state of twin, arm, gate, link and execution in one message of plain JSON. Pure.
 
-Fixed by `View`, of which scripts/schemas.py makes the JSON Schema; a change that a reader could notice raises `VERSION`.
+Fixed by `View`, of which pydantic makes the JSON Schema (scripts/schemas.py); a change that a reader could notice raises `VERSION`.
 Versions that only add keys keep `COMPATIBLE`: a reader of that version goes on reading, if it leaves alone what it does not know.
 SI: m, rad, s; times are numbers of seconds, because stamps in ns are larger than the whole numbers that JavaScript keeps exactly.
 """
@@ -13,11 +13,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Annotated, Generic, Literal, TypeVar
 
+import pydantic
+from pydantic import Field
+
 from construction_twin.core.freshness import Moment
-from construction_twin.core.records import decimals, dumped
+from construction_twin.core.records import Says
 from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SpeedReport, SyncReport
 from construction_twin.core.units import NANOSECONDS, seconds
-from construction_twin.link.requests import Joints
+from construction_twin.link.requests import Joints, rounded
 
 VERSION = 6
 #: The oldest version whose readers can read this one.
@@ -26,15 +29,14 @@ COMPATIBLE = 1
 _POSITION, _TIME = 9, 6
 _UNITS = {"angle": "rad", "length": "m", "time": "s"}
 #: A number as `status_values` writes it.
-_NUMBER = re.compile(r"-?\d{1,9}(?:\.\d{1,9})?")
+_DIGITS = re.compile(r"-?\d{1,9}(?:\.\d{1,9})?")
 #: States of the executor in which the plan goes on.
 _MOVING = ("PLAYING", "STOPPING", "PAUSING")
 
 # what the schema says of a value besides its type; `since` is the version that has added it
-_Count = Annotated[int, {"minimum": 0}]
-_Seconds = Annotated[float, {"minimum": 0}]
-_Three = {"minItems": 3, "maxItems": 3}
-_Two = {"minItems": 2, "maxItems": 2}
+_Number = Annotated[float, rounded(_POSITION)]
+_Count = Annotated[int, Field(ge=0)]
+_Seconds = Annotated[float, rounded(_TIME), Says(minimum=0)]
 _Report = TypeVar("_Report", SyncReport, LinkReport, ExecutionReport)
 _Part = TypeVar("_Part")
 
@@ -57,9 +59,9 @@ class PoseView:
         positions: [rad], [m].
     """
 
-    stamp: _Seconds = decimals(_TIME)
-    age: _Seconds = decimals(_TIME)
-    positions: Sequence[float] = decimals(_POSITION)
+    stamp: _Seconds
+    age: _Seconds
+    positions: Sequence[_Number]
 
 
 @dataclass(frozen=True)
@@ -79,9 +81,9 @@ class SyncView:
     age: _Seconds
     policy: str
     agreed: bool
-    error: Sequence[float | None]
-    threshold: Sequence[float | None]
-    servo_lag: float | None
+    error: Sequence[_Number | None]
+    threshold: Sequence[_Number | None]
+    servo_lag: _Number | None
     violations: _Count
 
 
@@ -97,7 +99,7 @@ class ControllerView:
 
     mode: str
     program: str
-    override_percent: float | None
+    override_percent: _Number | None
 
 
 @dataclass(frozen=True)
@@ -117,9 +119,9 @@ class LinkView:
     gateway_state: str
     gateway_kind: str
     responsible: str
-    round_trip_ms: Annotated[float | None, {"since": 2}]
-    late: Annotated[int | None, {"minimum": 0, "since": 2}]
-    controller: Annotated[ControllerView | None, {"since": 5}]
+    round_trip_ms: Annotated[_Number | None, Says(since=2)]
+    late: Annotated[_Count | None, Says(since=2)]
+    controller: Annotated[ControllerView | None, Says(since=5)]
 
 
 @dataclass(frozen=True)
@@ -164,13 +166,13 @@ class SpeedView:
         replaced_person: Whose that was; empty: nobody's.
     """
 
-    limit: float
+    limit: _Number
     by: str
     reason: str
-    people: float
+    people: _Number
     person: str
     since: _Seconds
-    replaced: float
+    replaced: _Number
     replaced_person: str
 
 
@@ -194,10 +196,10 @@ class ExecutionView:
     plan_id: str
     outcome: str
     duration: _Seconds
-    progress: Annotated[float, {"minimum": 0, "maximum": 1}]
-    rate: float | None
-    speed_limit: float | None
-    segment: Annotated[SegmentNow | None, {"since": 2}]
+    progress: Annotated[_Number, Says(minimum=0, maximum=1)]
+    rate: _Number | None
+    speed_limit: _Number | None
+    segment: Annotated[SegmentNow | None, Says(since=2)]
 
 
 @dataclass(frozen=True)
@@ -211,9 +213,9 @@ class ClosestView:
         age: At `stamp` of the message, since it was measured [s].
     """
 
-    distance: float
-    between: Annotated[Sequence[str], _Two]
-    point: Annotated[Sequence[float], _Three]
+    distance: _Number
+    between: Annotated[Sequence[str], Field(min_length=2, max_length=2)]
+    point: Annotated[Sequence[_Number], Field(min_length=3, max_length=3)]
     age: _Seconds
 
 
@@ -241,27 +243,31 @@ class View:
         approval_obstacle: Why that plan could not be approved now, by the executor's own check; empty: it could.
     """
 
-    version: Annotated[int, {"const": VERSION}]
-    compatible: Annotated[int, {"const": COMPATIBLE, "since": 2}]
+    version: Annotated[int, Says(const=VERSION)]
+    compatible: Annotated[int, Says(const=COMPATIBLE, since=2)]
     robot: str
     online: bool
     run: str
     seq: _Count
     stamp: _Seconds
-    moment: Annotated[str, {"pattern": "^([0-9a-f]{8}-[0-9]{1,15})?$", "since": 3}]
-    units: Annotated[Mapping[str, str], {"const": _UNITS}]
+    moment: Annotated[str, Says(pattern="^([0-9a-f]{8}-[0-9]{1,15})?$", since=3)]
+    units: Annotated[Mapping[str, str], Says(const=_UNITS)]
     joints: JointsView
     twin: PoseView | None
     arm: PoseView | None
-    expected: Annotated[PoseView | None, {"since": 6}]
+    expected: Annotated[PoseView | None, Says(since=6)]
     sync: SyncView | None
     link: LinkView | None
     execution: ExecutionView | None
-    plan: Annotated[str, {"since": 2}]
-    closest: Annotated[ClosestView | None, {"since": 2}]
-    hold: Annotated[HoldView | None, {"since": 4}]
-    approval_obstacle: Annotated[str, {"since": 4}]
-    speed: Annotated[SpeedView | None, {"since": 5}]
+    plan: Annotated[str, Says(since=2)]
+    closest: Annotated[ClosestView | None, Says(since=2)]
+    hold: Annotated[HoldView | None, Says(since=4)]
+    approval_obstacle: Annotated[str, Says(since=4)]
+    speed: Annotated[SpeedView | None, Says(since=5)]
+
+
+#: Writes them, 25 a second: in a sixth of the time that `core.records` takes.
+_VIEWS = pydantic.TypeAdapter(View)
 
 
 @dataclass(frozen=True)
@@ -269,7 +275,7 @@ class Shown(Generic[_Report]):
     """A report that is the present, and how long ago it was received [s]."""
 
     report: _Report
-    age: float
+    age: _Number
 
 
 @dataclass(frozen=True)
@@ -344,7 +350,7 @@ class ViewWriter:
             approval_obstacle=seen.approval_obstacle if seen.plan else "",
             speed=_speed(seen.speed),
         )
-        return dumped(view, _POSITION)
+        return _VIEWS.dump_json(view)
 
 
 def _part(kind: type[_Part], shown: Shown | None, **known: object) -> _Part | None:
@@ -372,7 +378,7 @@ def _controller(shown: Shown[LinkReport] | None) -> ControllerView | None:
     told = shown.report.gateway_counters if shown is not None else {}
     mode, program, override = (told.get(f"controller_{name}", "") for name in ("mode", "program", "override_percent"))
     # the gateway has sent a number, and the bridge has checked that it is a number or a text
-    percent = float(override) if _NUMBER.fullmatch(override) else None
+    percent = float(override) if _DIGITS.fullmatch(override) else None
     return ControllerView(mode, program, percent) if mode or program or percent is not None else None
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal, TypeVar
 
 import pydantic
-from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator, StringConstraints
+from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, PlainValidator, StringConstraints
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import Moment, parse_moment
@@ -74,6 +74,11 @@ JointValues = Annotated[dict[str, Number], Field(min_length=1)]
 _Item = TypeVar("_Item")
 #: A list that is read up to its first fault: a record of each of a million would hold up every thread of a node for seconds.
 Many = Annotated[list[_Item], pydantic.FailFast()]
+
+
+def rounded(places: int) -> PlainSerializer:
+    """Return what writes a number with so many decimals."""
+    return PlainSerializer(lambda value: float(round(value, places)), return_type=float)
 
 
 class Request(pydantic.BaseModel):

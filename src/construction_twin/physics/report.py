@@ -12,10 +12,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Annotated
 
-from construction_twin.core.records import as_seconds, document
+from construction_twin.core.records import OR_NULL, SECONDS, as_seconds, document
 
 #: A number that may be nan, which JSON has as null.
-_OrNan = Annotated[float, {"type": ["number", "null"]}]
+_OrNan = Annotated[float, OR_NULL]
 #: How a rehearsal ended.
 PASSED, FAILED, BROKEN = "passed", "failed", "broken"
 STATES = (PASSED, FAILED, BROKEN)
@@ -195,7 +195,7 @@ class RehearsalReport:
     engine: str = ""
     remarks: tuple[str, ...] = ()
     hash: str = ""
-    stamp: int = as_seconds()
+    stamp: Annotated[int, SECONDS] = as_seconds()
 
 
 def is_whole(report: RehearsalReport) -> bool:

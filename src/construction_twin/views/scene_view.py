@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
+from pydantic import Field
+
 from construction_twin.scene.objects import Scene, SceneObject
 
 
@@ -30,8 +32,8 @@ class ObjectView:
     shape: str
     size: Sequence[float]
     mesh: str
-    position: Annotated[Sequence[float], {"minItems": 3, "maxItems": 3}]
-    orientation: Annotated[Sequence[float], {"minItems": 4, "maxItems": 4}]
+    position: Annotated[Sequence[float], Field(min_length=3, max_length=3)]
+    orientation: Annotated[Sequence[float], Field(min_length=4, max_length=4)]
     padding: float
     link: str
     touch: Sequence[str]

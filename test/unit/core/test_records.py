@@ -10,7 +10,7 @@ from enum import Enum
 from hypothesis import given
 from hypothesis import strategies as st
 
-from construction_twin.core.records import SPACED, as_seconds, decimals, document, dumped, left_out
+from construction_twin.core.records import SPACED, as_seconds, document, dumped, left_out
 
 
 class Kind(Enum):
@@ -30,12 +30,6 @@ class Outer:
     parts: tuple[Inner, ...] = ()
     counts: dict[str, int] = field(default_factory=dict)
     stamp: int = 0
-
-
-@dataclass(frozen=True)
-class Rounded:
-    fine: float = decimals(3)
-    coarse: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -73,12 +67,7 @@ def test_fields_come_in_their_order_with_what_they_hold():
 def test_what_is_no_number_is_null_at_every_depth():
     record = Outer("", Inner(math.nan), (Inner(math.inf), Inner(-math.inf)))
     assert [document(record)["inner"]["value"], *(part["value"] for part in document(record)["parts"])] == [None] * 3
-    assert document([math.nan, [math.inf]], 3) == [None, [None]]
-
-
-def test_decimals_are_those_of_the_field_before_those_of_the_message():
-    assert document(Rounded(1.23456789, 1.23456789), 5) == {"fine": 1.235, "coarse": 1.23457}
-    assert document(Rounded(1.23456789, 1.23456789)) == {"fine": 1.235, "coarse": 1.23456789}
+    assert document([math.nan, [math.inf]]) == [None, [None]]
 
 
 @given(st.text(), st.floats(), st.lists(st.floats(), max_size=5), st.integers(0, 2**62))

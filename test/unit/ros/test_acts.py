@@ -13,9 +13,9 @@ import rospy
 from bridge_bench import Client, Refusals
 from construction_twin.msg import Link, Plan, PlanCaller, Rehearsal, Review
 from construction_twin.srv import (
+    ActAsSeenResponse,
     LimitSpeedResponse,
-    ResumeFromScreenResponse,
-    ReviewFromScreenResponse,
+    ReviewPlanResponse,
     WorkDecideResponse,
 )
 from paho.mqtt.client import topic_matches_sub
@@ -57,12 +57,12 @@ class Trigger:
     def __call__(self, **asked):
         assert self.free.wait(10.0)
         verb = self.resolved_name.rpartition("/")[2]
-        person = {"person": asked.get("person")} if verb in (RESET, ARM) else {}
-        assert asked == ({"moment": MOMENT, **person} if verb in STARTING else {}) and person.get("person") != ""
+        person = asked.pop("person", None)
+        assert asked == ({"act": verb, "moment": MOMENT} if verb in STARTING else {}) and person != ""
         self._pressed.append(verb)
         if self.error is not None:
             raise self.error
-        return ResumeFromScreenResponse(self.success, "as the executor says", self.expired)
+        return ActAsSeenResponse(self.success, "as the executor says", self.expired)
 
 
 class Later:
@@ -94,7 +94,7 @@ class Bench:
     #: What the executor has been asked, and what an approval waits for there.
     asked: list[dict] = []
     disk: threading.Event | None = None
-    answer: ReviewFromScreenResponse | None = None
+    answer: ReviewPlanResponse | None = None
 
     def __call__(self, **request):
         if self.error is not None:
@@ -104,7 +104,7 @@ class Bench:
             assert self.disk.wait(10.0)
         self.asked = [*self.asked, request]
         said = "approved" if approves else "rejected"
-        return self.answer or ReviewFromScreenResponse(True, said, False)
+        return self.answer or ReviewPlanResponse(True, said, False)
 
     def deliver(self, topic, payload, retain=False):
         """Hand over a message as the client does."""
@@ -154,7 +154,7 @@ def test_a_verdict_that_was_carried_out_is_answered_and_counted(bench):
 
 
 def test_what_its_screen_had_shown_goes_to_the_executor_with_it_and_that_it_was_too_old_comes_back(bench):
-    bench.answer = ReviewFromScreenResponse(False, "the approval is too old", True)
+    bench.answer = ReviewPlanResponse(False, "the approval is too old", True)
     bench.carry_out()
     answer = json.loads(bench.client.published[-1][1])
     assert [(asked["moment"], asked["approve"]) for asked in bench.asked] == [(MOMENT, True)]

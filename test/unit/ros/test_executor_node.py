@@ -22,8 +22,8 @@ from construction_twin.msg import (
     ToolState,
 )
 from construction_twin.srv import (
+    ActAsSeenRequest,
     ReleaseEngagementRequest,
-    ResumeFromScreenRequest,
     ReviewPlanRequest,
     StopPlanRequest,
 )
@@ -78,7 +78,7 @@ def test_who_has_armed_a_bare_plc_is_recorded_once_and_with_the_verdict(world, t
     world.run(5)
     plan = make_plan(asked_ns=world.booted)
     world.executor.offer(plan)
-    assert node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, "")).success
+    assert node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, "", "")).success
     armed, verdict = records(tmp_path)[:2]
     assert (armed["record"], armed["responsible"], armed["not_checked"]) == (
         "responsibility",
@@ -262,7 +262,7 @@ def test_a_verdict_on_another_content_than_the_plan_s_is_refused(world, approve)
     plan = world.waiting()
     seen = SimpleNamespace(id=plan.id, hash="0" * 64)
     for answer in (
-        world.node.on_review(ReviewPlanRequest(seen.id, seen.hash, approve, "Ada", "", False, "")),
+        world.node.on_review(ReviewPlanRequest(seen.id, seen.hash, approve, "Ada", "", False, "", "")),
         world.from_screen(seen, world.shown(), approve),
     ):
         assert not answer.success and plan.hash in answer.message
@@ -274,19 +274,19 @@ def test_nobody_reviews_under_the_names_that_the_executor_writes(world, reviewer
     world.playing()
     plan = make_plan("q", asked_ns=world.booted)
     world.executor.offer(plan)
-    answer = world.node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, reviewer, "", False, ""))
+    answer = world.node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, reviewer, "", False, "", ""))
     assert not answer.success and "the name of a person" in answer.message
-    assert world.node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, "Ada", "", False, "")).success
+    assert world.node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, "Ada", "", False, "", "")).success
 
 
 def test_every_request_of_a_person_that_is_turned_down_is_counted_beside_its_answer(world):
     node, plan = world.node, world.waiting()
-    assert node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, "Ada", "", False, "")).success
+    assert node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, "Ada", "", False, "", "")).success
     answers = [
-        node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, "")),
+        node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, "", "")),
         node.on_pause(None),
         node.on_resume(None),
-        node.on_screen_resume(ResumeFromScreenRequest(world.shown())),
+        world.resume_from_screen(world.shown()),
         node.on_stop_plan(StopPlanRequest("of another one")),
         node.on_release(ReleaseEngagementRequest("Ada", "by hand")),
     ]
@@ -325,7 +325,7 @@ class TestAge:
             answer = world.from_screen(plan, world.shown())
             assert answer.expired
         else:
-            answer = world.node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, ""))
+            answer = world.node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, "", ""))
         assert not answer.success and "too old: it is of 120.0 s ago" in answer.message
         world.run(50)
         assert world.executor.plan is None and world.executor.under_review.plan is plan
@@ -340,7 +340,7 @@ class TestAge:
         world.booted += NANOSECONDS
         assert world.from_screen(plan, moment).success
 
-    @pytest.mark.parametrize("moment", ["", "c0ffee00", "1795369597.396", "deadbeef-7000000"])
+    @pytest.mark.parametrize("moment", ["c0ffee00", "1795369597.396", "deadbeef-7000000"])
     def test_without_a_moment_of_this_robot_nothing_is_approved(self, world, moment):
         answer = world.from_screen(world.waiting(), moment)
         assert not answer.success and len(world.refused) == 1 and world.executor.under_review.plan is not None
@@ -355,15 +355,15 @@ class TestAge:
         while world.executor.state is not ExecutorState.PAUSED:
             world.run(5)
         for age, expired in ((3.1, True), (6.0, True), (-1.0, True)):
-            answer = node.on_screen_resume(ResumeFromScreenRequest(world.shown(age)))
+            answer = world.resume_from_screen(world.shown(age))
             assert not answer.success and answer.expired is expired and "look again" in answer.message
-        answer = node.on_screen_resume(ResumeFromScreenRequest(""))
-        assert not answer.success and not answer.expired
-        assert [reason for reason, _ in world.refused] == ["too_old"] * 3 + ["moment"]
+        answers = [world.resume_from_screen(""), node.on_act_as_seen(ActAsSeenRequest("reset", "ada", world.shown()))]
+        assert [(answer.success, answer.expired) for answer in answers] == [(False, False)] * 2
+        assert [reason for reason, _ in world.refused] == ["too_old"] * 3 + ["moment", "act"]
         assert world.run(50).executor.state is ExecutorState.PAUSED
-        assert node.on_screen_resume(ResumeFromScreenRequest(world.shown(0.1))).success
+        assert world.resume_from_screen(world.shown(0.1)).success
         assert world.run(5).executor.state is ExecutorState.PLAYING
-        again = node.on_screen_resume(ResumeFromScreenRequest(world.shown(0.1)))
+        again = world.resume_from_screen(world.shown(0.1))
         assert not again.success and not again.expired and "nothing to resume" in again.message
 
     @pytest.mark.parametrize("before", ["PLAYING", "PAUSING", "PAUSED"])
@@ -378,12 +378,12 @@ class TestAge:
         world.booted += NANOSECONDS // 2
         assert node.on_pause(None).success
         world.run(100)
-        answer = node.on_screen_resume(ResumeFromScreenRequest(pressed))
+        answer = world.resume_from_screen(pressed)
         assert not answer.success and answer.expired and "paused or stopped since" in answer.message
         assert [reason for reason, _ in world.refused] == ["too_old"]
         assert world.run(50).executor.state is ExecutorState.PAUSED
         # who has seen the pause may undo it
-        assert node.on_screen_resume(ResumeFromScreenRequest(world.shown())).success
+        assert world.resume_from_screen(world.shown()).success
         assert world.run(5).executor.state is ExecutorState.PLAYING
 
     @pytest.mark.parametrize("age, begins", [(0.5, True), (2.5, False)])
@@ -395,7 +395,7 @@ class TestAge:
         assert node.on_pause(None).success
         world.run(5)
         world.booted += 3 * NANOSECONDS
-        assert node.on_screen_resume(ResumeFromScreenRequest(world.shown(age))).success
+        assert world.resume_from_screen(world.shown(age)).success
         for _ in range(4):
             # 1 s, in which somebody stands before the sensor
             node.on_limit(limit(0.0))
@@ -411,7 +411,7 @@ class TestAge:
             broken.setattr(module, "present", lambda: 1 // 0)
             assert node.on_pause(None).success
         world.run(100)
-        assert not node.on_screen_resume(ResumeFromScreenRequest(world.shown())).success
+        assert not world.resume_from_screen(world.shown()).success
         assert world.executor.state is ExecutorState.PAUSED and node.on_resume(None).success
 
     def test_a_stop_a_pause_and_the_resume_of_this_graph_need_no_moment(self, world):
@@ -490,7 +490,7 @@ def test_at_the_start_the_arm_is_not_armed_and_a_rehearsal_is_required_as_was_se
     world.run(5)
     plan = make_plan(asked_ns=world.booted)
     node.on_plan(plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
-    answer = node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, ""))
+    answer = node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, "", ""))
     assert answer.success is not bool(missing) and missing in answer.message
 
 
@@ -556,7 +556,7 @@ class WorkWorld(World):
         self.run(5)
         plan = plan or make_work_plan(asked_ns=self.booted)
         self.node.on_plan(plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
-        answer = self.node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, ""))
+        answer = self.node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, "", ""))
         assert answer.success, answer.message
         return self
 
@@ -658,7 +658,7 @@ class TestEngaged:
         motion = motion_back(left.path, left.path.entry(pose).time)
         plan = plan_back(motion, left.requires(work.executor.tool), "5ce1e", asked_ns=work.booted + NANOSECONDS)
         work.node.on_plan(plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
-        assert work.node.on_review(ReviewPlanRequest("back", plan.hash, True, "Ada", "", False, "")).success
+        assert work.node.on_review(ReviewPlanRequest("back", plan.hash, True, "Ada", "", False, "", "")).success
         work.until(lambda: work.executor.outcome == "finished").run(3)
         assert not (tmp_path / "engagement.json").exists() and not work.messages("engagement")[-1].engaged
 
@@ -708,7 +708,7 @@ class TestEngaged:
         motion = motion_back(left.path, left.path.entry(pose).time)
         plan = plan_back(motion, left.requires(work.executor.tool), "5ce1e", asked_ns=work.booted + NANOSECONDS)
         work.node.on_plan(plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
-        assert work.node.on_review(ReviewPlanRequest("back", plan.hash, True, "Ada", "", False, "")).success
+        assert work.node.on_review(ReviewPlanRequest("back", plan.hash, True, "Ada", "", False, "", "")).success
         work.run(20)
         answer = work.node.on_release(ReleaseEngagementRequest(person="Ada", reason="by hand"))
         assert not answer.success and "release the arm when it is at rest" in answer.message

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import rospy
-from construction_twin.srv import PlanToPose, PlanToPoseRequest, ReviewFromScreen, ReviewPlan
+from construction_twin.srv import PlanToPose, PlanToPoseRequest, ReviewPlan
 
 from construction_twin.link.requests import GOALS, GoalRequest, ReviewRequest
 from construction_twin.ros.messages.plan_services import PLAN_SERVICES, request_fields
@@ -30,17 +30,16 @@ def test_a_field_reaches_the_services_field_of_its_name_and_a_goal_is_formed():
     assert (request.goal.pose.position.y, request.goal.pose.orientation.z) == (2.0, 1.0)
 
 
-def test_a_verdict_has_the_same_fields_from_a_terminal_and_from_a_tablet():
+def test_a_verdict_has_the_fields_of_its_service():
     verdict = ReviewRequest("p", "h", "approved", "Ada", "fine", moment="c0ffee00-5000")
     given = {
         "plan_id": "p", "plan_hash": "h", "approve": True, "reviewer": "Ada", "reason": "fine", "override_rehearsal": False,
-        "rehearsal_hash": "",
+        "rehearsal_hash": "", "moment": "c0ffee00-5000",
     }  # fmt: skip
     assert request_fields(ReviewPlan, verdict) == given
-    assert request_fields(ReviewFromScreen, verdict) == given | {"moment": "c0ffee00-5000"}
 
 
 def test_an_answer_is_read_with_every_field_that_it_has():
     plan = {"plan_id": "p", "plan_hash": "h", "duration": 2.5}
     assert Outcome.of(Outcome(True, "done", fields=plan).response(PlanToPose)) == Outcome(True, "done", fields=plan)
-    assert Outcome.of(Outcome(False, "late", expired=True).response(ReviewFromScreen)) == Outcome(False, "late", True)
+    assert Outcome.of(Outcome(False, "late", expired=True).response(ReviewPlan)) == Outcome(False, "late", True)

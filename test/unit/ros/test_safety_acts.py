@@ -58,7 +58,7 @@ def act(world: World, which: str):
         request._connection_header = {"callerid": "/client"}
         return node.on_stop_plan(request)
     plan = world.executor.under_review.plan
-    return node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, "Ada", "too close to the wall", False, ""))
+    return node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, "Ada", "too close to the wall", False, "", ""))
 
 
 def prepared(world: World, which: str) -> World:

@@ -53,7 +53,7 @@ def go_on(bench: BridgeBench) -> None:
 
 def reset(bench: BridgeBench, moment: str, verb: str = "reset"):
     bench.clocks.while_waiting = lambda: go_on(bench)
-    return bench.ask(f"{verb}_from_screen", person="ada", moment=moment)
+    return bench.ask("~act_as_seen", act=verb, person="ada", moment=moment)
 
 
 def test_what_the_screen_shows_is_lifted(stopped):

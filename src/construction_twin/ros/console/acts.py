@@ -47,7 +47,7 @@ from construction_twin.ros.messages.plan_services import request_fields
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.persistent_service import PersistentService, call, call_twice
-from construction_twin.srv import ReviewFromScreen
+from construction_twin.srv import ReviewPlan
 
 #: Requests of a kind that may wait while one is carried out; a tablet sends one at a time.
 WAITING = 8
@@ -65,8 +65,8 @@ class Services:
     """Who carries it out.
 
     Attributes:
-        approve, reject: The executor's `review_from_screen`; a rejection may come twice, and asks no master.
-        pressed: By verb. One that starts something takes `moment`, and the bridge's the `person`; others may be called twice.
+        approve, reject: The executor's `review_plan`; a rejection may come twice, and asks no master.
+        pressed: By verb. One that starts something is an `ActAsSeen`; others may be called twice.
         decide: The work's, which takes what a person decides.
         limit_speed: Takes a person's speed limit, and may be called twice.
     """
@@ -149,7 +149,7 @@ class Acts:
         return {name: count for each in counts for name, count in each.report().items()}
 
     def _give_verdict(self, review: ReviewRequest) -> Outcome:
-        fields = request_fields(ReviewFromScreen, replace(review, reason=review.recorded_reason))
+        fields = request_fields(ReviewPlan, replace(review, reason=review.recorded_reason))
         if review.approve:
             return Outcome.of(call(self._services.approve, EXECUTOR, **fields))
         # over the connection that is open, as a stop
@@ -162,8 +162,8 @@ class Acts:
             raise PayloadError(REPEATED, Sentence("link.payload.again", **names))
         known.append(wanted)
         # it asks the master first; when a pause overtakes it, its moment is older than that pause, and it is void
-        person = {"person": wanted.account} if kind.by == requests.BRIDGE else {}
-        return Outcome.of(call(self._services.pressed[kind.name], _PROGRAMS[kind.by], moment=wanted.moment, **person))
+        fields = {"act": kind.name, "person": wanted.account, "moment": wanted.moment}
+        return Outcome.of(call(self._services.pressed[kind.name], _PROGRAMS[kind.by], **fields))
 
     def _brake(self, kind: RequestKind, _wanted: Intervention) -> Outcome:
         return Outcome.of(call_twice(self._services.pressed[kind.name], _PROGRAMS[kind.by]))

@@ -57,11 +57,10 @@ from construction_twin.ros.shared.private_files import PrivateFiles
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.ros.transport.persistent_service import PersistentService
 from construction_twin.srv import (
+    ActAsSeen,
     LimitSpeed,
     PlanTrajectory,
-    ResumeFromScreen,
-    ReviewFromScreen,
-    SessionFromScreen,
+    ReviewPlan,
     WorkDecide,
 )
 
@@ -204,16 +203,14 @@ class ConsoleNode:
 def _services() -> Services:
     """Return the services of what people do; what starts nothing is connected to for good, and may be called twice."""
     pressed = {
-        kind.name: rospy.ServiceProxy(
-            f"{kind.name}_from_screen", SessionFromScreen if kind.by == BRIDGE else ResumeFromScreen
-        )
+        kind.name: rospy.ServiceProxy(f"{'mqtt_bridge' if kind.by == BRIDGE else 'executor'}/act_as_seen", ActAsSeen)
         if kind.starts
         else PersistentService(kind.name, Trigger)
         for kind in PRESSED
     }
     return Services(
-        rospy.ServiceProxy("review_from_screen", ReviewFromScreen),
-        PersistentService("review_from_screen", ReviewFromScreen),
+        rospy.ServiceProxy("review_plan", ReviewPlan),
+        PersistentService("review_plan", ReviewPlan),
         pressed,
         rospy.ServiceProxy("work/decide", WorkDecide),
         PersistentService("limit_speed", LimitSpeed),

@@ -1,7 +1,7 @@
 """executor: plays the approved plan as `next/joint_states` at 250 Hz; serves `review_plan`, the stops, `pause`, `resume`.
 
-`review_from_screen` and `resume_from_screen` are the same for people at screens elsewhere. Of a work plan also `tool_command`, from
-what `tool` says; `engagement`, and the service `release_engagement`.
+`~act_as_seen` resumes for people at screens elsewhere. Of a work plan also `tool_command`, from what `tool` says; `engagement`, and
+the service `release_engagement`.
 """
 
 from __future__ import annotations
@@ -92,12 +92,10 @@ from construction_twin.ros.transport.joint_stream import from_time, now_ns
 from construction_twin.ros.transport.publisher import Sink
 from construction_twin.ros.transport.subscriber import caller_of
 from construction_twin.srv import (
+    ActAsSeen,
+    ActAsSeenRequest,
     ReleaseEngagement,
     ReleaseEngagementRequest,
-    ResumeFromScreen,
-    ResumeFromScreenRequest,
-    ReviewFromScreen,
-    ReviewFromScreenRequest,
     ReviewPlan,
     ReviewPlanRequest,
     StopPlan,
@@ -395,19 +393,9 @@ class ExecutorNode:
     # A stop, a pause, a rejection: first the act, under the lock; then, beside it, what tells of it (docs/architecture.md).
 
     def on_review(self, request: ReviewPlanRequest) -> Outcome:
-        """Approve or reject a plan in a person's name; the call's own age counts."""
-        return self._review(request, None)
-
-    def on_screen_review(self, request: ReviewFromScreenRequest) -> Outcome:
-        """Approve or reject a plan in a person's name; an approval's age is that of what its screen had shown."""
+        """Approve or reject a plan in a person's name; an approval is as old as what its screen had shown, else as the call."""
         try:
-            seen = parse_moment(request.moment) if request.approve else None
-        except PayloadError as error:
-            return self._refused("review", error)
-        return self._review(request, seen)
-
-    def _review(self, request: ReviewPlanRequest | ReviewFromScreenRequest, seen: Moment | None) -> Outcome:
-        try:
+            seen = parse_moment(request.moment) if request.approve and request.moment else None
             if request.reviewer.strip() in (AUTO_APPROVE, EXECUTOR):
                 raise ReviewError(Sentence("review.own_name", name=repr(request.reviewer)))
             if not request.approve:
@@ -547,10 +535,12 @@ class ExecutorNode:
         now = self._side_effects.run("the moment of an act", present)
         return sys.maxsize if now is None else now.at
 
-    def on_screen_resume(self, request: ResumeFromScreenRequest) -> Outcome:
+    def on_act_as_seen(self, request: ActAsSeenRequest) -> Outcome:
         """Go on after a pause, unless what the person's screen had shown is too old, or older than a pause or stop."""
 
         def resume() -> str:
+            if request.act != "resume":
+                raise PayloadError("act", Sentence("executor.void.act", act=repr(request.act)))
             seen = parse_moment(request.moment)
             with self._lock:
                 now = present()
@@ -850,13 +840,12 @@ INTERFACE = Interface(
     ),
     serves=(
         Served("review_plan", ReviewPlan, ExecutorNode.on_review),
-        Served("review_from_screen", ReviewFromScreen, ExecutorNode.on_screen_review),
         Served("stop", Trigger, ExecutorNode.on_stop),
         Served("stop_plan", StopPlan, ExecutorNode.on_stop_plan),
         Served("release_engagement", ReleaseEngagement, ExecutorNode.on_release),
         Served("pause", Trigger, ExecutorNode.on_pause),
         Served("resume", Trigger, ExecutorNode.on_resume),
-        Served("resume_from_screen", ResumeFromScreen, ExecutorNode.on_screen_resume),
+        Served("~act_as_seen", ActAsSeen, ExecutorNode.on_act_as_seen),
     ),
     every=(
         Every(

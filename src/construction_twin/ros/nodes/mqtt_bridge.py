@@ -88,7 +88,7 @@ from construction_twin.ros.shared.stop_memory import StopMemory
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.publisher import Sink
 from construction_twin.ros.transport.subscriber import caller_of
-from construction_twin.srv import SessionFromScreen, SessionFromScreenRequest, TakeResponsibility
+from construction_twin.srv import ActAsSeen, ActAsSeenRequest, TakeResponsibility
 
 #: Period at which the link is polled [s].
 POLL = 0.02
@@ -463,18 +463,15 @@ class MqttBridge:
         """Begin a session where nothing needs to move for it."""
         return self._begin_session("arm", self._supervisor.request_arm)
 
-    def on_screen_reset(self, request: SessionFromScreenRequest) -> Outcome:
-        """Start over, unless what the person's screen had shown is too old, or older than the last stop."""
-        return self._from_screen("reset", self._supervisor.request_reset, request)
+    def on_act_as_seen(self, request: ActAsSeenRequest) -> Outcome:
+        """Reset or arm, unless what the person's screen had shown is too old, or older than the last stop.
 
-    def on_screen_arm(self, request: SessionFromScreenRequest) -> Outcome:
-        """Begin a session as `on_screen_reset`; a bare PLC in the name of the account."""
-        if not self._supervisor.sends_control:
-            return self._from_screen("arm", None, request)
-        return self._from_screen("arm", self._supervisor.request_arm, request)
-
-    def _from_screen(self, verb: str, ask: Callable[[int], None] | None, request: SessionFromScreenRequest) -> Outcome:
+        A bare PLC is armed in the name of the account.
+        """
+        acts = {"reset": self._supervisor.request_reset, "arm": self._supervisor.request_arm}
         try:
+            if request.act not in acts:
+                raise PayloadError("act", Sentence("executor.void.act", act=repr(request.act)))
             seen = parse_moment(request.moment)
 
             def demand_seen() -> None:
@@ -483,9 +480,9 @@ class MqttBridge:
                 if not self._stops.was_seen(seen):
                     raise ExpiredError(Sentence("link.void.session_since"))
 
-            if ask is None:
+            if request.act == "arm" and not self._supervisor.sends_control:
                 return self._take_responsibility(request.person, demand_seen)
-            return self._begin_session(verb, ask, request.person, demand_seen)
+            return self._begin_session(request.act, acts[request.act], request.person, demand_seen)
         except ExpiredError as error:
             self._diagnostics.refuse(TOO_OLD, str(error))
             return Outcome(False, str(error), expired=True)
@@ -791,9 +788,8 @@ INTERFACE = Interface(
     ),
     serves=(
         Served("reset", Trigger, MqttBridge.on_reset),
-        Served("reset_from_screen", SessionFromScreen, MqttBridge.on_screen_reset),
         Served("~arm", Trigger, MqttBridge.on_arm),
-        Served("arm_from_screen", SessionFromScreen, MqttBridge.on_screen_arm),
+        Served("~act_as_seen", ActAsSeen, MqttBridge.on_act_as_seen),
         Served("arm", TakeResponsibility, MqttBridge.on_responsible),
         Served("halt", Trigger, MqttBridge.on_halt),
         Served("mirror", SetBool, MqttBridge.on_mirror),
