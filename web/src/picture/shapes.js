@@ -131,7 +131,7 @@ function dots(points, colours, size) {
 }
 
 /** So large are the dots at the waypoints, and at the ends of a path and of its segments [px]. */
-const DOT = 4;
+const DOT = 2;
 const END = 12;
 
 /**
