@@ -6,6 +6,7 @@ pause, verdicts, ...) has a connection and threads of its own, see `ros.console.
 
 from __future__ import annotations
 
+import gc
 import secrets
 import threading
 import time
@@ -66,6 +67,9 @@ from construction_twin.srv import (
 
 #: Between two writings of log and messages [s].
 LOG_PERIOD = 0.1
+#: Objects after which the garbage collector looks through them. It holds up every thread, a stop's too: while a motion of 2 MiB was
+#: read, by Python's 700, for 200 ms at once, and it takes four times as long to read.
+COLLECTED = 500_000
 
 
 class Settings(MqttSettings):
@@ -310,4 +314,6 @@ NODE = NodeShell("console_node", Settings, start, INTERFACE, check_broker, fast=
 
 def main() -> None:
     """Run the node."""
+    gc.freeze()
+    gc.set_threshold(COLLECTED)
     NODE.run()
