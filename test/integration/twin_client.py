@@ -231,7 +231,9 @@ class TwinClient:
 
         def answered() -> bool:
             answers.append(
-                service(plan_id, plan_hash, approve, reviewer, "integration test", override is not None, override or "")
+                service(
+                    plan_id, plan_hash, approve, reviewer, "integration test", override is not None, override or "", ""
+                )
             )
             return answers[-1].success or "is not under review" not in answers[-1].message
 
