@@ -153,14 +153,16 @@ class ConnectionReport:
 
     Args:
         say: Takes a sentence, e.g. a logger's `error`; called from the thread that connects or serves the client.
+        first: Whether to say why there has never been a connection; False: somebody else does, by `sentence`.
 
     Attributes:
         sentence: Why there is no connection; empty while there is one, and before the first attempt has ended.
     """
 
-    def __init__(self, broker: Broker, say: Callable[[str], None]):
+    def __init__(self, broker: Broker, say: Callable[[str], None], first: bool = True):
         self._broker = broker
         self._say = say
+        self._spoken = first
         self._welcomed = False
         self.sentence = ""
 
@@ -176,7 +178,7 @@ class ConnectionReport:
 
     def connected(self, client: PlainClient, properties: Properties | None) -> None:
         """Take note that the broker has accepted the connection, with the properties of its answer (CONNACK)."""
-        self._welcomed = True
+        self._welcomed = self._spoken = True
         self.sentence = ""
         client.largest = getattr(properties, "MaximumPacketSize", None)
         client.on_too_large = self._say
@@ -202,4 +204,5 @@ class ConnectionReport:
     def _report(self, sentence: str) -> None:
         if sentence != self.sentence:
             self.sentence = sentence
-            self._say(sentence)
+            if self._spoken:
+                self._say(sentence)

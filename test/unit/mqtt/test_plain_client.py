@@ -7,7 +7,9 @@ import threading
 
 import pytest
 from paho.mqtt import __version__ as paho_version
-from paho.mqtt.enums import MQTTErrorCode
+from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.reasoncodes import ReasonCode
 from processes import ROOT, BrokerProcess, wait_until
 from service_cell import PATIENT, cell, motion, stream
 
@@ -113,6 +115,17 @@ def test_what_is_larger_than_the_broker_takes_is_not_sent_and_said_once_with_bot
     process.kill()
     assert fits.is_published() and lost and not any(each[3].is_failure for each in lost)
     assert len(said) == 2 and f"{topics.status} is not sent: 2001 bytes, and the broker takes 2000" in said[0]
+
+
+def test_where_somebody_else_says_why_there_never_was_a_connection_only_its_loss_is_said():
+    said: list[str] = []
+    report = ConnectionReport(Broker(port=1), said.append, first=False)
+    report.failed(ConnectionRefusedError())
+    assert "nobody listens there" in report.sentence and said == []
+    report.connected(PlainClient(CallbackAPIVersion.VERSION2), None)
+    report.lost(ReasonCode(PacketTypes.DISCONNECT, "Server shutting down"))
+    report.failed(ConnectionRefusedError())
+    assert ["lost" in said[0], "nobody listens there" in said[1]] == [True, True]
 
 
 def test_an_armed_gateway_carries_out_the_stream_and_reports_states(broker, topics, kind, monkeypatch):

@@ -23,12 +23,12 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 # fmt: off
 #: What each extra is for; where an extra contains another, the folders of both.
 FOLDERS = {
-    "gateway": {"core", "controller", "mqtt", "rsi", "gateway", "link"},
+    "gateway": {"core", "controller", "mqtt", "rsi", "gateway"},
     "kinematics": {"core", "robot", "kinematics"},
     "evaluation": {"evaluation"},
     "planning": {
         "scene", "planning", "coordination", "review", "twin", "monitor", "execution", "mock", "scenario", "servo",
-        "views",
+        "views", "link",
     },
     "work": {"work"},
     "physics": {"physics"},

@@ -16,6 +16,7 @@ from construction_twin.mqtt.failures import ConnectionReport
 from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.params import NodeSettings
+from construction_twin.ros.shared.start_refusal import launch
 from construction_twin.ros.shared.ports import Shared
 
 #: How long a node waits before it says that the broker is gone [s]: one Ctrl-C ends both, and the broker is often first.
@@ -54,8 +55,8 @@ def check_broker(settings: MqttSettings, _robot: RobotModel, _shared: Shared) ->
 
 
 def report_of(broker: Broker) -> ConnectionReport:
-    """Return a report that goes to the node's log, from a thread that may wait for a disk."""
-    return ConnectionReport(broker, _say_later)
+    """Return a report that goes to the node's log, from a thread that may wait for a disk; in a launch `startup` says the first."""
+    return ConnectionReport(broker, _say_later, first=not launch())
 
 
 def _say_later(sentence: str) -> None:
