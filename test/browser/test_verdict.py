@@ -70,7 +70,7 @@ def test_a_plan_that_is_not_what_its_hash_says_cannot_be_approved(page_of, robot
     plan = robot.show_plan()
     expect(page.page.locator(".verdict")).to_be_visible()
     # one number of one waypoint is another, as a broken or a wicked program would send it
-    forged = plan.to_json(200).replace(b'"positions": [[0.0', b'"positions": [[0.001', 1)
+    forged = plan.to_json(200).replace(b'"positions":[[0.0', b'"positions":[[0.001', 1)
     assert forged != plan.to_json(200)
     robot.publish("plan", forged, retain=True)
     expect(page.page.locator(".verdict-unfit")).to_contain_text("not the one that its hash names")

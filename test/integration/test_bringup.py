@@ -144,6 +144,8 @@ class BringupTest(RobotTest):
         uri = rosgraph.get_master_uri()
         wait(lambda: [node.name for node in running(nodes, uri) if node.pid] == nodes, f"{nodes} to answer", 30.0)
         before, session = running(nodes, uri), self.client.link.session
+        # it replaces them before it is refused, and other tests of this bringup read them
+        self.addCleanup(rospy.set_param, "/kr120", rospy.get_param("/kr120"))
         second = ["roslaunch", "construction_twin", "bringup.launch", "broker:=false", "gateway:=false"]
         # below the root, as the first: this test has the robot's namespace
         outside = {name: value for name, value in os.environ.items() if name != "ROS_NAMESPACE"}

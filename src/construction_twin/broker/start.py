@@ -2,7 +2,7 @@
 library only.
 
 `main` becomes mosquitto. roslaunch starts it again whenever it ends, so what can never work must be found before: `trial` starts
-mosquitto as `main` does, and ends it as soon as it listens.
+mosquitto with the same configuration on other ports, where no client finds it, and ends it as soon as it listens.
 """
 
 from __future__ import annotations
@@ -32,12 +32,13 @@ END_TIME = 5.0
 _LOOK = 0.02
 #: mosquitto puts the time in front of what it logs.
 _LOG_TIME = re.compile(r"^\d+: ")
+_LISTENER = re.compile(r"^(\s*listener\s+)(\d+)", re.MULTILINE)
 
 
 def main(argv: list[str] | None = None) -> None:
     """Become mosquitto; ConfigurationError where that is not possible."""
     arguments = read_arguments(sys.argv[1:] if argv is None else argv)
-    program, text = check(arguments.config, arguments.port)
+    program, text = check(arguments.config, arguments.port, arguments.accounts)
     print(f"broker: {request_realtime(arguments.realtime)}", flush=True)
     os.execv(program, [program, "-c", f"/dev/fd/{_in_memory(_complete(text, arguments.port))}"])
 
@@ -58,12 +59,19 @@ def read_arguments(argv: list[str]) -> argparse.Namespace:
     parser.add_argument(
         "--realtime", type=int, default=0, metavar="PRIORITY", help="SCHED_FIFO priority, 0 for none [%(default)s]"
     )
+    parser.add_argument(
+        "--accounts", action="store_true", help="refuse a configuration that lets in clients without an account"
+    )
     # roslaunch adds __name:= and __log:= for nodes that speak ROS
     return parser.parse_args([word for word in argv if ":=" not in word])
 
 
-def check(path: str, port: int) -> tuple[str, str]:
-    """Return mosquitto's path and the text of its configuration; ConfigurationError where it could not start, or not stay."""
+def check(path: str, port: int, accounts: bool = False) -> tuple[str, str]:
+    """Return mosquitto's path and the text of its configuration; ConfigurationError where it could not start, or not stay.
+
+    Args:
+        accounts: Whether a configuration that lets in clients without an account is refused.
+    """
     program = _program()
     if program is None:
         raise ConfigurationError("mosquitto", None, "it to be installed; run setup/setup.sh")
@@ -73,38 +81,47 @@ def check(path: str, port: int) -> tuple[str, str]:
         raise ConfigurationError(
             "broker_config", path, f"a file that can be read: {getattr(error, 'strerror', error)}"
         ) from error
+    if accounts and lets_in_everybody(text):
+        expected = (
+            "accounts, with arm:=real: every client could command the arm; make a site with make_site, and give its "
+            "broker_config, or give anonymous_broker_is_meant:=true"
+        )
+        raise ConfigurationError("broker_config", path, expected)
     for number in listener_ports(text) or [port]:
         if not port_is_free(socket.SOCK_STREAM, number):
             expected = (
                 "a free TCP port: another MQTT broker may have it, which broker:=false uses; or give another port"
             )
             raise ConfigurationError("broker_port", number, expected)
-    if cause := trial(program, text, port):
+    if cause := trial(program, text):
         raise ConfigurationError("broker_config", path, f"one that mosquitto can start with: {cause}")
     return program, text
 
 
-def lets_in_everybody(path: str) -> bool:
-    """Return whether a mosquitto configuration permits clients without an account; one that cannot be read is taken to."""
-    try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines()
-    except (OSError, ValueError):
-        return True
+def lets_in_everybody(text: str) -> bool:
+    """Return whether a mosquitto configuration permits clients without an account."""
     # of several lines the last one counts; without one mosquitto 2 refuses clients without an account
-    permitted = [line.split()[1:] for line in lines if line.split()[:1] == ["allow_anonymous"]]
+    permitted = [line.split()[1:] for line in text.splitlines() if line.split()[:1] == ["allow_anonymous"]]
     return bool(permitted) and permitted[-1] == ["true"]
 
 
-def trial(program: str, text: str, port: int) -> str:
-    """Start mosquitto as `main` would, and end it once it listens; return why it cannot work, empty when it can.
+def trial(program: str, text: str) -> str:
+    """Start mosquitto on free ports, and end it once it listens; return why it cannot work, empty when it can.
 
     Args:
         text: Of the configuration file.
-        port: TCP port on 127.0.0.1, for a file without listeners.
     """
-    # port 0 is that of a listener on a Unix socket
-    wanted = {number for number in listener_ports(text) or [port] if number}
-    file = _in_memory(_complete(text, port))
+    wanted: set[int] = set()
+
+    def elsewhere(listener: re.Match[str]) -> str:
+        # port 0 is that of a listener on a Unix socket
+        if not int(listener[2]):
+            return listener[0]
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            wanted.add(free.getsockname()[1])
+            return f"{listener[1]}{free.getsockname()[1]}"
+
+    file = _in_memory(_LISTENER.sub(elsewhere, _complete(text, DEFAULT_PORT)))
     try:
         command = [program, "-c", f"/dev/fd/{file}"]
         with subprocess.Popen(command, pass_fds=[file], stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as mosquitto:
@@ -146,7 +163,7 @@ def listener_ports(text: str) -> list[int]:
     Returns:
         Empty: mosquitto listens where it is told to on its command line.
     """
-    return [int(port) for port in re.findall(r"^\s*listener\s+(\d+)", text, re.MULTILINE)]
+    return [int(port) for _, port in _LISTENER.findall(text)]
 
 
 def _owner() -> str:

@@ -133,7 +133,7 @@ def test_pressing_on_costs_a_count_and_no_answer():
     assert after["counters"].pop("stops_repeated") == 500 and after == before
     # another one's is answered all the same, and its own a moment later
     assert press(cell, "arm-reviewer-ada").reason
-    cell.now += NANOSECONDS // ANSWERS
+    cell.now += NANOSECONDS
     assert press(cell).reason
 
 

@@ -65,7 +65,7 @@ class LaunchParameters:
 
 def _broker(words: list[str], _parameters: LaunchParameters) -> None:
     options = broker.read_arguments(words)
-    broker.check(options.config, options.port)
+    broker.check(options.config, options.port, options.accounts)
 
 
 #: What a program that is no `NodeShell`'s is checked by, by its name; takes its words and parameters.
@@ -112,19 +112,15 @@ def refusals(nodes: Iterable[Node], values: Mapping[str, Any]) -> dict[str, list
 
 
 def read_launch(file: str, words: list[str]) -> ROSLaunchConfig:
-    """Return what roslaunch would start with arguments ``name:=value``.
-
-    Args:
-        file: Path, or name of one of this package's.
-    """
-    path = file if "/" in file else str(share_folder() / "launch" / file)
-    return load_config_default([(path, words)], None, verbose=False, assign_machines=False)
+    """Return what roslaunch would start with arguments ``name:=value``."""
+    return load_config_default([(file, words)], None, verbose=False, assign_machines=False)
 
 
 def main() -> int:
     """Print what stands against the start of a launch file, bringup.launch by default, with arguments; return the exit code."""
     words = [word for word in sys.argv[1:] if ":=" in word]
     file = next((word for word in sys.argv[1:] if ":=" not in word), "bringup.launch")
+    file = file if "/" in file else str(share_folder() / "launch" / file)
     try:
         expect_known([file, *words])
         config = read_launch(file, words)

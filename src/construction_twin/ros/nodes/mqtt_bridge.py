@@ -16,7 +16,6 @@ import pydantic
 import rospy
 from std_srvs.srv import SetBool, Trigger
 
-from construction_twin.broker.start import lets_in_everybody
 from construction_twin.core.errors import ConfigurationError, ExpiredError, PayloadError
 from construction_twin.core.freshness import TOO_OLD, parse_moment, staleness
 from construction_twin.core.records import SPACED, dumped
@@ -103,15 +102,10 @@ LOG_PERIOD = 0.05
 
 
 class Settings(MqttSettings):
-    """Private parameters; see config/mqtt_bridge.yaml.
-
-    Attributes:
-        broker_config: mosquitto's, where the broker is started with the bridge.
-    """
+    """Private parameters; see config/mqtt_bridge.yaml."""
 
     arm: Literal["mock", "real"]
     gateway_kind: Literal["rsi", "plc"] = "rsi"
-    broker_config: str = ""
     anonymous_broker_is_meant: bool = False
     reset_timeout: float = pydantic.Field(gt=0)
     max_state_age: float = pydantic.Field(gt=0)
@@ -801,10 +795,8 @@ def check(settings: Settings, robot: RobotModel, shared: Shared) -> None:
     """Check configuration and account, and that a real arm takes commands from accounts alone; see `NodeShell`."""
     config_of_link(robot, shared["gateway"], settings.gateway_kind != PLC)
     broker_of(settings)
-    open_to_all = not settings.account or (settings.broker_config and lets_in_everybody(settings.broker_config))
-    if settings.arm == "real" and open_to_all and not settings.anonymous_broker_is_meant:
-        where = "broker_config" if settings.account else "bridge_account"
-        raise ConfigurationError(where, settings.broker_config if settings.account else "", ACCOUNTS)
+    if settings.arm == "real" and not settings.account and not settings.anonymous_broker_is_meant:
+        raise ConfigurationError("bridge_account", "", ACCOUNTS)
 
 
 NODE = NodeShell("mqtt_bridge", Settings, start, INTERFACE, check, fast=True)

@@ -28,6 +28,7 @@ from construction_twin.ros.shared.arm_listener import (
     ArmListener,
     NeighbourSettings,
     OtherArm,
+    await_robot,
     listen_to_other_arm,
 )
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
@@ -207,6 +208,7 @@ class NeighbourNode:
 def start(settings: NeighbourSettings, robot: RobotModel, ports: Ports) -> NeighbourNode:
     """Return the watch with its parameters and topics."""
     refuse = ports.diagnostics.refuse
+    await_robot(settings.name)
     other = listen_to_other_arm(robot.name, settings, refuse, streams=True)
     own = ArmListener(robot, rosgraph.names.namespace(rospy.get_namespace()), refuse, streams=True)
     timeout = VERDICT_TIMEOUT / NANOSECONDS

@@ -46,7 +46,12 @@ from construction_twin.ros.messages.convert import (
 )
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
-from construction_twin.ros.shared.arm_listener import OTHER_POSE_AGE, listen_to_other_arm, neighbour_settings
+from construction_twin.ros.shared.arm_listener import (
+    OTHER_POSE_AGE,
+    await_robot,
+    listen_to_other_arm,
+    neighbour_settings,
+)
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.frame_listener import FRAMES
 from construction_twin.ros.shared.frames import listen_to_frames
@@ -211,6 +216,7 @@ class PlannerNode:
         self._space: OccupiedSpace | None = None
         if self._beside is not None:
             beside, refuse = self._beside, self._diagnostics.refuse
+            await_robot(beside.name)
             other = listen_to_other_arm(self._robot.name, beside, refuse, streams=False)
             self._space = OccupiedSpace(other, beside.name, OTHER_POSE_AGE, beside.padding)
         self._frames = listen_to_frames(self._robot, self._settings.tf_prefix, TF_TIMEOUT, self._diagnostics.refuse)

@@ -17,6 +17,7 @@ from construction_twin.gateway.config import GatewayConfig
 from construction_twin.ros.shared.gateway_config import ACCOUNTS, config_from_parameters
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import Parameters, ros_home
+from construction_twin.ros.shared.start_refusal import expect_own_parameters
 
 #: In the robot's namespace, by the launch file: which arm it is. A mock is another one in each launch: nobody has stopped it yet.
 ARM, NEW_MOCK, MOCK = "gateway_arm", "new mock", "mock"
@@ -43,7 +44,7 @@ def checked(words: list[str], parameters: Parameters = rospy) -> GatewayConfig:
     options = read_arguments([*words, "--config", ""])
     check(options, config)
     is_meant = parameters.get_param("mqtt_bridge/anonymous_broker_is_meant", False)
-    if parameters.get_param(ARM, "") == "real" and not options.account and not is_meant:
+    if parameters.get_param(ARM, "") not in (NEW_MOCK, MOCK, "") and not options.account and is_meant is not True:
         raise ConfigurationError("gateway_account", "", ACCOUNTS)
     return config
 
@@ -56,6 +57,7 @@ def main() -> None:
 def _hand_over() -> None:
     arguments = rospy.myargv(sys.argv)[1:]
     config = checked(arguments)
+    expect_own_parameters()
     # one file per node and ROS master: two masters of one user must not hand each other's configuration over
     name = re.sub(r"\W+", "_", f"{rosgraph.get_master_uri()} {rospy.get_name()}")
     path = ros_home() / f"{name}.json"

@@ -29,7 +29,7 @@ from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.ports import Every, Interface, Ports, Shared, Subscription
 from construction_twin.ros.shared.refusal_log import warn_of_refusals
 from construction_twin.ros.shared.robot_listener import REPORTS, RobotListener
-from construction_twin.ros.shared.start_refusal import TOPIC, launch
+from construction_twin.ros.shared.start_refusal import AGAIN, TOPIC, launch
 from construction_twin.ros.transport.subscriber import Subscriber, caller_of
 from construction_twin.views.startup import Deployment, Seen, StartUp, Word
 
@@ -37,8 +37,8 @@ from construction_twin.views.startup import Deployment, Seen, StartUp, Word
 PERIOD = 0.25
 #: How long other nodes are listened to, once one has refused to start [s].
 COLLECT = 0.7
-#: So long after it was first ready a node that loads slowly may still refuse the start, where nothing has been played yet [s].
-LATE = 30.0
+#: So long after this node's start another one that loads slowly may still refuse the launch's, where nothing was played yet [s].
+LATE = 60.0
 #: How long a connection of this machine to itself may take [s].
 ADDRESS_TIME = 2.0
 #: Topics of which one message is enough.
@@ -62,21 +62,16 @@ class Refusals:
     """Hears which nodes of this launch cannot start."""
 
     def __init__(self) -> None:
-        self._nodes: dict[str, list[str]] = {}
+        #: When each node has said each sentence last [s].
+        self._nodes: dict[str, dict[str, float]] = {}
         above = rosgraph.names.namespace(rospy.get_namespace())
         for topic in (TOPIC, f"{above}{TOPIC}"):
             Subscriber(topic, StartRefused, self._on_refused, warn_of_refusals(), queue_size=50)
 
-    def __bool__(self) -> bool:
-        return bool(self._nodes)
-
     def add(self, node: str, sentence: str) -> None:
         """Note why a node cannot start."""
-        nodes = self._nodes.setdefault(sentence, [])
-        # a name that rospy made anonymous
-        node = re.sub(r"_\d+_\d{13}$", "", node)
-        if node not in nodes:
-            nodes.append(node)
+        # without what rospy put behind an anonymous name
+        self._nodes.setdefault(sentence, {})[re.sub(r"_\d+_\d{13}$", "", node)] = time.monotonic()
 
     def _on_refused(self, message: StartRefused) -> None:
         if message.launch == launch():
@@ -84,14 +79,16 @@ class Refusals:
 
     @property
     def sentences(self) -> list[str]:
-        """Each sentence once, with the nodes that say it."""
-        return [
-            f"cannot start: {sentence} ({', '.join(sorted(nodes))})" for sentence, nodes in dict(self._nodes).items()
-        ]
+        """Each sentence once, with the nodes that say it; a node that has not repeated it has started since."""
+        since = time.monotonic() - 2.0 * AGAIN
+        nodes = {
+            sentence: sorted(node for node, at in dict(said).items() if at > since)
+            for sentence, said in dict(self._nodes).items()
+        }
+        return [f"cannot start: {sentence} ({', '.join(names)})" for sentence, names in nodes.items() if names]
 
     def end_launch(self) -> None:
         """Say all sentences, and end the process: the node is required, so roslaunch ends all others."""
-        time.sleep(COLLECT)
         for sentence in self.sentences:
             print(sentence, file=sys.stderr, flush=True)
         sys.exit(1)
@@ -106,7 +103,7 @@ class StartupNode:
         self._startup = StartUp(Deployment(namespace=namespace, **named))
         self._refusals, self._refused = Refusals(), threading.Event()
         self._said: set[str] = set()
-        self._ready_at: float | None = None
+        self._began = time.monotonic()
         self._is_over = False
         self._came: set[str] = set()
         others = other_joints_text(robot.other_joints, robot.base_link, robot.tip_link)
@@ -134,11 +131,17 @@ class StartupNode:
         """Wait for the end of ROS, or end the launch: only at its start, so that no arm is left in the midst."""
         while not rospy.core.is_shutdown_requested():
             if self._refused.wait(PERIOD):
-                self._refusals.end_launch()
+                time.sleep(COLLECT)  # for the others, who find the same
+                if not self._is_over:
+                    self._refusals.end_launch()
+                self._refused.clear()
 
     def update(self) -> None:
         """Say what has changed."""
-        if self._refusals and not self._is_over:
+        now, snapshot = time.monotonic(), self._listener.snapshot()
+        state = snapshot.execution.state if snapshot.execution is not None else "WAITING"
+        self._is_over = self._is_over or now - self._began > LATE or state not in ("WAITING", "IDLE")
+        if self._refusals.sentences and not self._is_over:
             self._refused.set()
             return
         for sentence in set(self._refusals.sentences) - self._said:
@@ -147,7 +150,6 @@ class StartupNode:
         for topic in self._came - self._heard:
             self._heard.add(topic)
             self._ports.stop_hearing(topic)  # one message of a 250 Hz stream is enough
-        snapshot = self._listener.snapshot()
         reports = {"link": snapshot.link, "sync": snapshot.sync, "execution": snapshot.execution}
         # a node that fell silent is not there
         words = {
@@ -167,20 +169,14 @@ class StartupNode:
             controller=told.get("controller_sentence", ""),
             clock=told.get("cycle_sentence", ""),
         )
-        now = time.monotonic()
         for line in self._startup.update(seen, now):
             waits = self._startup.missing is not None
             (rospy.logwarn if waits else rospy.loginfo)("%s", line)
-        if self._ready_at is None and self._startup.missing is None:
-            self._ready_at = now
-        is_late = self._ready_at is not None and now - self._ready_at > LATE
-        played = seen.execution is not None and seen.execution.state not in ("WAITING", "IDLE")
-        self._is_over = self._is_over or is_late or played
 
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
-        if self._refusals:
-            return Report(ERROR, "; ".join(self._refusals.sentences))
+        if sentences := self._refusals.sentences:
+            return Report(ERROR, "; ".join(sentences))
         missing = self._startup.missing
         return Report(OK, "ready") if missing is None else Report(WARN, str(missing))
 
@@ -210,10 +206,10 @@ def expect_known(words: list[str]) -> None:
     """Raise a ConfigurationError about an argument for a launch file of this package that none of them has.
 
     Args:
-        words: Of roslaunch's command line, which takes any name; others' launch files are not looked at.
+        words: Of roslaunch's command line, which takes any name; others' launch files, which may include ours, are not looked at.
     """
     files = list((share_folder() / "launch").glob("*.launch"))
-    if not {file.name for file in files} & {Path(word).name for word in words}:
+    if "construction_twin" not in words and not {str(file) for file in files} & set(words):
         return
     known = {name for file in files for name in re.findall(r'<arg name="(\w+)"', file.read_text(encoding="utf-8"))}
     for word in words:
@@ -248,6 +244,7 @@ def refused(sentence: str) -> None:
     """End the launch, with what others say, too."""
     refusals = Refusals()
     refusals.add(rospy.get_name(), sentence)
+    time.sleep(COLLECT)
     refusals.end_launch()
 
 

@@ -115,6 +115,7 @@ class ArmListener:
         self._lock = threading.Lock()
         self._book = PlanBook()
         self._scene: SceneValue | None = None
+        self._alone = rospy.get_param(f"{self._space}/executor/arm", "") == "none"
         self._streams = self._open() if streams else None
         handlers = (self._on_plan, self._on_execution, self._on_review, self._on_scene)
         for (topic, kind), callback in zip(ARM_TOPICS.items(), handlers):
@@ -153,8 +154,7 @@ class ArmListener:
                 stream.close()
 
     def _open(self) -> list[LatestPose]:
-        alone = rospy.get_param(f"{self._space}/executor/arm", "") == "none"
-        topics = ARM_POSES[:1] if alone else ARM_POSES
+        topics = ARM_POSES[:1] if self._alone else ARM_POSES
         return [LatestPose(f"{self._space}/{topic}", self.robot.joint_names, self._refused) for topic in topics]
 
     def _on_plan(self, message: Plan) -> None:
@@ -271,6 +271,16 @@ class OtherArm:
             if not sweep.complete:
                 sweep.grow()
                 return
+
+
+def await_robot(name: str) -> None:
+    """Wait until the robot beside the node's own is launched; rospy.ROSInterruptException when ROS ends before."""
+    space = f"{rosgraph.names.namespace(rospy.get_namespace())}{name}"
+    needed = (f"{space}/robot_description", f"{space}/executor/arm")
+    if not all(map(rospy.has_param, needed)):
+        rospy.logwarn("%s", Sentence("startup.other_robot", space=space))
+    while not all(map(rospy.has_param, needed)):
+        rospy.sleep(0.5)
 
 
 def listen_to_other_arm(

@@ -32,7 +32,7 @@ from rosgraph.roslogging import RosStreamHandler
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.realtime import release_realtime, request_realtime
 from construction_twin.ros.shared.master import await_master, expect_wall_clock, wait_for_master
-from construction_twin.ros.shared.start_refusal import expect_no_other, expect_own_parameters, refuse
+from construction_twin.ros.shared.start_refusal import expect_no_other, refuse
 
 #: Exit code of a process that an unexpected exception has ended.
 UNFORESEEN = 1
@@ -82,7 +82,6 @@ def _serve(name: str, start: Callable[[], object], refused: Callable[[str], obje
     try:
         try:
             expect_wall_clock(rosgraph.get_master_uri())
-            expect_own_parameters()
             node = start()
         except ConstructionTwinError as error:
             refused(error.sentence)

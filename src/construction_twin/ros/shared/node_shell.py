@@ -14,7 +14,7 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import Parameters, Settings, read_parameters, robot_from_parameters
 from construction_twin.ros.shared.ports import Interface, Ports, Shared
-from construction_twin.ros.shared.start_refusal import refuse
+from construction_twin.ros.shared.start_refusal import expect_own_parameters, refuse
 
 
 def nothing_more(_settings: pydantic.BaseModel, _robot: RobotModel, _shared: Shared) -> None:
@@ -54,7 +54,12 @@ class NodeShell(Generic[Settings]):
         """Be the node's process."""
         if self.fast:
             sys.setswitchinterval(0.001)
-        run_node(self.name, lambda: self.open(*self.checked()), self.refused)
+        run_node(self.name, self._start, self.refused)
+
+    def _start(self) -> object:
+        found = self.checked()
+        expect_own_parameters()
+        return self.open(*found)
 
     def open(self, settings: Settings, robot: RobotModel) -> Any:
         """Return the node, with all that it has to do with ROS."""

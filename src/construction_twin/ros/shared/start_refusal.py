@@ -1,6 +1,7 @@
-"""How a start is refused: a node publishes one sentence on `start_refused`, and waits until `startup` ends the launch.
+"""How a start is refused: a node publishes one sentence on `start_refused`, and `startup` ends the launch.
 
-A node that ended instead would be started again, with the same result.
+Where `startup` does not, because the arm may be moving by now, the node ends after a while, and roslaunch starts it again: what
+was in its way may have passed.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
@@ -21,6 +23,8 @@ from construction_twin.ros.shared.master import RunningNode, running
 TOPIC = "start_refused"
 #: Variable that bringup.launch gives to its nodes, and parameter of the robot: which roslaunch it is of.
 VARIABLE, PARAMETER = "CONSTRUCTION_TWIN_LAUNCH", "launch"
+#: After that a node that cannot start ends, and is started again [s].
+AGAIN = 10.0
 
 
 def launch() -> str:
@@ -36,7 +40,9 @@ def expect_no_other(name: str) -> None:
     name = rosgraph.names.load_mappings(sys.argv).get("__name", name)
     own, startup = (rosgraph.names.ns_join(rosgraph.names.get_ros_namespace(), each) for each in (name, "startup"))
     # what all nodes of a second launch find alike comes first
-    others = [node for node in running([startup] if launch() else [], uri) if not _is_beside(node)]
+    others = [
+        node for node in running([startup] if launch() else [], uri) if node.pid is not None and not _is_beside(node)
+    ]
     found = others or running([own], uri)
     if found:
         expected = f"no such node on {uri}: end its launch, or give another robot"
@@ -67,11 +73,12 @@ def expect_own_parameters() -> None:
 
     if launch() and rospy.get_param(PARAMETER, launch()) != launch():
         found = f"parameters of another launch in {rospy.get_namespace()}"
-        raise ConfigurationError(rospy.resolve_name(PARAMETER), found, "this one's: end both launches, and start one")
+        expected = "this one's: when the arm stands, end both launches, and start one"
+        raise ConfigurationError(rospy.resolve_name(PARAMETER), found, expected)
 
 
 def refuse(sentence: str, log: bool = True) -> NoReturn:
-    """Publish why this node cannot start, and wait until it is ended; started by hand, end with the sentence.
+    """Publish why this node cannot start, and end, at the latest after `AGAIN`; started by hand, end with the sentence.
 
     Args:
         log: Whether standard output is a log file, as of a node whose `output` is not the screen.
@@ -86,7 +93,9 @@ def refuse(sentence: str, log: bool = True) -> NoReturn:
     publisher.publish(launch(), sentence)
     if log:
         print(f"cannot start: {sentence}", flush=True)
-    rospy.spin()
+    ended = threading.Event()
+    rospy.on_shutdown(ended.set)
+    ended.wait(AGAIN)
     sys.exit(0)
 
 
