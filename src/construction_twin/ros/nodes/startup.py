@@ -139,7 +139,7 @@ class StartupNode:
     def update(self) -> None:
         """Say what has changed."""
         now, snapshot = time.monotonic(), self._listener.snapshot()
-        state = snapshot.execution.state if snapshot.execution is not None else "WAITING"
+        state = snapshot.execution.text if snapshot.execution is not None else "WAITING"
         self._is_over = self._is_over or now - self._began > LATE or state not in ("WAITING", "IDLE")
         if self._refusals.sentences and not self._is_over:
             self._refused.set()
