@@ -30,9 +30,7 @@ def test_codecs_and_running_gateway_stand_up_to_a_short_run(fuzz, capsys):
     # all four, and in each the refusals that its mutations are made for
     for campaign in ("MQTT codecs", "RSI codecs", "MQTT, running gateway", "RSI, running gateway"):
         assert f"{campaign:22}      2000 sent" in said
-    expected = (
-        "properties control format length status refused_session refused_control refused_properties refused_verb"
-    )
+    expected = "properties control format length status refused_session refused_control refused_properties refused_verb"
     expected += " stop pause resume joints values"
     expected += " refused_retained refused_not_armed telegram_refused_xml telegram_refused_ipoc telegram_refused_source telegrams"
     assert [name for name in expected.split() if f"    {name} " not in said] == []
