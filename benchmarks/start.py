@@ -2,7 +2,7 @@
 
 ``python benchmarks/start.py`` (`make bench ARGS=start`) starts bringup.launch with the mock arm again and again, as a person does
 from a shell. `ready_s` is from `roslaunch` to the line that says `ready`, `read_s` the part of it in which roslaunch reads the
-launch files, preflight included; `start_cpu_s` is the processor time that went into it, `programs` whose. `idle_cores` and
+launch files; `start_cpu_s` is the processor time that went into it, `programs` whose. `idle_cores` and
 `idle_mb` are of all that roslaunch started, itself and the master included, while the arm stands: processor time per time, and
 memory in which what several processes share counts once (PSS). `help_s` is `twin --help`, `refused_s` a command with an option
 that there is not, both without `rosrun`, which takes its own time. `rospy_s` is the processor time to load rospy alone: the floor

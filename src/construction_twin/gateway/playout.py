@@ -25,7 +25,7 @@ class SlewLimit:
     """How fast playout time may be moved.
 
     Played at a rate 1 + r, a motion's velocity is multiplied by 1 + r and its acceleration by (1 + r)^2, and a change of r adds
-    velocity times dr/dt. How much of that the motion leaves room for in a cycle is `target_changes`' to say.
+    velocity times dr/dt. How much of that the motion leaves room for in a cycle is `TargetChanges`' to say.
 
     Attributes:
         back, ahead: Largest shift per cycle [ns], backwards and forwards.

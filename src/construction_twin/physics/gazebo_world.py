@@ -279,7 +279,7 @@ def _stl(shape: coal.CollisionGeometry) -> bytes:
         corners = vertices[triangles]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     else:
-        from scipy.spatial import ConvexHull  # `preflight` loads this module at every start
+        from scipy.spatial import ConvexHull  # for these shapes alone
 
         hull = ConvexHull(np.array(shape.points(), dtype=float))
         corners, normals = hull.points[hull.simplices], hull.equations[:, :3]

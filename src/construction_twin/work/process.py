@@ -1,6 +1,6 @@
 """What is asked of a process: a way of working on an element, such as `place`.
 
-A process is one folder beside this module, whose `process.py` has a `Process`; `processes` finds it by its name. Its recipe says
+A process is one folder beside this module, whose `process.py` has a `Process`; `process_of` finds it by its name. Its recipe says
 how it is done, and which elements are worked on by it. Everything but this record is alike for each: the motions' checks, the
 review, the switches, the ledger.
 """
