@@ -253,7 +253,7 @@ test("the broker's refusal is told as a missing right", async () => {
   it.connection.refuse("refused");
   it.fire(it.find(".verdict-approve"), "pointerdown", {button: 0});
   await it.pass(1200);
-  assert.match(it.text(".verdict-notice"), /refused by the broker.*right to review/);
+  assert.match(it.text(".verdict-notice"), /refused by the broker.*right to approve/);
 });
 
 test("a verdict that reached nobody is told at once not to count", async () => {
