@@ -20,9 +20,9 @@ from construction_twin.link.requests import (
     Joints,
     NamelessVerdict,
     Verdict,
+    read,
     read_document,
     read_goal,
-    read_message,
 )
 from construction_twin.mqtt import requests
 from construction_twin.mqtt.interventions import PAUSE, RESUME, STOP, parse_intervention
@@ -89,6 +89,10 @@ class Tally(Counter):
             return None
         self["accepted"] += 1
         return value
+
+
+def read_message(model, kind, data: bytes, retained: bool):
+    return read(model, read_document(data, retained, kind.name, kind.limit), kind.name)
 
 
 def mqtt_codecs(count: int, seed: int, progress: Callable[[int], None] = lambda done: None) -> Tally:

@@ -19,7 +19,6 @@ from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import Moment, parse_moment
 from construction_twin.core.sentences import Sentence
 from construction_twin.mqtt.messages import demand_live, parse_object
-from construction_twin.mqtt.requests import RequestKind
 
 #: Longest id, name and other short text.
 MAX_TEXT = 64
@@ -124,11 +123,6 @@ def read(model: type[_Model], document: Mapping[str, Any], what: str) -> _Model:
         return model.model_validate(document)
     except pydantic.ValidationError as error:
         raise refusal(error, what) from None
-
-
-def read_message(model: type[_Model], kind: RequestKind, payload: bytes, retained: bool) -> _Model:
-    """Return what a message of a kind asks for, or raise PayloadError as `read_document` and `read`."""
-    return read(model, read_document(payload, retained, kind.name, kind.limit), kind.name)
 
 
 def refusal(error: pydantic.ValidationError, what: str) -> PayloadError:

@@ -28,7 +28,6 @@ from construction_twin.link.requests import (
     read,
     read_document,
     read_goal,
-    read_message,
 )
 from construction_twin.mqtt.requests import OVERRIDE, PLAN_REQUEST, REVIEW
 
@@ -44,6 +43,10 @@ REQUESTS = {
     "way_back": {},
     "work_task": {"task": "2O2Fr$t4X7Zf8NOew3FLOH"},
 }
+
+
+def read_message(model, kind, data: bytes, retained: bool):
+    return read(model, read_document(data, retained, kind.name, kind.limit), kind.name)
 
 
 def read_ik(document: dict, joints: Joints) -> IkRequest:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import threading
 import time
-from bisect import bisect_left
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
@@ -53,6 +52,7 @@ from construction_twin.physics.report import STATES
 from construction_twin.review.plan_under_review import EXECUTOR
 from construction_twin.ros.console.endpoint import Connection
 from construction_twin.ros.console.messages import MessageBoard, MessageFile
+from construction_twin.ros.console.shown_plan import PATH_POINTS, segment_ends
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.private_files import PrivateFiles
@@ -68,8 +68,8 @@ from construction_twin.views.status_line import Line, ReportsNow, status_lines
 
 #: The status line is looked at so often, and sent again without a change after so long [s].
 LOOK, REPEAT = 0.2, 1.0
-#: A tool's path is thinned to so many points, beside the ends of its segments; of so many plans it is kept until one is played.
-PATH_POINTS, PATHS = 200, 8
+#: Of so many plans the tool's path is kept until one is played.
+PATHS = 8
 #: A pose that is older counts as not known on `view` [s].
 MAX_POSE_AGE = 0.25
 #: What `sync`, `link` and `speed_limit_in_force` repeat by themselves counts as lost after so long [s].
@@ -388,8 +388,8 @@ def _path_of(message: Plan) -> bytes:
     if not message.tool_path or len(message.tool_path) != len(times):
         return b""
     path = [(point.x, point.y, point.z) for point in message.tool_path]
-    rests = [min(bisect_left(times, round(each.end * NANOSECONDS)), len(times) - 1) for each in message.segments]
-    return PathView(message.id, [time / NANOSECONDS for time in times], path).to_json(PATH_POINTS, rests)
+    stamps = [time / NANOSECONDS for time in times]
+    return PathView(message.id, stamps, path).to_json(PATH_POINTS, segment_ends(message, times))
 
 
 def _word(shown: Shown | None) -> Word | None:

@@ -32,7 +32,7 @@ from construction_twin.ros.messages.records import from_msg
 
 #: Period at which what the broker holds is compared with what it should hold [s].
 CHECK_PERIOD = 1.0
-#: The tool path of a plan on MQTT is thinned to at most so many points; 200 are about 6 kB.
+#: A tool path on MQTT is thinned to at most so many points, beside the ends of its segments; 200 are about 6 kB.
 PATH_POINTS = 200
 
 
@@ -198,7 +198,7 @@ def segment_views(message: Plan) -> list[SegmentView]:
         SegmentView(
             name=segment.name,
             end=segment.end,
-            tool_path_end=min(bisect_left(times, round(segment.end * NANOSECONDS)), max(len(times) - 1, 0)),
+            tool_path_end=end,
             engaged=segment.engaged,
             requires={signal.name: signal.value for signal in segment.requires},
             switches=[
@@ -215,8 +215,14 @@ def segment_views(message: Plan) -> list[SegmentView]:
             put=[item.name for item in segment.put],
             remove=segment.remove,
         )
-        for segment in message.segments
+        for segment, end in zip(message.segments, segment_ends(message, times))
     ]
+
+
+def segment_ends(message: Plan, times: list[int]) -> list[int]:
+    """Return the number of the point at which each segment of a work plan ends; `times` of the points [ns]."""
+    last = max(len(times) - 1, 0)
+    return [min(bisect_left(times, round(segment.end * NANOSECONDS)), last) for segment in message.segments]
 
 
 def _content(message: Plan) -> str:
