@@ -24,6 +24,8 @@ from ros_master import Server, ros_master
 
 from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.shared import node as module
+from construction_twin.ros.shared import start_refusal
+from construction_twin.ros.shared.arm_listener import await_robot
 
 ROOT = Path(__file__).resolve().parents[3]
 BEGIN = """
@@ -319,3 +321,27 @@ def test_no_address_of_a_master_is_one_sentence(started):
     assert (
         said.read_text() == "executor cannot run: ROS_MASTER_URI: found 'localhost:11311', expected http://HOST:PORT\n"
     )
+
+
+def test_a_node_that_cannot_start_says_why_and_ends_where_nobody_ends_its_launch(monkeypatch):
+    said = []
+    monkeypatch.setenv(start_refusal.VARIABLE, "launch_1")
+    monkeypatch.setattr(start_refusal, "AGAIN", 0.0)
+    monkeypatch.setattr(rospy, "on_shutdown", lambda _: None)
+    publisher = SimpleNamespace(publish=lambda *fields: said.append(fields))
+    monkeypatch.setattr(rospy, "Publisher", lambda topic, *_, latch, **__: publisher)
+    with pytest.raises(SystemExit):
+        start_refusal.refuse("no room on the disk")
+    assert said == [("launch_1", "no room on the disk")]
+
+
+def test_where_the_other_robot_of_the_cell_is_not_launched_yet_it_is_waited_for(monkeypatch):
+    there, waited = {"/kr120_2/executor/arm"}, []
+    monkeypatch.setattr(rospy, "get_namespace", lambda: "/kr120_1/")
+    monkeypatch.setattr(rospy, "has_param", there.__contains__)
+    monkeypatch.setattr(rospy, "logwarn", lambda *_: None)
+    monkeypatch.setattr(
+        rospy, "sleep", lambda _: (waited.append(1), len(waited) == 3 and there.add("/kr120_2/robot_description"))
+    )
+    await_robot("kr120_2")
+    assert len(waited) == 3
