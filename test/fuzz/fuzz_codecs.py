@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable
 
 from mqtt_mutations import Message, Target, message, mutate
+from read_requests import read_message
 from rsi_mutations import mutate as mutate_telegram
 
 from construction_twin.core.errors import PayloadError, TelegramError
@@ -20,7 +21,6 @@ from construction_twin.link.requests import (
     Joints,
     NamelessVerdict,
     Verdict,
-    read,
     read_document,
     read_goal,
 )
@@ -89,10 +89,6 @@ class Tally(Counter):
             return None
         self["accepted"] += 1
         return value
-
-
-def read_message(model, kind, data: bytes, retained: bool):
-    return read(model, read_document(data, retained, kind.name, kind.limit), kind.name)
 
 
 def mqtt_codecs(count: int, seed: int, progress: Callable[[int], None] = lambda done: None) -> Tally:

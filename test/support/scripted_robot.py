@@ -16,6 +16,7 @@ from functools import partial
 import numpy as np
 from plan_samples import make_report
 from processes import ROOT
+from read_requests import read_message
 
 from construction_twin.core.errors import ExpiredError, PayloadError
 from construction_twin.core.freshness import Moment, parse_moment, staleness
@@ -47,7 +48,6 @@ from construction_twin.link.requests import (
     Verdict,
     read_document,
     read_goal,
-    read_message,
 )
 from construction_twin.link.speed_limits import NOBODY, SpeedLimits
 from construction_twin.mqtt import requests

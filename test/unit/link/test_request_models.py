@@ -8,6 +8,7 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from read_requests import read_message
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import Moment
@@ -43,10 +44,6 @@ REQUESTS = {
     "way_back": {},
     "work_task": {"task": "2O2Fr$t4X7Zf8NOew3FLOH"},
 }
-
-
-def read_message(model, kind, data: bytes, retained: bool):
-    return read(model, read_document(data, retained, kind.name, kind.limit), kind.name)
 
 
 def read_ik(document: dict, joints: Joints) -> IkRequest:

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.ends_rospy
 #: How far the other PC's clock is ahead [s].
 AHEAD = 10
 HOME = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
-NEAR = (12.0, -85.0, 85.0, 0.0, 80.0, 10.0)
+NEAR, ASIDE = (12.0, -85.0, 85.0, 0.0, 80.0, 10.0), (-12.0, -85.0, 85.0, 0.0, 80.0, 10.0)
 
 
 @pytest.fixture(scope="module")
@@ -96,8 +96,16 @@ def test_a_plan_of_a_pc_whose_clock_is_ten_seconds_ahead_is_planned_reviewed_and
 
 def test_a_line_that_delays_and_loses_brings_the_plan_whole_or_not_at_all(twin, spaces, other, tmp_path):
     before, syncs, links = len(twin.plans), len(twin.syncs), len(twin.links)
-    with bad_line(spaces, other), other.reaching("topic", HOME, 4.0, tmp_path) as program:
-        plan = next_plan(twin, before, program)
+    with bad_line(spaces, other):
+        for _ in range(
+            3
+        ):  # ROS may need longer to connect over such a line than the program waits; a person starts it again
+            with other.reaching("topic", HOME, 4.0, tmp_path) as program:
+                wait_until(lambda: len(twin.plans) > before or program.ended, 90.0, "a plan, or the program's end")  # noqa: B023
+            if len(twin.plans) > before:
+                break
+            assert program.ended and "does not listen" in program.output, program.output
+        (plan,) = twin.plans[before:]
         assert len(np.loadtxt(tmp_path / "motion.csv", delimiter=",")) == len(plan.trajectory.points) == 80
         twin.approve()
         wait_until(lambda: twin.ended(plan.id), 30.0, "the end of the motion")
@@ -109,7 +117,7 @@ def test_a_line_that_delays_and_loses_brings_the_plan_whole_or_not_at_all(twin, 
 def test_a_line_that_is_cut_in_the_middle_of_a_motion_changes_nothing_on_the_arm_s_side(twin, other, tmp_path):
     before, syncs, links = len(twin.plans), len(twin.syncs), len(twin.links)
     try:
-        with other.reaching("action", NEAR, 6.0, tmp_path) as program:
+        with other.reaching("action", ASIDE, 6.0, tmp_path) as program:
             plan = next_plan(twin, before, program)
             twin.approve()
             wait_until(lambda: twin.executions[-1].state == Execution.PLAYING, 10.0, "the motion")
