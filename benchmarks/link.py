@@ -23,7 +23,6 @@ import smoothness
 from link_world import REALTIME, ROOT, end_in_order, environment, spread_ms
 
 from construction_twin.core.realtime import release_realtime, request_realtime
-from construction_twin.core.units import CYCLE
 
 ROUTES = ("ros_to_mqtt", "mqtt_to_ros", "round_trip", "duplex")
 SUBJECTS = ("ours", "floor")
@@ -32,8 +31,6 @@ _HERE = Path(__file__).parent
 _NEVER = 3600.0
 #: Longest time for a number of robots, and more per robot [s]: should the measurement itself get no time to give up.
 FLEET_PATIENCE, PER_ROBOT = 60.0, 8.0
-#: Fraction of late replies that the machine's own pauses may cause.
-LATE_SHARE = 0.001
 
 
 def run_worker(script: str, *options: object, timeout: float = _NEVER) -> dict | None:
@@ -78,15 +75,8 @@ def measure_routes(rounds: int, seconds: float, rate_seconds: float, realtime: i
             for k in range(rounds)
         ],
         "max_rate_hz_floor": highest["floor"],
-        "bare_sockets": bare_sockets(seconds, realtime),
     }
     return result | {"max_rate_hz": highest["ours"]}, details
-
-
-def bare_sockets(seconds: float, realtime: int) -> dict:
-    """Return the time of as many wake-ups as a round trip has, between processes that only receive and send."""
-    taken = run_worker("link_wake.py", "--seconds", seconds, "--realtime", realtime)
-    return {"hops": taken["hops"]} | spread_ms(taken["latencies"])
 
 
 def pooled(outcomes: list[dict]) -> dict:
@@ -123,18 +113,7 @@ def measure_fleet(sizes: Sequence[int], seconds: float, realtime: int) -> tuple[
         print(f"[link] {robots} robots: {row}", flush=True)
         if row["following"] < robots:
             break
-    details["knee"] = knee(rows, seconds)
     return rows, details
-
-
-def knee(rows: list[dict], seconds: float) -> int | None:
-    """Return the first number of robots with twice the p99 of the first row, or `LATE_SHARE` of replies late; None: not reached."""
-    base = rows[0]["p99_ms"]
-    for row in rows:
-        most_late = LATE_SHARE * row["robots"] * seconds / CYCLE
-        if row["p99_ms"] is None or row["late"] > most_late or (base and row["p99_ms"] > 2 * base):
-            return row["robots"]
-    return None
 
 
 def show(result: dict, details: dict) -> None:
@@ -147,10 +126,6 @@ def show(result: dict, details: dict) -> None:
             row = result[route][subject]
             print(f"{route:13s}{subject:7s}" + "".join(f"{row[column]!s:>16s}" for column in columns))
     if "max_rate_hz" in result:
-        wake = details["bare_sockets"]
-        print(
-            f"{wake['hops']} bare sockets in a row, as a round trip has: p50 {wake['p50_ms']} ms, p99 {wake['p99_ms']} ms"
-        )
         print(f"highest rate without loss [Hz]: {result['max_rate_hz']}; floor: {details['max_rate_hz_floor']}")
     for load, row in result.get("reply_us", {}).items():
         beside = details["reply"][load]
@@ -161,7 +136,6 @@ def show(result: dict, details: dict) -> None:
         print(f"\n{'robots':>8s}{'cpu per robot':>15s}{'p99 [ms]':>10s}{'late':>6s}")
         for row in result["fleet"]:
             print(f"{row['robots']:8d}{row['cpu_per_robot']!s:>15s}{row['p99_ms']!s:>10s}{row['late']!s:>6s}")
-        print(f"the knee: {details['knee'] or 'not reached'}")
     if "smoothness" in result:
         print()
         smoothness.print_ratios(result["smoothness"])

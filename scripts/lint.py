@@ -1,7 +1,7 @@
 """Checks the sources without running them, and ends with one line per tool: `python scripts/lint.py`.
 
 ruff checks style and format of every file, import-linter the order of the folders (.importlinter), mypy the types of package and
-examples, docstrings.py what docstrings say of names and errors, size.py that nothing has grown.
+examples, size.py that nothing has grown.
 The settings are in pyproject.toml. The tools run beside each other; `make test` counts each of them as one test.
 """
 
@@ -22,7 +22,6 @@ TOOLS = {
     "ruff format": ("ruff", "format", "--check"),
     "import-linter": ("lint-imports", "--no-logo", "--no-cache"),
     "mypy": ("mypy",),
-    "docstrings": ("python", "scripts/docstrings.py"),
     "size": ("python", "scripts/size.py", "--check"),
 }
 

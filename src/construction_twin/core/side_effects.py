@@ -64,7 +64,7 @@ class SideEffects:
         """
         try:
             return part(*arguments)
-        except Exception as error:
+        except Exception as error:  # noqa: BLE001
             failure = Failure(what, error)
             with self._lock:
                 self._counts[what] += 1

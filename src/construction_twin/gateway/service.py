@@ -195,7 +195,7 @@ class GatewayService:
         """
         try:
             return part(*arguments)
-        except Exception as error:
+        except Exception as error:  # noqa: BLE001
             self._fail(error)
             return None
 

@@ -166,7 +166,7 @@ def open_context():
             context = importlib.import_module(f"mujoco.{way}").GLContext(WIDTH, HEIGHT)
             context.make_current()
         # drivers fail in ways of their own: a missing library, no device, a call that is not there
-        except Exception as error:
+        except Exception as error:  # noqa: BLE001
             problems.append(f"{way}: {' '.join(str(error).split())}")
             # PyOpenGL keeps the first way for good otherwise
             os.environ.pop("PYOPENGL_PLATFORM", None)

@@ -142,5 +142,5 @@ class Subscriber:
                 caller = caller_of(message) or "a node without a name"
                 sentence = f"message from {caller}; only {self.publisher} may publish {self.resolved_name}"
                 self._refused(PUBLISHER, sentence)
-        except Exception:
+        except Exception:  # noqa: BLE001
             hand_on_error()
