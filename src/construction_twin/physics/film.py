@@ -79,48 +79,36 @@ class Film:
         return np.minimum(np.searchsorted(times, wanted - 1e-9), len(times) - 1).tolist()
 
 
-class Canvas:
-    """Draws models of `WIDTH` by `HEIGHT` pixels, as one camera sees them; `close` gives back what the graphics have lent."""
+class _Artist:
+    """Draws frames of a film; `close` gives back what the graphics have lent."""
 
-    def __init__(self, camera: mujoco.MjvCamera):
+    def __init__(self, frames: list[_Frame], touching: Set[str]):
+        self._touching = touching
         self._gl = open_context()
-        self._camera = camera
-        self._model: mujoco.MjModel | None = None
+        self._camera = _camera(frames)
+        self._physics: PhysicsModel | None = None
         self._context: mujoco.MjrContext | None = None
         self._rectangle = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
 
-    def draw(
-        self,
-        model: mujoco.MjModel,
-        data: mujoco.MjData,
-        lines: np.ndarray | None = None,
-        width: float = 0.0,
-        colour: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0),
-    ) -> np.ndarray:
-        """Return a state's picture, shape (`HEIGHT`, `WIDTH`, 3), 8 bits.
-
-        Args:
-            lines: Shape (k, 2, 3). From where to where lines of that width and colour are drawn [m].
-        """
-        count = 0 if lines is None else len(lines)
-        if model is not self._model:
+    def draw(self, frame: _Frame) -> np.ndarray:
+        """Return a frame's picture, shape (`HEIGHT`, `WIDTH`, 3), 8 bits."""
+        model = frame.physics.model
+        if frame.physics is not self._physics:
             # a model has its own context
-            self._model = model
+            self._physics = frame.physics
+            _colour(frame.physics, self._touching)
+            self._data = mujoco.MjData(model)
             model.vis.global_.offwidth, model.vis.global_.offheight = WIDTH, HEIGHT
             if self._context is not None:
                 self._context.free()
             self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150)
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
-            self._scene = mujoco.MjvScene(model, maxgeom=2 * model.ngeom + 100 + count)
+            self._scene = mujoco.MjvScene(model, maxgeom=2 * model.ngeom + 100)
+        self._data.qpos[:] = frame.positions
+        mujoco.mj_forward(model, self._data)
         mujoco.mjv_updateScene(
-            model, data, mujoco.MjvOption(), None, self._camera, mujoco.mjtCatBit.mjCAT_ALL, self._scene
+            model, self._data, mujoco.MjvOption(), None, self._camera, mujoco.mjtCatBit.mjCAT_ALL, self._scene
         )
-        for begin, end in () if lines is None else lines:
-            geom = self._scene.geoms[self._scene.ngeom]
-            kind = mujoco.mjtGeom.mjGEOM_CAPSULE
-            mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), np.array(colour, dtype=np.float32))
-            mujoco.mjv_connector(geom, kind, width, begin, end)
-            self._scene.ngeom += 1
         mujoco.mjr_render(self._rectangle, self._scene, self._context)
         pixels = np.empty((HEIGHT, WIDTH, 3), dtype=np.uint8)
         mujoco.mjr_readPixels(pixels, None, self._rectangle, self._context)
@@ -131,30 +119,6 @@ class Canvas:
         if self._context is not None:
             self._context.free()
         self._gl.free()
-
-
-class _Artist:
-    """Draws frames of a film."""
-
-    def __init__(self, frames: list[_Frame], touching: Set[str]):
-        self._touching = touching
-        self._canvas = Canvas(_camera(frames))
-        self._physics: PhysicsModel | None = None
-
-    def draw(self, frame: _Frame) -> np.ndarray:
-        """Return a frame's picture."""
-        model = frame.physics.model
-        if frame.physics is not self._physics:
-            self._physics = frame.physics
-            _colour(frame.physics, self._touching)
-            self._data = mujoco.MjData(model)
-        self._data.qpos[:] = frame.positions
-        mujoco.mj_forward(model, self._data)
-        return self._canvas.draw(model, self._data)
-
-    def close(self) -> None:
-        """Give back what the graphics have lent."""
-        self._canvas.close()
 
 
 def open_context():

@@ -22,6 +22,7 @@ from touch_process import TOP, recipes_file
 from work_bench import CARRY, ELEMENT, LEAVE, Bench
 from work_samples import BRICK, ROOT, element, job, robot, site
 
+from construction_twin.core.reports import TaskReport
 from construction_twin.core.work_errors import ScheduleError
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.scene.objects import Scene, product
@@ -306,8 +307,10 @@ def test_what_was_taken_down_is_not_worked_on(tmp_path):
 
 
 def test_the_mass_of_an_element_counts_once():
-    one = TaskResult("place", "e", "done", 1.0, 1.0, 1, 0.1, 0.1, 5.0, 0.5, mass=3.5)
-    assert summary([one, replace(one, name="touch"), replace(one, element="f")], 0)["placed_kg"] == 7.0
+    done = [
+        TaskReport(id="place", name="", element=one, state="done", reason="", after=(), mass_kg=3.5) for one in "eef"
+    ]
+    assert summary([*map(TaskResult, done)], 0)["placed_kg"] == 7.0
 
 
 # -- the node

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import sys
 import threading
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -16,17 +15,18 @@ from typing import Annotated, Any
 import pydantic
 import rospy
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused
 from construction_twin.core.files import check_writable
+from construction_twin.core.reports import TaskReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.link.requests import GoalRequest, ReviewRequest
 from construction_twin.msg import Execution, Link, Plan, Sync, ToolState, WorkTask, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.tool import read_tool
 from construction_twin.ros.commands.experiment import point_latest
+from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.node import ending_on_signals
 from construction_twin.ros.shared.operator_client import OperatorClient
@@ -46,7 +46,7 @@ _MOST_PLANS = 5
 #: A plan may take that many times its duration, and the timeout of the settings: a hold, switches.
 _SLOWER = 4.0
 _POLL = 0.05
-#: Where there is no terminal, a line tells so often that it is waited [s].
+#: While the model is read, a line says so as often [s].
 _LINE = 10.0
 
 
@@ -255,17 +255,28 @@ class Builder:
         self._decisions.append(Decision(time.time(), PERSON, what))
 
     def _wait_for_model(self, began: float) -> None:
-        def pause() -> None:
-            if rospy.is_shutdown():
-                raise ConstructionTwinError(Sentence("view.interrupted"))
-            with self._news:
-                self._news.wait(_POLL)
+        """Wait until the model is read, as long as a node reads it: a large model on a busy machine takes its time."""
+        heard = told = began
+        reader = self._subscribers["work/tasks"]
+        while self._tasks is None or not self._tasks.schedule:
+            now = time.monotonic()
+            if self._tasks is not None and not self._tasks.reading:
+                raise ConstructionTwinError(Sentence("view.build.no_model", reason=self._tasks.reason))
+            if self._tasks is not None and reader.get_num_connections() > 0:
+                heard = now
+            if now - heard > self._settings.timeout:
+                raise ConstructionTwinError(Sentence("view.build.no_reader", seconds=self._settings.timeout))
+            if now - told >= _LINE:
+                told = now
+                self._say(f"reading the model: {now - began:.0f} s")
+            self._pause()
 
-        tasks = self._subscribers["work/tasks"]
-        with waiting(self._console, "reading the model", began) as tell:
-            wait_for_model(
-                lambda: self._tasks, lambda: tasks.get_num_connections() > 0, pause, tell, self._settings.timeout
-            )
+    def _pause(self) -> None:
+        """Wait for the next message."""
+        if rospy.is_shutdown():
+            raise ConstructionTwinError(Sentence("view.interrupted"))
+        with self._news:
+            self._news.wait(_POLL)
 
     # -- what is known
 
@@ -296,15 +307,9 @@ class Builder:
     def _report(self, results: Path, wanted: list[str]) -> tuple[Path, ...]:
         found = []
         for row in map(self._row, wanted):
-            times = self._times.get(row.id, _Times())
-            found.append(
-                TaskResult(
-                    row.element_name, row.element, row.state, times.planning, times.motion, len(times.plans),
-                    row.deviation_mm, row.deviation_deg, row.tolerance_mm, row.tolerance_deg, row.mass_kg, row.grip,
-                    tuple(dict.fromkeys(times.people)), row.scheduled_start, row.scheduled_duration, row.begun.to_sec(),
-                    row.settled.to_sec(),
-                )
-            )  # fmt: skip
+            times, task = self._times.get(row.id, _Times()), from_msg(TaskReport, row)
+            people = tuple(dict.fromkeys(times.people))
+            found.append(TaskResult(task, times.planning, times.motion, len(times.plans), people))
         table = Table(*HEADS)
         for cells in rows(found):
             table.add_row(*cells)
@@ -327,16 +332,13 @@ class Builder:
         limit = patience or self._settings.timeout
         deadline = time.monotonic() + limit
         while not condition():
-            if rospy.is_shutdown():
-                raise ConstructionTwinError(Sentence("view.interrupted"))
             if time.monotonic() > deadline:
                 tasks = self._tasks
                 said = tasks.reason if tasks is not None else Sentence("view.build.silent")
                 raise ConstructionTwinError(
                     Sentence("view.build.in_vain", seconds=limit, what=what, executor=self._execution.reason, work=said)
                 )
-            with self._news:
-                self._news.wait(_POLL)
+            self._pause()
 
     def _receive(self, topic: str, message) -> None:
         with self._news:
@@ -349,67 +351,6 @@ class Builder:
 
     def _say(self, text: str) -> None:
         self._console.print(text, soft_wrap=True, highlight=False)
-
-
-def wait_for_model(
-    newest: Callable[[], WorkTasks | None],
-    is_there: Callable[[], bool],
-    pause: Callable[[], None],
-    tell: Callable[[], None],
-    timeout: float,
-) -> None:
-    """Wait until a model is read, as long as the work node reads it: a large model on a busy machine takes its time.
-
-    Args:
-        newest: Returns what the node said last; None: nothing yet.
-        is_there: Returns whether the node runs.
-        pause: Lets a moment pass.
-        tell: Called before each pause, see `waiting`.
-        timeout: Longest time without a node that reads [s].
-
-    Raises:
-        ConstructionTwinError: If the model cannot be read, or no node reads it.
-    """
-    heard = time.monotonic()
-    while True:
-        said, now = newest(), time.monotonic()
-        if said is not None and said.schedule:
-            return
-        if said is not None and not said.reading:
-            raise ConstructionTwinError(Sentence("view.build.no_model", reason=said.reason))
-        if said is not None and is_there():
-            heard = now
-        if now - heard > timeout:
-            raise ConstructionTwinError(Sentence("view.build.no_reader", seconds=timeout))
-        tell()
-        pause()
-
-
-@contextlib.contextmanager
-def waiting(console: Console, what: str, began: float) -> Iterator[Callable[[], None]]:
-    """Show that something is waited for: a bar on a terminal, elsewhere a line every `_LINE` seconds.
-
-    Args:
-        began: Of the waiting, by the monotonic clock [s].
-
-    Yields:
-        To be called while it is waited for, as often as one likes.
-    """
-    if console.is_terminal:
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-        with Progress(*columns, console=console, transient=True) as progress:
-            progress.add_task(what, total=None)
-            yield lambda: None
-        return
-    told = [began]
-
-    def tell() -> None:
-        now = time.monotonic()
-        if now - told[0] >= _LINE:
-            told[0] = now
-            console.print(f"{what}: {now - began:.0f} s", soft_wrap=True, highlight=False)
-
-    yield tell
 
 
 #: States of a task from which it still leads somewhere by itself.
