@@ -15,15 +15,11 @@ import rospy
 import rostest
 import tf2_ros
 import yaml
-from construction_twin.msg import CartesianWaypoint
-from construction_twin.srv import PlanCartesian, PlanToPose
-from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from goal_client import goal_message, reach
 from sensor_msgs.msg import JointState
 from twin_client import RobotTest, Stream, TwinClient, wait
 
 from construction_twin.kinematics.chain import Chain
-from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.ros.commands import new_arm
 from construction_twin.scene import self_collision_command
 
@@ -163,33 +159,11 @@ class AnotherArmTest(RobotTest):
         self.assertGreater(fastest, 0.1)
         np.testing.assert_array_equal(messages[-1].velocity, 0.0)
 
-    def test_to_a_pose(self):
-        wanted = self.chain.forward(self.client.si(GOAL))
-        pose = Pose(Point(*wanted.position), Quaternion(*rotation_to_quaternion(wanted.rotation)))
-        answer = rospy.ServiceProxy("plan_to_pose", PlanToPose)(goal=PoseStamped(pose=pose), source="test")
-        with Stream("mock_rsi/joint_states") as arm:
-            q = self.client.execute(answer, arm)
-        np.testing.assert_allclose(self.chain.forward(q).position, wanted.position, atol=1e-4)
-
     def test_by_a_goal_of_another_planner(self):
         names = list(self.client.robot.joint_names)[::-1]
         with Stream("physical/joint_states") as physical:
             reach(self.client, goal_message(names, [(3.0, self.client.si(GOAL)[::-1])]))
             self.client.assert_at(GOAL, physical)
-
-    def test_along_a_line(self):
-        start = self.chain.forward(self.client.si(HOME))
-        end = start.position + np.array((0.0, 0.25, -0.1))
-        pose = Pose(Point(*end), Quaternion(*rotation_to_quaternion(start.rotation)))
-        service = rospy.ServiceProxy("plan_cartesian", PlanCartesian)
-        answer = service(waypoints=[CartesianWaypoint(pose=pose)], speed=0.1, source="test")
-        self.assertEqual(answer.fraction, 1.0, answer.message)
-        with Stream("mock_rsi/joint_states") as arm:
-            q = self.client.execute(answer, arm)
-        np.testing.assert_allclose(self.chain.forward(q).position, end, atol=1e-4)
-
-    def test_what_new_arm_calls_an_estimate_is_told_as_one(self):
-        self.assertEqual(self.client.robot.estimates, ("accelerations", "jerks", "axes", "couplings"))
 
     def test_when_all_is_ended_by_ctrl_c_nobody_warns(self):
         nodes = self.client.diagnosed_nodes()

@@ -4,8 +4,6 @@
 import os
 import subprocess
 import sys
-import tempfile
-from pathlib import Path
 
 import numpy as np
 import rosgraph
@@ -78,19 +76,6 @@ class BringupTest(RobotTest):
         last = shown.messages[-1]
         self.assertEqual(tuple(last.name), self.client.robot.joint_names)
         self.assertEqual(tuple(last.velocity), (0.0,) * 6)
-
-    def test_the_scene_is_written_for_moveit(self):
-        with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder) / "here.scene"
-            command = ["rosrun", "construction_twin", "twin", "scene", "--moveit", str(file)]
-            run = subprocess.run(command, capture_output=True, text=True, timeout=60.0)
-            self.assertEqual(run.returncode, 0, run.stderr)
-            self.assertEqual(run.stdout, f"{file}: 1 objects, in base_link\n")
-            self.assertEqual(list(Path(folder).iterdir()), [file])
-            lines = file.read_text().splitlines()
-        # the floor, with the scene's padding of 20 mm on every side
-        self.assertEqual(lines[1:6], ["* floor", "0 0 -0.5", "0 0 0 1", "1", "box"])
-        self.assertEqual((lines[6], lines[-1]), ("20.04 20.04 1.04", "."))
 
     def test_sync_reports_every_joint(self):
         sync = rospy.wait_for_message("sync", Sync, 5.0)

@@ -11,7 +11,7 @@ import rospkg
 import rospy
 import rostest
 from construction_twin.msg import Review
-from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient, wait
+from twin_client import HOME, LEFT, RobotTest, Stream, TwinClient, wait
 from visualization_msgs.msg import InteractiveMarkerFeedback, InteractiveMarkerInit, MarkerArray
 
 from construction_twin.core.units import radians
@@ -170,20 +170,6 @@ class ByHandTest(RobotTest):
                 np.testing.assert_allclose(reached.rotation, goal.rotation, atol=1e-4)
             self.client.assert_within_limits(arm, missed)
         self.assertEqual(rospy.wait_for_message("review", Review, 5.0).reviewer, "tester")
-
-    def test_marker_stops_a_motion(self):
-        self.rviz.drag(self.chain.forward(radians(RIGHT)))
-        self.rviz.wait_for("green", "can be reached")
-        plans = len(self.client.plans)
-        self.rviz.choose("Plan")
-        self.client.wait(lambda: len(self.client.plans) > plans, "a plan")
-        plan = self.client.plans[-1]
-        self.rviz.wait_for("green", "waits for approval")
-        with Stream("mock_rsi/joint_states") as arm:
-            self.rviz.decide("Approve")
-            wait(lambda: arm.moved(2.0), "the arm to move")
-            self.rviz.choose("Stop")
-            self.client.wait_for_outcome(plan.id, "stopped")
 
     # -- the command line
 

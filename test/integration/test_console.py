@@ -220,19 +220,6 @@ class ConsoleTest(RobotTest):
             self.assertLess(max(abs(a - b) for a, b in zip(plan["tool_path"][-1], position)), 1e-3)
             self.assertTrue(console.verdict(plan, "rejected")["ok"])
 
-    def test_what_cannot_be_is_answered_with_its_id_and_counted(self):
-        self.begin()
-        console = self.console
-        for document, words in (
-            ({"kind": "way_back"}, "not left inside an engaged segment"),
-            ({"kind": "work_task"}, "no building model is worked on here"),
-            ({"kind": "dance"}, "kind is 'dance'"),
-        ):
-            answer = console.ask(TOPICS.plan_request(ACCOUNT), "plan_request_ack", document)
-            self.assertFalse(answer["ok"])
-            self.assertIn(words, answer["reason"])
-        wait(lambda: self.client.diagnostics("console_node").get("refused format"), "the counter of refusals")
-
 
 if __name__ == "__main__":
     rostest.rosrun("construction_twin", "console", ConsoleTest, sys.argv)

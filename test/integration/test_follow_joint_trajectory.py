@@ -11,7 +11,7 @@ import numpy as np
 import rospy
 import rostest
 from actionlib_msgs.msg import GoalStatus
-from construction_twin.msg import PlanCaller, Review
+from construction_twin.msg import Review
 from control_msgs.msg import (
     FollowJointTrajectoryAction,
     FollowJointTrajectoryActionFeedback,
@@ -267,43 +267,6 @@ class FollowJointTrajectoryTest(RobotTest):
         self.approve(plan)
         self.assert_result(GoalStatus.SUCCEEDED, Result.SUCCESSFUL)
         self.client.wait_until_ready()
-
-    def test_7_a_client_that_vanishes_changes_nothing(self):
-        count = len(self.client.plans)
-        process = self.other_client("vanishing", self.goal())
-        self.client.wait(lambda: len(self.client.plans) > count, "its plan")
-        plan = self.client.plans[-1]
-        callers: list[PlanCaller] = []
-        rospy.Subscriber("plan_caller", PlanCaller, callers.append)
-
-        def told() -> list[bool]:
-            return [each.connected for each in callers if (each.plan_id, each.client) == (plan.id, "/kr120/vanishing")]
-
-        self.client.wait(lambda: told() == [True], "the word that it is connected")
-        self.assertIn("caller     /kr120/vanishing is connected and waits for the result", self.shown())
-        process.kill()
-        process.wait()
-        self.client.wait(lambda: told() == [True, False], "the word that it is gone")
-        self.assertIn("caller     /kr120/vanishing is connected no more: nobody waits for the result", self.shown())
-        self.results.clear()
-        self.approve(plan)
-        self.client.wait_for_outcome(plan.id, "finished")
-        self.client.wait(lambda: self.results, "the result that nobody hears")
-        self.assertEqual(self.results[0].status.status, GoalStatus.SUCCEEDED)
-        # and the arm is free for the next one
-        self.client.wait_until_ready()
-        self.pose = np.array(self.target)
-        self.send(self.back())
-        self.action.cancel_goal()
-        self.assert_result(GoalStatus.PREEMPTED, Result.GOAL_TOLERANCE_VIOLATED)
-
-    def shown(self) -> str:
-        """Return what a reviewer reads."""
-        run = subprocess.run(
-            ["rosrun", "construction_twin", "twin", "show"], capture_output=True, text=True, timeout=60.0
-        )
-        self.assertEqual(run.returncode, 0, run.stderr)
-        return run.stdout
 
     def test_8_a_client_that_the_launch_file_trusts_needs_no_person(self):
         process = self.other_client("trusted", self.goal())

@@ -13,24 +13,17 @@ import rostest
 from construction_twin.msg import CartesianWaypoint, Execution, PlanOutcome, Scene, SceneObject
 from construction_twin.srv import (
     AddObject,
-    AttachObject,
-    DetachObject,
-    EditScene,
     PlanCartesian,
     PlanFromCsv,
-    PlanToPose,
-    PlanTrajectory,
     RemoveObject,
 )
-from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
+from geometry_msgs.msg import Point, Pose, Quaternion
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient, wait
 
 from construction_twin.core.units import radians
 from construction_twin.kinematics.chain import Chain
 from construction_twin.robot.frames import rotation_to_quaternion
-from construction_twin.ros.messages.scene_convert import object_from_msg, scene_from_msg
-from construction_twin.scene.scene_change import SceneChange
 
 #: A wall between RIGHT and LEFT: too long to pass in front of, too high to pass without lifting the arm [m].
 WALL = {"centre": (1.8, 0.0, 0.85), "size": (1.2, 0.1, 1.7)}
@@ -79,17 +72,6 @@ class MotionTest(RobotTest):
         self.client.wait(planned, "a plan in the present scene")
         return answers[-1]
 
-    def outcome_of(self, action) -> PlanOutcome:
-        """Return the outcome that follows on an action."""
-        outcomes: list[PlanOutcome] = []
-        since = rospy.Time.now()
-        subscriber = rospy.Subscriber("plan_outcome", PlanOutcome, outcomes.append)
-        wait(subscriber.get_num_connections, "the planner's outcomes")
-        action()
-        wait(lambda: [one for one in outcomes if one.header.stamp >= since], "the outcome")
-        subscriber.unregister()
-        return next(one for one in outcomes if one.header.stamp >= since)
-
     def tool(self, stream: Stream) -> np.ndarray:
         """Return the tool's positions of a recording, shape (k, 3) [m]."""
         return np.array([self.chain.forward(q).position for q in stream.positions()])
@@ -136,20 +118,6 @@ class MotionTest(RobotTest):
             sides.add(points[-1][1] > 0.0)
         self.assertEqual(sides, {True, False})
 
-    def test_a_change_of_the_scene_voids_what_was_planned_before(self):
-        plan = self.client.plan_to(LEFT)
-        self.add_box("new", (-1.5, 0.0, 0.5), (0.2, 0.2, 0.2))
-
-        def refused() -> bool:
-            answer = self.client.review(plan.plan_id, plan.plan_hash)
-            self.assertFalse(answer.success, "a plan for another scene was approved")
-            return True
-
-        with Stream("mock_rsi/joint_states") as arm:
-            self.client.wait(refused, "the refusal")
-            arm.wait_for_more(200)
-            self.assertTrue(arm.at_rest(200))
-
     def test_a_change_of_the_scene_stops_the_motion(self):
         missed = self.client.mock_counter("missed")
         with Stream("mock_rsi/joint_states") as arm:
@@ -161,56 +129,6 @@ class MotionTest(RobotTest):
             self.client.assert_within_limits(arm, missed)
             self.assertIn("scene", self.client.execution.reason)
         self.client.wait_until_ready()
-
-    def test_a_carried_tool_is_planned_with_and_put_down_where_it_is(self):
-        self.add_box("tool", (0.0, 0.0, 3.0), (0.1, 0.1, 0.4))
-        attach = rospy.ServiceProxy("attach_object", AttachObject)
-        answer = attach(name="tool", touch=["link_6", "flange", "link_5"], use_pose=True, pose=pose_at(0.0, 0.0, 0.2))
-        self.assertTrue(answer.success, answer.message)
-        low = PoseStamped(pose=Pose(Point(1.4, 0.0, 0.3), Quaternion(0.0, 1.0, 0.0, 0.0)))
-
-        def refused() -> bool:
-            answer = rospy.ServiceProxy("plan_to_pose", PlanToPose)(goal=low, source="test")
-            return not answer.success and "tool" in answer.message and "floor" in answer.message
-
-        self.client.wait(refused, "a refusal that names tool and floor")
-        answer = rospy.ServiceProxy("detach_object", DetachObject)("tool")
-        self.assertTrue(answer.success, answer.message)
-        wait(lambda: self.scenes[-1].hash == answer.hash, "the scene without a carried tool")
-        (tool,) = [one for one in self.scenes[-1].objects if one.name == "tool"]
-        self.assertEqual(tool.link, "")
-        tool0 = self.chain.forward(radians(HOME))
-        expected = tool0.position + tool0.rotation @ (0.0, 0.0, 0.2)
-        np.testing.assert_allclose(
-            (tool.pose.position.x, tool.pose.position.y, tool.pose.position.z), expected, atol=1e-4
-        )
-
-    def test_several_objects_change_at_once_or_not_at_all(self):
-        edit = rospy.ServiceProxy("edit_scene", EditScene)
-        before = self.scenes[-1].hash
-        pieces = [
-            SceneObject(
-                name=f"stud/{number}", shape="box", size=(0.06, 0.12, 1.0), pose=pose_at(2.0, 0.3 * number, 1.0)
-            )
-            for number in range(3)
-        ]
-        expected = SceneChange(tuple(map(object_from_msg, pieces))).apply(scene_from_msg(self.scenes[-1])).hash
-        other = edit(before="0" * 64, put=pieces)
-        self.assertFalse(other.success)
-        self.assertIn("plan it anew", other.message)
-        nowhere = edit(
-            before=before, put=[*pieces, SceneObject("stud/3", "sphere", [0.1], "", pose_at(0, 0, 0), 0.0, "hand", [])]
-        )
-        self.assertFalse(nowhere.success)
-        self.assertEqual((other.hash, nowhere.hash), (before, before))
-        answer = edit(before=before, put=pieces, after=expected)
-        self.assertTrue(answer.success, answer.message)
-        self.assertEqual(answer.hash, expected)
-        self.assertIn("put 'stud/0' and 2 more", answer.message)
-        wait(lambda: self.scenes[-1].hash == expected, "the scene with the three pieces")
-        back = edit(before=expected, remove=[piece.name for piece in pieces], after=before)
-        self.assertTrue(back.success, back.message)
-        wait(lambda: self.scenes[-1].hash == before, "the scene as it was")
 
     # -- along lines, and paths from elsewhere
 
@@ -276,31 +194,6 @@ class MotionTest(RobotTest):
             path = Path(folder) / "waypoints.csv"
             path.write_text("\n".join([header, *(",".join(map(str, row)) for row in rows)]) + "\n")
             return rospy.ServiceProxy("plan_from_csv", PlanFromCsv)(path=str(path), source="test")
-
-    def test_a_trajectory_topic_is_planned_and_bad_ones_move_nothing(self):
-        publisher = rospy.Publisher("joint_trajectory", JointTrajectory, queue_size=1)
-        wait(publisher.get_num_connections, "the planner to listen")
-        trajectory = JointTrajectory(joint_names=self.client.robot.joint_names)
-        trajectory.points = [JointTrajectoryPoint(positions=radians(row)) for row in np.linspace(HOME, LEFT, 5)]
-        outcome = self.outcome_of(lambda: publisher.publish(trajectory))
-        self.assertTrue(outcome.success, outcome.message)
-        trajectory.points[2].positions = [*trajectory.points[2].positions[:4], 4.0, 0.0]
-        outcome = self.outcome_of(lambda: publisher.publish(trajectory))
-        self.assertFalse(outcome.success)
-        self.assertIn("joint_a5", outcome.message)
-        plan_trajectory = rospy.ServiceProxy("plan_trajectory", PlanTrajectory)
-        answer = plan_trajectory(trajectory=trajectory)
-        self.assertFalse(answer.success)
-        self.assertIn("joint_a5", answer.message)
-        trajectory.points = trajectory.points[:2]
-        trajectory.header.stamp = rospy.Time(1)  # a foreign clock is not looked at
-        answer = plan_trajectory(trajectory=trajectory, source="another planner")
-        self.assertTrue(answer.success, answer.message)
-        self.client.wait(lambda: self.client.plans and self.client.plans[-1].id == answer.plan_id, "the plan")
-        self.assertEqual(self.client.plans[-1].source, "another planner")
-        with Stream("mock_rsi/joint_states") as arm:
-            arm.wait_for_more(200)
-            self.assertTrue(arm.at_rest(200))
 
     def test_a_trajectory_that_is_repeated_at_10_hz_is_approved_by_its_first_plan_and_played_once(self):
         publisher = rospy.Publisher("joint_trajectory", JointTrajectory, queue_size=1)

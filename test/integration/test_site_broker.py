@@ -13,10 +13,9 @@ from pathlib import Path
 
 import rospy
 import rostest
-from construction_twin.msg import Execution
 from remote_planner import RemotePlanner
 from tablet import Tablet
-from twin_client import HOME, LEFT, RIGHT, Stream, TwinClient, wait
+from twin_client import HOME, LEFT, Stream, TwinClient, wait
 
 from construction_twin.broker.make_site import main as make_site
 from construction_twin.mqtt.messages import Control, Topics
@@ -77,18 +76,6 @@ class SiteTest(unittest.TestCase):
         view = self.planner.views[-1] if self.planner.views else {}
         states = [(view.get(part) or {}).get("state") for part in ("link", "sync", "execution")]
         return states == ["ARMED", "IN_SYNC", "IDLE"] and bool(view["twin"] and view["arm"])
-
-    def test_a_plan_approved_at_the_tablet_is_executed_by_twin_and_arm(self):
-        with Stream("physical/joint_states") as arm, Stream("twin/joint_states") as twin:
-            planned = self.client.plan_to(LEFT)
-            wait(lambda: (self.tablet.plan or {}).get("id") == planned.plan_id, "the plan at the tablet")
-            still = arm.positions()
-            answer = self.tablet.verdict(self.tablet.plan, "approved", reason="looked at it")
-            self.assertTrue(answer["ok"], answer)
-            self.client.wait_for_outcome(planned.plan_id, "finished")
-            self.assertTrue((still == still[0]).all(), "the arm moved before anybody had approved")
-            self.client.assert_at(LEFT, twin, arm)
-        wait(lambda: self.tablet.plan is None, "the plan taken away")
 
     def test_a_motion_planned_elsewhere_is_reviewed_and_executed(self):
         goal = tuple(0.5 * (a + b) for a, b in zip(HOME, LEFT))
@@ -156,23 +143,6 @@ class SiteTest(unittest.TestCase):
             self.assertFalse(self.tablet.may_publish(TOPICS.control, control), verb)
         self.assertFalse(self.client.armed())
         self.client.start_over()
-
-    def test_a_pause_by_topic_holds_the_motion_and_resume_ends_it(self):
-        self.client.go_to(HOME)
-        with Stream("physical/joint_states") as arm, Stream("twin/joint_states") as twin:
-            planned = self.client.plan_to(RIGHT)
-            wait(lambda: (self.tablet.plan or {}).get("id") == planned.plan_id, "the plan at the tablet")
-            still = arm.positions()[-1]
-            self.assertTrue(self.tablet.verdict(self.tablet.plan, "approved")["ok"])
-            wait(lambda: abs(arm.positions()[-1] - still).max() > 0.02, "motion")
-            answer = self.tablet.press("pause")
-            self.assertTrue(answer["ok"], answer)
-            wait(lambda: self.client.execution.state == Execution.PAUSED, "the pause")
-            self.assertTrue(self.client.armed(), self.client.describe())
-            answer = self.tablet.press("resume")
-            self.assertTrue(answer["ok"], answer)
-            self.client.wait_for_outcome(planned.plan_id, "finished")
-            self.client.assert_at(RIGHT, twin, arm)
 
 
 if __name__ == "__main__":

@@ -154,26 +154,6 @@ class StopAndResetTest(RobotTest):
         self.assert_stays_stopped(3.0)
         self.reset()
 
-    def test_a_second_gateway_is_named_and_nothing_is_armed_until_it_is_gone(self):
-        client, run = self.client, self.status["run"]
-        end = time.monotonic() + 2.0
-        while time.monotonic() < end:
-            other = self.status | {
-                "run": "second",
-                "state": "no_controller",
-                "reason": "no telegram yet",
-                "session": "",
-            }
-            self.phone.publish(TOPICS.status, json.dumps(other), qos=1).wait_for_publish(5.0)
-            client.wait(lambda: client.link.state == Link.MISMATCH, "the link to notice")
-            for name in (f"run {run}", "run second"):
-                self.assertIn(name, client.link.reason)
-            answer = client.call("reset")
-            self.assertFalse(answer.success)
-            self.assertIn("run second", answer.message)
-            time.sleep(0.3)
-        client.wait_until_ready()
-
 
 if __name__ == "__main__":
     rostest.rosrun("construction_twin", "stop_and_reset", StopAndResetTest, sys.argv)

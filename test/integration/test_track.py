@@ -9,10 +9,8 @@ import numpy as np
 import rospy
 import rostest
 import tf2_ros
-from construction_twin.msg import CartesianWaypoint
-from construction_twin.srv import PlanCartesian, PlanToPose
+from construction_twin.srv import PlanToPose
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
-from goal_client import goal_message, reach
 from mqtt_listener import MqttListener
 from twin_client import RobotTest, Stream, TwinClient, case
 
@@ -21,7 +19,6 @@ from construction_twin.evaluation.alignment import align_lag_removed, task_windo
 from construction_twin.evaluation.bag import read_recording
 from construction_twin.evaluation.report import write_report
 from construction_twin.kinematics.chain import Chain
-from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.ros.commands.recorder import Recorder
 
 #: In the robot's order: the track [mm], then A1 to A6 [deg]; no two alike.
@@ -67,12 +64,6 @@ class TrackTest(RobotTest):
                     self.client.wait(lambda t=topic: self.mqtt.last.get(t) == GOAL_STRING, f"{GOAL_STRING} on {topic}")
             self.client.assert_within_limits(arm, missed)
 
-    def test_by_a_goal_of_another_planner(self):
-        start, goal = self.client.si(HOME), self.client.si(GOAL)
-        with Stream("physical/joint_states") as physical:
-            reach(self.client, goal_message(self.client.robot.joint_names, [(0.0, start), (3.0, goal)]))
-            self.client.assert_at(GOAL, physical)
-
     def test_tf_puts_the_arm_where_the_track_is(self):
         with Stream("mock_rsi/joint_states") as arm:
             self.client.execute(self.client.plan_to(GOAL, 3.0), arm)
@@ -97,23 +88,6 @@ class TrackTest(RobotTest):
             q = self.client.execute(answer, arm)
         np.testing.assert_allclose(self.chain.forward(q).position, (2.9, 0.3, 1.2), atol=2e-4)
         self.assertGreater(q[0], 0.2)
-
-    def test_a_straight_line_along_the_rail(self):
-        start = self.chain.forward(self.client.si(HOME))
-        end = start.position + np.array((1.0, 0.2, 0.0))
-        pose = Pose(Point(*end), Quaternion(*rotation_to_quaternion(start.rotation)))
-        service = rospy.ServiceProxy("plan_cartesian", PlanCartesian)
-        answer = service(waypoints=[CartesianWaypoint(pose=pose)], speed=0.4, source="test")
-        self.assertEqual(answer.fraction, 1.0, answer.message)
-        with Stream("mock_rsi/joint_states") as arm:
-            with Stream("twin/joint_states") as twin:
-                q = self.client.execute(answer, arm)
-            tools = np.array([self.chain.forward(one).position for one in twin.positions()[::10]])
-        np.testing.assert_allclose(self.chain.forward(q).position, end, atol=2e-4)
-        along = (end - start.position) / np.linalg.norm(end - start.position)
-        away = tools - start.position
-        away -= np.outer(away @ along, along)
-        self.assertLess(np.linalg.norm(away, axis=1).max(), 1e-3)
 
     def test_the_evaluation_has_metres_for_the_track(self):
         topics = ["twin/joint_states", "physical/joint_states", "physical/feedback", "plan", "execution", "link"]
