@@ -120,44 +120,6 @@ def test_bounds_are_wide_enough_for_any_start_pose_and_supervised(name, read, ki
         assert float(monitor[f"Max{axis}"]) >= span - 1e-9
 
 
-def test_ordinals_are_those_of_the_facts_sheet():
-    numbers = parameters(rsi3("ctwin_e1")["AXISCORR"], "ParamID")
-    assert [numbers[f"LowerLimA{i}"] for i in (1, 6)] == ["1", "6"]
-    assert [numbers[f"UpperLimA{i}"] for i in (1, 6)] == ["13", "18"]
-    numbers = parameters(rsi3("ctwin_e1")["AXISCORREXT"], "ParamID")
-    assert (numbers["LowerLimE1"], numbers["UpperLimE1"]) == ("7", "19")
-    numbers = parameters(rsi41("ctwin_e1")["AxisCorrExt"], "ParamId")
-    assert (numbers["LowerLimE1"], numbers["UpperLimE6"]) == ("0", "11")
-    identities = {kind: item.get("ObjTypeId") for kind, item in rsi41("ctwin_e1").items()}
-    assert identities == {"Ethernet": "64", "AxisCorr": "33", "AxisCorrExt": "87", "AxisCorrMon": "82", "Stop": "18"}
-    assert parameters(rsi41("ctwin")["Ethernet"], "ParamId") == {
-        "ConfigFile": "0",
-        "Timeout": "0",
-        "Flag": "3",
-        "Precision": "7",
-    }
-
-
-@pytest.mark.parametrize("name", [name for name in NAMES if name not in TOOLS])  # of those: test_krl_tool.py
-def test_model_and_diagram_of_rsi_3_show_the_objects_and_links_of_the_context(name):
-    folder = KRL / "rsi3" / "SensorInterface"
-    model = ElementTree.parse(folder / f"{name}.rsi").getroot()
-    ns = "{http://schemas.microsoft.com/dsltools/RSIVisual}"
-    context = rsi3(name)
-    elements = {e.get("objType"): e for e in model.iter(f"{ns}rSIElement")}
-    assert elements.keys() == context.keys()
-    for kind, element in elements.items():
-        assert element.get("objTypeID") == context[kind].get("ObjTypeID")
-        links = [m.get("name") for m in element.iter(f"{ns}rSIOutPortMoniker")]
-        assert links == [f"//ETHERNET1/Out{output}" for _, output in inputs(context[kind])]
-        shown = {p.get("name"): p.get("index") for p in element.iter(f"{ns}rSIParameter")}
-        assert shown == parameters(context[kind], "ParamID")
-    diagram = ElementTree.parse(folder / f"{name}.rsi.diagram").getroot()
-    shapes = {m.get("name") for m in diagram.iter("rSIElementMoniker")}
-    assert shapes == {f"//{e.get('name')}" for e in elements.values()}
-    assert len(list(diagram.iter("rSISignalConnector"))) == sum(len(inputs(item)) for item in context.values())
-
-
 @pytest.mark.parametrize("generation, suffix", [("rsi3", ".rsi"), ("rsi41", "")])
 @pytest.mark.parametrize("name", NAMES)
 def test_programs_name_the_right_context_and_use_absolute_corrections_only(name, generation, suffix):

@@ -6,19 +6,14 @@ lists that were taken from moveit 1.1 (moveit_setup_assistant/templates, moveit_
 
 from __future__ import annotations
 
-import os
-import subprocess
 from itertools import combinations
 from pathlib import Path
 from xml.etree import ElementTree
 
 import launch_files
-import numpy as np
 import pytest
 import yaml
 
-from construction_twin.kinematics.chain import Chain
-from construction_twin.planning.waypoints import START_TOLERANCE_M, START_TOLERANCE_RAD
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.urdf import chain_joints, parse_urdf
 from construction_twin.scene.collision_bodies import RobotBodies
@@ -27,7 +22,6 @@ from construction_twin.scene.self_collision import read_self_collision
 
 ROOT = Path(__file__).resolve().parents[3]
 MOVEIT = ROOT / "moveit"
-LAUNCHES = sorted((MOVEIT / "launch").glob("*.launch*"))
 XACROS = {"kr120": "urdf/kr120r2500.urdf.xacro", "kr120_track": "urdf/kr120_track.urdf.xacro"}
 OURS = tuple(XACROS)
 #: The groups of each SRDF with their chains, base to tip; the one of all joints last.
@@ -37,20 +31,12 @@ GROUPS = {
 }
 #: MoveIt's word for each reason of a self_collision file.
 REASONS = {"adjacent": "Adjacent", "always": "Always", "never": "Never"}
-#: Programs of packages that a PC with MoveIt has.
-STAND_INS = {
-    "moveit_ros_move_group": ("move_group",),
-    "rviz": ("rviz",),
-    "joint_state_publisher": ("joint_state_publisher",),
-    "robot_state_publisher": ("robot_state_publisher",),
-}
 
 #: Keys of a joint that MoveIt or Pilz reads, of a controller's entry, of a solver, of Cartesian limits.
 LIMIT_KEYS = {
     "has_position_limits", "min_position", "max_position", "has_velocity_limits", "max_velocity", "has_acceleration_limits",
     "max_acceleration",
 }  # fmt: skip
-CONTROLLER_KEYS = {"name", "action_ns", "type", "default", "joints"}
 
 
 def robot_of(name: str) -> RobotModel:
@@ -71,38 +57,6 @@ def pairs_of(root: ElementTree.Element, tag: str) -> dict[frozenset[str], str]:
     pairs = {frozenset((row["link1"], row["link2"])): row.get("reason", "") for row in rows}
     assert len(pairs) == len(rows)
     return pairs
-
-
-@pytest.fixture(scope="module")
-def with_moveit(tmp_path_factory) -> dict[str, str]:
-    """Return the environment of a PC on which MoveIt's packages are found."""
-    folder = tmp_path_factory.mktemp("packages")
-    for package, programs in STAND_INS.items():
-        (folder / package).mkdir()
-        (folder / package / "package.xml").write_text(
-            f"<package format='2'><name>{package}</name><version>0.0.0</version><description>-</description>"
-            "<maintainer email='a@b.invalid'>-</maintainer><license>-</license></package>"
-        )
-        for program in programs:
-            file = folder / package / program
-            file.write_text("#!/bin/sh\nexit 1\n")
-            file.chmod(0o755)
-    return os.environ | {"ROS_PACKAGE_PATH": f"{folder}:{os.environ['ROS_PACKAGE_PATH']}"}
-
-
-def roslaunch(environment: dict[str, str], *words: str) -> str:
-    command = ["roslaunch", *words]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment)
-    assert run.returncode == 0 and "Invalid" not in run.stderr, run.stderr
-    return run.stdout
-
-
-def parameters(environment: dict[str, str], *words: str) -> dict:
-    return yaml.safe_load(roslaunch(environment, "--dump-params", "construction_twin", *words))
-
-
-def arguments(path: Path) -> dict[str, ElementTree.Element]:
-    return {arg.get("name", ""): arg for arg in ElementTree.parse(path).getroot().findall("arg")}
 
 
 # -- true to our files
@@ -170,21 +124,6 @@ def test_moveit_checks_the_pairs_of_links_that_we_check(name):
     assert theirs == ours
 
 
-@pytest.mark.parametrize("name", OURS)
-def test_moveit_checks_a_motion_in_steps_that_find_what_stands_in_a_cell(name):
-    """MoveIt's step is this fraction of the sum of a group's ranges; joint_a1 alone sweeps the stretched arm through it."""
-    robot = robot_of(name)
-    ranges = dict(zip(robot.joint_names, np.subtract(robot.upper, robot.lower)))
-    stretched = Chain(robot).forward([0.0] * len(ranges)).position[0]
-    assert stretched > 2.5
-    ompl = yaml.safe_load((MOVEIT / "config" / name / "ompl_planning.yaml").read_text())
-    groups = {"manipulator": robot.joint_names[-6:], "manipulator_track": robot.joint_names}
-    for group, settings in ompl.items():
-        if "longest_valid_segment_fraction" in settings:
-            extent = sum(ranges[joint] for joint in groups[group])
-            assert settings["longest_valid_segment_fraction"] * extent * stretched < 0.25
-
-
 def test_the_srdf_is_the_one_of_bringup():
     for name, words in (("kr120", []), ("kr120_track", ["track:=true"])):
         loaded = launch_files.parameters("bringup", *words)["/kr120/robot_description_semantic"]
@@ -192,46 +131,6 @@ def test_the_srdf_is_the_one_of_bringup():
 
 
 # -- started beside bringup
-
-
-@pytest.fixture(scope="module")
-def beside_bringup(with_moveit) -> dict:
-    return parameters(with_moveit, "move_group.launch")
-
-
-def test_moveit_waits_for_a_person_and_begins_where_the_planner_takes_it(beside_bringup, with_moveit):
-    prefix = "/kr120/move_group/trajectory_execution/"
-    assert beside_bringup[f"{prefix}execution_duration_monitoring"] is False
-    assert beside_bringup[f"{prefix}wait_for_trajectory_completion"] is True
-    assert 0.9 * START_TOLERANCE_RAD < beside_bringup[f"{prefix}allowed_start_tolerance"] <= START_TOLERANCE_RAD
-    # MoveIt has one number for all joints: on the track it is the one of metres
-    on_track = parameters(with_moveit, "move_group.launch", "track:=true")
-    assert on_track[f"{prefix}allowed_start_tolerance"] == START_TOLERANCE_M < START_TOLERANCE_RAD
-
-
-def test_plans_are_always_timed(beside_bringup):
-    """MoveIt 1.1.12 and later skips a plan without times, and says SUCCESS."""
-    name = "/kr120/move_group/planning_pipelines/ompl/request_adapters"
-    first, *others = beside_bringup[name].split()
-    assert first == "default_planner_request_adapters/AddTimeOptimalParameterization"
-    assert "default_planner_request_adapters/FixWorkspaceBounds" in others
-    for file in LAUNCHES:
-        assert "time_parameterization" not in arguments(file), file
-
-
-@pytest.mark.parametrize("name, words", [("kr120", []), ("kr120_track", ["track:=true"])])
-def test_the_controller_is_the_action_of_the_running_robot(name, words, with_moveit):
-    given = parameters(with_moveit, "move_group.launch", "robot:=left", *words)
-    (controller,) = given["/left/move_group/controller_list"]
-    assert set(controller) == CONTROLLER_KEYS and controller["default"] is True
-    # MoveIt joins the two; the name begins with a slash, so that its own namespace does not matter
-    assert f"{controller['name']}/{controller['action_ns']}" == "/left/follow_joint_trajectory"
-    assert controller["type"] == "FollowJointTrajectory"
-    assert tuple(controller["joints"]) == robot_of(name).joint_names
-    assert (
-        given["/left/move_group/moveit_controller_manager"]
-        == "moveit_simple_controller_manager/MoveItSimpleControllerManager"
-    )
 
 
 # -- alone

@@ -3,26 +3,19 @@
 from __future__ import annotations
 
 import math
-import random
-import threading
 from pathlib import Path
-from types import SimpleNamespace
 
-import bare_plc
 import pytest
 from bare_plc import (
     AXES,
     CYCLE,
-    DELAY,
     HOME,
     QUIET,
     SILENCE,
     START_TOLERANCE,
     Axis,
     BarePlc,
-    Network,
     State,
-    arguments,
 )
 from hypothesis import given
 from hypothesis import strategies as st
@@ -137,25 +130,6 @@ def test_the_speed_changes_by_one_cycle_s_acceleration_at_most(changes, word, si
     cell.assert_brakes_in_limits()
 
 
-def test_a_string_that_was_lost_in_motion_or_came_twice_is_a_jump_of_the_speed():
-    for left_out, twice in ((1, 0), (0, 1)):
-        cell = Cell().cycles(10, string(0.0, 0.0))
-        last = cell.move(20.0, 40)
-        step = 0.08
-        cell.cycles(1, string(round(last + step * (1 + left_out - twice), 3), 0.0))
-        assert cell.plc.counters == {"taken": 50, "acceleration": 1} and cell.plc.reason == "refused: acceleration"
-        cell.cycles(100)
-        cell.assert_brakes_in_limits()
-
-
-def test_a_stream_that_stops_dead_is_braked_within_the_limits():
-    cell = Cell().cycles(10, string(0.0, 0.0))
-    last = cell.move(40.0, 60)
-    cell.cycles(100, string(last, 0.0))
-    assert cell.plc.reason == "refused: acceleration" and cell.plc.position[0] > last
-    cell.assert_brakes_in_limits()
-
-
 @pytest.mark.parametrize("axes", [SLOW, AXES[:2]])
 def test_from_the_held_pose_to_the_first_string_it_creeps(axes):
     held = tuple(axis.upper - 20.0 for axis in axes)
@@ -211,24 +185,6 @@ def test_a_retained_string_is_refused_and_changes_nothing():
     assert cell.plc.state is State.FOLLOWING and cell.plc.position == (0.0, 0.0)
 
 
-def test_bursts_within_the_delay_are_absorbed():
-    cell, at = Cell(delay=DELAY), 0.0
-    cell.cycles(20, string(0.0, 0.0))
-    rng = random.Random(3)
-    step = 0.0
-    waiting: list[bytes] = []
-    for _ in range(60):
-        step = min(step + 0.003, 0.1)
-        at = round(at + step, 3)
-        waiting.append(string(at, 0.0))
-        if rng.random() < 0.4 or len(waiting) >= DELAY - 2:
-            for payload in waiting:
-                cell.plc.on_string(payload, False, cell.now)
-            waiting.clear()
-        cell.cycles(1)
-    assert cell.plc.state is State.FOLLOWING and cell.plc.position[0] > 1.0
-
-
 CENTRES = st.tuples(st.integers(-10_500, 10_500), st.integers(-91_000, 91_000))
 STEPS = st.tuples(st.integers(-420, 420), st.integers(-220, 220))
 MESSAGES = st.one_of(
@@ -264,77 +220,6 @@ def test_whatever_comes_speed_acceleration_and_range_are_kept(messages):
     cell.assert_brakes_in_limits(0.0026)
     assert cell.poses[-1] == cell.poses[-50] and cell.plc.word == "ready"
     assert len(cell.plc.joint_string) == len(string(0.0, 0.0))
-
-
-class Loop:
-    """The program's loop, with a clock and a client of the test's: what it says is kept with the moment at which it says it.
-
-    The sender's strings come one per cycle, whatever the program does; a stall (when, how long [s]) keeps it from running.
-    """
-
-    def __init__(self, monkeypatch, *stalls: tuple[float, float]):
-        self.now, self._stalls, self._sent_at = 100.0, list(stalls), 100.0
-        self.said: list[tuple[float, str, bytes]] = []
-        self.stopping, self._at, self._step = threading.Event(), 0.0, 0.0
-        clock = SimpleNamespace(monotonic=lambda: self.now, sleep=self._sleep)
-        client = SimpleNamespace(is_connected=lambda: True, publish=self._publish)
-        nothing = ("will_set", "connect_async", "reconnect_delay_set", "loop_start", "loop_stop", "disconnect")
-        vars(client).update(dict.fromkeys(nothing, lambda *_, **__: None))
-        monkeypatch.setattr(bare_plc, "time", clock)
-        monkeypatch.setattr(bare_plc.paho, "Client", lambda *_, **__: client)
-        self.plc = BarePlc(SLOW, (0.0, 0.0))
-        self._network, self._client = Network(arguments([]), self.plc), client
-
-    def run(self, seconds: float) -> Loop:
-        """Let the program run, and end."""
-        self._end = self.now + seconds
-        self._network.run(self.stopping)
-        return self
-
-    def _sleep(self, seconds: float) -> None:
-        self.now += seconds + 0.0001
-        if self._stalls and self.now >= 100.0 + self._stalls[0][0]:
-            self.now += self._stalls.pop(0)[1]
-        while self._sent_at + CYCLE <= self.now:
-            self._sent_at += CYCLE
-            self._send()
-        if self.now >= self._end:
-            self.stopping.set()
-
-    def _send(self) -> None:
-        # at rest until the queue is filled, then ever faster
-        if self._sent_at > 100.2:
-            self._step = min(self._step + 0.003, 0.02)
-        self._at = round(self._at + self._step, 3)
-        self._client.on_message(None, None, SimpleNamespace(payload=string(self._at, 0.0), retain=False))
-
-    def _publish(self, topic: str, payload, **_):
-        self.said.append((self.now, topic.rpartition("/")[2], payload))
-        return SimpleNamespace(wait_for_publish=lambda seconds: None)
-
-    @property
-    def states(self) -> list[tuple[float, bytes]]:
-        """The joint strings, with when they were said."""
-        return [(when, payload) for when, topic, payload in self.said if topic == "state"]
-
-
-@pytest.mark.parametrize("stall", [0.0, 0.003, 0.02, 0.09])
-def test_cycles_that_were_missed_are_not_run_back_to_back(monkeypatch, stall):
-    loop = Loop(monkeypatch, (0.3, stall), (0.35, stall)).run(0.45)
-    states = loop.states
-    for first, (begin, _) in enumerate(states):
-        for count, (end, _) in enumerate(states[first + 1 :], 1):
-            assert count <= (end - begin) / CYCLE + 1.0001, f"{count} cycles in {(end - begin) * 1000:.1f} ms"
-    # a stall that is short costs delay only
-    assert loop.plc.counters["taken"] > 100 and "late" not in loop.plc.reason
-    assert [payload for _, topic, payload in loop.said if topic == "status"] == ["ready", "offline", "offline"]
-
-
-def test_a_program_that_stood_still_for_longer_than_silence_brakes(monkeypatch):
-    loop = Loop(monkeypatch, (0.3, SILENCE + 0.01)).run(0.45)
-    assert loop.plc.reason == "the program stood still" and loop.plc.state is State.STOPPED
-    words = [(when, payload) for when, topic, payload in loop.said if topic == "status"]
-    assert words[1][1] == "offline" and 100.4 < words[1][0] < 100.42
 
 
 def test_its_limits_home_and_string_are_the_arm_s():

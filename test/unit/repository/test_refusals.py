@@ -24,10 +24,11 @@ def free_port() -> int:
 @pytest.mark.parametrize(
     "words, sentences",
     [
-        (["ethernet_xml:=BAD"], ["BAD"]),
         ([f"ethernet_xml:={XML}", "executor:=1"], ["Ethernet XML", "executor: found '1', expected an argument"]),
-        (["arm:=real", "auto_approve:=true"], ["auto_approve: found True", "bridge_account: found", "gateway_account: found"]),
-        (["broker_config:=/no/such.conf"], ["broker_config: found '/no/such.conf'"]),
+        (
+            ["arm:=real", "auto_approve:=true", "broker_config:=/no/such.conf"],
+            ["auto_approve: found True", "bridge_account: found", "gateway_account: found", "broker_config: found '/no/such.conf'"],
+        ),
     ],
 )  # fmt: skip
 def test_a_start_that_cannot_work_ends_with_its_sentences_by_hand_and_in_the_launch(tmp_path, words, sentences):

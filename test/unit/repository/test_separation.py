@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 
 import pytest
-import rospy
-import separation_node as module
 from distance_to_speed import SeparationLimit, SpeedTable
 from hypothesis import given
 from hypothesis import strategies as st
-from sensor_msgs.msg import Range
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.units import NANOSECONDS
@@ -75,20 +71,3 @@ class TestLimit:
             limit.on_range(4.0, 0.1, 10.0, T0 - 1, T0 + 1)
         limit.on_range(4.0, 0.1, 10.0, T0 - 1, T0 + DEADLINE + 1)
         assert limit.update(T0 + DEADLINE + 1)[0] == 1.0
-
-
-def test_the_node_takes_a_sensor_for_silent_although_the_wall_clock_was_set_back(monkeypatch):
-    wall, steady, said = [1000 * NANOSECONDS], [50 * NANOSECONDS], []
-    monkeypatch.setattr(module.time, "monotonic_ns", lambda: steady[0])
-    monkeypatch.setattr(rospy.Time, "now", lambda: rospy.Time.from_sec(wall[0] / NANOSECONDS))
-    node = module.SeparationNode(
-        SeparationLimit(SpeedTable(ROWS), 0.3),
-        SimpleNamespace(publish=said.append),
-        SimpleNamespace(refuse=None),
-    )
-    node.on_range(Range(range=math.inf, max_range=5.0))
-    node.update()
-    wall[0] -= 10 * NANOSECONDS
-    steady[0] += round(0.31 * NANOSECONDS)
-    node.update()
-    assert [message.limit for message in said] == [1.0, ROWS[0][1]]
