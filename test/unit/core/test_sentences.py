@@ -20,12 +20,6 @@ from construction_twin.core.sentences import (
     replaced,
     understood,
 )
-from construction_twin.execution.goal_states import GoalState
-from construction_twin.execution.states import ExecutorState
-from construction_twin.gateway.states import State as GatewayState
-from construction_twin.link.states import LinkState
-from construction_twin.monitor.states import SyncState
-from construction_twin.work.task_states import TaskState
 
 ROOT = Path(__file__).parents[3]
 SENTENCES = json.loads((ROOT / "src/construction_twin/core/sentences.json").read_text())
@@ -56,22 +50,6 @@ def test_every_key_has_words_in_both_languages_with_the_same_values():
         assert "{" not in rest and "}" not in rest, key
 
 
-#: German words for what has another one here: one idea, one word.
-OTHER_WORDS = {
-    "gesandt|sandte": "gesendet", "Urteile?": "Entscheidung", "Pult": "PC des Roboters", "Schranke": "Monitor",
-    "Themen?|Thema": "Topic", "Hash(es)?": "Prüfsumme", "Gelenkketten?": "Gelenkwerte", "Trajektorien?": "Bahn",
-    "Auftr(ag|äge)": "Aufgabe", "Elemente?": "Bauteil", "Segmente?": "Abschnitt", "Nothalt|Not-?[Aa]us": "Not-Halt",
-    "Knoten": "Programm", "Sollposition(en)?": "Sollwert", "Posen?": "Stellung", "Joints?": "Gelenk",
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("others", OTHER_WORDS)
-def test_an_idea_has_one_word_in_german(others):
-    assert [key for key, words in SENTENCES.items() if re.search(rf"\b({others})\b", words["de"])] == [], OTHER_WORDS[
-        others
-    ]
-
-
 def test_no_key_is_unused():
     forms = [re.escape(key) for key in named()]
     forms = [re.sub(r"(?:\\\$)?\\\{.*?\\\}", r"[\\w.]+", form) for form in forms]
@@ -94,16 +72,6 @@ def test_a_note_with_the_names_that_it_holds_for_is_found_in_its_text_again(key)
     note = Sentence("ifc.note.of", note=Sentence(key, **values), names="wall (0000000000000000000008), #12=IFCWALL")
     found = understood(str(note))
     assert found is not None and (found.key, found.values["note"].key) == ("ifc.note.of", key)
-
-
-@pytest.mark.parametrize(
-    "states",
-    (GatewayState, LinkState, SyncState, ExecutorState, TaskState, GoalState),
-    ids=lambda each: each.__module__,
-)
-def test_every_state_that_a_reason_may_name_has_a_word_for_people(states):
-    words = [str(state.value if isinstance(state.value, str) else state.name).lower() for state in states]
-    assert [word for word in words if f"word.{word}" not in SENTENCES] == []
 
 
 def value_of(value: object) -> object:
@@ -140,10 +108,6 @@ def sample(template: str, part: str, reason: str) -> dict[str, object]:
     return values | {name: reason for name in texts[-1:]}
 
 
-#: Beginnings of the keys whose sentences programs say: reasons, and what is read in terminal and rviz.
-OF_PROGRAMS = (*REASONS, "line.", "view.", "preflight.")
-#: A piece of a sentence that is as long as this is nobody else's [characters].
-LONG_ENOUGH = 36
 REASON_KEYS = [key for key in SENTENCES if key.startswith(REASONS)]
 
 
@@ -206,17 +170,3 @@ def test_a_part_that_has_changed_is_said_in_its_place():
 )
 def test_a_text_that_is_no_reason_to_the_letter_has_no_key(text):
     assert understood(text) is None
-
-
-def test_the_words_of_a_sentence_stand_in_no_program():
-    """Where its key is enough: in `sentences.json` alone. Pieces that are too short to be these words are not looked at."""
-    programs = {path: re.sub(r'"\s*\n\s*f?"', "", path.read_text()) for path in (ROOT / "src").rglob("*.py")}
-    pieces = {
-        piece.strip()
-        for key in SENTENCES
-        if key.startswith(OF_PROGRAMS)
-        for piece in re.split(r"\{.*?\}", SENTENCES[key]["en"])
-        if len(piece.strip()) >= LONG_ENOUGH
-    }
-    assert len(pieces) > 50
-    assert [(path.name, piece) for path, text in programs.items() for piece in pieces if piece in text] == []

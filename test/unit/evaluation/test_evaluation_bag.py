@@ -157,21 +157,6 @@ def test_bags_that_cannot_be_used_say_why(tmp_path):
         read_recording(path)
 
 
-def test_inconsistent_messages_say_so(tmp_path):
-    good = JointState(name=["j"], position=[0.0])
-    foreign, empty = JointState(name=["k"], position=[0.0]), JointState(name=["j"])
-    for bad, check in (
-        (foreign, says("view.bag.no_joints", joints="j")),
-        (empty, says("view.bag.count", found=0, count=1)),
-    ):
-        with rosbag.Bag(str(tmp_path / "x.bag"), "w") as bag:
-            for topic in ("twin", "physical"):
-                bag.write(f"/a/{topic}/joint_states", good, at(BASE))
-            bag.write("/a/physical/joint_states", bad, at(BASE + 1))
-        with pytest.raises(ConstructionTwinError, check=check):
-            read_recording(tmp_path / "x.bag")
-
-
 def test_bag_that_was_not_closed_names_the_remedy(full_bag, tmp_path):
     cut = tmp_path / "cut.bag.active"
     bag = rosbag.Bag(str(cut), "w")
@@ -263,35 +248,7 @@ def test_another_definition_of_a_known_type_is_refused_in_one_sentence(tmp_path,
     assert not generated
 
 
-def test_a_second_connection_of_a_topic_cannot_bring_another_type(recording, tmp_path, generated):
-    with rosbag.Bag(str(tmp_path / "x.bag"), "w") as bag:
-        bag.write("/a/twin/joint_states", with_definition(String, HOSTILE)("x"), at(BASE))
-        write_robot(bag, recording, "/a")
-    with pytest.raises(
-        ConstructionTwinError, check=says("view.bag.type", topic="/a/twin/joint_states", found="std_msgs/String")
-    ):
-        read_recording(tmp_path / "x.bag")
-    assert not generated
-
-
-@pytest.mark.parametrize(
-    "contents",
-    [
-        b"", b"I am a text.\n", bytes([0x89, *b"PNG\r\n"]) + bytes(500), b"#ROSBAG V2.0\n", b"#ROSBAG V2.0\n" + bytes(5000),
-        b"#ROSBAG V9.9\n",
-    ],
-    ids=["empty", "text", "picture", "beginning", "zeros", "version"],
-)  # fmt: skip
-def test_a_file_that_is_no_bag_is_one_sentence(tmp_path, capsys, contents):
-    file = tmp_path / "no.bag"
-    file.write_bytes(contents)
-    assert main([str(file)]) == 1
-    said = capsys.readouterr().err
-    assert said.startswith(f"evaluate: {file} ") and said.count("\n") == 1
-    assert "cannot be read as a rosbag" in said or "rosbag reindex" in said
-
-
-@pytest.mark.parametrize("seed", range(200))
+@pytest.mark.parametrize("seed", range(40))
 def test_a_damaged_bag_is_read_or_refused(tmp_path, seed):
     """A byte of it changed: what still can be read is read, and nothing but a typed error comes out."""
     file = tmp_path / "damaged.bag"

@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ik_figures import Problem, brute_force
 from inverse_cases import (
-    KR120,
     SEARCHED,
     UR_LIKE,
     arm_of,
@@ -24,12 +23,11 @@ from scipy.spatial.transform import Rotation
 
 from construction_twin.core.motion_errors import (
     KinematicsError,
-    NotFoundError,
     UnreachableOrientationError,
 )
 from construction_twin.kinematics.axes import joint_axes
 from construction_twin.kinematics.chain import Chain, Pose
-from construction_twin.kinematics.decomposition import ClosedForm, NoClosedForm, find_closed_form
+from construction_twin.kinematics.decomposition import NoClosedForm, find_closed_form
 from construction_twin.kinematics.numeric import NumericInverse
 from construction_twin.kinematics.subproblems import SubproblemInverse
 
@@ -104,12 +102,6 @@ def test_all_are_in_order_apart_and_complete(name):
         assert np.abs(found - one.q).max(axis=1).min() < 1e-3
 
 
-def test_a_ur_has_eight_branches_and_every_whole_turn_of_each():
-    q = np.array([0.4, -1.1, 0.9, -0.3, 1.2, 2.0])
-    solutions = UR.all(UR.chain.forward(q), np.zeros(6))
-    assert len(solutions) == 8 * 32  # five joints of two turns each
-
-
 @given(joints(UR_LIKE), joints(UR_LIKE), st.sampled_from([0.0, 1e-9, 1e-7, math.pi]))
 @settings(max_examples=25, deadline=None)
 def test_singular_wrists_are_solved(q, seed, wrist):
@@ -175,16 +167,6 @@ def test_an_arm_of_no_kind_is_told_what_is_missing(robot, reason):
     assert re.search(reason, found.reason), found.reason
 
 
-def test_a_model_that_is_exact_is_the_arm():
-    for robot in (KR120, UR_LIKE):
-        chain = Chain(robot)
-        form = find_closed_form(chain, joint_axes(chain))
-        assert isinstance(form, ClosedForm) and form.exact and form.misses == 0.0
-        for q in np.random.default_rng(7).uniform(robot.lower, robot.upper, (5, 6)):
-            reached = form.solver().fwdkin(q)
-            np.testing.assert_allclose(reached[:3, 3], chain.forward(q).position, atol=1e-9)
-
-
 def test_a_position_within_reach_in_no_such_orientation_says_so():
     rng = np.random.default_rng(8)
     stretched = UR.chain.forward([0.0, 0.0, 0.2, 0.0, 0.3, 0.0])
@@ -197,12 +179,3 @@ def test_a_position_within_reach_in_no_such_orientation_says_so():
             seen.add(type(error))
             assert "whatever the joint ranges; its position can, turn the target" in str(error)
     assert seen == {UnreachableOrientationError}
-
-
-def test_what_a_search_does_not_find_is_not_called_impossible():
-    error = NotFoundError(12, 0.5, 0.003, 0.02, "with a1 at 3.0 it would be")
-    assert str(error).startswith(
-        "no joint solution was found in the time given (0.5 s, 12 starting points); it may still be"
-    )
-    assert "3.000 mm" in str(error) and "with a1 at 3.0" in str(error)
-    assert "attempt" not in str(NotFoundError(0, 0.5, math.inf, math.inf))

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
-import subprocess
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-import yaml
 from foreign_packages import BOXES, JOINTS, lay_out, robot_yaml
 
 from construction_twin.core.errors import ConfigurationError
@@ -21,7 +19,6 @@ from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.collision_world import CollisionWorld, Contact
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.self_collision import SelfCollision
-from construction_twin.scene.self_collision_command import main as self_collision
 
 
 @pytest.fixture
@@ -89,12 +86,6 @@ def test_an_argument_that_the_xacro_does_not_have_is_refused_with_those_it_has(x
     assert "['prefix', 'reach']" in error.expected
 
 
-@pytest.mark.parametrize("text", ["prefix", "=left_", "prefix='left_"])
-def test_what_is_no_argument_is_refused(text):
-    with pytest.raises(ConfigurationError, match="robot_xacro_args: .*name=value"):
-        xacro_arguments(text)
-
-
 @pytest.mark.parametrize(
     "text, arguments",
     [
@@ -141,24 +132,3 @@ def test_a_mesh_that_is_not_there_names_its_link(xacro, tmp_path, uri, expected)
         RobotBodies(robot)
     assert caught.value.where.startswith("URDF link link_1 collision mesh")
     assert caught.value.expected.startswith(expected.format(src=tmp_path / "src"))
-
-
-@pytest.mark.parametrize("scheme", ["file://", ""])
-def test_meshes_may_be_named_by_absolute_paths(xacro, tmp_path, scheme):
-    macro = xacro.with_name("kr210l150_macro.xacro")
-    here = f"{scheme}{tmp_path}/src/kuka_experimental/kuka_kr210_support/"
-    macro.write_text(macro.read_text().replace("package://kuka_kr210_support/", here))
-    assert len(RobotBodies(read_robot_files(xacro, robot_yaml(tmp_path))).bodies) == len(BOXES)
-
-
-@pytest.mark.parametrize("file", ["bringup", "experiment"])
-def test_bringup_passes_the_arguments_on(xacro, tmp_path, file):
-    description, pairs = str(robot_yaml(tmp_path, "left_")), str(tmp_path / "pairs.yaml")
-    self_collision([str(xacro), description, pairs, "--samples", "20", "--robot-xacro-args", "prefix=left_"])
-    run = subprocess.run(
-        ["roslaunch", "--dump-params", "construction_twin", f"{file}.launch", f"robot_xacro:={xacro}",
-         f"robot_config:={description}", f"self_collision:={pairs}", "robot_xacro_args:=prefix='left_'", "robot:=kr210"],
-        capture_output=True, text=True, timeout=120,
-    )  # fmt: skip
-    assert run.returncode == 0, run.stderr
-    assert movable(yaml.safe_load(run.stdout)["/kr210/robot_description"]) == [f"left_{name}" for name in JOINTS]

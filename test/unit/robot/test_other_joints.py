@@ -23,7 +23,7 @@ from construction_twin.ros.shared.robot_frames import RobotFrames
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.collision_world import CollisionWorld, Contact
 from construction_twin.scene.objects import Scene, SceneObject
-from construction_twin.scene.self_collision import SelfCollision, sample_self_collision
+from construction_twin.scene.self_collision import SelfCollision
 
 DATA = ROOT / "test" / "data"
 XACRO, YAML = DATA / "ur_like_gripper.urdf.xacro", DATA / "ur_like_gripper.yaml"
@@ -112,13 +112,6 @@ def test_limits_and_leaders_that_are_missing_are_named():
     assert "a joint that does not follow it" in str(refused(both))
 
 
-def test_a_continuous_joint_needs_no_limits_and_a_floating_one_takes_no_value():
-    assert gripper(changed("hinge", type="continuous", limit=None), hinge=7.0).other_joints[2].position == 7.0
-    floating = changed("hinge", type="floating", limit=None)
-    assert gripper(floating).other_joints[2] == OtherJoint("hinge", "floating", 0.0, "")
-    assert refused(floating, hinge=0.1).expected == "no value: a floating joint stands at zero"
-
-
 def test_home_pose_of_the_yaml_names_them_for_the_twin_s_frames():
     assert home_positions(YAML) == dict(zip(ur_like().joint_names, ur_like().home)) | {"slide_left": 0.03}
 
@@ -183,27 +176,3 @@ def test_open_fingers_touch_what_closed_ones_do_not():
     pair = Contact(("finger_left", "part"))
     assert pair not in closed.contacts(robot.home)
     assert pair in wide.contacts(robot.home)
-
-
-def test_fingers_are_among_the_pairs_of_the_arm_with_itself():
-    robot = read_robot_files(XACRO, YAML)
-    links = {link for pair in sample_self_collision(robot, samples=200).ignored for link in pair}
-    world = CollisionWorld(robot, Scene(), sample_self_collision(robot, samples=200))
-    touched = {link for q in poses(robot, 400) for contact in world.contacts(q) for link in contact.between}
-    assert {"finger_left", "finger_right"} <= links | touched
-    assert {"finger_left", "finger_right"} & touched
-
-
-def poses(robot: RobotModel, count: int) -> np.ndarray:
-    return np.random.default_rng(1).uniform(robot.lower, robot.upper, (count, len(robot.lower)))
-
-
-def test_a_joint_below_the_base_moves_the_base_in_the_world():
-    urdf = expand_xacro(DATA / "ur_like.urdf").replace(
-        '<link name="base_link"/>',
-        '<link name="base_link"/><link name="lift_foot"/><joint name="lift_column" type="prismatic"><parent link="lift_foot"/>'
-        '<child link="base_link"/><axis xyz="0 0 1"/><limit lower="0" upper="1" velocity="1" effort="1"/></joint>',
-    )
-    description = yaml.safe_load((DATA / "ur_like.yaml").read_text())
-    robot = load_robot(urdf, description | {"other_joints": {"lift_column": 0.7}})
-    np.testing.assert_allclose(RobotBodies(robot).root_T_base.translation, (0.0, 0.0, 0.7), atol=1e-12)

@@ -13,9 +13,8 @@ import yaml
 from simulation import SimulatedChain
 
 from construction_twin.core.limits import MotionLimits
-from construction_twin.core.units import from_wire, radians, to_wire
+from construction_twin.core.units import radians
 from construction_twin.evaluation.report import write_report
-from construction_twin.evaluation.summary import evaluate
 from construction_twin.gateway.states import State
 from construction_twin.gateway.trace import TraceEntry
 from construction_twin.mock.program import MockSettings, build_controller
@@ -135,12 +134,6 @@ def test_the_evaluation_keeps_metres_and_radians_apart(tmp_path):
     assert {path.name for path in report.files} >= {"figure8.png", "figure9.png"}
 
 
-def test_the_lag_is_the_same_as_without_a_track():
-    chain = make_chain({}, 6)
-    play(chain, GOAL)
-    assert evaluate(chain.recording()).lag_ns == pytest.approx(8e6, abs=100.0)
-
-
 def test_limits_tell_m_from_rad():
     limits = MotionLimits.of(ROBOT)
     assert limits.linear == (True, *(False,) * 6)
@@ -151,10 +144,3 @@ def test_limits_tell_m_from_rad():
         == "track: velocity check failed: 3000 mm/s against 2500 mm/s"
     )
     assert "deg/s" in str(limits.refused("velocity", 1, 3.0, 2.5, "/s"))
-
-
-def test_units_go_both_ways():
-    values = (612.3, 11.0, -62.0, 73.0, 24.0, 55.0, -36.0)
-    assert to_wire(from_wire(values, ROBOT.linear), ROBOT.linear) == pytest.approx(values, abs=1e-12)
-    with pytest.raises(ValueError):
-        from_wire(values[:6], ROBOT.linear)

@@ -48,14 +48,6 @@ class TestSample:
             assert np.array_equal(qd, motion.velocities[row])
             assert np.array_equal(qdd, motion.accelerations[row])
 
-    def test_meets_the_next_waypoint_just_before_it(self):
-        motion = trajectory()
-        for row, t in ((1, 0.5), (2, 2.0)):
-            q, qd, qdd = motion.sample(math.nextafter(t, 0.0))
-            np.testing.assert_allclose(q, motion.positions[row], atol=1e-12)
-            np.testing.assert_allclose(qd, motion.velocities[row], atol=1e-12)
-            np.testing.assert_allclose(qdd, motion.accelerations[row], atol=1e-11)
-
     def test_reproduces_any_quintic(self):
         coefficients = np.random.default_rng(1).normal(size=(2, 6))
         motion = polynomial_trajectory(coefficients, np.array([0.0, 0.3, 0.35, 1.1]))
@@ -84,13 +76,6 @@ class TestSample:
     def test_refuses_nan(self):
         with pytest.raises(TrajectoryError, check=says("motion.trajectory.time_nan")):
             trajectory().sample(math.nan)
-
-    def test_returns_copies(self):
-        motion = trajectory()
-        for t in (-1.0, 0.0, 0.2, 2.0, 3.0):
-            for values in motion.sample(t):
-                values += 1.0
-        assert np.array_equal(motion.sample(2.0)[0], [2.0, -1.0])
 
     def test_many_equals_one_by_one(self):
         motion = trajectory()
@@ -130,15 +115,6 @@ class TestValidation:
         with pytest.raises(TrajectoryError, match=message):
             trajectory(**changes)
 
-    def test_arrays_are_copied_and_read_only(self):
-        positions = np.zeros((3, 2))
-        motion = trajectory(positions=positions)
-        positions[0, 0] = 7.0
-        assert motion.positions[0, 0] == 0.0
-        for name in ("times", "positions", "velocities", "accelerations"):
-            with pytest.raises(ValueError, match="read-only"):
-                getattr(motion, name)[0] = 1.0
-
     def test_times_are_whole_nanoseconds(self):
         motion = trajectory(times=[0.0, 1 / 3, 2 / 3])
         assert motion.times.tolist() == [0.0, 333333333 / 1e9, 666666667 / 1e9]
@@ -166,10 +142,6 @@ class TestPlan:
     def test_refuses_another_trajectory_s_hash(self):
         with pytest.raises(TrajectoryError, check=says("motion.trajectory.hash", plan="p1", hash="abc")):
             plan(hash="abc")
-
-    def test_refuses_an_empty_id(self):
-        with pytest.raises(TrajectoryError, check=says("motion.trajectory.no_id")):
-            plan(id="")
 
     def test_takes_another_trajectory_only_with_its_hash(self):
         other = trajectory(times=[0.0, 0.6, 2.0])

@@ -139,20 +139,6 @@ def test_more_verdicts_than_may_wait_are_refused_counted_and_answered(bench):
     assert bench.made.refused == {"format": 1, "busy": 2} and [answer["ok"] for answer in answers] == [False] * 3
 
 
-@pytest.mark.parametrize("error", [TransportTerminated("x"), ConnectionResetError("x"), rospy.ServiceException("x")])
-def test_an_executor_that_goes_away_during_the_call_is_told(bench, error):
-    bench.error = error
-    bench.carry_out()
-    answer = json.loads(bench.client.published[-1][1])
-    assert not answer["ok"] and "/kr120/review_plan does not answer: x" in answer["reason"]
-
-
-def test_a_verdict_that_was_carried_out_is_answered_and_counted(bench):
-    bench.carry_out()
-    assert json.loads(bench.client.published[-1][1])["ok"]
-    assert bench.acts.report() == {"verdicts taken": 1}
-
-
 def test_what_its_screen_had_shown_goes_to_the_executor_with_it_and_that_it_was_too_old_comes_back(bench):
     bench.answer = ReviewPlanResponse(False, "the approval is too old", True)
     bench.carry_out()
@@ -168,22 +154,6 @@ def test_on_a_site_a_verdict_in_no_name_is_refused_and_told_where_it_belongs(mon
     answer = json.loads(site.client.published[-1][1])
     assert not answer["ok"] and "publish it on review/<account>" in answer["reason"]
     assert site.made.refused == {"sender": 1}
-
-
-@pytest.mark.parametrize("account", ["", "kr120-reviewer-ada"])
-def test_a_verdict_that_cannot_be_read_is_answered_to_the_account(bench, account):
-    bench.deliver(f"review/{account}" if account else "review", b"{}")
-    answer = json.loads(bench.client.published[-1][1])
-    assert answer.pop("reason")
-    assert answer == {
-        "plan_id": "",
-        "plan_hash": "",
-        "verdict": "",
-        "reviewer": account,
-        "account": account,
-        "ok": False,
-        "expired": False,
-    }
 
 
 #: What is refused, and what its answer repeats all the same.
@@ -226,27 +196,6 @@ def test_the_answer_names_what_it_answers(bench, account, reviewer):
         "reason": "approved",
         "expired": False,
     }
-
-
-def test_who_floods_with_what_cannot_be_read_is_not_always_answered_and_a_verdict_is(bench):
-    for _ in range(100):
-        bench.deliver("review/kr120-reviewer-ada", b"{")
-    answered = len(bench.client.published)
-    assert 10 <= answered < 100 and bench.made.refused == {"format": 100}
-    assert bench.acts.report() == {"verdicts malformed, not answered": 100 - answered}
-    # nobody else's answers wait for that, and nothing that can be read does
-    bench.deliver("review/kr120-reviewer-bob", b"{")
-    assert json.loads(bench.client.published[-1][1])["account"] == "kr120-reviewer-bob"
-    for _ in range(WAITING + 50):
-        bench.verdict()
-    assert len(bench.client.published) == answered + 1 + 50
-
-
-def test_on_a_site_a_verdict_in_no_name_is_answered_as_often_as_it_comes(monkeypatch):
-    site = Bench(SITE)
-    for _ in range(100):
-        site.verdict()
-    assert len(site.client.published) == 100 and site.made.refused == {"sender": 100}
 
 
 def reviews(bench):
@@ -458,14 +407,6 @@ def test_what_starts_something_is_pressed_by_several_people_at_once(pressing, hu
     assert not pressing.made.refused
 
 
-def test_a_resume_that_was_too_old_is_told(pressing):
-    pressing.services[RESUME].success, pressing.services[RESUME].expired = False, True
-    press(pressing, "resume", "7")
-    wait_until(lambda: acks(pressing, "pause"), what="an answer")
-    (answer,) = acks(pressing, "pause")
-    assert (answer["id"], answer["ok"], answer["expired"]) == ("7", False, True)
-
-
 @pytest.mark.parametrize("verb", [STOP, PAUSE])
 def test_a_stop_and_a_pause_are_carried_out_and_answered_as_often_as_they_come(pressing, verb):
     for _ in range(3):
@@ -502,13 +443,6 @@ def test_answers_are_no_presses(pressing):
     press(pressing, "stop", account="ack")
     press(pressing, "pause", account="ack")
     assert not pressing.client.published and not pressing.made.refused
-
-
-def test_more_than_may_wait_are_refused_and_answered(bench):
-    for number in range(WAITING + 2):
-        press(bench, "pause", str(number))
-    assert bench.made.refused == {"busy": 2}
-    assert [answer["ok"] for answer in acks(bench, "pause")] == [False] * 2
 
 
 @pytest.mark.parametrize("error", [TransportTerminated("x"), rospy.ServiceException("x"), rospy.ROSException("x")])
@@ -575,14 +509,6 @@ def test_a_session_is_asked_for_in_the_name_of_the_account(pressing, verb):
     assert pressing.pressed == [verb], "QoS 1 may deliver twice"
 
 
-@pytest.mark.parametrize("verb", [RESET, ARM])
-@pytest.mark.parametrize("payload, retain", [(b'{"id": "1"}', False), (b"{}", False), (None, True)])
-def test_a_session_is_asked_for_with_a_moment_and_never_stored(pressing, verb, payload, retain):
-    press(pressing, verb, payload=payload, retain=retain)
-    wait_until(lambda: acks(pressing, verb), what="an answer")
-    assert not acks(pressing, verb)[0]["ok"] and pressing.pressed == []
-
-
 def test_a_stop_waits_for_no_reset(pressing):
     pressing.services[RESET].free.clear()
     press(pressing, RESET)
@@ -632,14 +558,6 @@ def test_an_answer_to_what_was_shown_long_ago_is_void(pressing, monkeypatch):
     (answer,) = acks(pressing, "answer")
     assert (answer["ok"], answer["expired"], asked) == (False, True, [])
     assert pressing.made.refused == {"too_old": 1}
-
-
-@pytest.mark.parametrize("missing", sorted(ANSWER))
-def test_an_answer_names_everything(pressing, monkeypatch, missing):
-    asked = answering(pressing, monkeypatch)
-    pressing.deliver("answer/ada", json.dumps({key: ANSWER[key] for key in ANSWER if key != missing}).encode())
-    wait_until(lambda: acks(pressing, "answer"), what="an answer")
-    assert not acks(pressing, "answer")[0]["ok"] and asked == []
 
 
 def limiting(bench, expired=False):
@@ -692,23 +610,6 @@ def test_a_lower_limit_waits_for_no_raise(pressing):
     free.set()
 
 
-@pytest.mark.parametrize(
-    "payload, retain, reason",
-    [
-        (b'{"id": "1", "limit": 0.3}', True, "retained"),
-        (b'{"id": "1", "limit": 0}', False, "values"),
-        (b'{"id": "1"}', False, "format"),
-        (b"{", False, "format"),
-        (b" " * 300, False, "size"),
-    ],
-)
-def test_a_speed_limit_that_is_not_as_described_is_refused_counted_and_answered(pressing, payload, retain, reason):
-    asked, _ = limiting(pressing)
-    pressing.deliver("lower_speed/dora", payload, retain)
-    assert [(answer["ok"], answer["limit"]) for answer in acks(pressing, "speed")] == [(False, 0.0)]
-    assert asked == [] and pressing.made.refused == {reason: 1}
-
-
 OVERRIDE = {
     "plan_id": "p1",
     "plan_hash": "cafe",
@@ -749,13 +650,6 @@ def test_an_override_that_lacks_a_reason_or_what_was_seen_or_that_is_no_approval
     bench.acts.queues["approve"].run()
     bench.acts.queues["reject"].run()
     assert len(bench.made.refused) == 1 and not bench.asked
-
-
-def test_an_override_in_spite_of_no_result_says_so(bench):
-    bench.deliver("override_rehearsal/kr120-lead-eva", json.dumps(OVERRIDE | {"rehearsal_hash": ""}).encode())
-    bench.acts.queues["approve"].run()
-    (asked,) = bench.asked
-    assert (asked["override_rehearsal"], asked["rehearsal_hash"]) == (True, "")
 
 
 def test_what_comes_on_review_overrides_nothing(bench):

@@ -27,7 +27,6 @@ from construction_twin.core.motion_errors import SceneError
 from construction_twin.link.requests import Joints
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
-from construction_twin.mqtt.requests import NAMELESS_TRAJECTORY
 from construction_twin.robot.plan import Clearance
 from construction_twin.ros.console import endpoint, requests
 from construction_twin.ros.console.endpoint import Connection
@@ -307,44 +306,6 @@ def test_a_trajectory_becomes_a_plan_and_the_sender_is_told_its_id(bench):
          "plan_hash": "cafe", "duration": 2.75, "notes": []}
     ]  # fmt: skip
     assert bench.desk.counts == {"trajectories under review": 1, "trajectories waiting": 0}
-
-
-def test_who_floods_with_what_cannot_be_read_is_not_always_answered_and_a_motion_is(bench):
-    for _ in range(100):
-        bench.deliver("trajectory/from/kr120-planner-ada", b"{")
-    answered = len(bench.answers)
-    assert 10 <= answered < 100 and len(bench.refused) == 100
-    assert bench.desk.counts["trajectories malformed, not answered"] == 100 - answered
-    bench.send("kr120-planner-ada")
-    bench.desk.queue.run()
-    assert bench.answers[-1]["ok"] and len(bench.answers) == answered + 1
-
-
-def test_a_planner_that_is_gone_is_told_and_the_node_goes_on(bench):
-    planned, bench.planner.answer = bench.planner.answer, rospy.ServiceException("connection refused")
-    bench.send()
-    bench.desk.queue.run()
-    assert "/kr120/plan_trajectory does not answer: connection refused" in bench.answers[0]["reason"]
-    bench.planner.answer = planned
-    bench.steady += NAMELESS_TRAJECTORY.pace.seconds
-    bench.send(id="8")
-    bench.desk.queue.run()
-    assert bench.answers[1]["ok"]
-
-
-def test_an_answer_that_cannot_be_sent_is_counted_and_ends_no_node_that_has_stops_to_carry_out(bench, monkeypatch):
-    def fail(*_given, **_named):
-        raise RuntimeError("nobody foresaw this")
-
-    bench.send()
-    with monkeypatch.context() as broken:
-        broken.setattr(bench.client, "publish", fail)
-        bench.desk.queue.run()
-    assert "nobody foresaw this" in bench.connection.side_effects.sentence
-    bench.steady += NAMELESS_TRAJECTORY.pace.seconds
-    bench.send(id="8")
-    bench.desk.queue.run()
-    assert bench.answers[-1]["ok"]
 
 
 def test_times_that_were_replaced_are_told_with_both_durations_and_the_reason(bench):

@@ -6,12 +6,10 @@ import importlib
 import io
 import math
 import struct
-import sys
 from pathlib import Path
 
 import genpy
 import pytest
-from actionlib_msgs.msg import GoalID
 from executor_bench import ROBOT
 from sentence_checks import says
 from trajectory_msgs.msg import JointTrajectoryPoint
@@ -19,7 +17,6 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 from construction_twin.core.errors import ConfigurationError, GoalError, GoalJointsError
 from construction_twin.execution.joint_tolerances import Tolerances
 from construction_twin.execution.tracking import Motion, Sample
-from construction_twin.execution.trajectory_goals import ResultCode
 from construction_twin.ros.messages.joint_goals import GoalDefaults, control_messages, fill_feedback, trajectory_goal
 
 #: md5 sums of control_msgs 1.5 of ROS Noetic, as published in bindings that were generated from it for other languages.
@@ -86,39 +83,6 @@ def definition(kind: type) -> list[str]:
     return kind._full_text.split("=" * 80)[0].splitlines()
 
 
-def test_a_goal_is_these_bytes():
-    goal = MESSAGES.FollowJointTrajectoryActionGoal()
-    goal.header.seq, goal.header.stamp = 7, genpy.Time(1, 2)
-    goal.goal_id = GoalID(genpy.Time(3, 4), "/client-1-3.4")
-    goal.goal.trajectory.header.frame_id = "base_link"
-    goal.goal.trajectory.joint_names = ["joint_a1", "joint_a2"]
-    goal.goal.trajectory.points = [
-        JointTrajectoryPoint(
-            positions=[0.1, 0.2], velocities=[0.0, -1.5], time_from_start=genpy.Duration(1, 500_000_000)
-        )
-    ]
-    goal.goal.path_tolerance = [MESSAGES.JointTolerance("joint_a1", 0.01, 0.0, -1.0)]
-    goal.goal.goal_time_tolerance = genpy.Duration(0, 250_000_000)
-    expected = (
-        header(7, 1, 2) + struct.pack("<2I", 3, 4) + string("/client-1-3.4")
-        + header(0, 0, 0, "base_link") + struct.pack("<I", 2) + string("joint_a1") + string("joint_a2")
-        + struct.pack("<I", 1) + point([0.1, 0.2], [0.0, -1.5], 1, 500_000_000)
-        + struct.pack("<I", 1) + string("joint_a1") + struct.pack("<3d", 0.01, 0.0, -1.0)
-        + struct.pack("<I", 0) + struct.pack("<2i", 0, 250_000_000)
-    )  # fmt: skip
-    assert written(goal) == expected
-    assert MESSAGES.FollowJointTrajectoryActionGoal().deserialize(expected) == goal
-
-
-def test_a_result_is_these_bytes():
-    result = MESSAGES.FollowJointTrajectoryActionResult()
-    result.status.goal_id.id, result.status.status, result.status.text = "g", 4, "why"
-    result.result = MESSAGES.FollowJointTrajectoryResult(int(ResultCode.PATH_TOLERANCE_VIOLATED), "off its path")
-    expected = header(0, 0, 0) + struct.pack("<2I", 0, 0) + string("g") + b"\x04" + string("why")
-    expected += struct.pack("<i", -4) + string("off its path")
-    assert written(result) == expected
-
-
 def test_feedback_is_these_bytes_in_the_order_of_the_goal_s_joints():
     feedback = MESSAGES.FollowJointTrajectoryFeedback(joint_names=["joint_a2", "joint_a1"])
     desired = Motion((0.5, 1.0), (0.25, 0.0), (0.0, 0.0))
@@ -173,19 +137,6 @@ def test_a_time_tolerance_outside_of_its_range_is_refused(seconds):
         trajectory_goal(goal_of(goal_time_tolerance=genpy.Duration(seconds)), "g", "/client", ROBOT, DEFAULTS)
     longest = goal_of(goal_time_tolerance=genpy.Duration(600))
     assert trajectory_goal(longest, "g", "/client", ROBOT, DEFAULTS).time_tolerance == 600.0
-
-
-def test_without_control_msgs_one_sentence_says_what_to_do(monkeypatch):
-    monkeypatch.setitem(sys.modules, "control_msgs.msg", None)
-    monkeypatch.setitem(sys.modules, "control_msgs", None)
-    with pytest.raises(ConfigurationError) as caught:
-        control_messages()
-    for words in (
-        "the Python package control_msgs: found",
-        "ros-noetic-control-msgs",
-        "cp -r $(rospack find construction_twin)/",
-    ):
-        assert words in str(caught.value)
 
 
 def test_a_control_msgs_of_another_kind_is_refused(monkeypatch):

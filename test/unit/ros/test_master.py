@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import socket
 import threading
 
 import pytest
-import rosgraph
 from ros_master import PID, Node, ros_master
 from sentence_checks import says
 
@@ -65,27 +63,6 @@ def test_another_node_on_the_port_of_one_that_was_killed_is_not_taken_for_it(mas
             expect_publisher("/kr120/execution")
     finally:
         other.end()
-
-
-def test_a_node_that_does_not_tell_its_name_counts_and_what_removes_it_is_said(master):
-    """Those of roscpp answer `getPid`, and know no `getName`."""
-    node = Node(master, "/kr120/robot_state_publisher")
-    node.server.funcs.pop("getName")
-    (said,) = map(str, running(["/kr120/robot_state_publisher"], master))
-    node.end()
-    assert said.startswith(
-        "/kr120/robot_state_publisher on 127.0.0.1, process 4711 (which tells no name; if it has ended, "
-    )
-
-
-def test_a_node_that_does_not_answer_may_live(master):
-    with socket.socket() as mute:
-        mute.bind(("127.0.0.1", 0))
-        mute.listen()
-        uri = f"http://127.0.0.1:{mute.getsockname()[1]}"
-        rosgraph.Master("/kr120/executor", master).registerPublisher("/t", "std_msgs/String", uri)
-        (said,) = map(str, running(["/kr120/executor"], master))
-    assert said == "/kr120/executor on 127.0.0.1 (does not answer; if it has ended, `rosnode cleanup` removes it)"
 
 
 def test_a_node_of_a_name_that_runs_already_does_not_take_its_place(master, monkeypatch):

@@ -127,20 +127,6 @@ def test_log_status_and_diagnostics_say_why_replies_are_refused_and_that_they_co
     assert sum(NO_STOP in line for line in node.lines) <= 2
 
 
-def test_what_exists_at_the_start_is_kept_out_of_later_collections(start):
-    before = gc.get_freeze_count()
-    node = start()
-    wait_until(lambda: node.statuses)
-    assert gc.get_freeze_count() > before + 10_000
-
-
-def test_by_default_a_driver_that_never_sends_stop_is_understood(start):
-    node = start()
-    wait_until(lambda: node.statuses and node.statuses[-1]["counters"]["without_stop"] >= 100)
-    assert node.statuses[-1]["counters"]["malformed"] == 0
-    assert not any("Stop" in line for line in node.lines)
-
-
 def test_a_stop_for_command_velocity_says_value_and_limit_in_log_status_and_diagnostics(start):
     node = start()
     wait_until(lambda: node.statuses and node.statuses[-1]["counters"]["replies"] >= 20)

@@ -132,20 +132,6 @@ def test_the_folder_can_be_moved_and_the_rest_of_bringup_given(tmp_path):
     assert given["robot"] == "renamed" and given["scene"].endswith("/config/scene.yaml")
 
 
-def test_arguments_of_a_xacro_reach_the_launch_file(tmp_path):
-    urdf = write_arm(tmp_path, ARMS[0]).read_text()
-    xacro = tmp_path / "arm.xacro"
-    xacro.write_text(
-        urdf.replace("<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ', 1)
-        .replace("<link", '<xacro:arg name="side" default="none"/>\n<link', 1)
-        .replace('"joint_1"', '"$(arg side)_joint_1"')
-    )
-    given = made(tmp_path / "made", xacro, "--tip", ARMS[0].tip, "--xacro-args", "side=left")
-    assert given["robot_xacro_args"] == "side=left"
-    robot = read_robot_files(given["robot_xacro"], given["robot_config"], given["robot_xacro_args"])
-    assert robot.joint_names[0] == "left_joint_1"
-
-
 def test_what_a_person_has_filled_in_is_not_written_over(tmp_path, capsys):
     urdf, folder = write_arm(tmp_path, ARMS[0]), tmp_path / "made"
     made(folder, urdf, "--tip", ARMS[0].tip)

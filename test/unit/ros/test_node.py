@@ -90,18 +90,6 @@ def test_an_unexpected_exception_ends_the_process(kind):
     assert ("answered: error processing request: injected" in ended.stdout) is (kind == "service")
 
 
-def test_a_log_line_that_a_full_disk_does_not_take_ends_nobody():
-    ended = run("""
-        import logging
-        from rosgraph.roslogging import RosStreamHandler
-        handler = RosStreamHandler(stdout=open("/dev/full", "w", buffering=1))
-        handler.emit(logging.LogRecord("rosout", logging.INFO, "node.py", 1, "plan p1 waits", None, None))
-        print("it goes on", flush=True)
-        raise PayloadError('values', 'nan')""")
-    assert "it goes on" in ended.stdout and ended.returncode == 1
-    assert "No space left on device" in ended.stderr and "plan p1 waits" in ended.stderr
-
-
 def test_a_typed_error_is_one_sentence():
     ended = run("raise PayloadError('values', 'nan')")
     assert ended.returncode == 1 and "cannot start: nan" in ended.stderr and "Traceback" not in ended.stderr
@@ -136,30 +124,6 @@ def test_ctrl_c_while_ros_is_initialised_is_no_traceback(asked):
     code = f"{BEGIN}\n{body}\nrospy.init_node = init_node\nrun_node('node', Node)\n"
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert (ended.returncode == 0, "Traceback" in ended.stderr) == (asked, not asked), ended.stderr
-
-
-def test_a_connection_that_is_lost_beside_a_living_master_is_no_known_end(monkeypatch):
-    monkeypatch.setenv("ROS_IP", "127.0.0.1")
-    with ros_master() as uri:
-        monkeypatch.setenv("ROS_MASTER_URI", uri)
-        ended = run("raise ConnectionResetError(104, 'Connection reset by peer')")
-    assert ended.returncode != 0 and "Traceback" in ended.stderr
-
-
-def test_while_ros_shuts_down_an_error_is_only_written_down(monkeypatch):
-    said = []
-    monkeypatch.setattr(rospy.core, "is_shutdown_requested", lambda: True)
-    monkeypatch.setattr(rospy, "logfatal", lambda *words: said.append(words[0] % words[1:]))
-    monkeypatch.setattr(rospy, "get_name", lambda: "/node")
-    monkeypatch.setattr(module, "os", SimpleNamespace(_exit=lambda code: pytest.fail("ended")))
-    error = ValueError("closed")
-    module.end_on_error(threading.ExceptHookArgs((ValueError, error, None, threading.current_thread())))
-    assert len(said) == 1 and "during shutdown" in said[0]
-
-
-def test_a_thread_may_end_itself(monkeypatch):
-    monkeypatch.setattr(module, "os", SimpleNamespace(_exit=lambda code: pytest.fail("ended")))
-    module.end_on_error(threading.ExceptHookArgs((SystemExit, SystemExit(0), None, threading.current_thread())))
 
 
 def free_port() -> int:
@@ -299,20 +263,6 @@ run_node("node", Node)
             held.server.shutdown()
             held.server.server_close()
         assert "/t" not in dict(rosgraph.Master("/test", uri).getPublishedTopics("")), "it has unregistered"
-
-
-def test_ctrl_c_while_a_node_is_loaded_is_no_traceback(started):
-    process, said = started("planner", {"ROS_MASTER_URI": "http://127.0.0.1:1"})
-    wait_for(lambda: "libpinocchio" in Path(f"/proc/{process.pid}/maps").read_text(), "the imports to be under way")
-    process.send_signal(signal.SIGINT)
-    process.wait(60.0)
-    assert said.read_text() == ""
-
-
-@pytest.mark.parametrize("file", sorted((ROOT / "nodes").iterdir()), ids=lambda file: file.name)
-def test_every_program_takes_ctrl_c_before_it_imports_the_package(file):
-    text = file.read_text()
-    assert text.index("signal.signal(signal.SIGINT, signal.SIG_DFL)") < text.index("from construction_twin")
 
 
 def test_no_address_of_a_master_is_one_sentence(started):

@@ -10,7 +10,6 @@ import pydantic
 import pytest
 import rospy
 from chain_samples import ROBOT
-from construction_twin.msg import Feedback
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, SetBoolRequest, SetBoolResponse, Trigger, TriggerRequest
 from unplugged import Unplugged
@@ -18,8 +17,7 @@ from unplugged import Unplugged
 from construction_twin.core.errors import ConfigurationError, PoseUnknownError
 from construction_twin.ros import nodes
 from construction_twin.ros.shared import node_shell as module
-from construction_twin.ros.shared import ports
-from construction_twin.ros.shared.diagnostics import OK, WARN, Report
+from construction_twin.ros.shared.diagnostics import OK, Report
 from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.ports import (
@@ -179,53 +177,3 @@ def test_a_typed_error_of_a_handler_becomes_an_answer_and_is_counted_and_written
     # counted as what the service says, with the fields that it adds to a refusal
     assert found.services["set"](SetBoolRequest(False)) == SetBoolResponse(False, "False: no")
     assert [reason for reason, _ in found.refused] == ["PoseUnknownError", "setting"]
-
-
-def test_what_is_no_typed_error_is_nobody_s_answer(monkeypatch):
-    found = unplugged(monkeypatch)
-    with pytest.raises(AttributeError):
-        found.services["set"](None)
-    assert found.refused == []
-
-
-def test_a_topic_is_opened_as_it_is_declared(monkeypatch):
-    opened = []
-    monkeypatch.setattr(ports, "Publisher", lambda *given, **options: opened.append((*given, options)))
-    monkeypatch.setattr(ports, "Subscriber", lambda *given: opened.append(given))
-    monkeypatch.setattr(ports, "JointSubscriber", lambda *given: opened.append(given))
-    Publication("said", String, 3, latch=True, tcp_nodelay=True).open(ROBOT)
-    Subscription("word", String, Node.on_word, 2, tcp_nodelay=True).open(print, ROBOT, repr)
-    PoseSubscription("pose", Node.on_pose, 1, Feedback, 0.02).open(print, ROBOT, repr)
-    assert opened == [
-        ("said", String, 3, {"latch": True, "tcp_nodelay": True}),
-        ("word", String, print, repr, 2, True),
-        ("pose", ROBOT.joint_names, print, repr, 1, Feedback, 0.02),
-    ]
-
-
-def test_a_topic_that_is_heard_no_more_has_no_publishers(monkeypatch):
-    found = unplugged(monkeypatch)
-    found.node.ports.stop_hearing("word")
-    assert "word" not in found.callbacks and found.node.ports.connections("word") == 0
-
-
-def test_the_node_reports_once_it_is_there(monkeypatch):
-    before = []
-
-    def start(settings: Settings, robot, ports: Ports) -> Node:
-        before.append(Unplugged.report())
-        return Node(settings, robot, ports)
-
-    found = Unplugged(monkeypatch, NodeShell("fast", Settings, start, INTERFACE), Settings(rate=2.0), ROBOT)
-    assert before == [Report(WARN, "this node starts")] and found.report() == Report(OK, "heard 0")
-
-
-@pytest.mark.parametrize("name", sorted(shells()))
-def test_a_node_declares_each_name_once(name):
-    interface = shells()[name].interface
-    for names in (
-        [each.topic for each in interface.publishes],
-        [each.topic for each in (*interface.reads, *interface.hears)],
-        [each.name for each in interface.serves],
-    ):
-        assert len(names) == len(set(names))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 from io import BytesIO
 
 import pytest
@@ -15,7 +14,6 @@ from rospy.msg import deserialize_messages, serialize_message
 from sensor_msgs.msg import JointState
 
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.ros.transport import joint_stream
 from construction_twin.ros.transport.joint_stream import JointSubscriber, PoseMessage, to_time
 
 NAMES = ("joint_a1", "joint_a2", "gelenk_\u00e4")
@@ -66,19 +64,6 @@ class TestWire:
         data = on_wire(message.sent(stamp, q, seq, command_stamp))
         assert data == on_wire(feedback(stamp, q, seq, command_stamp))
         assert from_wire(data, message.received).content == (stamp, q, seq, command_stamp)
-
-    def test_rospy_takes_it_for_the_type_that_it_is(self):
-        for kind in (JointState, Feedback):
-            message = PoseMessage(kind, NAMES)
-            sent = message.sent(0, (0.0,) * 3)
-            assert isinstance(sent, kind) and issubclass(message.received, kind)
-            assert sent._type == message.received._type == kind._type
-            assert sent._md5sum == message.received._md5sum == kind._md5sum
-
-    def test_two_topics_number_their_messages_apart(self):
-        first, second = PoseMessage(JointState, NAMES), PoseMessage(JointState, NAMES)
-        one, other = first.sent(1, (0.0,) * 3), second.sent(1, (0.0,) * 3)
-        assert on_wire(one, 5)[4:8] == struct.pack("<I", 5) and on_wire(other, 9)[4:8] == struct.pack("<I", 9)
 
     @pytest.mark.parametrize("q", [(1.0, 2.0), (1.0, 2.0, 3.0, 4.0), (1.0, 2.0, None), (1.0, 2.0, "3")])
     def test_a_pose_that_is_none_is_not_sent(self, q):
@@ -187,28 +172,3 @@ class TestSubscriber:
         topic = Topic(monkeypatch)
         topic.hear(joint_state(5, (1.0, 2.0, 3.0) if "position" not in OTHERS[case] else (), **OTHERS[case]))
         assert topic.poses == [] and topic.refused == ["names"]
-
-    def test_hears_one_node_only_where_one_is_named(self, monkeypatch):
-        topic = Topic(monkeypatch, topic="next/joint_states")
-        sent = PoseMessage(JointState, NAMES).sent(5, (1.0, 2.0, 3.0))
-        topic.hear(sent, "/stranger")
-        topic.hear(sent)
-        assert topic.refused == ["publisher"] and "/stranger" in topic.sentence and len(topic.poses) == 1
-
-    def test_looks_away_after_each_message_where_that_is_wanted(self, monkeypatch):
-        pauses = []
-        monkeypatch.setattr(joint_stream.time, "sleep", pauses.append)
-        topic = Topic(monkeypatch)
-        message = from_wire(on_wire(PoseMessage(JointState, NAMES).sent(5, (1.0, 2.0, 3.0))), JointState)
-        message = from_wire(on_wire(message), PoseMessage(JointState, NAMES).received)
-        message._connection_header = {"callerid": "/twin"}
-        for pause in (0.0, 0.02):
-            JointSubscriber("t", NAMES, lambda *_: None, print, queue_size=1, pause=pause)
-            topic.receive(message)
-        assert pauses == [0.02]
-
-
-class TestNow:
-    def test_is_the_wall_clock(self, monkeypatch):
-        monkeypatch.setattr(joint_stream.time, "time_ns", lambda: 123)
-        assert joint_stream.now_ns() == 123

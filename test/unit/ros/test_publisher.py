@@ -106,20 +106,6 @@ def test_a_subscriber_that_is_gone_is_reported_to_rospy(line):
         line.connection.write_data(b"abc")
 
 
-def test_a_subscriber_that_goes_while_messages_wait_is_reported_at_a_later_call(line):
-    fill(line)
-    line.subscriber.close()
-    with pytest.raises((TransportTerminated, OSError)):
-        for _ in range(10_000_000):
-            line.connection.write_data(b"abc")
-
-
-def test_what_rospy_asks_of_a_connection_is_answered_by_the_transport(line):
-    assert line.connection.fileno() == line.transport.fileno()
-    line.connection.write_data(b"abcd")
-    assert (line.connection.stat_bytes, line.connection.stat_num_msg) == (4, 1)
-
-
 @given(sizes=st.lists(st.integers(8, 9000), min_size=1, max_size=30), chunk=st.integers(1, 5000))
 def test_whatever_the_sizes_and_the_subscribers_pace_messages_stay_whole_and_in_order(sizes, chunk):
     line = Line(queue_size=100)
@@ -139,12 +125,3 @@ def test_whatever_the_sizes_and_the_subscribers_pace_messages_stay_whole_and_in_
         assert bytes(read) == expected
     finally:
         line.close()
-
-
-def test_closing_while_messages_wait_ends_the_thread_that_sends_them(line):
-    before = set(threading.enumerate())
-    fill(line)
-    (sender,) = set(threading.enumerate()) - before
-    line.transport.close()
-    sender.join(10.0)
-    assert not sender.is_alive()

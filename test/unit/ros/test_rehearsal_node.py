@@ -184,14 +184,6 @@ class TestWhatIsRehearsed:
 class TestAPlanThatTheExecutorRefuses:
     """It has superseded the one under review, which is taken up again."""
 
-    def test_while_it_waits(self, bench):
-        bench.hear_scene()
-        running = bench.begin("p1")
-        bench.hear_plan(plain_plan("p2"))
-        bench.hear_verdict("p2")
-        running.join(SOON)
-        assert bench.rehearsed == ["p1"]
-
     def test_while_it_is_rehearsed(self, bench):
         bench.hear_scene()
         bench.hear_plan(plain_plan("p1"))
@@ -291,11 +283,6 @@ class TestBroken:
         assert not running.is_alive() and bench.published == []
         bench.node.work(0.0)
         assert (bench.newest.plan_id, bench.newest.state) == ("p2", PASSED)
-
-    def test_a_plan_whose_scene_does_not_come_is_passed_on_without_it(self, bench):
-        bench.hear_plan(plain_plan())
-        bench.node.work(0.0)
-        assert bench.process.questions[0].scenes == {}
 
     def test_a_message_that_is_no_plan_is_refused_and_counted(self, bench):
         message = plan_to_msg(plain_plan(), "base_link", np.zeros((2, 3)))

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import subprocess
-import sys
 
 import imageio_ffmpeg
 import numpy as np
@@ -14,19 +11,16 @@ import pytest
 import rosbag
 import rospy
 from matplotlib.image import imread
-from physics_samples import ROOT, between
+from physics_samples import between
 from plan_samples import make_plan
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.physics import film
 from construction_twin.robot.plan import Plan
-from construction_twin.ros.commands.evaluate import package_file
 from construction_twin.ros.commands.rehearse import BROKEN, FAILED, PASSED, main
 from construction_twin.ros.messages.convert import plan_to_msg
 from construction_twin.scene.objects import Scene
 
-DATA = ROOT / "test/data"
-XACRO = "urdf/kr120_track.urdf.xacro"
 NAMES = ",".join(["time_s", *(f"joint_a{number}_deg" for number in range(1, 7))])
 WALL = """
 padding: 0.0
@@ -139,32 +133,6 @@ def test_the_video_lasts_as_long_as_the_rehearsal(plan, tmp_path, with_graphics,
     assert seconds == pytest.approx(frames / 5.0, abs=0.3)
 
 
-def as_a_process(plan, **changed: str) -> subprocess.CompletedProcess:
-    environment = {name: value for name, value in os.environ.items() if name != "ROS_MASTER_URI"} | changed
-    program = "import sys; from construction_twin.ros.commands.rehearse import main; sys.exit(main(sys.argv[1:]))"
-    return subprocess.run(
-        [sys.executable, "-c", program, str(plan)], env=environment, capture_output=True, text=True, timeout=120
-    )
-
-
-def test_it_needs_no_ros_master(plan):
-    done = as_a_process(plan)
-    assert done.returncode == PASSED, done.stderr
-    assert re.match(r"rehearsal of plan \w+: passed", done.stdout)
-
-
-def test_the_drives_of_another_arm_are_those_beside_its_file_or_none(tmp_path, capsys):
-    plan = tmp_path / "plan.csv"
-    plan.write_text(
-        "time_s,pan_deg,lift_deg,elbow_deg,wrist_1_deg,wrist_2_deg,wrist_3_deg\n0,0,-90,90,0,45,0\n3,9,-90,90,0,45,0\n"
-    )
-    files = {"xacro": ".urdf", "config": ".yaml"}
-    arm = [word for name, end in files.items() for word in (f"--robot-{name}", str(DATA / f"ur_like{end}"))]
-    arm += ["--self-collision", str(DATA / "ur_like_self_collision.yaml")]
-    assert main([str(plan), *arm]) == PASSED
-    assert "torques: URDF effort" in capsys.readouterr().out
-
-
 # -- of a bag
 
 
@@ -207,12 +175,3 @@ def test_a_plan_or_robot_that_the_bag_does_not_have_ends_with_2(bag, arguments, 
     assert main([str(bag), *arguments]) == BROKEN
     said = capsys.readouterr().err
     assert said.startswith("rehearse: ") and said.count("\n") == 1
-
-
-def test_a_plan_of_another_arm_ends_with_2(bag, capsys):
-    config = "config/kr120_track"
-    files = {"xacro": XACRO, "config": f"{config}.yaml"}
-    track = [word for option, file in files.items() for word in (f"--robot-{option}", str(package_file(file)))]
-    track += ["--self-collision", str(package_file(f"{config}_self_collision.yaml")), "--drives", "none"]
-    assert main([str(bag), *track]) == BROKEN
-    assert "plan p2" in capsys.readouterr().err

@@ -9,14 +9,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import rospy
-from construction_twin.msg import Sync
 from construction_twin.srv import ReviewPlanRequest, StopPlanRequest
 from executor_bench import make_plan
 from executor_world import World, records
 
 from construction_twin.core.errors import RecordError
 from construction_twin.core.side_effects import SideEffects
-from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution import executor as library
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.execution.playback import Playback, StopForecaster, StoppingForecast
@@ -25,7 +23,6 @@ from construction_twin.ros.nodes import executor as module
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.diagnostics import WARN
 
-STEPS = (-10.0, -1.0, -0.05, -0.021, 0.0, 0.021, 1.0, 10.0)
 ACTS = ("stop", "stop_plan", "pause", "reject")
 
 
@@ -88,17 +85,6 @@ def is_carried_out(world: World, which: str) -> None:
 
 def setpoints(world: World) -> list[tuple[float, ...]]:
     return [message[1] for name, message in world.said if name == "next/joint_states"]
-
-
-@pytest.mark.parametrize("step", STEPS)
-@pytest.mark.parametrize("which", ACTS)
-def test_with_a_wall_clock_that_was_set(world, which, step):
-    prepared(world, which)
-    world.wall += round(step * NANOSECONDS)
-    # a round trip between two clocks, as a recording or an old monitor tells it
-    world.node.on_sync(Sync(state=Sync.IN_SYNC, agreed=True, policy="replan", round_trip=0.02 + step, servo_lag=0.0))
-    assert act(world, which).success
-    is_carried_out(world, which)
 
 
 #: What reports, records or predicts: where it is, and the acts that come by it.

@@ -274,19 +274,6 @@ def test_on_a_full_disk_a_restart_raises_nothing(bench, monkeypatch):
     assert bench.speed.report().level == OK
 
 
-def test_a_first_limit_on_a_disk_that_was_full_from_the_start_is_the_least(monkeypatch, tmp_path):
-    with monkeypatch.context() as patch:
-        full(patch, tmp_path / "nothing")
-        bench = Bench(patch, tmp_path)
-        bench.later(1.0)
-        assert bench.limit == LEAST_SPEED and bench.speed.report().level == ERROR
-        answer = bench.sets(0.5, moment=bench.shown())
-        assert not answer.success and "No space left" in answer.message and answer.limit == LEAST_SPEED
-        bench.restart()
-        bench.later(1.0)
-        assert bench.limit == LEAST_SPEED
-
-
 @pytest.mark.parametrize("call", ["open", "write", "fsync"])
 def test_what_cannot_be_written_at_all_is_obeyed_only_falls_and_is_not_known_after_a_restart(bench, monkeypatch, call):
     def fail(*_):
@@ -345,20 +332,6 @@ def test_a_file_that_cannot_be_read_is_the_least_until_a_person_sets_another(ben
     assert bench.limit == 0.5 and json.loads(bench.file.read_text())["limit"] == 0.5
 
 
-def test_a_file_that_cannot_be_written_is_said_and_tried_again(bench, monkeypatch):
-    def fail(*_):
-        raise OSError(28, "No space left on device")
-
-    with monkeypatch.context() as broken:
-        broken.setattr(os, "write", fail)
-        bench.sets(0.3)
-        bench.speed.write()
-        report = bench.speed.report()
-        assert report.level == ERROR and "No space left" in report.sentence and bench.limit == 0.3
-    bench.speed.write()
-    assert bench.speed.report().level == OK and json.loads(bench.file.read_text())["limit"] == 0.3
-
-
 @pytest.mark.parametrize("said, holds", [(0.7, 0.1), (0.05, 0.05), (0.0, 0.0)])
 def test_a_program_that_was_heard_counts_as_silent_in_the_monitor_after_this_one(bench, said, holds):
     bench.says(said)
@@ -370,13 +343,3 @@ def test_a_program_that_was_heard_counts_as_silent_in_the_monitor_after_this_one
     # it is not taken for one that is heard: another one may come
     bench.says(0.9, "/other")
     assert bench.limit == 0.9
-
-
-def test_what_is_remembered_of_a_program_does_not_change_with_a_sensor(bench):
-    written = []
-    for number in range(10, 101):
-        bench.says(number / 100)
-        bench.later(0.05)
-        written.append(bench.server[PROGRAM])
-    wait_until(lambda: bench.server[PROGRAM] == "0.1 /kr120/separation", what="the memory")
-    assert set(written) <= {"", "0.1 /kr120/separation"}

@@ -135,20 +135,6 @@ def test_a_new_session_wakes_it_up(world):
     assert world.between(began + 1000 * MS, began + 1012 * MS)
 
 
-def test_a_silence_after_commands_by_a_clock_that_was_set_forward_is_none_of_the_twin(world):
-    """An executor that is started again begins on ROS time, which was set since the twin began."""
-
-    def restart() -> None:
-        world.wall += 5 * NANOSECONDS
-        world.offset += 5 * NANOSECONDS
-
-    began = world.play(5 * NANOSECONDS, [(0, 2000), (4000, 5000)], t1000=restart)
-    times = [at for at, _ in world.published if at >= began]
-    assert max(later - earlier for earlier, later in zip(times, times[1:])) < SILENCE + 3 * CYCLE_NS
-    stamps = [stamp for _, stamp in world.published]
-    assert stamps == sorted(set(stamps)) and len(world.between(began + 4000 * MS, world.steady)) >= 250
-
-
 @pytest.mark.parametrize("session", ["s1", "s2"])
 @pytest.mark.parametrize("step", [-5.0, -0.3, 0.3, 5.0])
 def test_a_wall_clock_that_is_set_is_of_no_account(world, step, session):
