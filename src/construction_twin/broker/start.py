@@ -18,12 +18,18 @@ import sys
 import time
 from pathlib import Path
 
+from construction_twin.core.command_line import Parser
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.network import listening_ports, port_is_free
 from construction_twin.core.realtime import request_realtime
 
 #: Not MQTT's 1883: Debian's package starts a mosquitto service of its own there.
 DEFAULT_PORT = 18830
+#: What a real arm is commanded by.
+ACCOUNTS = (
+    "accounts, with arm:=real: this broker lets in everybody, and every client could command the arm; make a site with make_site, "
+    "and give its accounts and its broker_config, or give anonymous_broker_is_meant:=true"
+)
 #: Longest time until a mosquitto on trial listens [s]: long, because a busy machine is no reason to refuse a start.
 TRIAL_TIME = 20.0
 #: Longest time until it has ended by itself [s]; then it is killed.
@@ -44,8 +50,8 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def read_arguments(argv: list[str]) -> argparse.Namespace:
-    """Return the options; a wrong one ends the process."""
-    parser = argparse.ArgumentParser(
+    """Return the options; ConfigurationError for a wrong one."""
+    parser = Parser(
         prog="broker",
         description="Run mosquitto: on loopback, or where the listeners of the configuration file say.",
     )
@@ -82,11 +88,7 @@ def check(path: str, port: int, accounts: bool = False) -> tuple[str, str]:
             "broker_config", path, f"a file that can be read: {getattr(error, 'strerror', error)}"
         ) from error
     if accounts and lets_in_everybody(text):
-        expected = (
-            "accounts, with arm:=real: every client could command the arm; make a site with make_site, and give its "
-            "broker_config, or give anonymous_broker_is_meant:=true"
-        )
-        raise ConfigurationError("broker_config", path, expected)
+        raise ConfigurationError("broker_config", path, ACCOUNTS)
     for number in listener_ports(text) or [port]:
         if not port_is_free(socket.SOCK_STREAM, number):
             expected = (

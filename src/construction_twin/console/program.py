@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from construction_twin.console.given_files import broker_tls, check_rights, own_tls
+from construction_twin.core.command_line import Parser
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.network import is_loopback, port_is_free
 from construction_twin.core.sentences import Sentence
@@ -54,7 +55,7 @@ def check(argv: list[str] | None) -> tuple[argparse.Namespace, ServerSettings]:
 
 
 def _arguments(argv: list[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="console",
         description="Pipe WebSockets to the broker's TCP port, and serve a page. Without --certificate only on loopback.",
     )

@@ -14,6 +14,7 @@ from logging.handlers import QueueHandler, QueueListener
 from pathlib import Path
 from queue import SimpleQueue
 
+from construction_twin.core.command_line import Parser
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.network import is_loopback
 from construction_twin.core.realtime import lock_memory, request_realtime
@@ -76,8 +77,8 @@ log = logging.getLogger("rsi_gateway")
 
 
 def read_arguments(argv: list[str]) -> argparse.Namespace:
-    """Return the options; a wrong one ends the process."""
-    parser = argparse.ArgumentParser(
+    """Return the options; ConfigurationError for a wrong one."""
+    parser = Parser(
         prog="rsi_gateway",
         description="Bridge between MQTT joint strings and a robot controller (KUKA RSI). Needs no ROS. Not safety rated.",
     )
@@ -178,8 +179,9 @@ def check(arguments: argparse.Namespace, config: GatewayConfig) -> None:
         check_trace(arguments.trace, len(config.axes))
 
 
-def _run(arguments: argparse.Namespace) -> int:
+def _run(argv: list[str]) -> int:
     try:
+        arguments = read_arguments(argv)
         config = load_config(arguments.config)
         ends = _ends(arguments, config)
         address, controller = ends.address, ends.controller
@@ -229,11 +231,10 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the gateway until SIGINT or SIGTERM; return the exit code."""
-    arguments = read_arguments(sys.argv[1:] if argv is None else argv)
     # the log's thread may keep the interpreter for 5 ms otherwise, more than a cycle
     sys.setswitchinterval(0.001)
     listener = log_beside_the_loop()
     try:
-        return _run(arguments)
+        return _run(sys.argv[1:] if argv is None else argv)
     finally:
         listener.stop()

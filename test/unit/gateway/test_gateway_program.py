@@ -27,7 +27,6 @@ from service_cell import (
 
 from construction_twin.core.udp import bind
 from construction_twin.core.units import CYCLE, format_allowance
-from construction_twin.gateway.command_line import main
 from construction_twin.rsi.ethernet_xml import load_ethernet_xml
 
 
@@ -271,6 +270,8 @@ def test_a_log_that_nobody_reads_holds_up_no_reply(broker, topics, config_file):
             ("--controller", "'no-such.invalid'", "a name that this machine can look up"),
         ),
         (["--broker", "1883"], ("--broker", "'1883'", "HOST:PORT")),
+        (["--commissioning", "yes"], ("--commissioning: invalid choice: 'yes'", "rsi_gateway --help")),
+        (["--stop-file", "/dev/null/a"], ("--stop-file", "/dev/null/a")),
         (["--prefix", "a/b"], ("prefix", "'a/b'", "letters, digits")),
         (["--config", "/nowhere.json"], ("/nowhere.json", "No such file", "export_gateway_config")),
     ],
@@ -286,13 +287,6 @@ def test_what_cannot_work_is_one_sentence_and_exit_code_2(config_file, arguments
         assert words.replace("TAKEN", taken) in result.stderr
     assert "Traceback" not in result.stderr
     assert len(result.stderr.strip().splitlines()) == 1
-
-
-def test_without_a_configuration_file_it_does_not_start(capsys):
-    with pytest.raises(SystemExit) as caught:
-        main([])
-    assert caught.value.code == 2
-    assert "--config" in capsys.readouterr().err
 
 
 #: Only the standard library, paho and this package can be imported: what a cell PC has.

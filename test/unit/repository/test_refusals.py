@@ -24,7 +24,10 @@ def free_port() -> int:
 @pytest.mark.parametrize(
     "words, sentences",
     [
-        ([f"ethernet_xml:={XML}", "executor:=1"], ["Ethernet XML", "executor: found '1', expected an argument"]),
+        (
+            [f"ethernet_xml:={XML}", "executor:=1", "console:=true", "console_port:=abc"],
+            ["Ethernet XML", "executor: found '1', expected an argument", "--port: invalid int value: 'abc'"],
+        ),
         (
             ["arm:=real", "auto_approve:=true", "broker_config:=/no/such.conf"],
             ["auto_approve: found True", "bridge_account: found", "gateway_account: found", "broker_config: found '/no/such.conf'"],

@@ -17,6 +17,7 @@ import rosgraph
 from roslaunch import RLException
 from roslaunch.config import ROSLaunchConfig, load_config_default
 from roslaunch.core import Node
+from rosmaster.paramserver import ParamDictionary
 
 from construction_twin.broker import start as broker
 from construction_twin.console import program as console
@@ -35,17 +36,9 @@ class LaunchParameters:
     """The parameters of a launch, as one of its nodes would find them."""
 
     def __init__(self, values: Mapping[str, Any], node: str):
-        self._node = node
-        self._tree: dict[str, Any] = {}
+        self._node, self._parameters = node, ParamDictionary(None)
         for name, value in values.items():
-            *above, last = name.strip("/").split("/")
-            place = self._tree
-            for step in above:
-                place = place.setdefault(step, {})
-            if isinstance(value, dict) and isinstance(place.get(last), dict):
-                place[last].update(value)
-            else:
-                place[last] = value
+            self._parameters.set_param(name, value)
 
     def get_name(self) -> str:
         """Return the node's name."""
@@ -53,14 +46,12 @@ class LaunchParameters:
 
     def get_param(self, param_name: str, default: Any = _REQUIRED, /) -> Any:
         """Return a parameter's value by a name as the node has it; KeyError where there is none, and no default."""
-        found: Any = self._tree
-        for step in rosgraph.names.resolve_name(param_name, self._node).strip("/").split("/"):
-            if not isinstance(found, dict) or step not in found:
-                if default is _REQUIRED:
-                    raise KeyError(param_name)
-                return default
-            found = found[step]
-        return found
+        try:
+            return self._parameters.get_param(rosgraph.names.resolve_name(param_name, self._node))
+        except KeyError:
+            if default is _REQUIRED:
+                raise
+            return default
 
 
 def _broker(words: list[str], _parameters: LaunchParameters) -> None:

@@ -16,6 +16,7 @@ import pydantic
 import rospy
 from std_srvs.srv import SetBool, Trigger
 
+from construction_twin.broker.start import ACCOUNTS
 from construction_twin.core.errors import ConfigurationError, ExpiredError, PayloadError
 from construction_twin.core.freshness import TOO_OLD, parse_moment, staleness
 from construction_twin.core.records import SPACED, dumped
@@ -67,7 +68,7 @@ from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.tool import tool_report_to_msg
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.gateway_config import ACCOUNTS, config_of_link
+from construction_twin.ros.shared.gateway_config import config_of_link
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
 from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.outcome import Outcome

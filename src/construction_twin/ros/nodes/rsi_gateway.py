@@ -10,11 +10,13 @@ from pathlib import Path
 import rosgraph
 import rospy
 
+from construction_twin.broker.start import ACCOUNTS
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.files import write_whole
 from construction_twin.gateway.command_line import check, read_arguments
 from construction_twin.gateway.config import GatewayConfig
-from construction_twin.ros.shared.gateway_config import ACCOUNTS, config_from_parameters
+from construction_twin.gateway.stop_file import StopFile
+from construction_twin.ros.shared.gateway_config import config_from_parameters
 from construction_twin.ros.shared.node import run_node
 from construction_twin.ros.shared.params import Parameters, ros_home
 from construction_twin.ros.shared.start_refusal import expect_own_parameters
@@ -29,13 +31,16 @@ def stop_file(arm: str, config: Path, robot: str) -> Path:
     Args:
         arm: Of `ARM`.
         config: The configuration's file, of one node and ROS master; the real arm is the same one with another master.
+
+    Raises:
+        ConfigurationError: When it cannot be written.
     """
-    if arm not in (NEW_MOCK, MOCK):
-        return config.with_name(f"{robot}.stopped")
-    stops = config.with_suffix(".stopped")
+    path = config.with_suffix(".stopped") if arm in (NEW_MOCK, MOCK) else config.with_name(f"{robot}.stopped")
+    stops = StopFile(path)
     if arm == NEW_MOCK:
-        stops.unlink(missing_ok=True)
-    return stops
+        stops.keep("")
+    stops.close()
+    return path
 
 
 def checked(words: list[str], parameters: Parameters = rospy) -> GatewayConfig:

@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 import urllib.parse
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Literal
 
@@ -97,13 +97,15 @@ class Refusals:
 class StartupNode:
     """ROS around a StartUp."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+    def __init__(
+        self, settings: Settings, robot: RobotModel, ports: Ports, clock: Callable[[], float] = time.monotonic
+    ):
         namespace = rospy.get_namespace().rstrip("/")
         named = settings.model_dump(exclude={"console"})
         self._startup = StartUp(Deployment(namespace=namespace, **named))
         self._refusals, self._refused = Refusals(), threading.Event()
         self._said: set[str] = set()
-        self._began = time.monotonic()
+        self._clock, self._began = clock, clock()
         self._is_over = False
         self._came: set[str] = set()
         others = other_joints_text(robot.other_joints, robot.base_link, robot.tip_link)
@@ -138,7 +140,7 @@ class StartupNode:
 
     def update(self) -> None:
         """Say what has changed."""
-        now, snapshot = time.monotonic(), self._listener.snapshot()
+        now, snapshot = self._clock(), self._listener.snapshot()
         state = snapshot.execution.text if snapshot.execution is not None else "WAITING"
         self._is_over = self._is_over or now - self._began > LATE or state not in ("WAITING", "IDLE")
         if self._refusals.sentences and not self._is_over:

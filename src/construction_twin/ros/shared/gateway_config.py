@@ -19,11 +19,6 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.robot.tool import Tool, tool_of
 from construction_twin.ros.shared.params import Parameters, robot_from_parameters
 
-#: What a real arm is commanded by.
-ACCOUNTS = (
-    "accounts, with arm:=real: this broker lets in everybody, and every client could command the arm; make a site with make_site, "
-    "and give its accounts and its broker_config, or give anonymous_broker_is_meant:=true"
-)
 #: Time-out of a controller in every set-up that is known to be used with ROS [cycles] (docs/rsi.md, section 5).
 TIMEOUT = 100
 

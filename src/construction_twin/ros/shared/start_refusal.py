@@ -7,7 +7,6 @@ was in its way may have passed.
 from __future__ import annotations
 
 import os
-import signal
 import sys
 import threading
 from collections.abc import Callable
@@ -59,12 +58,12 @@ def _is_beside(node: RunningNode) -> bool:
 
 def become_alone() -> None:
     """Become the program that this one's words name, unless a node of its name runs: for stock nodes of a launch."""
-    try:
+
+    def become() -> None:
         expect_no_other("")
-    except ConfigurationError as error:
-        print(error, flush=True)
-        signal.pause()
-    os.execvp(sys.argv[1], sys.argv[1:])
+        os.execvp(sys.argv[1], sys.argv[1:])
+
+    run_program(rosgraph.names.load_mappings(sys.argv).get("__name", "alone"), become)
 
 
 def expect_own_parameters() -> None:
@@ -109,7 +108,8 @@ def run_program(name: str, main: Callable[[], int | None]) -> NoReturn:
         import rospy
 
         try:
-            rospy.init_node(name)
+            # under a name that ends nobody
+            rospy.init_node(name, argv=sys.argv[:1], anonymous=True)
         except rospy.exceptions.ROSInitException:
             sys.exit(1)  # it is asked to end
         refuse(str(error), log=False)

@@ -1,0 +1,16 @@
+"""The command line of a program that a launch file starts. Standard library only."""
+
+from __future__ import annotations
+
+import argparse
+from typing import NoReturn
+
+from construction_twin.core.errors import ConfigurationError
+
+
+class Parser(argparse.ArgumentParser):
+    """As argparse's, with an error that whoever runs the program says once, in place of exit code 2 and a usage."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise a ConfigurationError: what argparse says is wrong."""
+        raise ConfigurationError(f"the options of {self.prog}", message, f"those of {self.prog} --help")
