@@ -9,15 +9,12 @@ another gateway records is refused, before it is changed. Standard library only;
 from __future__ import annotations
 
 import errno
-import fcntl
 import mmap
 import os
 import shutil
-import stat
 import struct
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
 
 from construction_twin.controller.telegram import stamp_step
 from construction_twin.core.errors import ConfigurationError
@@ -57,40 +54,6 @@ def check_trace(path: str, axes: int) -> None:
         raise ConfigurationError("--trace", path, Sentence("expected.trace.room", room=needed / 1e6, problem=problem))
 
 
-def _open(path: str) -> tuple[str, BinaryIO]:
-    """Return the path of a file that was made, "" for one that was there before, and the open file, empty and locked."""
-    try:
-        mode = os.stat(path).st_mode
-    except FileNotFoundError:
-        # where a link leads that has no file yet
-        made = os.path.realpath(path)
-        return made, _locked(open(made, "x+b"), path)
-    if not stat.S_ISREG(mode):
-        # a gateway that runs as root could open a device, and remove it
-        raise ConfigurationError(
-            "--trace",
-            path,
-            Sentence("expected.trace.regular"),
-        )
-    # not with "w", which would take the blocks of a file that another gateway has mapped
-    file = _locked(open(path, "r+b"), path)
-    file.truncate(0)
-    return "", file
-
-
-def _locked(file: BinaryIO, path: str) -> BinaryIO:
-    """Return the file, which nobody else takes while it is open; the lock ends with the process, however that ends."""
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        file.close()
-        raise ConfigurationError("--trace", path, Sentence("expected.trace.own")) from error
-    except OSError:
-        file.close()
-        raise
-    return file
-
-
 @dataclass(frozen=True)
 class TraceEntry:
     """One answered telegram.
@@ -119,14 +82,12 @@ class TraceWriter:
     """Writes a trace; `record` is what `Gateway.trace` takes.
 
     Args:
-        path: File to write; a regular file that exists is overwritten, anything else that exists is refused.
+        path: File to write; a regular file that exists is replaced, anything else that exists is refused.
         axes: Values per position.
         cycles: Entries that the file holds; what comes after is counted in `dropped`.
 
     Raises:
-        ConfigurationError: If the path is a device, a folder or anything else but a regular file: it is not opened. If another
-            gateway records in the file. If the file cannot be written, or not at its full length: one that was made for it is
-            removed, one that was there before is left, empty.
+        ConfigurationError: If the path is no regular file, or cannot be written at its full length; nothing is left of it then.
     """
 
     def __init__(self, path: str, axes: int, cycles: int = DEFAULT_CYCLES):
@@ -135,23 +96,24 @@ class TraceWriter:
         self._end = room(axes, cycles)
         self._at = _HEADER.size
         self.dropped = 0
+        file = Path(path).resolve()
+        if file.exists() and not file.is_file():
+            raise ConfigurationError("--trace", path, Sentence("expected.trace.regular"))
         try:
-            made, self._file = _open(path)
+            file.unlink(missing_ok=True)
+            self._file = file.open("x+b")
         except OSError as error:
             raise ConfigurationError(
                 "--trace", path, Sentence("expected.writable_but", problem=str(error.strerror))
             ) from error
         try:
             os.posix_fallocate(self._file.fileno(), 0, self._end)
-            self._memory = mmap.mmap(self._file.fileno(), self._end)
         except OSError as error:
-            if made:
-                os.unlink(made)
-            else:
-                self._file.truncate(0)
+            file.unlink()
             self._file.close()
             expected = Sentence("expected.trace.room", room=self._end / 1e6, problem=str(error.strerror))
             raise ConfigurationError("--trace", path, expected) from error
+        self._memory = mmap.mmap(self._file.fileno(), self._end)
         _HEADER.pack_into(self._memory, 0, MAGIC, axes, self._entry.size)
 
     def record(
@@ -173,11 +135,8 @@ class TraceWriter:
         self._file.close()
 
 
-def read_trace(path: str | Path, since: int = 0) -> list[TraceEntry]:
+def read_trace(path: str | Path) -> list[TraceEntry]:
     """Read a trace, also one whose writer was killed or is still at it.
-
-    Args:
-        since: Number of the first entry that is wanted, from 0.
 
     Raises:
         ConfigurationError: If it is not a trace.
@@ -190,7 +149,7 @@ def read_trace(path: str | Path, since: int = 0) -> list[TraceEntry]:
     if size != entry.size:
         raise ConfigurationError(str(path), size, Sentence("expected.trace.entries", bytes=entry.size))
     entries = []
-    for at in range(_HEADER.size + since * size, len(data) - size + 1, size):
+    for at in range(_HEADER.size, len(data) - size + 1, size):
         ipoc, stamp, state, session, lost, *position = entry.unpack_from(data, at)
         if not state:
             break
