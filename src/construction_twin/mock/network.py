@@ -28,9 +28,6 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.faults import FaultBoard
 
-#: Two readings of the distance of the clocks differ by more than this only when the wall clock was set in between [ns]. A wall
-#: clock that is corrected gradually moves by 2 us in a cycle.
-_SET = 500_000
 #: Tries for a reading that no switch to another process fell into.
 _TRIES = 3
 #: Good enough [ns].
@@ -47,27 +44,15 @@ class ArrivalClock:
     def __init__(self, wall: Callable[[], int], monotonic: Callable[[], int]):
         self._wall = wall
         self._monotonic = monotonic
-        self._ahead = self._before = self._measure()
 
-    def measure(self) -> None:
-        """Read again how far the monotonic clock is ahead of the wall clock; once per cycle."""
-        self._before, self._ahead = self._ahead, self._measure()
-
-    def arrival(self, stamp: int, read: int) -> int | None:
-        """Return when a datagram arrived.
+    def arrival(self, stamp: int, read: int) -> int:
+        """Return when a datagram arrived, on the monotonic clock [ns], not after `read`.
 
         Args:
             stamp: The kernel's, on the wall clock [ns].
             read: When it was read, on the monotonic clock [ns].
-
-        Returns:
-            On the monotonic clock [ns], not after `read`. None when the wall clock was set while the datagram may have waited: the
-            stamp says nothing then.
         """
-        now = self._measure()
-        if abs(now - self._ahead) > _SET or abs(now - self._before) > _SET:
-            return None
-        return min(stamp + now, read)
+        return min(stamp + self._measure(), read)
 
     def _measure(self) -> int:
         best = narrowest = None
@@ -87,8 +72,6 @@ log = logging.getLogger(__name__)
 
 #: Packets that are late by no more than this are all sent [ns].
 CATCH_UP = NANOSECONDS // 10
-#: Most datagrams read before the clock is checked again, so that a flood of datagrams cannot stop it.
-_DRAIN_LIMIT = 64
 #: After a session that nobody has answered another one is tried this soon [ns]: who starts the controller waits for the gateway.
 _UNANSWERED = NANOSECONDS // 10
 
@@ -133,8 +116,6 @@ class MockRsi:
         self._requests: SimpleQueue[tuple[Callable[[], object], Future]] = SimpleQueue()
         self._socket, self._stamped = _open_socket()
         self._clock = ArrivalClock(time.time_ns, time.monotonic_ns)
-        #: Whether more came in a cycle of this session than is read at a time: since then everything is read when it comes.
-        self._flooded = False
         #: A reply that arrives later than this is too late for the open cycle [ns].
         self._ends = 0
         self._session = self._replies = 0
@@ -167,7 +148,6 @@ class MockRsi:
                 self._serve_requests()
                 self._follow_session(due)
                 self.faults.tick()
-                self._clock.measure()
                 packet = self.controller.begin_cycle()
                 self.left = time.monotonic_ns()
                 if packet is not None:
@@ -213,7 +193,6 @@ class MockRsi:
             # the new one first: while one of them asks for stamps, the kernel goes on stamping
             before = self._socket
             self._socket, self._stamped = _open_socket()
-            self._flooded = False
             before.close()
             begun = f"session {controller.session} started, {controller.words.stamp} {controller.stamp}"
             self._report(f"{controller.words.protocol} {begun}, gateway {self._gateway}")
@@ -251,7 +230,7 @@ class MockRsi:
         now = time.monotonic_ns()
         while True:
             wait = max(0, self._wake_up(deadline) - now) / NANOSECONDS
-            if self._stamped and not self._flooded:
+            if self._stamped:
                 # the kernel has noted when each reply came: to read them at the end is one time less to wake up
                 time.sleep(wait)
             else:
@@ -281,7 +260,7 @@ class MockRsi:
             self.controller.receive(underway.data, not self._stamped or underway.due <= self._ends)
 
     def _drain(self) -> None:
-        for _ in range(_DRAIN_LIMIT):
+        while True:
             try:
                 data, stamp, source = receive(self._socket)
             except BlockingIOError:
@@ -290,13 +269,12 @@ class MockRsi:
                 self.foreign += 1
                 continue
             now = time.monotonic_ns()
-            arrived = self._clock.arrival(stamp, now) if self._stamped else None
+            # without stamps: as far as this process can tell, it is in time
+            arrived = self._clock.arrival(stamp, now) if self._stamped else now
             if self.faults.to_controller.active:
-                self.faults.to_controller.put(data, now if arrived is None else arrived)
+                self.faults.to_controller.put(data, arrived)
             else:
-                # not known: as far as this process can tell, it is in time
-                self.controller.receive(data, arrived is None or arrived <= self._ends)
-        self._flooded = True
+                self.controller.receive(data, not self._stamped or arrived <= self._ends)
 
 
 def _open_socket() -> tuple[socket.socket, bool]:
