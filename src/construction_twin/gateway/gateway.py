@@ -299,13 +299,9 @@ class Gateway:
 
     def _report_unread(self, now: int) -> None:
         report = self._unread.take(now)
-        if report is None:
-            return
-        if report.sentence:
+        if report is not None:
             self._machine.add(report.sentence)
             self._machine.changed = self._machine.changed or report.is_new
-        else:
-            self._machine.drop()
 
     def _report_clock(self) -> None:
         """Say of a controller that takes no corrections whether its clock is another one: the next program may take some."""

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 
-#: Datagrams that cannot be read are reported until no more of them has come for this long [s].
-UNREAD_QUIET = 10.0
 #: What is quoted of a refused message in `status` [characters]: the status stays small, whatever was sent.
 LONGEST_REFUSAL = 300
 
@@ -32,8 +30,7 @@ class Refusals:
         self.last = ""
         #: Of the last one since the one that stopped the arm; "" for none.
         self.later = ""
-        #: Datagrams refused since the last telegram that could be read, or since a long pause, and the last one's reason and
-        #: sentence.
+        #: Datagrams refused since the last telegram that could be read, and the last one's reason and sentence.
         self.unread = 0
         self.last_unread = Unread()
         self._keeps = self._stopped = False
@@ -82,12 +79,11 @@ class UnreadNote:
     """What is to be reported of datagrams that cannot be read.
 
     Attributes:
-        sentence: "" where no more of them come: what is wrong now is not that.
         is_new: They are refused for another reason than those reported before.
     """
 
-    sentence: str = ""
-    is_new: bool = False
+    sentence: str
+    is_new: bool
 
 
 class UnreadReport:
@@ -96,7 +92,6 @@ class UnreadReport:
     def __init__(self, refusals: Refusals):
         self._refusals = refusals
         self._reported_at = -NANOSECONDS
-        self._counted_at = 0
         self.restart()
 
     def restart(self) -> None:
@@ -110,12 +105,8 @@ class UnreadReport:
             return None
         refusals, last = self._refusals, self._refusals.last_unread
         if refusals.unread == self._count:
-            if now <= self._counted_at + round(UNREAD_QUIET * NANOSECONDS):
-                return None
-            refusals.unread = 0
-            self.restart()
-            return UnreadNote()
-        self._count, self._counted_at, self._reported_at = refusals.unread, now, now
+            return None
+        self._count, self._reported_at = refusals.unread, now
         before, self._reason = self._reason, last.reason
         sentence = Sentence("gateway.unread", count=refusals.unread, reason=last.reason, why=last.why)
         return UnreadNote(sentence, last.reason != before)

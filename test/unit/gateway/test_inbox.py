@@ -11,9 +11,8 @@ from gateway_cell import CONFIG, RUN, START
 from construction_twin.core.sentences import Sentence
 from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.inbox import DRAIN_LIMIT, TelegramInbox
-from construction_twin.gateway.refusals import LONGEST_REFUSAL, UNREAD_QUIET
+from construction_twin.gateway.refusals import LONGEST_REFUSAL
 from construction_twin.gateway.states import State
-from construction_twin.gateway.status import QUIET, StatusClock
 from construction_twin.rsi.controller_codec import RobotEncoder
 
 HERE, THERE = ("192.168.1.20", 49152), ("192.168.1.20", 49153)
@@ -51,10 +50,6 @@ class Line:
         return dict(self.gateway.counters)
 
 
-def test_nothing_waits():
-    assert Line().newest() is None
-
-
 def test_the_newest_is_answered_and_the_others_are_counted():
     line = Line()
     assert line.newest(1000, 1004, 1008) == (1008, HERE, 3)
@@ -72,11 +67,6 @@ def test_a_jump_back_beyond_the_timeout_is_another_session():
     line = Line()
     assert line.newest(1004, 600) == (600, HERE, 2)
     assert line.counted() == {"telegrams_skipped": 1}
-
-
-def test_another_source_s_numbers_are_its_own():
-    line = Line()
-    assert line.newest((1004, HERE), (1000, THERE)) == (1000, THERE, 2)
 
 
 def test_what_is_no_telegram_takes_nobody_s_place():
@@ -107,14 +97,6 @@ def test_every_refused_datagram_has_a_counter_and_a_reason_in_the_status(thing, 
     said = line.gateway.status()["last_refusal"]
     assert said.startswith(reason) and len(said) <= LONGEST_REFUSAL
     assert line.counted() == {f"telegram_refused_{said.split(':')[0].split()[1]}": 1}
-
-
-def test_good_telegrams_leave_the_last_refusal_alone():
-    line = Line()
-    line.newest(b"")
-    before = line.gateway.status()["last_refusal"]
-    assert line.newest(1000, 1004, 1004)[0] == 1004
-    assert line.gateway.status()["last_refusal"] == before
 
 
 def test_while_a_controller_is_alive_nobody_else_is_read():
@@ -179,24 +161,6 @@ def test_a_telegram_that_can_be_read_ends_the_count():
     )
 
 
-def test_a_single_stray_datagram_is_told_no_longer_once_nothing_came_for_a_while():
-    line = Line()
-    line.newest(b"garbage")
-    assert told(line, 1.0) and "datagrams refused: 1, " in line.gateway.reason
-    assert not told(line, 1.0 + UNREAD_QUIET)
-    line.newest(b"garbage")
-    # one more: it goes on
-    assert not told(line, 2.0 + UNREAD_QUIET) and "datagrams refused: 2, " in line.gateway.reason
-    assert not told(line, 2.0 + 2 * UNREAD_QUIET)
-    assert told(line, 3.1 + 2 * UNREAD_QUIET) and line.gateway.reason == Sentence("gateway.no_telegram_yet")
-    assert not told(line, 9.0 + 9 * UNREAD_QUIET)
-    # the counter and the last refusal have it still, and the next one is told, and counted from one
-    assert line.gateway.status()["last_refusal"].startswith("telegram xml: ")
-    line.newest(b"garbage")
-    assert told(line, 10.0 + 9 * UNREAD_QUIET) and "datagrams refused: 1, " in line.gateway.reason
-    assert sum(line.counted().values()) == 3
-
-
 def test_an_error_of_the_socket_is_counted_and_ends_the_turn():
     line = Line()
     assert line.newest(1000, OSError(111, "refused"), 1004)[0] == 1000
@@ -208,15 +172,3 @@ def test_a_flood_does_not_keep_the_loop():
     line = Line()
     assert line.newest(*range(1000, 1000 + 4 * 2 * DRAIN_LIMIT, 4))[2] == DRAIN_LIMIT
     assert len(line.waiting) == DRAIN_LIMIT
-
-
-def test_a_status_in_a_hurry_goes_out_after_the_next_answer_or_in_the_next_pause():
-    for answered, now in ((True, 0.001), (False, QUIET)):
-        clock = StatusClock(1.0)
-        clock.is_due(0.0, True)
-        clock.sent(0.0)
-        assert not clock.is_due(now, answered)
-        clock.hurry()
-        assert clock.is_due(now, answered)
-        clock.sent(now)
-        assert not clock.is_due(now + 0.5, answered)
