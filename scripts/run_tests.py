@@ -65,7 +65,6 @@ ALONE = (
     "test_gateway_service",
     "test_mock_node",
     "test_mock_udp",
-    "test_tool_udp",
     "test_other_pc",
 )
 EVERY_CORE = ALONE[-1]

@@ -22,7 +22,6 @@ import yaml
 from commander import Commander
 from impairment import Network
 from impairment_profiles import Profile
-from netem import ROS_PC, Namespaces
 from processes import ROOT, BrokerProcess, wait_until
 
 from construction_twin.core.errors import ReviewError
@@ -118,7 +117,6 @@ class FaultCell:
         udp: Put a proxy between gateway and controller too.
         feedback_timeout: The commander's.
         mock_timeout: Cycles without a reply after which the mock stops.
-        spaces: Run gateway and mock in the cell's namespace; the calling thread must have entered the other one.
         fraction: Of the limits that planned motions use.
         changes: Of the gateway's configuration.
     """
@@ -129,7 +127,6 @@ class FaultCell:
         udp: bool = False,
         feedback_timeout: float | None = None,
         mock_timeout: int = 100,
-        spaces: Namespaces | None = None,
         fraction: float = 0.6,
         **changes,
     ):
@@ -150,8 +147,6 @@ class FaultCell:
             "--realtime",
             "40",
         )
-        self._cell_prefix = spaces.prefix(spaces.cell) if spaces else ()
-        self._broker_host = ROS_PC if spaces else "127.0.0.1"
         self._traces: list[Path] = []
         self._decoder = RobotDecoder(self.config.axes, self.config.units)
 
@@ -173,7 +168,7 @@ class FaultCell:
         self.network = Network().__enter__()
         self.broker = BrokerProcess()
         self.broker.start()
-        self.tcp = self.network.tcp(("127.0.0.1", self.broker.port), host=self._broker_host)
+        self.tcp = self.network.tcp(("127.0.0.1", self.broker.port))
         with bind("127.0.0.1", 0) as sock:
             self._rsi = sock.getsockname()
         (self._folder / "arm.json").write_text(self.config.to_json())
@@ -182,14 +177,7 @@ class FaultCell:
             self.udp = self.network.udp(self._rsi, tap=self._tap)
         port = self.udp.address[1] if self._with_udp else self._rsi[1]
         self.mock = Program(
-            *(
-                *self._cell_prefix,
-                sys.executable,
-                "-m",
-                "construction_twin.mock",
-                "--gateway",
-                f"127.0.0.1:{port}",
-            ),
+            *(sys.executable, "-m", "construction_twin.mock", "--gateway", f"127.0.0.1:{port}"),
             *self._mock_options,
         )
         self.commander = Commander(self.broker.port, self.topics, self.config, feedback_timeout=self._feedback_timeout)
@@ -208,15 +196,8 @@ class FaultCell:
         trace = self._folder / f"trace{len(self._traces)}"
         self._traces.append(trace)
         self.gateway = Program(
-            *(
-                *self._cell_prefix,
-                sys.executable,
-                "-m",
-                "construction_twin.gateway",
-                "--config",
-                str(self._folder / "arm.json"),
-            ),
-            *("--listen", f"127.0.0.1:{self._rsi[1]}", "--broker", f"{self._broker_host}:{self.tcp.address[1]}"),
+            *(sys.executable, "-m", "construction_twin.gateway", "--config", str(self._folder / "arm.json")),
+            *("--listen", f"127.0.0.1:{self._rsi[1]}", "--broker", f"127.0.0.1:{self.tcp.address[1]}"),
             *("--prefix", self.topics.prefix, "--trace", str(trace), "--realtime", "40"),
         )
 

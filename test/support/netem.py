@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 import ctypes
-import itertools
 import os
 import secrets
 import subprocess
-import threading
-import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
 from impairment_profiles import Profile
@@ -18,44 +13,13 @@ from impairment_profiles import Profile
 #: Addresses of the two ends: the ROS PC and the cell PC. Nobody but the two namespaces sees them.
 ROS_PC, CELL_PC = "10.197.0.1", "10.197.0.2"
 _CLONE_NEWNET = 0x40000000
-#: What a line is in an outage.
-_DARK = ("loss", "100%")
 _TC, _ROOT = ("tc", "qdisc"), ("dev", "line", "root")
-#: A rate of the proxy counts payload, the kernel's whole frames, those that acknowledge among them.
-_FRAMES = 2.0
-
-
-def outages(profile: Profile) -> Iterator[tuple[float, float]]:
-    """Yield when nothing passes because of a profile's cut and stalls: begin and end [s from the profile's begin], rising.
-
-    netem has no such times. Here everything is lost in them, which is harder on TCP than the proxy's: it has to send again.
-    Not tried: the kernel this was written on has no netem.
-    """
-    if profile.cut:
-        yield 0.0, profile.cut
-    if profile.stall:
-        period, length = profile.stall
-        for number in itertools.count():
-            yield (number + 0.5) * period, (number + 0.5) * period + length
 
 
 def netem_arguments(profile: Profile) -> list[str]:
-    """Return a profile as arguments of ``tc qdisc ... netem``, but for its `outages`."""
-    words = ["limit", "10000"]
-    if profile.delay or profile.jitter:
-        words += ["delay", f"{profile.delay * 1e3:g}ms", f"{profile.jitter * 1e3:g}ms"]
-    if profile.loss:
-        words += ["loss", f"{profile.loss * 100:g}%"]
-    if profile.duplication:
-        words += ["duplicate", f"{profile.duplication * 100:g}%"]
-    if profile.rate:
-        words += ["rate", f"{_FRAMES * profile.rate:.0f}bps"]  # to tc that is bytes per second
-    if profile.reordering:
-        # netem lets the fraction overtake the rest, which must have a delay for it
-        if not (profile.delay or profile.jitter):
-            words[2:2] = ["delay", f"{profile.held_back * 1e3:g}ms"]
-        words += ["reorder", f"{profile.reordering * 100:g}%"]
-    return words
+    """Return delay, jitter and loss of a profile as arguments of ``tc qdisc ... netem``."""
+    delay = ["delay", f"{profile.delay * 1e3:g}ms", f"{profile.jitter * 1e3:g}ms"]
+    return ["limit", "10000", *delay, "loss", f"{profile.loss * 100:g}%"]
 
 
 class Namespaces:
@@ -84,34 +48,14 @@ class Namespaces:
     @contextmanager
     def shaped(self, profile: Profile):
         """Put a profile on both ends of the line while the block runs."""
-        ended = threading.Event()
         try:
-            self._shape(netem_arguments(profile))
-            with ThreadPoolExecutor(1) as pool:
-                switching = pool.submit(self._switch, profile, ended)
-                try:
-                    yield
-                finally:
-                    ended.set()
-                    # also when the block fails: a line that could not be switched is the likely cause
-                    switching.result()
+            for space in (self.ros, self.cell):
+                self.inside(space, *_TC, "add", *_ROOT, "netem", *netem_arguments(profile))
+            yield
         finally:
             for space in (self.ros, self.cell):
-                # `replace` would keep settings that are not named, such as a rate; an end without settings may have nothing to
-                # delete
+                # an end without settings may have nothing to delete
                 subprocess.run([*self.prefix(space), *_TC, "delete", *_ROOT], capture_output=True)
-
-    def _switch(self, profile: Profile, ended: threading.Event) -> None:
-        since = time.monotonic()
-        for begin, end in outages(profile):
-            for at, words in ((begin, _DARK), (end, netem_arguments(profile))):
-                if ended.wait(max(0.0, since + at - time.monotonic())):
-                    return
-                self._shape(words)
-
-    def _shape(self, words: Sequence[str]) -> None:
-        for space in (self.ros, self.cell):
-            self.inside(space, *_TC, "replace", *_ROOT, "netem", *words)
 
     @contextmanager
     def entered(self):

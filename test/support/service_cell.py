@@ -157,31 +157,6 @@ def serving(port, topics, config=CONFIG, sock=None, **options):
         assert not thread.is_alive()
 
 
-class FreeController(Controller):
-    """Sends telegrams with any step of IPOC [ms], at any distance [s], and does not wait for replies."""
-
-    def __init__(self, address, step, every):
-        super().__init__(address)
-        self._step, self._every = step, every
-        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
-
-    def run(self):
-        due = time.monotonic()
-        while not self._ended.wait(max(0.0, due - time.monotonic())):
-            self.ipoc += self._step
-            self.send()
-            due += self._every
-
-    def corrections(self):
-        """Return every correction that was sent to it so far, each once."""
-        self.socket.setblocking(False)
-        found = set()
-        with contextlib.suppress(BlockingIOError):
-            while True:
-                found.add(parse_sensor(self.socket.recv(65535), "ImFree", AXES).target)
-        return found
-
-
 class Client:
     """The other side on MQTT: keeps every message per topic."""
 

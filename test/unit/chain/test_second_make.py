@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections import deque
 from contextlib import contextmanager
 
 import frames_make
 import numpy as np
 import pytest
 from chain_samples import REACH, ROBOT, SETTINGS, make_plan, play_to_the_end
-from frames_make import CYCLE_MS, SESSION, Frames, fill, stamp_of
+from frames_make import CYCLE_MS, SESSION, Frames, stamp_of
 from simulation import SimulatedChain
 
 from construction_twin.controller import makes
@@ -19,7 +18,6 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.gateway.config import parse_config
 from construction_twin.gateway.gateway import Gateway
-from construction_twin.gateway.inbox import TelegramInbox
 from construction_twin.gateway.states import State
 from construction_twin.link.states import LinkState
 from construction_twin.mock.controller import MockController
@@ -78,28 +76,6 @@ def moving(**options) -> SimulatedChain:
 def frame(cycle, measured=ARM, followed=None, session=1, missed=0) -> bytes:
     encode = frames_make.controller_side(CONFIG).encode
     return encode(stamp_of(session, cycle), measured, measured if followed is None else followed, (), (), missed)
-
-
-class Wire:
-    """An inbox and the gateway behind it, without a socket."""
-
-    def __init__(self):
-        self.gateway = Gateway(CONFIG, "run1")
-        self.waiting: deque = deque()
-        self.now = NANOSECONDS
-        self.inbox = TelegramInbox(self.gateway, self._receive, lambda: self.now)
-
-    def _receive(self):
-        if not self.waiting:
-            raise BlockingIOError
-        return self.waiting.popleft(), self.now, PEER
-
-    def take(self, *frames):
-        """Return the target of the newest of the frames; None when nothing is answered."""
-        self.now += CYCLE_MS * 1_000_000
-        self.waiting.extend(frames)
-        newest = self.inbox.newest()
-        return newest and self.gateway.on_telegram(newest.telegram, PEER, self.now)
 
 
 def test_a_plan_is_played_to_its_end_in_agreement_and_the_arm_stands_at_the_goal():
@@ -162,39 +138,6 @@ def test_frames_that_are_lost_both_ways_cost_no_step(direction):
     assert chain.gateway.counters["standstills"] > 0
 
 
-def test_a_late_frame_is_a_repeated_one():
-    wire = Wire()
-    assert wire.take(frame(10)) == pytest.approx(tuple(ARM))
-    assert wire.take(frame(12), frame(11)) is not None
-    assert wire.take(frame(11)) is None
-    assert wire.gateway.counters["telegrams_repeated"] == 2
-
-
-@pytest.mark.parametrize(
-    "thing, reason",
-    [
-        (b"", "size"),
-        (frame(3)[:-1], "size"),
-        (frame(3) + b"\0", "size"),
-        (b"GARB" + frame(3)[4:], "root"),
-        (frame(3, ARM * float("nan")), "number"),
-    ],
-    ids=["empty", "too short", "too long", "garbage", "no number"],
-)
-def test_what_is_no_frame_is_refused_counted_and_takes_nobody_s_place(thing, reason):
-    wire = Wire()
-    assert wire.take(frame(1)) is not None
-    assert wire.take(frame(2), thing) is not None
-    assert wire.gateway.counters[f"telegram_refused_{reason}"] == 1
-    assert wire.gateway.status()["last_refusal"].startswith(f"telegram {reason}: ")
-
-
-def test_an_arm_that_follows_somebody_else_s_target_is_not_answered():
-    wire = Wire()
-    assert wire.take(frame(1, ARM, ARM + 0.1)) is None
-    assert wire.gateway.state is State.JOINED and "joined a running session" in wire.gateway.reason
-
-
 def test_the_last_resort_brakes_from_the_last_target_and_answers_on():
     resort = CONFIG.make.last_resort(CONFIG)
     step = 0.002
@@ -211,14 +154,6 @@ def test_the_last_resort_brakes_from_the_last_target_and_answers_on():
         assert (np.array(reply.target) - before <= step).all()
         before = np.array(reply.target)
     assert resort.at_rest and resort.stamp_of(b"garbage", PEER) is None
-
-
-def test_after_a_lost_reply_the_last_resort_goes_back_to_what_the_controller_has():
-    resort = CONFIG.make.last_resort(CONFIG)
-    resort.sent(stamp_of(1, 5), PEER, tuple(ARM + 0.002), tuple(ARM), 0)
-    resort.take_over()
-    assert resort.note_missed(stamp_of(1, 6), frame(6, missed=1))
-    assert resort.answer(stamp_of(1, 6)) == fill(b"\0", tuple(ARM), stamp_of(1, 6))
 
 
 def test_commissioning_holds_the_arm_where_it_began():

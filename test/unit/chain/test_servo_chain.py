@@ -22,7 +22,6 @@ from servo_chain import (
     sweep,
 )
 
-from construction_twin.evaluation.summary import evaluate
 from construction_twin.mock.faults import Fault
 from construction_twin.monitor.states import SyncEvent, SyncState
 from construction_twin.mqtt.messages import Control
@@ -67,15 +66,6 @@ def test_a_drift_a_backlash_and_a_slow_joint_are_found_and_not_learned(fault):
     assert max(map(abs, chain.gate.watch_of_servos.refinement.later)) <= 0.002
 
 
-def test_a_slow_drift_is_found_when_it_has_come_to_the_threshold_and_not_learned():
-    chain = servo_chain()
-    chain.faults.inject(Fault("drift", "A1", (2e-4,)))
-    work = Work(chain, 6)
-    work.run(90.0)
-    assert work.holds and np.abs(chain.gate.watch_of_servos.refinement.later).max() < 2e-4
-    assert work.largest[0] == pytest.approx(0.01, abs=5e-4)
-
-
 def test_a_payload_that_makes_the_servos_much_softer_is_found():
     servo = LadenServo()
     chain = servo_chain(arm=servo)
@@ -103,24 +93,6 @@ def test_a_payload_within_the_rating_holds_nothing_and_is_refined():
     work.run(15.0)
     assert (work.largest < 0.6 * before).all()
     assert (np.abs(np.diff(np.array(changes), axis=0)) <= 0.0005 + 1e-12).all()
-
-
-def test_table_1_with_the_realistic_servo_leaves_rounding():
-    chain = servo_chain()
-    for goal in itertools.islice(poses(2), 3):
-        play_to_the_end(chain, make_plan(chain, goal))
-    expected = evaluate(chain.recording()).alignments["expected"]
-    assert len(expected.stamps) > 100
-    assert (expected.average <= 2e-5).all() and (expected.maximum <= 2e-5).all()
-
-
-def test_lost_datagrams_at_full_speed_close_nothing():
-    chain = servo_chain()
-    chain.faults.inject(Fault("drop", "", (0.003,)))
-    work = Work(chain, 11)
-    work.run(60.0)
-    assert chain.controller.counters["missed"] > 10
-    assert not work.holds
 
 
 def test_a_speed_limit_and_a_pause_close_nothing():

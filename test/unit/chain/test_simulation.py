@@ -89,15 +89,6 @@ def fastest(chain) -> float:
     return float(np.abs(speeds(chain)).max())
 
 
-def lag_uncertainty(chain) -> float:
-    """Standard error of the estimated lag, if the errors that are left were independent [ns].
-
-    They are not quite: at constant speed the rounding of successive poses repeats itself.
-    """
-    errors = evaluate(chain.recording()).alignments["lag_removed"].errors
-    return float(np.sqrt((errors**2).mean() / (speeds(chain) ** 2).sum())) * 1e9
-
-
 @pytest.mark.parametrize("decimals", [3, 6])
 def test_on_an_undisturbed_link_the_commands_own_stamps_are_played_and_nothing_is_left_of_the_error(decimals):
     chain = make_chain(decimals)
@@ -139,29 +130,12 @@ def test_jitter_of_20_ms_is_absorbed_by_a_longer_delay():
     assert_corrections_inside_limits(chain)
 
 
-def test_another_servo_changes_the_table():
-    chain = make_chain(6, servo="realistic")
-    play_to_the_end(chain, make_plan(chain, REACH, duration=10.0, waypoints=200))
-    errors, lag = table(chain)
-    assert max(figures["max_rad"] for figures in errors.values()) > 1e-6
-    assert lag > 12_000_000
-
-
 @pytest.mark.parametrize("decimals", [3, 6])
 def test_full_speed_stays_inside_the_limits(decimals):
     chain = make_chain(decimals, playout_delay=0.0213)
     play_to_the_end(chain, make_plan(chain, REACH))
     assert chain.gateway.counters["settling"] == 0
     assert_corrections_inside_limits(chain)
-
-
-def test_jitter_below_the_playout_delay_changes_nothing():
-    jitter = random.Random(1)
-    link = SimulatedLink(command_delay=lambda: 300_000 + jitter.randrange(3_000_000))
-    chain = make_chain(6, link=link, playout_delay=0.0213)
-    play_to_the_end(chain, make_plan(chain, REACH, duration=10.0, waypoints=200))
-    errors, _ = table(chain)
-    assert max(figures["max_rad"] for figures in errors.values()) <= 1.1e-8
 
 
 def test_a_stalled_joint_is_held_and_the_replanned_task_ends_at_the_goal():

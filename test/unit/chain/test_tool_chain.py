@@ -66,13 +66,6 @@ def test_a_grip_that_is_lost_in_motion_stops_the_arm_and_what_is_armed_never_fir
     )
 
 
-def test_a_grip_that_does_not_close_ends_the_plan_at_the_stock():
-    chain, _ = begun()
-    chain.faults.inject(Fault("grip_fails"))
-    assert chain.run_until(lambda: chain.executor.outcome != "", 20.0)
-    assert chain.executor.outcome != "finished" and [value for _, value in edges(chain)] == [True]
-
-
 def test_after_a_grip_that_did_not_close_a_person_opens_it_by_hand_and_a_new_session_takes_it_as_it_reads():
     chain, _ = begun()
     chain.faults.inject(Fault("grip_fails"))
@@ -97,12 +90,3 @@ def test_a_stop_between_arming_and_firing_leaves_the_output_alone():
     assert not vacuum(chain) and edges(chain) == []
     assert [s["state"] for s in chain.gateway.status()["tool"]["switches"]] == ["void"]
     assert chain.gateway.state is State.HOLDING
-
-
-def test_a_controller_that_switches_rsi_on_anew_keeps_what_is_held():
-    chain, _ = begun()
-    assert chain.run_until(lambda: chain.executor.segment_run.number == 2, 15.0), chain.executor.reason
-    chain.controller.restart()
-    chain.run_for(1.0)
-    assert vacuum(chain) and chain.controller.tool.holds
-    assert chain.gateway.status()["tool"]["outputs"] == {"vacuum": True}

@@ -73,11 +73,6 @@ def test_a_clock_that_is_a_little_wrong_is_judged_late_but_it_is(rate):
     assert said.startswith(f"the controller's clock runs {rate:.2f} times") and count == PATIENT // 4
 
 
-@pytest.mark.parametrize("rate", [1 - TOLERANCE / 2, 1 + TOLERANCE / 2])
-def test_a_clock_within_the_tolerance_is_none_of_this_one_s_business(rate):
-    assert judged(regular(4, 4.0 / rate))[0] == ""
-
-
 def disturbed(seed, cycle_ms=4):
     """A real controller's telegrams over a noisy network, between machines that stall: some lost, some in bursts, some twice."""
     rng = random.Random(seed)
@@ -96,21 +91,16 @@ def disturbed(seed, cycle_ms=4):
     return arrivals
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("cycle_ms", [4, 12])
 def test_jitter_stalls_and_losses_are_never_called_another_clock(seed, cycle_ms):
     assert judged(disturbed(seed, cycle_ms), cycle_ms)[0] == ""
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(4))
 def test_nor_do_they_hide_one(seed):
     said, _ = judged(disturbed(seed, 12), 4)
     assert said.startswith("the controller's cycle is 12 ms (IPOC steps of 12); expected 4 ms")
-
-
-def test_the_wall_clock_may_be_set_meanwhile():
-    telegrams = [(ipoc, at + (3.6e6 if k > 40 else 0.0)) for k, (ipoc, at) in enumerate(regular())]
-    assert judged(telegrams)[0] == ""
 
 
 def test_another_session_is_measured_anew():
@@ -142,16 +132,6 @@ def test_a_change_of_the_cycle_within_a_session_is_seen_in_a_few_telegrams(expec
     )
 
 
-def test_a_changed_cycle_is_forgotten_once_the_expected_one_is_back():
-    clock, ipoc = ControllerClock(RSI, 4), 10**9
-    for step, count in ((4, 500), (12, 30), (4, 200)):
-        for _ in range(count):
-            ipoc += step
-            clock.note(ipoc, ipoc * MS)
-        assert bool(clock.changed) is (step == 12 or count == 200)
-    assert clock.judge(rates=False) == "" and not clock.changed
-
-
 def bursts(seed, cycle_ms=4):
     """Telegrams over a path that loses half of them, and as the machine pauses many at once, and swaps every second pair."""
     rng, ipoc, sent = random.Random(seed), 10**9, []
@@ -166,7 +146,7 @@ def bursts(seed, cycle_ms=4):
     return sent
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("cycle_ms", [4, 12])
 def test_losses_pauses_and_swapped_telegrams_never_look_like_a_change_of_the_cycle(seed, cycle_ms):
     for telegrams in (disturbed(seed, cycle_ms), bursts(seed, cycle_ms)):
@@ -174,27 +154,6 @@ def test_losses_pauses_and_swapped_telegrams_never_look_like_a_change_of_the_cyc
         for ipoc, arrived in telegrams:
             clock.note(ipoc, round(arrived * MS))
             assert not clock.changed
-
-
-def test_every_second_telegram_lost_is_no_change_either():
-    # steps of 8, as exact as another cycle: but no controller has one of 8 ms
-    clock = ControllerClock(RSI, 4)
-    for ipoc, at in regular(8, 8.0):
-        clock.note(ipoc, round(at * MS))
-    assert not clock.changed
-
-
-def test_figures_are_reported_once_they_are_known():
-    clock = ControllerClock(RSI, 4)
-    unknown = {
-        "expected_ms": 4, "ipoc_step_ms": None, "telegram_ms": None, "rate": None, "off_percent": None, "sentence": "",
-    }  # fmt: skip
-    assert clock.report() == unknown
-    for ipoc, at in regular(4, 2.0, 100):
-        clock.note(ipoc, round(at * MS))
-    assert clock.report() == unknown | {"ipoc_step_ms": 4, "telegram_ms": 2.0, "rate": 2.0}
-    clock.restart()
-    assert clock.report() == unknown
 
 
 # -- the gateway -------------------------------------------------------------------------------------------------------
@@ -230,14 +189,6 @@ def test_a_controller_of_another_cycle_is_answered_and_held_but_never_armed():
     assert cell.control("stop")[0] and cell.gateway.fault
     assert cell.control("reset")[0] and not cell.gateway.fault
     assert cell.state is State.OTHER_CYCLE and not cell.arm("s2")[0]
-
-
-def test_the_next_session_is_judged_by_itself():
-    cell = Cell(measures=True)
-    cell.cycle(200, step_ms=12)
-    gap(cell)
-    cell.cycle(FIRST // 4 + 1)
-    assert cell.state is State.READY and cell.arm() == (True, "armed")
 
 
 TWELVE = "the controller's cycle is 12 ms (IPOC steps of 12); expected 4 ms: RSI_ON(..., #IPO_FAST)"
@@ -305,24 +256,6 @@ def test_an_arm_that_is_commanded_brakes_when_the_cycle_changes(cycle, other, sa
     assert cell.state is State.OTHER_CYCLE and cell.gateway.reason.startswith(said)
 
 
-@pytest.mark.parametrize("cycle", [4, 12])
-def test_a_motion_over_a_noisy_path_is_never_stopped_for_its_cycle(cycle):
-    cell, rng = measured(cycle), random.Random(1)
-    assert cell.arm()[0]
-    for _ in range(4000):
-        cell.send(START)
-        if cycle == 4 or rng.random() < 0.3:
-            cell.cycle(step_ms=cycle * rng.choice((1, 1, 2, 2, 3)))
-    assert cell.count("stops_cycle") == 0 and cell.state is not State.OTHER_CYCLE
-
-
-def test_a_clock_that_is_not_measured_is_not_judged_later_either():
-    cell = Cell()
-    cell.cycle(3)
-    cell.cycle(100, step_ms=12)
-    assert cell.state is State.READY and cell.arm()[0]
-
-
 def test_while_it_is_measured_the_held_pose_follows_a_program_of_the_controller():
     cell = Cell(measures=True)
     for k in range(FIRST // 4 + 1):
@@ -331,17 +264,6 @@ def test_while_it_is_measured_the_held_pose_follows_a_program_of_the_controller(
         cell.cycle()
     assert cell.state is State.READY and set(cell.replies) == {(0.0, 0.0)}
     assert cell.arm() == (True, "armed")
-
-
-def test_of_a_controller_that_takes_no_corrections_another_cycle_is_named_too():
-    cell = Cell(measures=True, layout=dataclasses.replace(Cell().config.layout, onlysend=True))
-    cell.cycle(200, step_ms=12)
-    assert cell.state is State.READ_ONLY and cell.gateway.reason.startswith("RSI session began at IPOC ")
-    said = "; the controller's cycle is 12 ms (IPOC steps of 12); expected 4 ms: RSI_ON(..., #IPO_FAST)"
-    assert said in cell.gateway.reason
-    gap(cell)
-    cell.cycle(FIRST // 4 + 1)
-    assert cell.state is State.READ_ONLY and "the controller's cycle is" not in cell.gateway.reason
 
 
 def test_of_a_controller_that_takes_no_corrections_the_sentence_goes_with_its_clock():
@@ -359,39 +281,6 @@ def test_of_a_controller_that_takes_no_corrections_the_sentence_goes_with_its_cl
     assert cell.state is State.READ_ONLY and cell.gateway.reason == plain and cell.gateway.take_change()
     cell.cycle(1200)
     assert not cell.gateway.take_change()
-
-
-def test_of_another_cycle_the_sentence_goes_with_the_clock_and_is_told_once():
-    cell = Cell(measures=True)
-    cell.cycle(200, step_ms=12)
-    assert cell.gateway.reason.startswith(TWELVE) and cell.gateway.take_change()
-    cell.cycle(1200, step_ms=8)
-    assert cell.state is State.OTHER_CYCLE and cell.gateway.take_change()
-    assert cell.gateway.reason.startswith("the controller's cycle is 8 ms (IPOC steps of 8); expected 4 ms")
-    cell.cycle(1200, step_ms=8)
-    assert not cell.gateway.take_change()
-
-
-def test_a_rate_that_wavers_is_no_news():
-    cell, rng = Cell(measures=True), random.Random(2)
-    for _ in range(6000):
-        cell.now += round(rng.uniform(7.0, 9.0 + (cell.ipoc % 8000 > 4000)) * MS)
-        cell.ipoc += 4
-        cell.telegram()
-        cell.gateway.poll(cell.now)
-        if cell.state is State.OTHER_CYCLE and cell.ipoc < 1_012_000:
-            cell.gateway.take_change()
-    assert cell.state is State.OTHER_CYCLE and not cell.gateway.take_change()
-
-
-def test_the_end_of_the_program_is_told_to_a_controller_of_another_cycle_too():
-    plain = Cell().config.layout
-    layout = dataclasses.replace(plain, receive=("Stop", *plain.receive), holdon=(False, *plain.holdon))
-    cell = Cell(measures=True, layout=layout)
-    cell.cycle(200, step_ms=12)
-    assert not cell.gateway.ends
-    cell.gateway.end("the gateway is ending")
-    assert cell.gateway.ends
 
 
 # -- a clock that is off by less than is refused -----------------------------------------------------------------------
@@ -460,7 +349,7 @@ def troubled(seed, cycle_ms=4, off=0.0, seconds=90):
 
 
 @pytest.mark.parametrize("cycle_ms", [4, 12])
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(6))
 def test_stalls_bursts_queues_and_a_wall_clock_that_is_set_are_never_called_a_clock_that_is_off(seed, cycle_ms):
     off = random.Random(seed).uniform(-2e-4, 2e-4)
     assert heard(ControllerClock(RSI, cycle_ms), troubled(seed, cycle_ms, off)) == ("", 0)
@@ -483,15 +372,6 @@ def test_a_clock_that_comes_right_again_is_no_longer_named():
     assert heard(clock, slow)[0] and heard(clock, right) == ("", 1)
 
 
-def test_a_clock_that_is_refused_is_not_named_twice():
-    clock = ControllerClock(RSI, 4)
-    for ipoc, at in regular(4, 2.0, 20_000):
-        clock.note(ipoc, round(at * MS))
-        clock.judge()
-        assert not clock.measure_rate()
-    assert clock.off == pytest.approx(1.0)
-
-
 def test_a_gateway_tells_it_as_a_change_and_still_arms():
     cell = Cell(measures=True)
     for _ in range(KNOWN // 4 + 500):
@@ -509,26 +389,6 @@ def test_a_gateway_tells_it_as_a_change_and_still_arms():
     # what it measured ends with the session
     gap(cell)
     assert cell.gateway.status()["cycle"]["off_percent"] is None
-
-
-@pytest.mark.parametrize("off, cause", [(-0.02, "lead"), (0.02, "silence"), (-0.004, ""), (0.004, "")])
-def test_what_the_sentence_says_of_a_long_motion_is_so(off, cause):
-    cell = Cell()
-    cell.cycle(10)
-    assert cell.arm()[0]
-    began, period, commands = cell.now, 4e6 / (1.0 + off), 0
-    for k in range(10_000):
-        while commands * 4e6 <= k * period:
-            cell.now = began + commands * 4 * MS
-            cell.send(slow(commands, 0.5))
-            commands += 1
-        cell.now = began + round(k * period)
-        cell.ipoc += 4
-        cell.telegram()
-        cell.gateway.poll(cell.now)
-        if cell.state is not State.FOLLOWING:
-            break
-    assert (cell.state is State.FOLLOWING) is not bool(cause) and cause in cell.gateway.reason
 
 
 @pytest.mark.parametrize("gap_ms", [4, 16, 60])

@@ -22,7 +22,6 @@ from construction_twin.core.errors import PayloadError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS, format_allowance
 from construction_twin.gateway.gateway import State
-from construction_twin.mqtt.joint_string import JointStringCodec
 
 # -- following -------------------------------------------------------------------------------------------------------
 
@@ -33,14 +32,6 @@ def test_nothing_moves_before_it_is_armed():
     cell.stream(slow(k) for k in range(100))
     assert cell.count("refused_not_armed") == 100
     assert set(cell.replies) == {(0.0, 0.0)}
-
-
-def test_armed_without_a_stream_holds():
-    cell = Cell()
-    cell.cycle()
-    cell.arm()
-    assert cell.held() == START
-    assert cell.state is State.ARMED
 
 
 def test_the_stream_is_carried_out_the_playout_delay_later_and_exactly():
@@ -175,12 +166,6 @@ def test_a_payload_that_is_no_joint_string_is_counted_and_disturbs_nothing(paylo
     assert cell.measured[0] == pytest.approx(slow(200 - DELAY_CYCLES)[0], abs=math.radians(0.0006))
 
 
-def test_another_decimals_setting_is_one_clear_counter():
-    cell = following()
-    cell.send(START, payload=JointStringCodec(2, 4).encode(START))
-    assert cell.count("refused_decimals") == 1
-
-
 @pytest.mark.parametrize(
     "reason, changes",
     [
@@ -211,18 +196,6 @@ def test_a_command_that_travelled_too_long_is_stale():
     # a second later on our clock with the stamp of the next cycle; the controller goes on meanwhile
     cell.send(slow(100), stamp=cell.stamp + CYCLE_NS - int(0.51 * NANOSECONDS))
     assert (cell.count("refused_stale"), cell.state) == (1, State.FOLLOWING)
-
-
-def test_the_age_is_relative_to_the_quickest_command_not_to_our_clock():
-    cell = Cell()
-    cell.stamp += 3600 * NANOSECONDS
-    cell.cycle()
-    cell.arm()
-    cell.stream([START] * 10)
-    assert cell.count("commands_received") == 10
-    cell.now += int(0.6 * NANOSECONDS)
-    cell.send(START)
-    assert cell.count("refused_stale") == 1
 
 
 @pytest.mark.parametrize("seconds", [3600.0, 0.6])
@@ -275,15 +248,6 @@ def test_lost_commands_are_counted_and_bridged():
     assert cell.measured[0] == pytest.approx(slow(200 - DELAY_CYCLES)[0], abs=math.radians(0.0006))
 
 
-def test_commands_before_the_stream_began_are_not_lost_ones():
-    cell = Cell()
-    cell.cycle()
-    cell.arm()
-    cell.seq = 5000
-    cell.stream([START] * 5)
-    assert cell.count("commands_lost") == 0
-
-
 # -- silence, stop, reset --------------------------------------------------------------------------------------------
 
 
@@ -300,27 +264,6 @@ def test_silence_brakes_after_its_time_holds_and_goes_on_answering():
     assert cell.state is State.HOLDING
     cell.held()
     assert None not in cell.replies
-
-
-def test_a_stream_resumed_within_the_silence_goes_on():
-    cell = following()
-    here = cell.codec.quantise(slow(99))
-    # as long as a hole may be: the playout has been dry for most of it
-    cell.cycle(24)
-    cell.stamp += 24 * CYCLE_NS
-    cell.stream([here] * 50)
-    assert (cell.state, cell.count("stops_silence")) == (State.FOLLOWING, 0)
-    assert cell.measured == pytest.approx(here, abs=1e-12)
-
-
-def test_stop_brakes_and_latches_and_names_who_asked():
-    cell = following()
-    assert cell.control("stop", session="anybody")[0]
-    assert cell.state is State.BRAKING
-    assert "anybody" in cell.gateway.reason
-    cell.cycle(100)
-    assert cell.state is State.HOLDING
-    cell.held()
 
 
 def test_a_stop_of_an_arm_at_rest_is_not_forgotten():
@@ -367,12 +310,6 @@ def test_a_stop_without_a_controller_holds_when_one_comes():
     assert not cell.arm()[0]
 
 
-def test_stop_needs_no_session_and_is_granted_in_every_state():
-    for cell in (Cell(), following()):
-        assert cell.control("stop", session="")[0]
-        assert cell.control("stop", session="")[0]
-
-
 def test_reset_is_refused_while_the_arm_moves():
     cell = following(cycles=200)
     assert not cell.control("reset")[0]
@@ -399,25 +336,6 @@ def test_after_reset_and_arm_the_stream_begins_where_the_arm_was_stopped():
     assert cell.state is State.FOLLOWING
     assert cell.measured == pytest.approx(stopped, abs=math.radians(0.0005))
     assert all(abs(a - b) <= math.radians(0.001) for a, b in zip(cell.measured, stopped))
-
-
-def test_commands_of_the_session_before_the_reset_are_refused_after_it():
-    cell = following()
-    cell.control("stop")
-    cell.cycle(100)
-    cell.control("reset")
-    cell.arm("s2")
-    cell.send(cell.measured, session="s1")
-    assert (cell.count("refused_session"), cell.state) == (1, State.ARMED)
-
-
-def test_properties_that_cannot_be_read_are_refused_while_nobody_commands():
-    cell = following()
-    cell.control("stop")
-    cell.cycle(100)
-    unreadable = PayloadError("properties", "seq is not a whole number")
-    cell.gateway.on_command(cell.codec.encode(cell.held()), unreadable, cell.now)
-    assert (cell.count("refused_not_armed"), cell.state) == (1, State.HOLDING)
 
 
 # -- the last refusal --------------------------------------------------------------------------------------------------
@@ -481,35 +399,3 @@ def test_what_stopped_a_stream_is_kept_until_a_reset_and_what_is_refused_later_s
     assert (last_refusal(cell), later_refusal(cell)) == (told or cause, "")
     stray_datagram(cell)
     assert last_refusal(cell).startswith("telegram source: ") and later_refusal(cell) == ""
-
-
-def test_a_speed_limit_still_under_way_does_not_hide_a_refused_message_after_any_stop():
-    cell = following()
-    assert cell.control("stop")[0] and not cell.arm("s2")[0]
-    said = last_refusal(cell)
-    limit_speed(cell)
-    assert last_refusal(cell) == said == "arm: stopped since the last reset; reset first"
-    # one that could not be taken of an armed session either is news
-    assert not cell.control("speed_limit", value=2)[0]
-    assert last_refusal(cell).startswith("speed_limit: speed limit '2': expected a number")
-
-
-def test_without_another_cause_not_armed_is_the_last_refusal():
-    cell = Cell()
-    cell.cycle(3)
-    cell.send(START)
-    assert last_refusal(cell) == "not_armed: gateway is ready"
-    cell.gateway.refusals.telegram("xml", "telegram is not well-formed")
-    cell.send(START)
-    assert last_refusal(cell) == "telegram xml: telegram is not well-formed"
-
-
-def test_once_it_was_armed_again_what_stopped_it_before_is_over():
-    cell = following()
-    cell.send((0.4, 3.0))
-    cell.cycle(300)
-    assert cell.control("reset")[0] and cell.arm("s2")[0]
-    assert cell.control("stop", "s2")[0]
-    cell.cycle(3)
-    cell.send(cell.measured, session="s2")
-    assert last_refusal(cell).startswith("not_armed: gateway is ")

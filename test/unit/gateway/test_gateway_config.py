@@ -11,13 +11,11 @@ import pytest
 import yaml
 from sentence_checks import expects
 
-from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.gateway.config import GatewayConfig, load_config, parse_config
 from construction_twin.robot.description import AxisMapping, read_robot_files
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.rsi.ethernet_xml import EthernetXmlError
-from construction_twin.rsi.make import MAKE
 
 ROOT = Path(__file__).resolve().parents[3]
 CONFIG = GatewayConfig("arm", ("A1", "A2"), (-3.0, -1.0), (3.0, 1.0), (2.0, 1.0), (2.5, 5.0))
@@ -62,35 +60,20 @@ def test_every_change_of_what_the_arm_may_do_changes_the_hash(changes):
     "changes, where",
     [
         ({"lower": (-3.0,)}, "lower"),
-        ({"upper": (3.0, math.nan)}, "upper"),
-        ({"upper": (3.0, "1")}, "upper"),
         ({"velocity": (2.0, math.inf)}, "velocity"),
         ({"lower": (3.0, -1.0)}, "lower"),
         ({"velocity": (0.0, 1.0)}, "velocity, acceleration"),
-        ({"acceleration": (2.5, -5.0)}, "velocity, acceleration"),
         ({"decimals": 0}, "decimals"),
-        ({"decimals": 7}, "decimals"),
-        ({"decimals": 3.0}, "decimals"),
         ({"decimals": True}, "decimals"),
         ({"properties": "no"}, "properties"),
         ({"reference": "aspos"}, "reference"),
         ({"start_tolerance": 0}, "start_tolerance"),
-        ({"start_tolerance_linear": 0}, "start_tolerance_linear"),
-        ({"playout_delay": -0.02}, "playout_delay"),
         ({"playout_delay": 0.019}, "playout_delay"),
-        ({"playout_delay": 0.26}, "playout_delay"),
-        ({"playout_delay_min": 0.0}, "playout_delay_min"),
-        ({"playout_delay_max": math.inf}, "playout_delay_max"),
         ({"playout_delay_max": 0.5}, "playout_delay_max"),
-        ({"silence": "0.1"}, "silence"),
         ({"silence": math.inf}, "silence"),
-        ({"max_age": math.nan}, "max_age"),
-        ({"timeout": None}, "timeout"),
         ({"e1_sign": 0}, "e1_sign"),
-        ({"e1_sign": True}, "e1_sign"),
         ({"e1_offset": math.nan}, "e1_offset"),
         ({"e1_feedback_scale": 0.0}, "e1_feedback_scale"),
-        ({"e1_correction_scale": -1.0}, "e1_correction_scale"),
         ({"linear": ("E1",)}, "linear"),
     ],
 )
@@ -98,11 +81,6 @@ def test_values_without_meaning_are_refused_by_name(changes, where):
     with pytest.raises(ConfigurationError) as caught:
         dataclasses.replace(CONFIG, **changes)
     assert caught.value.where == where
-
-
-def test_a_configuration_without_axes_is_refused():
-    with pytest.raises(ConfigurationError):
-        GatewayConfig("arm", (), (), (), (), ())
 
 
 def test_a_file_edited_by_hand_is_refused_and_says_so():
@@ -116,40 +94,19 @@ def test_a_file_edited_by_hand_is_refused_and_says_so():
     [
         "",
         "{",
-        "[]",
-        "null",
         "3",
-        "{}",
         '{"format": 2, "motion": []}',
         edited(lambda document: document.pop("hash")),
-        edited(lambda document: document.pop("format")),
         edited(lambda document: document.update(format=1)),
         edited(lambda document: document["motion"].pop("timeout")),
         edited(lambda document: document["motion"].update(colour="orange")),
-        edited(lambda document: document["motion"].update(axes=2)),
-        edited(lambda document: document["motion"].update(lower=-3.0)),
         edited(lambda document: document["motion"].update(layout=None)),
-        edited(lambda document: document["motion"]["layout"].update(receive=3)),
         edited(lambda document: document["motion"]["layout"].pop("port")),
     ],
 )
 def test_what_the_exporter_did_not_write_is_refused_with_the_files_name_or_its_key(text):
     with pytest.raises(ConfigurationError):
         parse_config(text, "arm.json")
-
-
-def test_a_missing_file_is_refused_with_its_path(tmp_path):
-    path = str(tmp_path / "none.json")
-    with pytest.raises(ConfigurationError) as caught:
-        load_config(path)
-    assert caught.value.where == path
-
-
-def test_a_file_that_is_not_text_is_refused(tmp_path):
-    path = tmp_path / "binary.json"
-    path.write_bytes(b"\xff\xfe\x00{")
-    with pytest.raises(ConfigurationError):
-        load_config(str(path))
 
 
 # -- export from the robot -------------------------------------------------------------------------------------------
@@ -183,21 +140,10 @@ def test_sign_and_offset_turn_joint_ranges_into_axis_ranges(robot, settings):
     assert config.lower[1:] == robot.lower[1:]
 
 
-def test_an_unknown_setting_is_refused(robot, settings):
-    with pytest.raises(ConfigurationError, match="colour"):
-        gateway_config(robot, settings | {"colour": "orange"})
-
-
 def test_timeout_is_counted_in_cycles_as_the_controller_does(robot, settings):
     assert gateway_config(robot, settings).timeout == 0.4
     assert gateway_config(robot, settings | {"cycle": 12}).timeout == 1.2
     assert gateway_config(robot, settings | {"cycle": 12, "timeout": 10}).timeout == 0.12
-
-
-@pytest.mark.parametrize("timeout", [0.4, 0, -1, True, "100", None])
-def test_a_timeout_in_seconds_is_refused_with_what_it_is(robot, settings, timeout):
-    with pytest.raises(ConfigurationError, check=expects("expected.timeout", "timeout", words=MAKE.words.timeout)):
-        gateway_config(robot, settings | {"timeout": timeout})
 
 
 @pytest.mark.parametrize("cycle", [8, "4", 4.0, None])
@@ -246,11 +192,3 @@ def test_a_range_that_the_joint_string_cannot_carry_is_refused(robot, settings, 
     wide = dataclasses.replace(robot, linear=(linear, *robot.linear[1:]), upper=(upper, *robot.upper[1:]))
     with pytest.raises(ConfigurationError, check=expects("expected.wire_range", "upper limits of kr120")):
         gateway_config(wide, settings)
-
-
-def test_units_of_an_external_axis_are_the_settings():
-    axes = ("A1", "E1")
-    limits = ((-1.0, -1.0), (1.0, 5.0), (1.0, 1.0), (1.0, 1.0))
-    config = GatewayConfig("arm", axes, *limits, linear=("E1",), e1_sign=-1, e1_offset=0.15, e1_feedback_scale=57.3)
-    assert config.units == (AxisUnit(), AxisUnit(True, -1, 0.15, 57.3, 1.0))
-    assert parse_config(config.to_json(), "file") == config

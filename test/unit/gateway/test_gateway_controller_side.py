@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 import socket
 import subprocess
 import sys
-from xml.etree import ElementTree
 
 import pytest
 from processes import ROOT, wait_until
-from rsi_mutations import mutate
-from service_cell import AXES, CONFIG, START, client_of, controller_of, free_port, serving
+from service_cell import AXES, CONFIG, client_of, controller_of, free_port, serving
 
-from construction_twin.core.errors import TelegramError
-from construction_twin.gateway.states import State
 from construction_twin.rsi.controller_codec import SensorDecoder
 from construction_twin.rsi.ethernet_xml import load_ethernet_xml
-from construction_twin.rsi.gateway_codec import RobotDecoder
 from construction_twin.rsi.layout import RsiLayout
 
 PLAIN = RsiLayout.plain(AXES)
@@ -45,12 +39,6 @@ def exchange(controller, decoder):
     return reply
 
 
-def test_replies_have_the_names_and_the_sentype_of_the_file(topics):
-    decoder = SensorDecoder("Twin", AXES, NAMED.receive)
-    with serving(free_port(), topics, with_layout(NAMED)) as (_, address), controller_of(address) as controller:
-        assert [exchange(controller, decoder) for _ in range(3)][-1].stop is False
-
-
 def test_a_gateway_that_ends_tells_the_controller_once_the_arm_is_at_rest(topics):
     decoder = SensorDecoder("Twin", AXES, NAMED.receive)
     with serving(free_port(), topics, with_layout(NAMED)) as (service, address), controller_of(address) as controller:
@@ -72,92 +60,6 @@ def test_read_only_publishes_states_and_answers_nothing(broker, topics):
             assert client.on(topics.state)
             answer = client.arm(service.gateway.config)
             assert not answer["ok"] and "ONLYSEND TRUE" in answer["reason"]
-
-
-def test_commissioning_is_in_the_status(broker, topics):
-    with serving(broker, topics, commissioning=True) as (_, address), controller_of(address) as controller:
-        with client_of(broker, topics) as client:
-            for _ in range(3):
-                controller.cycle()
-            client.wait_for_status(state="ready", mode="commissioning")
-            assert "commissioning" in client.status()["reason"]
-            assert client.arm()["reason"].startswith("armed; commissioning")
-
-
-def test_every_hostile_telegram_is_counted_and_none_disturbs_the_session(topics):
-    with serving(free_port(), topics) as (service, address), controller_of(address) as controller:
-        controller.cycle()
-        counters, decoder = service.gateway.counters, RobotDecoder(AXES)
-        sent = 0
-        for seed in range(1500):
-            data = mutate(controller.telegram(), seed)
-            if len(data) > 60_000 or is_telegram(decoder, data):
-                continue  # what can be read is no garbage: a controller's own telegram, changed
-            controller.send(data)
-            sent += 1
-            if sent % 25 == 0 or len(data) > 4000:
-                # a reply proves that everything before it was read: the socket's buffer is not for us to overflow
-                controller.cycle()
-        controller.cycle()
-        refused = sum(count for name, count in counters.items() if name.startswith("telegram_refused_"))
-        assert sent > 500 and refused == sent
-        assert set(controller.replies) == {(0.0, 0.0)}
-        assert (counters["rsi_sessions"], controller.measured) == (1, START)
-
-
-@pytest.mark.parametrize(
-    "change, why",
-    [
-        ((b'A2="-', b'A9="-'), "attribute: AIPos has no A2"),
-        ((b'A1="5', b'A1="inf5'), "number: AIPos A1 is 'inf5"),
-        ((b"</Rob>", b""), "xml: telegram is not well-formed"),
-        ((b"<IPOC>", b"<IPOC>x"), "ipoc: IPOC is 'x"),
-        ((b"<Rob", b"<!-- --><Rob"), "markup: telegram holds a declaration"),
-    ],
-)
-def test_while_no_telegram_can_be_read_the_reason_says_why_and_how_many(broker, topics, change, why):
-    with serving(broker, topics) as (_, address), controller_of(address) as controller:
-        with client_of(broker, topics) as client:
-            client.wait_for_status(state="no_controller", reason="no telegram yet")
-            for _ in range(30):
-                controller.send(controller.telegram().replace(*change))
-            client.wait_for_counter(f"telegram_refused_{why.partition(':')[0]}", 30)
-
-            def said():
-                # counted once a second: the last ones are told with the next datagram that cannot be read
-                words = r"no telegram yet; datagrams refused: \d+, the last one for (.*)"
-                found = re.match(words, client.status()["reason"])
-                return found and found[1]
-
-            controller.send(controller.telegram().replace(*change))
-            assert wait_until(said, what="the reason").startswith(why)
-            assert client.status()["state"] == "no_controller"
-            controller.cycle()
-            client.wait_for_status(state="ready")
-
-
-def test_telegrams_as_a_python_sender_writes_them_make_a_session(broker, topics):
-    with serving(broker, topics) as (service, address), controller_of(address) as controller:
-        for k in range(20):
-            controller.ipoc += 4
-            root = ElementTree.fromstring(controller.telegram())
-            for element in root.findall("AIPos") + root.findall("ASPos"):
-                for name, value in element.attrib.items():
-                    element.set(name, f"{float(value):.12e}" if k % 2 else repr(float(value)))
-            controller.send(ElementTree.tostring(root, encoding="utf8"))
-            assert controller.receive() == (0.0, 0.0)
-        counters = service.gateway.counters
-        assert (counters["telegrams"], counters["rsi_sessions"]) == (20, 1)
-        assert not [name for name in counters if name.startswith("telegram_refused_")]
-        assert service.gateway.state is State.READY
-
-
-def is_telegram(decoder, data) -> bool:
-    try:
-        decoder.parse(data)
-    except TelegramError:
-        return False
-    return True
 
 
 def test_telegrams_from_any_but_the_configured_address_are_not_even_parsed(topics):
@@ -216,12 +118,3 @@ def test_a_file_on_the_controller_that_differs_from_the_configuration_is_found_a
     assert len(result.stderr.strip().splitlines()) == 1 and "Traceback" not in result.stderr
     for words in ("eth.xml", *said):
         assert words in result.stderr
-
-
-def test_the_port_is_the_files_unless_another_one_is_given(tmp_path, ethernet_file):
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
-        taken.bind(("127.0.0.1", 0))
-        port = taken.getsockname()[1]
-        layout = dataclasses.replace(load_ethernet_xml(ethernet_file).layout, port=port)
-        result = run(tmp_path, with_layout(layout))
-    assert f"cannot listen for RSI on UDP 127.0.0.1:{port}" in result.stderr

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import linecache
 import logging
-import socket
 import threading
 import time
 
 import pytest
 from processes import wait_until
-from service_cell import AXES, CONFIG, PATIENT, cell, motion, stream
+from service_cell import CONFIG, PATIENT, cell, motion, stream
 
 from construction_twin.core.follower import Follower
 from construction_twin.core.units import CYCLE
@@ -134,33 +133,3 @@ def test_a_slow_disk_and_a_broken_state_machine_hold_no_reply_up(broker, topics,
         assert "injected" in service.failure and service.gateway.counters["failures"] >= 2
         assert client.wait_for_status(state="failed")
     assert looked_up
-
-
-def test_what_fails_while_nobody_moves_leads_there_as_well(broker, topics):
-    with cell(broker, topics) as (service, controller, client):
-        service.gateway.poll = broken
-        client.wait_for_status(state="failed")
-        begin = len(controller.replies)
-        wait_until(lambda: len(controller.replies) > begin + 20, what="replies")
-        assert set(controller.replies[begin:]) == {(0.0,) * len(AXES)}
-
-
-def test_an_exception_that_ends_another_thread_is_one_of_the_gateway(broker, topics, monkeypatch):
-    with cell(broker, topics, config=PATIENT) as (service, controller, client):
-        monkeypatch.setattr(threading, "excepthook", service.on_thread_failure)
-        assert client.arm(PATIENT)["ok"]
-        stream(client, controller, (motion(k) for k in range(80)))
-        begin = len(controller.replies)
-        # the thread that connects again after the connection is lost
-        service._mqtt.client.reconnect = broken
-        service._mqtt.client.socket().shutdown(socket.SHUT_RDWR)
-        wait_until(lambda: "Unexpected" in service.failure, what="failure")
-        assert_it_brakes_and_holds(controller, begin)
-
-
-def test_a_failed_gateway_still_ends_in_order(broker, topics):
-    with cell(broker, topics) as (service, controller, client):
-        service.gateway.poll = broken
-        client.wait_for_status(state="failed")
-        service.stop()
-        client.wait_for_status(state="offline", reason="gateway stopped", fault=True)

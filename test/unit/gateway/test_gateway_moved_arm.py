@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import pytest
-from gateway_cell import RUN, START, Cell, following, gap, other_source, slow
+from gateway_cell import START, Cell, following, gap, other_source, slow
 
 from construction_twin.core.units import CYCLE, NANOSECONDS
-from construction_twin.gateway.gateway import Gateway, State
+from construction_twin.gateway.gateway import State
 
 TEN_DEG = math.radians(10.0)
 
@@ -57,12 +57,6 @@ class TestSwitchedOffAndOn:
         assert switch_on_anew(cell) == (0.0, 0.0)
         assert cell.state is State.READY and cell.gateway.session == ""
 
-    def test_after_the_arm_went_back_to_where_rsi_began_before(self):
-        cell = displaced()
-        cell.measured = cell.setpoint
-        assert cell.cycle(step_ms=200) == (0.0, 0.0)
-        assert cell.count("rsi_sessions") == 2
-
     def test_a_program_that_moves_the_arm_under_a_correction_is_none(self):
         cell = displaced()
         before = cell.replies[-1]
@@ -100,20 +94,6 @@ class TestSwitchedOffAndOn:
         assert cell.cycle(step_ms=400) == before
         assert cell.count("rsi_sessions") == 1
 
-    def test_commissioning_sends_no_correction_so_there_is_nothing_to_lose(self):
-        cell = Cell()
-        cell.gateway = Gateway(cell.config, RUN, commissioning=True)
-        cell.cycle(3)
-        cell.arm()
-        cell.stream(slow(k) for k in range(200))
-        assert cell.cycle(step_ms=8) == (0.0, 0.0)
-        assert (cell.state, cell.count("rsi_sessions")) == (State.FOLLOWING, 1)
-
-    def test_where_aspos_is_no_reference_it_says_nothing(self):
-        cell = displaced(reference="AIPos")
-        before = cell.replies[-1]
-        assert cell.cycle(step_ms=8, setpoint=cell.measured) == before
-
 
 class TestDrift:
     def test_aspos_that_moves_while_a_stream_is_followed_is_braked_for(self):
@@ -147,12 +127,6 @@ class TestDrift:
         cell.send(slow(100))
         cell.cycle(setpoint=moved(cell.setpoint, 0.9 * cell.config.start_tolerance))
         assert (cell.count("reference_drifts"), cell.state) == (1, State.FOLLOWING)
-
-    def test_with_the_other_reference_aspos_may_do_as_it_likes(self):
-        cell = following(reference="AIPos")
-        cell.send(slow(100))
-        cell.cycle(setpoint=moved(cell.setpoint))
-        assert cell.state is State.FOLLOWING
 
 
 class TestArmedWhereTheArmIs:

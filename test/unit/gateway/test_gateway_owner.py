@@ -181,16 +181,3 @@ def test_reordered_and_repeated_commands_are_dropped_and_counted_apart(order, re
     }
     assert found == reasons
     go_on(cell, begin=100 + max(order))
-
-
-def test_a_stream_begins_only_near_the_pose_also_for_the_next_owner():
-    cell = following()
-    cell.control("stop")
-    cell.cycle(100)
-    cell.control("reset")
-    cell.arm("s2")
-    cell.send((cell.measured[0] + math.radians(0.06), START[1]), session="s2")
-    assert (cell.state, cell.count("refused_start")) == (State.ARMED, 1)
-    assert "A1" in cell.gateway.status()["last_refusal"]
-    cell.send(cell.measured, session="s2")
-    assert cell.state is State.FOLLOWING

@@ -50,16 +50,6 @@ def test_a_stall_beyond_the_delay_brakes_goes_on_and_is_absorbed_the_next_time()
     assert cell.state is State.FOLLOWING
 
 
-def test_while_commands_are_overdue_the_arm_never_turns_round():
-    cell = following(cycles=200)
-    before = cell.measured[0]
-    for _ in range(60):
-        cell.cycle()
-        assert cell.measured[0] >= before
-        before = cell.measured[0]
-    assert cell.state is State.HOLDING
-
-
 def hole(cell, missing, begin=300):
     """Lose `missing` commands in mid-motion; the next one comes in time."""
     cell.seq += missing
@@ -155,22 +145,3 @@ def test_a_stall_that_ended_a_stream_makes_the_next_ones_delay_longer(properties
         cell.send(cell.measured, stall_session)
     cell.cycle()
     assert (cell.state, cell.count("stops_silence")) == (State.FOLLOWING, stopped)
-
-
-def test_a_stream_that_just_ended_leaves_the_delay_alone():
-    cell = following()
-    resume(cell)
-    assert cell.gateway.status()["playout"]["delay_ms"] == 20.0
-
-
-def test_status_shows_the_playout():
-    cell = following()
-    assert cell.gateway.status()["playout"] == {
-        "delay_ms": 20.0,
-        "jitter_ms": 0.0,
-        "lead_ms": 16.0,
-        "to_move_ms": 0.0,
-        "put_off_ms": 0.0,
-        "rate_percent": 0.0,
-        "drift_ppm": None,
-    }

@@ -64,14 +64,6 @@ def test_the_state_after_a_verb_is_told_before_its_answer(broker, topics):
         assert payloads[len(before) - 1]["state"] == "armed"
 
 
-def test_a_wrong_hash_is_answered_with_the_reason_and_arms_nothing(broker, topics):
-    with cell(broker, topics) as (service, controller, client):
-        answer = client.control("arm", arm_value("0" * 64, RUN))
-        assert not answer["ok"]
-        assert answer["reason"] == f"configuration hash {'0' * 64!r} is not the gateway's {CONFIG.hash}"
-        assert service.gateway.status()["state"] == "ready"
-
-
 def test_garbage_on_mqtt_moves_nothing_and_is_counted(broker, topics):
     with cell(broker, topics) as (service, controller, client):
         client.arm()
@@ -97,18 +89,6 @@ def test_garbage_on_mqtt_moves_nothing_and_is_counted(broker, topics):
         assert_still(controller)
         assert controller.measured == pytest.approx(START)
         assert service.gateway.status()["state"] == "armed"
-
-
-def test_a_gateway_without_a_stream_brakes_and_keeps_answering(broker, topics):
-    with cell(broker, topics) as (service, controller, client):
-        client.arm()
-        stream(client, controller, (motion(k) for k in range(100)))
-        client.wait_for_status(state="holding")
-        assert_still(controller)
-        assert controller.missed == 0
-        assert not client.arm(CONFIG, "s2")["ok"]
-        assert client.control("reset")["ok"]
-        assert client.arm(CONFIG, "s2")["ok"]
 
 
 @pytest.mark.parametrize("name", ["command", "control"])
@@ -139,13 +119,6 @@ def test_the_status_is_there_for_whoever_comes_later(broker, topics):
             late.wait_for_status(state="ready", hash=CONFIG.hash, decimals=3, properties=True)
             assert late.on(topics.status)[0].retain
             assert {"p50", "p99", "p99_9", "max"} <= set(late.status()["reply_us"])
-
-
-def test_a_stopped_gateway_says_that_it_is_offline(broker, topics):
-    with client_of(broker, topics) as client:
-        with serving(broker, topics):
-            client.wait_for_status(state="no_controller")
-        client.wait_for_status(state="offline", reason="gateway stopped")
 
 
 def test_when_the_broker_dies_the_arm_brakes_replies_go_on_and_the_gateway_comes_back(broker_process, topics):

@@ -73,12 +73,3 @@ def test_a_flood_of_stops_is_answered_at_a_bounded_rate_and_another_person_all_t
         assert counters["stops_repeated"] > 0
         # RSI is answered before MQTT is read
         assert None not in controller.replies[begin:]
-
-
-def test_answers_of_the_executor_are_no_stops(broker, topics):
-    with cell(broker, topics) as (service, controller, client):
-        client.arm()
-        client.paho.publish(topics.stop_ack, b'{"id": "1"}', qos=1).wait_for_publish(10.0)
-        # behind it on the same connection: what comes first is read first
-        assert client.control("void")["ok"]
-        assert client.status()["state"] == "armed" and not service.gateway.fault

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import json
 import logging
-import time
 
 import pytest
 from gateway_cell import Cell, following
 from processes import wait_until
-from service_cell import PATIENT, START, assert_still, cell, motion, stream
+from service_cell import PATIENT, assert_still, cell, motion, stream
 
 from construction_twin.core.rate_limit import LineLimiter, SenderLimits
 from construction_twin.core.sentences import Sentence
-from construction_twin.gateway import service as module
 from construction_twin.gateway.gateway import Gateway, State
 from construction_twin.gateway.ownership import Ownership
 from construction_twin.gateway.player import Player
 from construction_twin.gateway.stop_report import StopReport
-from construction_twin.mqtt.fast_client import FastClient
 from construction_twin.mqtt.interventions import STOP, Intervention
 
 WAYS = ("control", "account")
@@ -61,17 +58,6 @@ def test_what_predicts_or_counts_a_stop_cannot_fail_it(monkeypatch, owner, name,
         assert arm.control("reset", "s2")[0] and arm.arm("s2")[0]
 
 
-def test_it_brakes_the_same_way_without_a_forecast(monkeypatch):
-    whole, blind = following(), following()
-    stop(whole, "account")
-    with monkeypatch.context() as broken:
-        broken.setattr(StopReport, "begin", fail)
-        stop(blind, "account")
-    whole.cycle(400)
-    blind.cycle(400)
-    assert whole.replies == blind.replies
-
-
 def press(client, topics, way: str) -> dict:
     """Stop by the control topic or as a person; return the answer."""
     if way == "control":
@@ -80,34 +66,6 @@ def press(client, topics, way: str) -> dict:
     client.paho.publish(topics.stop_by("arm-stopper-bob"), b'{"id": "7"}', qos=1)
     wait_until(lambda: len(client.on(topics.stop_ack)) > count, what="an answer on stop/ack")
     return json.loads(client.on(topics.stop_ack)[count].payload)
-
-
-class Set:
-    """`time` of a machine whose wall clock was set."""
-
-    monotonic, monotonic_ns, sleep = time.monotonic, time.monotonic_ns, time.sleep
-
-    def __init__(self, step: float):
-        self._step = round(step * 1e9)
-
-    def time_ns(self) -> int:
-        """Return the wall clock, as it was set."""
-        return time.time_ns() + self._step
-
-
-@pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("step", [-10.0, -0.05, 10.0])
-def test_with_a_wall_clock_that_was_set(broker, topics, monkeypatch, way, step):
-    with cell(broker, topics, config=PATIENT) as (service, controller, client):
-        assert client.arm(PATIENT)["ok"]
-        stream(client, controller, (motion(k) for k in range(60)))
-        # on a busy machine the commands may come after the last of these cycles
-        wait_until(lambda: controller.measured != START, what="the arm to move")
-        monkeypatch.setattr(module, "time", Set(step))
-        assert press(client, topics, way)["ok"]
-        client.wait_for_status(state="holding", fault=True)
-        assert controller.measured != START and not service.failure
-        assert_still(controller)
 
 
 def failing_log(note):
@@ -140,27 +98,6 @@ def test_a_running_gateway_answers_counts_and_says_it(
         wait_until(lambda: any("nobody foresaw this" in line for line in caplog.messages), what="the line")
         assert not service.failure
         assert_still(controller)
-
-
-@pytest.mark.parametrize("way", WAYS)
-def test_a_status_that_cannot_be_sent_keeps_no_answer_back(broker, topics, monkeypatch, way):
-    with cell(broker, topics, config=PATIENT) as (service, controller, client):
-        assert client.arm(PATIENT)["ok"]
-        stream(client, controller, (motion(k) for k in range(60)))
-        publish, failed = FastClient.publish, []
-
-        def publish_once_not(self, topic, *rest, **more):
-            # the first status after the stop goes with its answer
-            if topic == topics.status and service.gateway.fault and not failed:
-                failed.append(topic)
-                fail()
-            return publish(self, topic, *rest, **more)
-
-        monkeypatch.setattr(FastClient, "publish", publish_once_not)
-        assert press(client, topics, way)["ok"] and failed
-        client.wait_for_status(state="holding", fault=True)
-        wait_until(lambda: client.status()["counters"].get("failed_beside_the_status") == 1, what="the count")
-        assert not service.failure
 
 
 @pytest.mark.parametrize("way", WAYS)

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 
 import pytest
-from gateway_cell import CONFIG, DELAY_CYCLES, START, Cell, slow
+from gateway_cell import CONFIG, DELAY_CYCLES, Cell, slow
 from hypothesis import given
 from hypothesis import strategies as st
 
 from construction_twin.controller.telegram import STAMP_WRAP, stamp_step
-from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.gateway import State
 from construction_twin.gateway.trace import TraceWriter, read_trace
 from construction_twin.scenario.judge import trace_excesses
@@ -37,21 +36,6 @@ def wrap(cell):
 
 
 class TestTheStep:
-    def test_is_the_difference(self):
-        assert [stamp_step(1000, ipoc, 400) for ipoc in (1004, 1400, 1000, 996, 5000, 0)] == [
-            4,
-            400,
-            0,
-            -4,
-            4000,
-            -1000,
-        ]
-
-    @pytest.mark.parametrize("offset", [0, 1, 2, 3])
-    def test_goes_past_two_to_the_32_in_either_direction(self, offset):
-        last = STAMP_WRAP - 4 + offset
-        assert stamp_step(last, offset, 400) == 4 and stamp_step(offset, last, 400) == -4
-
     def test_that_is_longer_than_plausible_is_no_wrap(self):
         assert stamp_step(STAMP_WRAP - 4, 396, 400) == 400
         assert stamp_step(STAMP_WRAP - 4, 400, 400) == 400 - (STAMP_WRAP - 4)
@@ -120,15 +104,6 @@ def test_any_other_ipoc_that_goes_back_is_a_new_session(last, ipoc):
     assert (cell.count("rsi_sessions"), cell.count("sessions_by_ipoc_jump")) == (2, 1)
 
 
-def test_a_wrap_after_silence_begins_a_session():
-    cell = moving(STAMP_WRAP)
-    cell.now += NANOSECONDS
-    cell.gateway.poll(cell.now)
-    wrap(cell)
-    cell.cycle()
-    assert cell.count("rsi_sessions") == 2
-
-
 @pytest.mark.parametrize("ipoc", [2**63 - 400, 2**63 + 4, 2**64 - 4_000])
 def test_a_count_of_64_bits_is_followed_and_recorded(tmp_path, ipoc):
     writer = TraceWriter(str(tmp_path / "trace"), 2)
@@ -140,20 +115,6 @@ def test_a_count_of_64_bits_is_followed_and_recorded(tmp_path, ipoc):
     assert trace_excesses(entries, cell.config.limits, 3) == []
     assert trace_arrays(entries, 0.004)[1].sum() == 1
     assert cell.count("settling") == 0 and cell.state is State.FOLLOWING
-
-
-def test_a_trace_across_the_wrap_is_judged_like_any_other(tmp_path):
-    writer = TraceWriter(str(tmp_path / "trace"), 2)
-    cell = moving(STAMP_WRAP - 400, trace=writer.record)
-    for k in range(100, 300):
-        if cell.ipoc + 4 >= STAMP_WRAP:
-            wrap(cell)
-        cell.stream([slow(k)])
-    writer.close()
-    entries = read_trace(str(tmp_path / "trace"))
-    assert min(entry.ipoc for entry in entries) < 8 and max(entry.ipoc for entry in entries) > STAMP_WRAP - 8
-    assert trace_excesses(entries, cell.config.limits, 3) == []
-    assert trace_arrays(entries, 0.004)[1].sum() == 1
 
 
 @pytest.mark.parametrize("start", [STAMP_WRAP - 2_000, STAMP_WRAP + 2_000, 2**64 - 100_000])
@@ -190,16 +151,3 @@ def test_the_last_resort_answers_the_same_telegrams(last):
     assert resort.target != before, "it brakes on, it does not take the arm to be standing"
     for late in (last, last - 4, following, 2**64):
         assert resort.stamp_of(telegram(late), PEER) is None
-
-
-def test_a_session_near_its_origin_makes_no_step_at_a_wrap():
-    """Where the correction is almost zero nothing else shows that a session goes on."""
-    cell = Cell()
-    cell.ipoc = STAMP_WRAP - 4 * 30
-    cell.cycle(3)
-    assert cell.arm()[0]
-    for k in range(40):
-        if cell.ipoc + 4 >= STAMP_WRAP:
-            wrap(cell)
-        cell.stream([(START[0] + 1e-4 * (1 - math.cos(0.1 * k)), START[1])])
-    assert (cell.state, cell.count("rsi_sessions")) == (State.FOLLOWING, 1)

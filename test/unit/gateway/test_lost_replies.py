@@ -107,31 +107,6 @@ def test_lost_telegrams_are_the_same(lost, cycle):
     assert (cell.state, cell.count("settling")) == (State.FOLLOWING, 0)
 
 
-def test_the_motion_that_was_held_up_ends_where_it_should():
-    rate = 2 * math.pi / (600 * CYCLE)
-    cell = moving(rate=rate)
-    cell.lose("r" * 5)
-    go_on(cell, 400, rate)
-    end = curve(600, rate)
-    for _ in range(400):
-        cell.stream([end])
-    assert cell.measured == pytest.approx(end, abs=2e-8)
-    report = cell.gateway.status()["playout"]
-    assert (report["put_off_ms"], report["to_move_ms"]) == (0.0, 0.0)
-    assert_arrived_within_limits(cell)
-    assert_on_path(cell)
-
-
-def test_a_slow_motion_loses_no_more_time_than_its_start_takes():
-    cell = moving(rate=0.1)
-    cell.lose("r")
-    go_on(cell, 30, rate=0.1)
-    # a reply of 4 ms, and a start in 10 cycles, at half the rate on average
-    assert cell.gateway.status()["playout"]["put_off_ms"] < 30.0
-    assert_arrived_within_limits(cell)
-    assert_on_path(cell)
-
-
 @pytest.mark.parametrize("cumulative", [False, True])
 def test_the_stamp_of_a_pose_is_that_of_the_target_that_arrived(cumulative):
     cell = moving(cumulative=cumulative)
@@ -267,32 +242,6 @@ class TestADelayThatCannotBe:
         assert cell.count("delay_irregular") == 1
         budget = cell.config.acceleration[0] * CYCLE**2
         assert 0.0 <= cell.measured[0] - before[0] <= 1.01 * budget
-        assert cell.state is State.FOLLOWING
-
-    def test_one_that_rises_with_every_telegram_stands_and_ends_in_a_stop(self):
-        cell = moving()
-        held = cell.arrived[-2][1]
-        for k in range(600):
-            cell.send(curve(cell.sent + k))
-            cell.cycle(missed=k + 1)
-        assert cell.gateway.fault and cell.count("stops_replies") == 1
-        assert max(abs(a - b) for a, b in zip(cell.measured, held)) < 1e-3
-
-    def test_one_that_does_not_fall_back_counts_the_session(self):
-        cell = moving()
-        for delay in (1, 1, 1, 1):
-            cell.send(curve(cell.sent))
-            cell.sent += 1
-            cell.cycle(missed=delay)
-        assert (cell.count("standstills"), cell.count("delay_irregular")) == (1, 0)
-
-    def test_one_that_falls_to_what_it_cannot_be_is_counted_and_nothing_more(self):
-        cell = moving()
-        for delay in (1, 2, 3, 1):
-            cell.send(curve(cell.sent))
-            cell.sent += 1
-            cell.cycle(missed=delay)
-        assert (cell.count("standstills"), cell.count("delay_irregular")) == (3, 1)
         assert cell.state is State.FOLLOWING
 
     def test_telegrams_without_one_begin_no_session(self):

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from construction_twin.core.interpolation import interpolate
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.playout import CALM, MARGIN, URGENT, Playout, PlayoutBounds
 
@@ -51,28 +50,6 @@ def test_playing_begins_the_delay_behind_the_newest_and_waits_at_the_first_comma
     assert played[5:] == [(T0 + k * CYCLE_NS, pose(k)) for k in range(1, 8)]
 
 
-def test_between_two_commands_the_target_is_interpolated_at_playout_time():
-    link = Link(delay=DELAY + CYCLE_NS // 4)
-    for _ in range(8):
-        stamp, q = link.cycle()
-    k = (stamp - T0) // CYCLE_NS
-    assert (stamp - T0) % CYCLE_NS == 3 * CYCLE_NS // 4
-    assert q == interpolate(stamp, *(stamped(k + n) for n in (0, 1, -1, 2)))
-
-
-def test_a_lost_command_is_bridged_by_interpolation():
-    link = Link()
-    played = []
-    for k in range(16):
-        if k == 6:
-            link.sent += 1
-            played.append(link.playout.advance(CYCLE_NS))
-        else:
-            played.append(link.cycle())
-    stamp, q = next(entry for entry in played if entry[0] == T0 + 6 * CYCLE_NS)
-    assert q == interpolate(stamp, *(stamped(k) for k in (5, 7, 4, 8)))
-
-
 def test_a_controller_step_of_8_ms_moves_playout_time_8_ms():
     link = Link()
     for _ in range(8):
@@ -92,23 +69,6 @@ def test_several_commands_at_once_play_at_the_controllers_pace():
     assert stamps == pytest.approx([before + k * CYCLE_NS for k in (1, 2, 3, 4)], abs=10 * CALM.change)
 
 
-def test_when_commands_run_out_the_newest_is_held_and_silence_grows():
-    link = Link()
-    for _ in range(10):
-        link.cycle()
-    held = [link.playout.advance(CYCLE_NS) for _ in range(10)][4:]
-    assert held == [(T0 + 9 * CYCLE_NS, pose(9))] * 6
-    assert link.playout.silence == 6 * CYCLE_NS
-
-
-def test_there_is_no_silence_while_commands_are_ahead():
-    link = Link()
-    for _ in range(10):
-        link.cycle()
-        assert link.playout.silence == 0
-    assert link.playout.lead(link.playout.newest) == DELAY - CYCLE_NS
-
-
 def test_after_an_underflow_playing_goes_on_where_time_is():
     link = Link()
     for _ in range(10):
@@ -123,31 +83,10 @@ def test_after_an_underflow_playing_goes_on_where_time_is():
     assert q == pytest.approx(pose(14), abs=1e-6)
 
 
-def test_clearing_starts_a_stream_of_its_own():
-    link = Link()
-    for _ in range(10):
-        link.cycle()
-    link.playout.clear()
-    assert (link.playout.newest, link.playout.silence) == (0, 0)
-    link.playout.push(7, pose(3))
-    assert link.playout.advance(CYCLE_NS) == (7, pose(3))
-
-
 def crowd(link, count, q=None):
     """Let the sender run ahead by `count` commands."""
     for _ in range(count):
         link.send(q)
-
-
-def test_at_rest_time_is_moved_to_the_delay_at_once():
-    link = Link()
-    rest = pose(1)
-    for _ in range(10):
-        link.cycle(rest)
-    crowd(link, 4, rest)
-    assert {link.cycle(rest)[1] for _ in range(25 * 250)} == {rest}
-    # for 20 s a sender that ran ahead looks like one whose later commands are late
-    assert (link.playout.lead(link.playout.newest), link.playout.delay) == (DELAY - CYCLE_NS, DELAY)
 
 
 def test_moving_time_never_skips_a_motion_that_is_still_to_be_played():
@@ -209,15 +148,6 @@ def rates(stamps):
     return [(later - earlier - CYCLE_NS) / CYCLE_NS for earlier, later in zip(stamps, stamps[1:])]
 
 
-def test_an_undisturbed_link_is_played_on_the_stamps_for_as_long_as_it_lasts():
-    network = Network(lambda _: 300_000, motion=lambda t: (max(0.0, t - 2.0),))
-    stamps = [stamp for stamp, _ in network.run(60.0)]
-    assert all((stamp - T0) % CYCLE_NS == 0 for stamp in stamps)
-    assert set(rates(stamps[300:])) == {0.0}
-    report = network.playout.report()
-    assert (report["delay_ms"], report["jitter_ms"], report["drift_ppm"]) == (20.0, 0.0, 0.0)
-
-
 @pytest.mark.parametrize("ppm", [100.0, -100.0, 20.0])
 def test_drifting_clocks_are_followed_without_a_step_and_without_running_dry(ppm):
     network = Network(lambda _: 300_000, ppm)
@@ -234,11 +164,6 @@ def test_drifting_clocks_are_followed_without_a_step_and_without_running_dry(ppm
     assert network.playout.report()["drift_ppm"] == pytest.approx(ppm, abs=1.0)
     # between two moves it is played on the stamps
     assert sum((stamp - T0) % CYCLE_NS == 0 for stamp in stamps) > 0.9 * len(stamps)
-
-
-def jittery(low, high, seed=1):
-    chance = random.Random(seed)
-    return lambda _: chance.randrange(low, high + 1)
 
 
 def test_jitter_is_absorbed_by_a_delay_that_is_shown_and_given_back_when_it_ends():
@@ -287,25 +212,6 @@ def test_the_delay_stays_within_its_bounds(stall):
     assert network.playout.delay == (PlayoutBounds(DELAY, DELAY, LONGEST).delay(200_000_000) if stall < 1 else LONGEST)
 
 
-def test_a_stream_that_ended_teaches_nothing_but_one_that_was_held_up_does():
-    link = Link()
-    for _ in range(100):
-        link.cycle()
-    for _ in range(30):
-        link.playout.advance(CYCLE_NS)
-    shortfall = link.playout.shortfall
-    assert shortfall == 30 * CYCLE_NS
-    link.playout.clear()
-    assert link.playout.delay == DELAY
-    link.playout.learn(shortfall)
-    link.playout.clear()
-    assert link.playout.delay == shortfall + MARGIN
-    # a cut is longer than any delay could absorb
-    fresh = Link()
-    fresh.playout.learn(LONGEST + 1)
-    assert fresh.playout.delay == DELAY
-
-
 @given(st.integers(1, 250_000_000), st.integers(0, 50), st.integers(0, 100), st.integers(0, 300_000_000))
 def test_delays_are_bounded_and_whole_cycles_from_the_start(start, below, above, jitter):
     bounds = PlayoutBounds(start, max(1, start - below * 1_000_000), start + above * 1_000_000)
@@ -314,18 +220,6 @@ def test_delays_are_bounded_and_whole_cycles_from_the_start(start, below, above,
     assert bounds.shortest <= delay <= bounds.longest
     assert delay >= jitter + MARGIN or delay + CYCLE_NS > bounds.longest
     assert delay == start or delay < jitter + MARGIN + CYCLE_NS or delay < bounds.shortest + CYCLE_NS
-
-
-def test_a_command_behind_playout_time_is_late_and_still_helps_to_interpolate():
-    link = Link()
-    for _ in range(10):
-        link.cycle()
-    for _ in range(8):
-        link.playout.advance(CYCLE_NS)
-    # playout time is 13 cycles after the first command
-    assert [link.playout.push(*stamped(10 + k)) for k in range(8)] == [10 + k > 13 for k in range(8)]
-    stamp, q = link.playout.advance(CYCLE_NS)
-    assert q == interpolate(stamp, *(stamped(k) for k in (13, 14, 12, 15)))
 
 
 @pytest.mark.parametrize("phase", [0, 700_000, 2_000_000, 3_999_999])

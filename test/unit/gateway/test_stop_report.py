@@ -5,11 +5,11 @@ from __future__ import annotations
 import itertools
 import math
 
-from gateway_cell import CONFIG, Cell, following, slow
+from gateway_cell import CONFIG, Cell, following
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from construction_twin.core.units import CYCLE, CYCLE_NS, format_allowance
+from construction_twin.core.units import CYCLE, format_allowance
 from construction_twin.gateway.gateway import State
 from construction_twin.gateway.stop_report import StopReport
 
@@ -71,41 +71,10 @@ def test_the_report_names_the_cause_and_is_exact_on_a_free_way():
     assert len(positions) - 1 == round(report["time_s"] / CYCLE)
 
 
-def test_asked_for_again_while_it_brakes_the_statement_stands():
-    cell = following()
-    cell.control("stop")
-    stated = cell.gateway.status()["stop"]
-    cell.cycle(5)
-    cell.control("stop", "another")
-    assert cell.gateway.status()["stop"] == stated
-
-
-def test_an_arm_at_rest_moves_nowhere_and_needs_a_person_all_the_same():
-    cell = Cell()
-    cell.cycle(3)
-    _, report = stop(cell)
-    assert report["distance_deg"] == report["moved_deg"] == [0.0, 0.0] and report["time_s"] == 0.0
-    assert cell.gateway.fault and not cell.arm("s2")[0]
-    assert cell.control("reset", "s2")[0] and cell.arm("s2")[0]
-
-
-def test_before_the_first_stop_there_is_nothing_to_report():
-    report = following().gateway.status()["stop"]
-    assert report == {"cause": "", "by": "", "distance_deg": [], "time_s": 0.0, "moved_deg": [], "took_s": None}
-
-
 def test_linear_axes_are_told_in_mm_and_rounded_up():
     report = StopReport((False, True))
     report.distance = (math.radians(1.0000001), 0.0012345678)
     assert report.report()["distance_deg"] == [1.000001, 1.234568]
-
-
-def test_silence_and_refusal_are_causes_too():
-    silent, refused = following(), following()
-    silent.cycle(60)
-    assert silent.gateway.status()["stop"]["cause"] == "silence"
-    refused.send((0.4, -1.0))
-    assert refused.gateway.status()["stop"]["cause"] == "refused"
 
 
 def test_a_stop_by_silence_contains_the_braking_before_anybody_called_it_one():
@@ -123,17 +92,3 @@ def test_a_stop_by_silence_contains_the_braking_before_anybody_called_it_one():
     assert abs(report["moved_deg"][0] - math.degrees(abs(cell.measured[0] - before[0]))) <= 1.1e-6
     assert 0.1 < report["moved_deg"][0] <= report["distance_deg"][0]
     assert report["took_s"] <= report["time_s"] + 1e-9 and abs(report["took_s"] / CYCLE - steps) <= 1
-
-
-def test_braking_that_silence_did_not_end_is_forgotten():
-    cell = following(decimals=6)
-    cell.cycle(20)
-    assert cell.count("cycles_without_command")
-    cell.stamp, cell.seq = cell.stamp + 20 * CYCLE_NS, cell.seq + 20
-    cell.stream(slow(k) for k in range(120, 300))
-    assert cell.gateway.status()["stop"]["cause"] == ""
-    before = cell.measured
-    cell.cycle(60)
-    report = cell.gateway.status()["stop"]
-    assert report["cause"] == "silence" and report["moved_deg"][0] <= report["distance_deg"][0]
-    assert report["moved_deg"][0] <= math.degrees(abs(cell.measured[0] - before[0])) + 1.1e-6

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import json
 
-import gateway_cell
 import pytest
 import yaml
 from processes import ROOT
-from sentence_checks import expects
 from tool_cell import LAYOUT, TOOL, ToolCell, switched_off_on_stop
 
-from construction_twin.controller.tool import GatewayTool, ToolOutput, is_tool_name
+from construction_twin.controller.tool import ToolOutput
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.gateway.config import parse_config
 from construction_twin.robot.description import read_robot_files
@@ -46,20 +42,6 @@ def test_a_tool_file_without_channels_is_a_tool_without_hands(robot):
 def test_channels_without_a_tool_file_are_refused(robot):
     with pytest.raises(EthernetXmlError, match="found 'no tool'.*launch argument tool"):
         gateway_config(robot, {"ethernet_xml": XML["ctwin_tool"]})
-
-
-def test_a_tool_file_that_is_none_is_refused_with_its_key(robot):
-    with pytest.raises(ConfigurationError, match="tool/outputs"):
-        gateway_config(robot, {"ethernet_xml": XML["ctwin_tool"], "tool": FILE | {"outputs": {"vacuum": {}}}})
-
-
-def test_without_a_tool_file_and_hash_are_those_of_before_there_were_tools():
-    config = gateway_cell.CONFIG
-    document = dataclasses.asdict(config)
-    del document["tool"], document["layout"]["switched"], document["layout"]["switched_holdon"]
-    assert config.hash == hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
-    assert "tool" not in json.loads(config.to_json())["motion"]
-    assert parse_config(config.to_json(), "file") == config
 
 
 @pytest.mark.parametrize(
@@ -105,17 +87,3 @@ def test_the_shipped_pair_fits_and_a_read_only_context_needs_no_set_channels():
 def test_a_tool_that_makes_no_sense_is_refused(changes):
     with pytest.raises(ConfigurationError):
         dataclasses.replace(TOOL, **changes)
-
-
-def test_an_edited_file_is_refused():
-    config = ToolCell().config
-    with pytest.raises(ConfigurationError, check=expects("expected.gateway_file.hash")):
-        parse_config(config.to_json().replace('"opens": false', '"opens": true'), "file")
-    with pytest.raises(ConfigurationError, check=expects("expected.gateway_file")):
-        parse_config(config.to_json().replace('"on_stop"', '"on_halt"'), "file")
-    with pytest.raises(ConfigurationError):
-        GatewayTool.of_document(json.loads(config.to_json())["motion"]["tool"] | {"inputs": []})
-
-
-def test_no_output_can_have_the_name_of_the_enabling_channel():
-    assert not is_tool_name("Enable") and is_tool_name("enable")

@@ -12,22 +12,15 @@ from mock_cell import HOME
 from tool_cell import LAYOUT, TOOL, ToolCell, switched_off_on_stop
 
 from construction_twin.controller.tool import ToolOutput, ToolReading
-from construction_twin.core.reports import SwitchState
 from construction_twin.core.sentences import Sentence, understood
-from construction_twin.core.state_table import cells
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.gateway import State
 from construction_twin.gateway.tool_switches import (
     LONGEST_DIFFERENCE,
     MOST_AHEAD,
-    MOST_REPORTED,
     ROUND_TRIP,
-    SWITCH_TABLE,
-    SwitchAction,
-    SwitchEvent,
     ToolSwitches,
 )
-from construction_twin.mock.faults import Fault, FaultBoard
 
 GRIPPED = {"vacuum_reached": True}
 
@@ -65,15 +58,6 @@ def test_it_fires_in_the_cycle_in_which_the_playout_passes_its_stamp(ahead):
     fired = [index for index, values in enumerate(cell.sent[before:]) if values["vacuum"]]
     passed = [index for index, at in enumerate(played) if at >= stamp]
     assert fired == passed and played[passed[0]] - stamp < CYCLE_NS
-
-
-def test_two_switches_fire_in_the_order_of_their_stamps():
-    cell = ToolCell().follow()
-    assert cell.ask(False, ahead=20, id="second")[0] and cell.ask(True, ahead=10, id="first")[0]
-    cell.go_on(18)
-    assert cell.switches() == {"second": "armed", "first": "fired"} and cell.out
-    cell.go_on(10)
-    assert not cell.out and set(cell.switches().values()) == {"fired"}
 
 
 # -- refused
@@ -125,12 +109,6 @@ def test_a_switch_is_used_once_and_a_copy_of_its_message_is_refused():
     assert cell.out and cell.switches() == {"one": "fired"}
 
 
-def test_no_more_than_16_wait():
-    cell = ToolCell().follow()
-    answers = [cell.ask(True, ahead=60)[0] for _ in range(MOST_REPORTED + 1)]
-    assert answers == [True] * MOST_REPORTED + [False]
-
-
 def test_without_a_stream_and_in_commissioning_mode_nothing_is_switched():
     cell = ToolCell()
     cell.cycle(5)
@@ -139,14 +117,6 @@ def test_without_a_stream_and_in_commissioning_mode_nothing_is_switched():
     cell = ToolCell(commissioning=True).follow()
     ok, reason = cell.ask(True)
     assert not ok and "commissioning mode" in reason
-
-
-def test_a_gateway_without_a_tool_refuses_and_tells_of_none():
-    layout = dataclasses.replace(LAYOUT, switched=(), switched_holdon=(), send=("AIPos", "ASPos", "Delay"))
-    cell = ToolCell(layout=layout, tool=None).follow()
-    assert "tool" not in cell.gateway.status()
-    assert "the configuration has none" in cell.ask(True)[1]
-    assert cell.control("void", None, cell.session) == (True, Sentence("gateway.void.many", count="0"))
 
 
 # -- void
@@ -234,17 +204,6 @@ def test_an_armed_switch_is_void_for_good(cause, sentence):
     assert cell.gateway.counters["tool_switches_void"] == 1
 
 
-def test_after_a_stop_a_new_switch_of_a_new_session_fires():
-    cell = ToolCell().follow()
-    assert cell.ask(True, ahead=60, id="old")[0]
-    stop(cell)
-    cell.cycle(10)
-    cell.follow()
-    assert cell.ask(True, id="new")[0]
-    cell.go_on(30)
-    assert cell.switches() == {"old": "void", "new": "fired"} and cell.out
-
-
 def test_a_stream_that_runs_dry_for_some_cycles_fires_nothing_meanwhile_and_goes_on():
     cell = ToolCell().follow()
     assert cell.ask(True, ahead=6)[0]
@@ -295,48 +254,7 @@ def test_armed_switches_exist_only_while_a_stream_is_followed_and_final_states_s
         final |= {id: state for id, state in told.items() if state != "armed"}
 
 
-def test_the_table_has_words_and_every_final_state_has_no_way_out():
-    assert len(cells(SWITCH_TABLE)) == len(set(SWITCH_TABLE))
-    assert {row.event for row in SWITCH_TABLE} == set(SwitchEvent)
-    assert {row.action for row in SWITCH_TABLE} == set(SwitchAction)
-    assert {row.state for row in SWITCH_TABLE} == {SwitchState.PENDING, SwitchState.ARMED}
-    assert {row.target for row in SWITCH_TABLE} == set(SwitchState) - {SwitchState.PENDING}
-
-
 # -- nothing opens before the outputs are known
-
-
-def test_what_is_held_stays_held_over_the_end_of_rsi_and_its_restart():
-    cell = gripped()
-    cell.answering = False
-    cell.cycle(150)
-    assert not cell.controller.running and cell.out
-    cell.now += NANOSECONDS
-    cell.gateway.poll(cell.now)
-    status = cell.status()
-    assert (status["known"], status["outputs"]) == (False, {}) and "no telegram for" in status["reason"]
-    cell.answering = True
-    cell.restart()
-    cell.sent.clear()
-    cell.cycle(20)
-    assert cell.out and cell.status()["inputs"] == GRIPPED
-    assert cell.status()["outputs"] == cell.status()["commanded"] == {"vacuum": True}
-    # replies carry what was read back, and leave it alone
-    assert all(values == {"Enable": False, "vacuum": True} for values in cell.sent)
-
-
-def test_a_context_that_maps_outputs_plainly_opens_the_grip_at_rsi_on():
-    """The danger that Set.Enable is there for: the mock shows it."""
-    layout, grip = LAYOUT, {}
-    for gated in (True, False):
-        cell = ToolCell(layout, gated=gated)
-        cell.follow()
-        assert cell.ask(True)[0]
-        cell.go_on(60)
-        cell.restart()
-        cell.cycle(2)
-        grip[gated] = cell.out
-    assert grip == {True: True, False: False}
 
 
 def test_until_the_read_back_comes_nothing_is_sent_and_switches_are_refused():
@@ -355,33 +273,6 @@ def test_until_the_read_back_comes_nothing_is_sent_and_switches_are_refused():
     assert cell.status()["known"] is True and cell.ask(False)[0]
     cell.go_on(30)
     assert not cell.out
-
-
-def test_a_gateway_that_joins_a_running_session_refuses_switches():
-    cell = ToolCell().follow()
-    pose = tuple(q + 0.002 * k for k, q in zip((1, 0, 0, 0, 0, 0), HOME))
-    for part in range(40):
-        cell.send(tuple(a + (b - a) * part / 39 for a, b in zip(HOME, pose)), cell.session)
-        cell.cycle()
-    cell.cycle(5)
-    cell.start_gateway(run="run2")
-    cell.sent.clear()
-    cell.cycle(5)
-    assert cell.state is State.JOINED and cell.sent == []
-    status = cell.status()
-    assert status["known"] is False and "this RSI session is not answered" in status["reason"]
-    assert cell.status()["outputs"] == {"vacuum": False}
-    assert not cell.switch(True)[0]
-
-
-def test_a_gateway_started_again_at_the_origin_reads_back_and_changes_nothing():
-    cell = gripped()
-    cell.start_gateway(run="run2")
-    cell.sent.clear()
-    cell.cycle(10)
-    assert cell.out and cell.status()["known"] is True and cell.status()["outputs"] == {"vacuum": True}
-    assert all(values == {"Enable": False, "vacuum": True} for values in cell.sent)
-    assert cell.status()["switches"] == []
 
 
 def test_what_a_person_switches_at_the_pendant_before_the_first_switch_is_right():
@@ -479,15 +370,6 @@ def without_delay(gateway):
     return lambda telegram, source, now: hear(dataclasses.replace(telegram, missed=None), source, now)
 
 
-def test_an_output_that_is_off_without_rsi_goes_off_at_a_gap_in_the_telegrams():
-    cell = drilling()
-    cell.now += CYCLE_NS
-    cell.controller.begin_cycle()
-    cell.sent.clear()
-    cell.go_on(50)
-    assert not cell.out and not any(values["vacuum"] for values in cell.sent)
-
-
 def pure(count=2):
     """Return the switches of a tool whose outputs are off without RSI, in a session that has read them back off."""
     names = [f"o{number}" for number in range(count)]
@@ -517,40 +399,6 @@ def test_a_round_trip_is_waited_for_and_an_output_that_never_comes_on_is_given_u
     assert read(switches, [True, False]) == (True, False, False)
 
 
-def test_switches_one_after_the_other_do_not_take_each_other_for_missed():
-    switches = pure()
-    fire(switches, "o0")
-    assert read(switches, [False, False]) == (True, True, False)
-    fire(switches, "o1")
-    for outputs in ([False, False], [True, False], [True, True]):
-        assert read(switches, outputs) == (True, True, True)
-    assert read(switches, [True, False]) == (True, True, False)
-    assert read(switches, [True, False], missed=True) == (True, False, False)
-
-
-@given(st.lists(st.tuples(st.booleans(), st.booleans()), max_size=40))
-def test_what_was_dropped_never_comes_on_by_itself(telegrams):
-    switches = pure(1)
-    fire(switches, "o0")
-    on = True
-    for value, missed in telegrams:
-        now = read(switches, [value], missed)[1]
-        assert on or not now
-        on = now
-
-
-def test_missed_replies_keep_an_output_or_switch_it_off_as_the_tool_file_says():
-    for layout, tool, held in ((LAYOUT, TOOL, True), (*switched_off_on_stop(), False)):
-        cell = ToolCell(layout, tool).follow()
-        assert cell.ask(True)[0]
-        cell.go_on(60)
-        cell.answering = False
-        cell.cycle(3)
-        assert cell.out is held
-        cell.cycle(150)
-        assert not cell.controller.running and cell.out is held
-
-
 def test_at_the_end_of_rsi_outputs_are_kept_or_switched_off():
     for layout, tool, held in ((LAYOUT, TOOL, True), (*switched_off_on_stop(), False)):
         cell = ToolCell(layout, tool).follow()
@@ -563,42 +411,6 @@ def test_at_the_end_of_rsi_outputs_are_kept_or_switched_off():
 
 
 # -- faults of the gripper
-
-
-def test_a_grip_that_fails_or_is_lost_is_seen_at_the_inputs():
-    cell = ToolCell().follow()
-    faults = FaultBoard(cell.controller, 0)
-    faults.inject(Fault("grip_fails"))
-    assert cell.ask(True)[0]
-    cell.go_on(100)
-    assert cell.out and cell.status()["inputs"] == {"vacuum_reached": False}
-    faults.end(Fault("grip_fails"))
-    cell.go_on(60)
-    assert cell.status()["inputs"] == GRIPPED
-    cell.gateway.take_change()
-    cell.go_on(20)
-    assert faults.inject(Fault("grip_lost")) == Sentence("fault.happened", fault="grip_lost")
-    cell.go_on(3)
-    assert cell.status()["inputs"] == {"vacuum_reached": False} and cell.out
-    assert cell.gateway.take_change()
-    cell.go_on(100)
-    assert cell.status()["inputs"] == {"vacuum_reached": False}
-    assert cell.ask(False)[0]
-    cell.go_on(80)
-    assert cell.ask(True)[0]
-    cell.go_on(80)
-    assert cell.status()["inputs"] == GRIPPED
-
-
-def test_no_read_back_is_a_fault_of_the_mock():
-    cell = ToolCell().follow()
-    faults = FaultBoard(cell.controller, 0)
-    faults.inject(Fault("no_read_back"))
-    cell.go_on(2)
-    assert cell.status()["known"] is False
-    faults.end(Fault("no_read_back"))
-    cell.go_on(2)
-    assert cell.status()["known"] is True
 
 
 # -- how often it is told
@@ -615,20 +427,3 @@ def test_inputs_that_chatter_are_told_at_most_20_times_a_second():
         tool.hear()
         told += tool.take_change()
     assert 60 <= told <= 82
-
-
-def test_a_single_change_of_an_input_is_told_at_once():
-    tool = switches_of_one_tool()
-    for value, count in ((False, 100), (True, 1)):
-        for _ in range(count):
-            tool.note(ToolReading((False,), (value,)))
-            tool.hear()
-            news = tool.take_change()
-    assert news
-
-
-def test_nothing_is_told_while_nothing_changes():
-    cell = ToolCell().follow()
-    cell.gateway.take_change()
-    cell.go_on(100)
-    assert not cell.gateway.take_change()

@@ -14,7 +14,7 @@ from sentence_checks import expects
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.units import CYCLE, radians
 from construction_twin.mock.faults import KINDS, Fault, FaultBoard
-from construction_twin.mock.own_motion import EmergencyBrake, Program
+from construction_twin.mock.own_motion import Program
 
 FAR = radians((20, -80, 80, 10, 80, -20))
 
@@ -182,15 +182,6 @@ def test_replies_are_ignored_until_rsi_has_timed_out():
     assert all(bench.cycles(30))
 
 
-def test_a_restart_at_another_pose_is_a_new_session_there():
-    bench = Bench()
-    bench.cycles(5)
-    bench.faults.inject(Fault("restart_at", values=FAR))
-    packet = bench.cycle(ZERO)
-    assert packet.measured == packet.setpoint == pytest.approx(FAR, abs=1e-7)
-    assert bench.mock.session == 2 and bench.faults.active == ()
-
-
 @pytest.mark.parametrize("running", [True, False])
 def test_a_program_of_its_own_ends_at_its_pose_within_limits(running):
     bench = Bench()
@@ -212,39 +203,6 @@ def test_a_program_of_its_own_ends_at_its_pose_within_limits(running):
     assert bench.mock.program is None
     if running:
         assert packet.setpoint[0] == pytest.approx(FAR[0] - math.radians(1.0), abs=1e-7)
-
-
-def test_t1_keeps_the_tool_slow_and_lets_it_catch_up():
-    bench = Bench()
-    bench.cycles(5)
-    bench.faults.inject(Fault("t1", values=(0.05,)))
-    positions = []
-    for k in range(2000):
-        if k == 1500:
-            bench.faults.end(Fault("t1"))
-        target = min(1.0, k / 400)
-        bench.cycle(radians((10 * target, 8 * target, 0, 0, 0, 0)))
-        positions.append(bench.mock.setpoint)
-    positions = np.array(positions)
-    limits_kept(positions)
-    # the stand-in's tool is at the first three angles
-    speed = np.linalg.norm(np.diff(positions[:, :3], axis=0), axis=1) / CYCLE
-    assert speed[:1490].max() == pytest.approx(0.05, rel=0.01)
-    assert positions[-1] == pytest.approx(np.add(HOME, radians((10, 8, 0, 0, 0, 0))), abs=1e-12)
-
-
-@settings(max_examples=60)
-@given(
-    steps=st.lists(st.floats(-2.0, 2.0), min_size=6, max_size=6),
-    pose=st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=6),
-)
-def test_an_emergency_ramp_ends_at_rest_after_its_distance(steps, pose):
-    ramp = EmergencyBrake(pose, [v * CYCLE for v in steps], CONFIG.acceleration, pose)
-    positions = [pose] + [ramp.advance() for _ in range(ramp.cycles + 2)]
-    np.testing.assert_allclose(np.subtract(positions[-1], pose), ramp.distance, atol=1e-12)
-    assert positions[-1] == positions[-2]
-    changes = np.diff(np.diff(positions, axis=0), axis=0, prepend=[np.subtract(positions[1], pose)])
-    assert (np.abs(changes) <= np.array(CONFIG.acceleration) * CYCLE**2 * (1 + 1e-6) + 1e-12).all()
 
 
 @settings(max_examples=60)

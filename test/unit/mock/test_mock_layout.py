@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 
 import pytest
-from processes import ROOT
 
 from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.servo import IdealServo
-from construction_twin.robot.description import read_robot_files
 from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
 from construction_twin.rsi.layout import RsiLayout
 
@@ -65,14 +62,6 @@ def test_a_track_beyond_its_end_stops_rsi_like_any_axis():
     assert cell.mock.reason == "software limit E1: 5000.9 mm, range -2000 mm to 5000 mm"
 
 
-def test_a_controller_with_another_unit_and_direction_moves_as_asked():
-    units = (AxisUnit(True, -1, 0.15, 180 / math.pi, 1.0), *UNITS[1:])
-    cell = Cell(units=units)
-    for k in range(20):
-        cell.cycle((0.001 * k, 0.0, 0.0))
-    assert cell.cycle().measured[0] == pytest.approx(1.519, abs=1e-7)
-
-
 # -- the STOP object ---------------------------------------------------------------------------------------------------
 
 
@@ -84,13 +73,6 @@ def test_stop_ends_the_motion_on_its_rising_edge():
     assert cell.cycle() is None
     assert cell.mock.reason == "stop: requested by the PC, RSI_MOVECORR ended"
     assert not cell.mock.flag
-
-
-def test_a_missed_reply_is_no_stop():
-    cell = Cell()
-    cell.cycle(None)
-    cell.cycle()
-    assert cell.mock.counters["missed"] == 1 and cell.mock.running
 
 
 def answer_without_stop(cell, correction=ZERO):
@@ -139,22 +121,3 @@ def test_with_onlysend_it_sends_for_ever_expects_nothing_and_takes_nothing():
     assert not cell.mock.receive(reply)
     assert cell.cycle(None).measured == pytest.approx(START)
     assert (cell.mock.counters["unexpected"], cell.mock.counters["missed"], cell.mock.flag) == (1, 0, False)
-
-
-def test_a_gateway_with_other_names_is_not_understood():
-    names = dataclasses.replace(LAYOUT, receive=("Stop", "EKorr.E1", "AKorr.A1", "AKorr.A2"))
-    cell = Cell(timeout=5)
-    other = SensorEncoder.of(names, AXES, UNITS)
-    for _ in range(5):
-        ipoc = cell.decoder.parse(cell.mock.begin_cycle()).controller_ms
-        assert not cell.mock.receive(other.encode(ZERO, ipoc))
-    assert cell.mock.begin_cycle() is None
-    assert cell.mock.reason.startswith("timeout") and cell.mock.counters["malformed"] == 5
-
-
-# -- settings ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def robot():
-    return read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")

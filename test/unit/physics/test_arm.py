@@ -15,26 +15,12 @@ from construction_twin.mock.servo import RealisticServo
 from construction_twin.physics.arm import Servo, SimulatedArm
 from construction_twin.physics.mass import of_shape
 from construction_twin.physics.model import Load
-from construction_twin.scene.objects import Scene, SceneObject
 
 FAR = READY + np.array((1.0, 0.3, -0.4, 0.8, -0.6, 1.2))
 
 
 def cycles(duration: float) -> np.ndarray:
     return np.arange(round(duration / CYCLE) + 1) * CYCLE
-
-
-def test_the_arm_answers_as_the_mock_s_realistic_servo_does_two_milliseconds_later():
-    motion = between(READY, FAR, 2.0)
-    arm, servo = SimulatedArm(model_of(), READY), RealisticServo(resolution=0.0)
-    servo.reset(READY)
-    worst = 0.0
-    setpoints, speeds, *_ = motion.sample_many(cycles(2.5))
-    for setpoint in setpoints:
-        arm.cycle(setpoint)
-        worst = max(worst, np.abs(arm.q - servo.step(setpoint.tolist())).max())
-    assert worst < np.abs(speeds).max() * CYCLE / 2.0 * 1.1
-    np.testing.assert_allclose(arm.q, FAR, atol=1e-5)
 
 
 def test_with_setpoints_that_are_held_it_is_the_mock_s_servo():
@@ -143,14 +129,3 @@ def test_the_arm_holds_every_load_that_it_is_rated_for_where_it_stands(seed):
     for _ in range(50):
         arm.cycle(q)
     np.testing.assert_allclose(arm.q, q, atol=1e-6)
-
-
-def test_an_arm_that_rests_for_long_goes_on_when_it_is_told_to():
-    physics = model_of(scene=Scene((SceneObject("b", "box", (0.1, 0.1, 0.1), (2.0, 0.0, 0.05)),)))
-    physics.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
-    arm = SimulatedArm(physics, READY)
-    for _ in range(500):
-        arm.cycle(READY)
-    for setpoint in between(READY, FAR, 1.0).sample_many(cycles(1.5))[0]:
-        arm.cycle(setpoint)
-    np.testing.assert_allclose(arm.q, FAR, atol=1e-4)

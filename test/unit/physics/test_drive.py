@@ -5,7 +5,7 @@ import yaml
 from physics_samples import DRIVES, drives, robot_of
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.physics.drive import drives_of, load_drives, read_drives
+from construction_twin.physics.drive import drives_of, load_drives
 
 CONTENT = yaml.safe_load(DRIVES.read_text())
 
@@ -54,18 +54,6 @@ def test_a_wrong_file_is_refused_with_file_and_key(path, value):
         load_drives(changed(path, value), robot_of("kr120"), "drives.yaml")
     assert "drives.yaml" in str(refusal.value)
     assert path.split("/")[0] in str(refusal.value)
-
-
-def test_a_file_that_is_no_yaml_is_refused(tmp_path):
-    file = tmp_path / "drives.yaml"
-    file.write_text("robot: [")
-    with pytest.raises(ConfigurationError, match="drives.yaml"):
-        read_drives(file, robot_of("kr120"))
-
-
-def test_a_torque_that_the_file_leaves_out_is_the_urdf_s_effort():
-    found = load_drives(changed("joints/joint_a1/torque_nm", None), robot_of("kr120"), "drives.yaml")
-    assert found.torque[0] == drives_of(robot_of("kr120")).torque[0]
 
 
 def test_what_only_a_urdf_says_is_an_estimate():

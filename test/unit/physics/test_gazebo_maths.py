@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import subprocess
 from collections.abc import Iterator, Sequence
 from functools import cache
@@ -19,7 +18,6 @@ from physics_samples import OTHERS, READY, ROOT, between, bodies_of, drives, dyn
 from construction_twin.core.servo_lag import transition_matrix
 from construction_twin.core.units import CYCLE
 from construction_twin.mock.servo import RealisticServo
-from construction_twin.physics import arm as python
 from construction_twin.physics.arm import Servo, SimulatedArm
 from construction_twin.physics.gazebo_world import world_of
 from construction_twin.scene.objects import Scene
@@ -75,22 +73,10 @@ def maths(program, tmp_path_factory) -> Iterator:
         one.close()
 
 
-def test_its_numbers_are_those_of_the_python_servo(maths):
-    omega, zeta, stiffness, creeping, _jump = maths("kr120").ask("constants")
-    assert (omega, zeta, stiffness) == (python.OMEGA, python.ZETA, python.STIFFNESS)
-    assert creeping == python.CREEPING
-
-
 @given(omega=st.floats(0.1, 500.0), zeta=st.one_of(st.just(1.0), st.floats(0.05, 3.0)), period=st.floats(1e-4, 0.02))
 def test_the_lag_is_that_of_servo_lag(maths, omega, zeta, period):
     found = maths("kr120").ask("lag", omega, zeta, period)
     np.testing.assert_allclose(found, np.ravel(transition_matrix(omega, zeta, period)), rtol=1e-9, atol=1e-12)
-
-
-@given(turns=st.floats(-8.0, 8.0), shown=st.integers(-3, 3))
-def test_an_axis_that_turns_more_than_once_is_found_by_its_nearest_turn(maths, turns, shown):
-    (found,) = maths("kr120").ask("nearest", turns + 2.0 * math.pi * shown, turns + 0.5)
-    assert found == pytest.approx(turns, abs=1e-12)
 
 
 @pytest.mark.parametrize("name", ARMS)

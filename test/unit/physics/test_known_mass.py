@@ -18,16 +18,6 @@ def test_a_mass_is_divided_as_the_volumes_of_the_pieces_are():
     assert found == pytest.approx({"beam/0": 2.0, "beam/1": 6.0})
 
 
-def test_what_stands_counts_where_it_is_asked_for():
-    found = masses_of({"beam": 8.0, "wall": 5.0}, (Scene((SMALL, STANDING)),), bodies_of("kr120"), ("wall",))
-    assert found == pytest.approx({"beam/0": 8.0, "wall/0": 5.0})
-
-
-def test_a_body_that_several_scenes_have_counts_once():
-    scenes = (Scene((SMALL, LARGE)), Scene((SMALL, LARGE, STANDING)), Scene((STANDING,)))
-    assert sum(masses_of({"beam": 8.0}, scenes, bodies_of("kr120")).values()) == pytest.approx(8.0)
-
-
 def test_an_object_without_pieces_is_a_body():
     assert (body_of("beam/0"), body_of("tool/post"), body_of("link_6")) == ("beam", "tool", "link_6")
 

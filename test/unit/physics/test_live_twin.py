@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import struct
 
 import numpy as np
@@ -10,7 +9,6 @@ from chain_samples import REACH, ROBOT
 from live_twin_samples import FLOOR, carrying, model_in
 
 from construction_twin.core.sentences import Sentence
-from construction_twin.physics.drive import drives_of
 from construction_twin.physics.live_twin import LiveTwin
 from construction_twin.physics.model import PhysicsModel
 from construction_twin.scene.objects import SceneObject
@@ -50,14 +48,6 @@ def test_before_the_first_model_it_is_where_it_is_told_to_be_and_says_so():
     assert twin.problem == ""
 
 
-def test_it_begins_at_rest_where_it_is_commanded_to_be_and_stays():
-    twin = twin_in(model_in())
-    poses = np.array([twin.cycle(REACH) for _ in range(250)])
-    assert np.abs(poses - REACH).max() < 1e-6
-    # and holds itself up: the second axis carries the arm
-    assert abs(twin.effort[1]) > 1000.0
-
-
 def test_another_scene_takes_pose_speed_and_servo_over():
     plain, changed = twin_in(model_in()), twin_in(model_in())
     for number, commanded in enumerate(PATH):
@@ -73,14 +63,6 @@ def test_what_the_scene_says_is_carried_weighs_on_the_axes():
         empty.cycle(HOME), loaded.cycle(HOME)
     assert abs(loaded.effort[2] - empty.effort[2]) > 500.0
     assert Sentence("physics.remark.object_mass", object="cube", mass=64.0) in loaded.remarks
-
-
-def test_an_axis_that_is_too_weak_sags_and_what_is_commanded_is_another_thing():
-    weak = dataclasses.replace(drives_of(ROBOT), torque=(100.0,) * 6)
-    twin = twin_in(dataclasses.replace(model_in(), drives=weak))
-    poses = np.array([twin.cycle(HOME) for _ in range(50)])
-    assert np.abs(poses[-1] - HOME).max() > 0.01
-    assert max(map(abs, twin.effort)) == 100.0
 
 
 def test_after_a_restart_it_begins_anew_at_rest():

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.physics.mass import LEAST_MASS, MassProperties, of_link, of_shape, together
+from construction_twin.physics.mass import LEAST_MASS, of_link, of_shape, together
 
 SIZES = st.tuples(*[st.floats(0.02, 3.0)] * 3)
 
@@ -66,18 +66,6 @@ def sum_of(inertias: list[pinocchio.Inertia]) -> pinocchio.Inertia:
     for one in inertias[1:]:
         total = total + one
     return total
-
-
-def test_a_mass_that_somebody_has_said_is_no_estimate():
-    found = of_shape(coal.Box(1.0, 1.0, 1.0)).scaled_to(10.0)
-    assert (found.mass, found.estimated) == (10.0, False)
-    np.testing.assert_allclose(found.inertia, 10.0 / 6.0 * np.eye(3))
-
-
-def test_with_an_estimated_part_the_whole_is_an_estimate():
-    said = MassProperties(1.0, np.zeros(3), np.eye(3))
-    assert not together([said, said]).estimated
-    assert together([said, of_shape(coal.Sphere(0.1))]).estimated
 
 
 def test_a_link_of_which_nobody_says_a_mass_is_estimated_from_its_shapes():

@@ -66,12 +66,6 @@ def test_the_flange_is_where_kdl_has_it(name, data):
     np.testing.assert_allclose(base_T_tip.rotation, expected.rotation, atol=1e-9)
 
 
-def test_a_link_without_a_mass_is_named_as_an_estimate():
-    keys = [remark.key for remark in model_of("panda_like").remarks]
-    assert keys.count("physics.remark.link_mass") == 7
-    assert "physics.remark.link_mass" not in [remark.key for remark in model_of("kr120").remarks]
-
-
 def test_a_block_at_rest_presses_with_its_weight():
     block = SceneObject("block", "box", (0.2, 0.2, 0.2), (1.6, 0.0, 0.7))
     physics = model_of(scene=Scene((TABLE, block)), load=Load({"block": 12.0}, {"block": "block"}))
@@ -114,15 +108,6 @@ def test_what_the_planner_calls_a_contact_touches_here_too():
     assert seen > 20
 
 
-def test_what_a_workpiece_may_touch_is_no_contact():
-    tile = SceneObject("tile", "box", (0.3, 0.3, 0.1), (0.0, 0.0, 0.06), link="tool0", touch=("table",))
-    flange = Chain(robot_of("kr120")).forward(READY).position
-    high = SceneObject("table", "box", (0.6, 0.6, 0.1), tuple(flange))
-    touching = model_of(scene=Scene((high, tile))).at_rest(READY)
-    owners = model_of(scene=Scene((high, tile))).owners
-    assert {"tile", "table"} not in [{owners[geom] for geom in geoms} for geoms in touching.contact.geom]
-
-
 def corner_mesh(path, closed: bool = True) -> str:
     """Write an L of two boxes, which is not convex, and return its path; not closed: a triangle is missing at its end."""
     triangles = []
@@ -135,21 +120,6 @@ def corner_mesh(path, closed: bool = True) -> str:
         triangles.append([(*outline[corner], 0.1) for corner in (one, two, three)])
         triangles.append([(*outline[corner], 0.0) for corner in (three, two, one)])
     return write_stl(path, np.array(triangles if closed else triangles[:-1]))
-
-
-def test_a_mesh_that_cannot_be_divided_is_its_hull_and_says_so(tmp_path):
-    corner = SceneObject("corner", "mesh", (), (1.5, 0.0, 1.0), mesh=corner_mesh(tmp_path / "l.stl", closed=False))
-    physics = model_of(scene=Scene((corner,)))
-    assert [remark.values["object"] for remark in physics.remarks if remark.key == "physics.remark.hull"] == ["corner"]
-    # of the bodies that can be moved the mass is that of the mesh, not of the hull
-    whole = SceneObject("corner", "mesh", (), (1.5, 0.0, 1.0), mesh=corner_mesh(tmp_path / "whole.stl"))
-    loose = model_of(scene=Scene((whole,)), load=Load({}, {"corner": "corner"}))
-    assert loose.model.body("corner").mass[0] == pytest.approx(1000.0 * (0.4 * 0.1 + 0.3 * 0.1) * 0.1, rel=1e-6)
-    # a probe in the notch, where only the hull is
-    probe = SceneObject("probe", "sphere", (0.03,), (1.65, 0.15, 1.05))
-    beside = model_of(scene=Scene((corner, probe)), load=Load({"probe": 1.0}, {"probe": "probe"}))
-    owners = [{beside.owners[geom] for geom in geoms} for geoms in beside.at_rest(READY).contact.geom]
-    assert {"corner", "probe"} in owners
 
 
 def test_a_link_that_is_not_convex_is_pieces_in_the_simulation_and_says_so(tmp_path):

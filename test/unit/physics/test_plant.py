@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from physics_samples import READY, bodies_of, drives, model_of
+from physics_samples import READY, bodies_of, drives
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.physics.mass import payload_of
@@ -31,14 +31,6 @@ def settled(arm: Plant, q=READY, cycles=50) -> np.ndarray:
     return arm.q
 
 
-def test_an_arm_alone_has_masses_and_nothing_that_could_touch():
-    """A folded arm would find itself in its way; and shapes that nobody needs take time to be made."""
-    physics = bare(payload=PAYLOAD)
-    assert physics.model.ngeom == 0 and physics.owners == ()
-    assert physics.payload.mass == pytest.approx(60.0)
-    assert model_of().model.ngeom > 0
-
-
 def test_at_rest_it_holds_itself_and_its_payload_where_it_is_told():
     np.testing.assert_allclose(settled(plant()), READY, atol=1e-6)
 
@@ -54,15 +46,6 @@ def test_a_push_moves_its_axis_in_its_sense_until_it_ends(joint):
     np.testing.assert_allclose(settled(arm), before, atol=1e-6)
 
 
-def test_a_push_on_a_track_is_a_force_along_it():
-    arm = Plant(bare("kr120_track"), *FAST)
-    q = np.array((1.0, *READY))
-    before = settled(arm, q)
-    arm.push(0, 500.0)
-    change = settled(arm, q) - before
-    assert 1e-6 < change[0] < 1e-2
-
-
 def test_a_joint_that_is_held_stays_there_and_the_others_go_on():
     arm = plant()
     settled(arm)
@@ -73,11 +56,6 @@ def test_a_joint_that_is_held_stays_there_and_the_others_go_on():
         arm.hold(2, READY[2])
     assert arm.q[2] == READY[2]
     np.testing.assert_allclose(np.delete(arm.q, 2), np.delete(goal, 2), atol=1e-3)
-
-
-def test_the_same_cycles_give_the_same_bytes():
-    one, other = plant(), plant()
-    assert settled(one, READY + 0.05).tobytes() == settled(other, READY + 0.05).tobytes()
 
 
 @pytest.mark.parametrize(

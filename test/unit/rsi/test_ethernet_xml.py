@@ -9,11 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from processes import ROOT
 
-from construction_twin.core.errors import ConfigurationError
 from construction_twin.rsi.ethernet_xml import (
     MAX_BYTES,
     EthernetXmlError,
-    check_axes,
     check_gateway,
     load_ethernet_xml,
     read_ethernet_xml,
@@ -124,12 +122,6 @@ def test_a_track_needs_its_channel_and_its_positions():
         assert refusal(changed(line, "", WITH_TRACK), axes).element == f"SEND {block}"
 
 
-def test_with_onlysend_no_corrections_are_needed():
-    layout = load_ethernet_xml(ROOT / "krl" / "ethernet" / "ctwin_ro_ethernet.xml").layout
-    assert layout.onlysend and layout.receive == ()
-    check_gateway(layout, AXES, "eth.xml")
-
-
 @pytest.mark.parametrize(
     "old, new, element, expected",
     [
@@ -191,26 +183,6 @@ def test_hostile_documents_are_refused_before_anything_is_expanded(text):
     assert refusal(text).element == "file"
 
 
-def test_a_file_that_cannot_be_read_is_refused_by_name(tmp_path):
-    binary = tmp_path / "binary.xml"
-    binary.write_bytes(b"\xff\xfe<ROOT/>")
-    for path in (binary, tmp_path / "none.xml"):
-        with pytest.raises(ConfigurationError, match=path.name):
-            load_ethernet_xml(path)
-
-
-def test_a_file_with_a_byte_order_mark_is_read(tmp_path):
-    path = tmp_path / "eth.xml"
-    path.write_bytes(b"\xef\xbb\xbf" + TEXT.encode())
-    assert load_ethernet_xml(path).layout == read_ethernet_xml(TEXT, "eth.xml").layout
-
-
-def test_the_mock_takes_holdon_0_as_a_controller_does_and_the_gateway_does_not():
-    layout = read_ethernet_xml(changed('INDX="5" HOLDON="1"', 'INDX="5" HOLDON="0"'), "eth.xml").layout
-    check_axes(layout, AXES, "eth.xml")
-    assert layout.holdon == (False, True, True, True, False, True, True)
-
-
 @given(st.data())
 def test_a_mutated_file_is_read_or_refused_and_never_anything_else(data):
     lines = TEXT.splitlines(keepends=True)
@@ -250,8 +222,3 @@ def test_a_written_file_serves_gateway_and_mock(axes):
     assert ethernet.layout.receive == ("Stop", *(f"{'EK' if axis[0] == 'E' else 'AK'}.{axis}" for axis in sorted(axes)))
     assert ("EIPos" in ethernet.layout.send) == ("E1" in axes)
     assert ethernet.layout.holdon == (False, *(True for _ in axes))
-
-
-def test_a_controller_that_sends_only_is_written_too():
-    layout = read_ethernet_xml(ethernet_xml_text(("A1", "A2"), receives=False), "written").layout
-    assert layout.onlysend and layout.receive == ()

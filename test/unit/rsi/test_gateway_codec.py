@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from construction_twin.controller.telegram import Reply, Telegram
-from construction_twin.core.errors import ConfigurationError, TelegramError
+from construction_twin.core.errors import TelegramError
 from construction_twin.core.udp import MAX_TELEGRAM
 from construction_twin.core.units import radians
 from construction_twin.rsi.controller_codec import RobotEncoder, parse_sensor
@@ -223,12 +223,6 @@ def test_malformed_telegrams_are_refused_with_their_reason(data, reason):
     assert refused(data) == reason
 
 
-def test_deeply_nested_telegrams_are_refused_or_read_without_harm():
-    depth = (MAX_TELEGRAM - 40) // 7
-    assert depth > 1000 and refused(b"<Rob>" + b"<a>" * depth) == "xml"
-    assert parse_robot(b"<Rob>" + b"<a>" * depth + b"</a>" * depth + b"<IPOC>4</IPOC></Rob>", AXES).controller_ms == 4
-
-
 @pytest.mark.parametrize(
     "old, new, reason",
     [
@@ -247,35 +241,11 @@ def test_unusable_replies_are_refused_with_their_reason(old, new, reason):
     assert caught.value.reason == reason
 
 
-def test_a_reply_without_corrections_is_refused():
-    with pytest.raises(TelegramError, match="no AK"):
-        parse_sensor(b"<Sen Type='ImFree'><IPOC>4</IPOC></Sen>", "ImFree", AXES)
-
-
 @pytest.mark.parametrize("correction", [(0.0,) * 5, (0.0,) * 7, (math.nan,) + (0.0,) * 5, (0.0,) * 5 + (math.inf,)])
 def test_corrections_that_cannot_be_sent_are_refused(correction):
     with pytest.raises(TelegramError) as caught:
         SensorEncoder("ImFree", AXES).encode(correction, 4)
     assert caught.value.reason == "number"
-
-
-def test_robot_values_that_cannot_be_sent_are_refused():
-    with pytest.raises(TelegramError, match="RIst"):
-        RobotEncoder(AXES, 4).encode(4, HOME, HOME, (math.nan,) * 6, POSE, 0)
-
-
-@pytest.mark.parametrize("name", ['Im"Free', "", "<", "A 1", "1A", "A&amp;"])
-def test_names_that_would_break_the_xml_are_refused(name):
-    with pytest.raises(ConfigurationError):
-        SensorEncoder(name, AXES)
-    with pytest.raises(ConfigurationError):
-        RobotEncoder((name,), 4)
-
-
-@pytest.mark.parametrize("precision", [0, 33])
-def test_precision_outside_the_controllers_range_is_refused(precision):
-    with pytest.raises(ConfigurationError, match="1 to 32"):
-        RobotEncoder(AXES, precision)
 
 
 @given(six_angles, ipocs, st.sampled_from([None, False, True]))
@@ -293,25 +263,3 @@ def test_positions_survive_the_wire_to_half_a_decimal(measured, setpoint, ipoc, 
     tolerance = math.radians(0.5 * 10.0**-precision) * (1 + 1e-6) + 1e-13
     for sent, received in zip(measured + setpoint, telegram.measured + telegram.setpoint):
         assert abs(sent - received) <= tolerance
-
-
-@given(st.binary(max_size=200))
-def test_garbage_raises_nothing_but_telegram_errors(data):
-    for parse in (lambda: parse_robot(data, AXES), lambda: parse_sensor(data, "ImFree", AXES)):
-        with pytest.raises(TelegramError):
-            parse()
-
-
-@given(st.data())
-def test_mutated_telegrams_raise_nothing_but_telegram_errors(data):
-    original = data.draw(st.sampled_from([GOLDEN_ROB, GOLDEN_SEN]))
-    start = data.draw(st.integers(0, len(original)))
-    end = min(len(original), start + data.draw(st.integers(0, 12)))
-    insert = data.draw(st.one_of(st.binary(max_size=8), st.text("<>&;!?'\"=/ A1IPOC0-.e", max_size=8).map(str.encode)))
-    mutated = original[:start] + insert + original[end:]
-    for parse in (lambda: parse_robot(mutated, AXES), lambda: parse_sensor(mutated, "ImFree", AXES)):
-        try:
-            telegram = parse()
-        except TelegramError:
-            continue
-        assert 0 <= telegram.controller_ms < 2**64

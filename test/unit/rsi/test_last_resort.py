@@ -63,11 +63,6 @@ def test_it_brakes_with_every_axis_acceleration_limit_and_holds():
     assert last[0] - 0.4 == pytest.approx(1.0 / (2 * CONFIG.acceleration[0]), abs=CYCLE)
 
 
-def test_at_rest_it_repeats_what_was_sent():
-    resort = taken_over(speed=(0.0, 0.0))
-    assert [ask(resort, resort.stamp + 4) for _ in range(3)] == [(0.0, 0.0)] * 3
-
-
 def test_a_repeated_telegram_an_older_one_and_one_of_somebody_else_get_no_answer():
     resort = taken_over()
     last = resort.stamp
@@ -150,18 +145,3 @@ def test_after_replies_that_did_not_arrive_it_holds_the_last_one_that_did(braked
     assert all(correction == pytest.approx(arrived, abs=ROUNDED) for correction in held[1:])
     assert resort.at_rest
     assert ask_counted(resort, resort.stamp + 4, 0) == pytest.approx(arrived, abs=ROUNDED)
-
-
-def test_a_count_of_the_whole_session_is_read_the_same():
-    resort = taken_over()
-    resort.sent(resort.stamp, PEER, resort.target, tuple(v * CYCLE * 99 for v in (1.0, -2.0)), 7)
-    first = ask_counted(resort, resort.stamp + 4, 7)
-    assert not resort.at_rest
-    assert ask_counted(resort, resort.stamp + 4, 7) != first
-
-
-def test_the_last_reply_of_the_gateway_may_be_the_lost_one():
-    resort = taken_over()
-    before = tuple(v * CYCLE * 99 for v in (1.0, -2.0))
-    assert ask_counted(resort, resort.stamp + 4, 1) == pytest.approx(before, abs=ROUNDED)
-    assert resort.at_rest

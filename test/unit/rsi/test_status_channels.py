@@ -10,7 +10,6 @@ from gateway_cell import CONFIG, RUN, START
 from hypothesis import given
 from hypothesis import strategies as st
 from mock_cell import Cell as MockCell
-from processes import ROOT
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.sentences import Sentence
@@ -20,8 +19,7 @@ from construction_twin.gateway.inbox import TelegramInbox
 from construction_twin.gateway.states import State
 from construction_twin.mock.faults import Fault, FaultBoard
 from construction_twin.rsi.controller_codec import RobotEncoder
-from construction_twin.rsi.ethernet_xml import EthernetXmlError, check_gateway, read_ethernet_xml
-from construction_twin.rsi.gateway_codec import RobotDecoder, parse_robot
+from construction_twin.rsi.gateway_codec import parse_robot
 from construction_twin.rsi.layout import RsiLayout
 from construction_twin.rsi.status_channels import RsiStatus, StatusReader, status_channels
 
@@ -31,7 +29,6 @@ PLAIN = ("Mode", "ProgStatus", "OvPro")
 DOTTED = ("Mode.R", "ProgStatus.R", "OvPro.R")
 T1 = "the controller is in T1: the arm moves only while enabling switch and start key are held, and slowly"
 STOPPED = "the controller's program is stopped (STOP): press start on the pendant"
-ETHERNET = (ROOT / "krl/ethernet/ctwin_ethernet.xml").read_text()
 FITTING = [(PLAIN, (*BLOCKS, *PLAIN)), (DOTTED, (*DOTTED, *BLOCKS)), (PLAIN, ("AIPos", *PLAIN, "ASPos", "Delay"))]
 
 
@@ -48,14 +45,6 @@ def telegram(send, status, ipoc=1000):
 def test_what_a_controller_says_is_read_in_any_order_plain_and_dotted(channels, send, mode, program, override):
     status = RsiStatus(mode, program, override)
     assert StatusReader(channels).read(telegram(send, status)) == (status, 0)
-
-
-@pytest.mark.parametrize(("channels", "send"), FITTING)
-def test_the_codec_reads_such_telegrams_as_any_other_and_learns_their_shape(channels, send):
-    decoder = RobotDecoder(CONFIG.axes)
-    for k, mode in enumerate((3, 3, 3, 1, 1)):
-        read = decoder.parse(telegram(send, RsiStatus(mode, 3, 100), 1000 + 4 * k))
-        assert (read.controller_ms, read.measured) == (1000 + 4 * k, pytest.approx(START, abs=1e-8))
 
 
 def test_only_the_channels_that_the_file_declares_are_read():
@@ -86,18 +75,6 @@ def test_what_is_no_number_of_the_kind_is_not_known_and_counted(text, unreadable
     assert status == RsiStatus(
         1 if b"Mode>1<" in text or b"1.0000" in text else None, None, 50.0 if b"50" in text else None
     )
-
-
-def test_a_reader_follows_every_change():
-    reader = StatusReader(PLAIN)
-    said = [
-        RsiStatus(3, 3, 100),
-        RsiStatus(1, 3, 100),
-        RsiStatus(1, 4, 100),
-        RsiStatus(1, 4, 5),
-    ]
-    assert [reader.read(telegram((*BLOCKS, *PLAIN), status))[0] for status in said] == said
-    assert reader.read(b"<Rob/>") == (RsiStatus(), 3)
 
 
 @pytest.mark.parametrize(
@@ -141,19 +118,6 @@ def test_unknown_numbers_are_shown_as_numbers():
     assert RsiStatus().report() == {}
 
 
-def test_a_channel_that_is_declared_plain_and_dotted_is_refused():
-    text = ETHERNET.replace(
-        "</ELEMENTS>\n  </SEND>",
-        '<ELEMENT TAG="Mode" TYPE="LONG" INDX="1"/><ELEMENT TAG="Mode.R" TYPE="LONG" INDX="2"/></ELEMENTS></SEND>',
-    )
-    axes = ("A1", "A2", "A3", "A4", "A5", "A6")
-    with pytest.raises(
-        EthernetXmlError, match=r"SEND Mode.R: found 'a second channel for Mode', expected one: Mode or Mode.R"
-    ):
-        check_gateway(read_ethernet_xml(text, "eth.xml").layout, axes, "eth.xml")
-    check_gateway(read_ethernet_xml(text.replace("Mode.R", "ProgStatus.R"), "eth.xml").layout, axes, "eth.xml")
-
-
 # -- the gateway -------------------------------------------------------------------------------------------------------
 
 
@@ -192,12 +156,6 @@ def test_the_status_says_what_the_controller_says():
     }  # fmt: skip
     chain.hear(telegram((*BLOCKS, *DOTTED), RsiStatus(3, 3, 100), 1004))
     assert chain.gateway.status()["controller"]["sentence"] == ""
-
-
-def test_without_such_channels_the_status_says_nothing_of_it():
-    chain = Chain(BLOCKS)
-    chain.hear(telegram((*BLOCKS, *DOTTED), RsiStatus(1, 4, 100)))
-    assert chain.gateway.status()["controller"] == {}
 
 
 def test_a_channel_that_cannot_be_read_ends_no_answers_and_is_counted():

@@ -70,24 +70,11 @@ def test_joints_that_do_not_move_are_refused_by_name():
         identify(("a", "b", "c"), [Drive(targets, measured, moving.counts)], CYCLE_NS)
 
 
-def test_a_crawl_does_not_excite_a_joint():
-    with pytest.raises(ConstructionTwinError, match="a"):
-        identify(("a",), [drive(JointServo(60.0, 0.8), targets=0.04 * CYCLE * np.arange(5000))], CYCLE_NS)
-
-
 def test_a_lag_that_cannot_be_told_is_refused():
     noisy = drive(JointServo(60.0, 0.8), targets=motion(1200, 0.3))
     noise = np.random.default_rng(3).normal(0.0, 0.02, noisy.measured.shape)
     with pytest.raises(ConstructionTwinError, match="lag"):
         identify(("a",), [Drive(noisy.targets, noisy.measured + noise, noisy.counts)], CYCLE_NS)
-
-
-def test_nothing_that_may_be_judged_is_refused():
-    nothing = drive(JointServo(60.0, 0.8))
-    with pytest.raises(ConstructionTwinError, match="no motion"):
-        identify(("a",), [Drive(nothing.targets, nothing.measured, np.zeros(len(nothing.targets), bool))], CYCLE_NS)
-    with pytest.raises(ConstructionTwinError, match="no motion"):
-        identify(("a",), [], CYCLE_NS)
 
 
 def test_the_file_gives_back_what_was_found(tmp_path):
@@ -118,8 +105,3 @@ def test_a_file_of_another_arm_or_of_none_is_refused(tmp_path, text):
     path.write_text(text)
     with pytest.raises(ConfigurationError):
         read_servos(path, ("a", "b"))
-
-
-def test_a_file_that_is_not_there_is_refused(tmp_path):
-    with pytest.raises(ConfigurationError):
-        read_servos(tmp_path / "none.yaml", ("a",))

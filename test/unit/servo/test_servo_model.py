@@ -58,12 +58,6 @@ def test_on_a_ramp_it_trails_by_its_lag(servo, speed):
     assert behind == pytest.approx(servo.lag(CYCLE) * speed, abs=abs(speed) * RIPPLE + 1e-6)
 
 
-@settings(max_examples=60, deadline=None)
-@given(SERVOS, st.floats(-3.0, 3.0))
-def test_at_rest_it_stays_where_it_is(servo, pose):
-    assert np.ptp(stepped(servo, np.full(20, pose))) == pytest.approx(0.0, abs=1e-12)
-
-
 def test_another_model_at_rest_moves_nothing():
     model = ServoModel(("joint",), (JointServo(60.0, 0.8, 2.3),), CYCLE_NS)
     state = ServoState(model, (0.7,))
@@ -73,9 +67,3 @@ def test_another_model_at_rest_moves_nothing():
         before = state.advance((0.8,))
     state.configure(model.slower((0.001,)))
     assert state.advance((0.8,)) == pytest.approx(before, abs=1e-12)
-
-
-def test_slower_adds_lag():
-    servo = JointServo(60.0, 0.8, velocity=0.003)
-    model = ServoModel(("joint",), (servo,), CYCLE_NS).slower((0.001,))
-    assert model.servos[0].lag(CYCLE) == pytest.approx(servo.lag(CYCLE) + 0.001)

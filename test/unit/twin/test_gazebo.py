@@ -24,22 +24,9 @@ def test_a_stamp_of_no_command_is_no_answer_and_costs_none():
     assert twin.answer(CYCLE_NS)
 
 
-def test_a_clock_that_goes_back_is_answered_by_its_own_stamps():
-    twin = told(3, first=1000)
-    twin.told(CYCLE_NS)
-    assert twin.answer(CYCLE_NS)
-
-
 def test_it_says_when_it_is_late_and_when_it_is_silent():
     assert told(25).problem == ""
     assert told(26).problem == "Gazebo is 104 ms behind what is commanded"
     twin = told(400)
     assert twin.problem.startswith("Gazebo has answered no command for 1 s")
     assert twin.answer(400 * CYCLE_NS) and twin.problem == ""
-
-
-def test_a_new_session_forgets_no_command_that_is_still_to_be_answered():
-    twin = told(3)
-    twin.restart()
-    assert twin.answer(3 * CYCLE_NS)
-    assert (twin.effort, twin.contacts) == ((), ())

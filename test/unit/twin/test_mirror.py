@@ -9,7 +9,7 @@ import pytest
 from chain_samples import REACH, ROBOT, make_chain, make_plan, play_to_the_end
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from supervisor_bench import STOP, Bench, armed, bench, moved
+from supervisor_bench import Bench, armed, bench, moved
 
 from construction_twin.core.errors import ReviewError
 from construction_twin.core.limits import MotionLimits
@@ -45,12 +45,6 @@ class TestSupervisor:
         armed.run(1.0)
         assert len(armed.sent) == 4 and armed.gateway["state"] == "ready"
 
-    def test_somebody_else_s_session_is_left_alone(self, armed):
-        armed.gateway["session"] = "plc"
-        armed.supervisor.begin_mirror(armed.now)
-        armed.run(1.0)
-        assert armed.sent == []
-
     def test_is_refused_while_the_arm_moves(self, armed):
         armed.pose = moved(0.1)
         armed.poll()
@@ -64,36 +58,11 @@ class TestSupervisor:
         with pytest.raises(ReviewError, match="command stream still moves"):
             armed.supervisor.begin_mirror(armed.now)
 
-    @pytest.mark.parametrize("polls", [0, 1, 5])
-    def test_is_refused_until_the_stream_of_a_new_session_has_shown_that_it_rests(self, armed, polls):
-        armed.set_gateway("ready", "reset", session="")
-        armed.supervisor.request_reset(armed.now)
-        before, armed.carry_out = armed.supervisor.session, lambda control: None
-        while armed.supervisor.session == before:
-            armed.poll()
-        for _ in range(polls):
-            armed.poll()
-        with pytest.raises(ReviewError, match="command stream still moves, or has just begun"):
-            armed.supervisor.begin_mirror(armed.now)
-        armed.run(0.3)
-        assert "arm leads" in armed.supervisor.begin_mirror(armed.now)
-
-    def test_is_entered_where_no_stream_comes(self, armed):
-        armed.command = None
-        armed.run(0.3)
-        assert "arm leads" in armed.supervisor.begin_mirror(armed.now)
-
     def test_is_refused_without_an_arm(self, bench):
         bench.set_gateway("no_controller", "no telegram yet")
         bench.run(0.5)
         with pytest.raises(ReviewError, match="no telegram yet"):
             bench.supervisor.begin_mirror(bench.now)
-
-    def test_asked_for_twice_it_is_entered_once(self, armed):
-        armed.supervisor.begin_mirror(armed.now)
-        session = armed.supervisor.session
-        assert armed.supervisor.begin_mirror(armed.now) == "the arm leads already"
-        assert armed.supervisor.session == session
 
     def test_leaving_starts_over_like_a_reset_and_arms(self, armed):
         armed.supervisor.begin_mirror(armed.now)
@@ -123,34 +92,12 @@ class TestSupervisor:
         bench.run(0.5)
         assert bench.state is LinkState.NO_CONTROLLER and bench.sent == []
 
-    def test_outlasts_an_interruption(self, armed):
-        armed.supervisor.begin_mirror(armed.now)
-        armed.run(0.5)
-        session = armed.supervisor.session
-        armed.set_gateway("no_controller", "silent")
-        armed.run(0.5)
-        assert armed.state is LinkState.NO_CONTROLLER and armed.supervisor.mirrors
-        armed.set_gateway("ready", "RSI session began", session="")
-        armed.run(0.5)
-        assert armed.state is LinkState.MIRROR and armed.supervisor.session == session
-
     @pytest.mark.parametrize("request_name", ["request_reset", "request_arm"])
     def test_nothing_else_starts_a_session_meanwhile(self, armed, request_name):
         armed.supervisor.begin_mirror(armed.now)
         armed.run(0.5)
         with pytest.raises(ReviewError):
             getattr(armed.supervisor, request_name)(armed.now)
-
-    def test_a_halt_ends_it_and_a_person_goes_on(self, armed):
-        armed.supervisor.begin_mirror(armed.now)
-        armed.run(0.5)
-        armed.supervisor.halt("stopped")
-        armed.set_gateway("holding", STOP, fault=True)
-        armed.run(0.5)
-        assert armed.state is LinkState.NEEDS_RESET
-        armed.supervisor.request_reset(armed.now)
-        armed.run(1.0)
-        assert armed.state is LinkState.ARMED
 
     def test_a_bridge_that_is_started_again_goes_on_until_a_person_ends_it(self):
         bench = Bench(mirrors=True)
@@ -161,18 +108,8 @@ class TestSupervisor:
         bench.run(1.0)
         assert bench.state is LinkState.ARMED and bench.supervisor.session != session
 
-    def test_outside_of_it_there_is_nothing_to_leave(self, armed):
-        with pytest.raises(ReviewError, match="does not lead"):
-            armed.supervisor.end_mirror(armed.now)
-
 
 class TestTwin:
-    def test_meets_a_motion_inside_the_limits_exactly(self):
-        twin = MirrorTwin(LIMITS, (0.0, 0.0))
-        for k in range(1, 500):
-            q = (0.3 * (1 - math.cos(k * CYCLE)), 0.0)
-            assert twin.follow(k * CYCLE_NS, q) == q and twin.arrived
-
     @settings(max_examples=40, deadline=None)
     @given(
         first=st.tuples(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5)),
@@ -201,11 +138,6 @@ class TestTwin:
             q = (0.3 * (1 - math.cos(k * CYCLE)), 0.0)
             assert twin.follow(k * CYCLE_NS, q)[0] == pytest.approx(q[0], abs=1e-4)
 
-    def test_an_older_measurement_moves_nothing(self):
-        twin = MirrorTwin(LIMITS, (0.0, 0.0))
-        twin.follow(8, (0.0, 0.0))
-        assert twin.follow(8, (0.1, 0.0)) is None
-
     def test_the_robot_refuses_commands_while_it_mirrors(self):
         robot = VirtualRobot((0.0, 0.0))
         robot.begin_mirror(LIMITS)
@@ -213,11 +145,6 @@ class TestTwin:
         assert robot.follow(CYCLE_NS, (1e-5, 0.0)) and robot.pose == (1e-5, 0.0)
         robot.end_mirror()
         assert not robot.follow(2 * CYCLE_NS, (1.0, 0.0)) and robot.execute(3 * CYCLE_NS, robot.pose)
-
-    def test_a_robot_without_a_pose_takes_the_arm_s_first(self):
-        robot = VirtualRobot(None)
-        robot.begin_mirror(LIMITS)
-        assert not robot.mirrors and robot.take_over((1.0, 1.0))
 
 
 def assert_no_jump(poses, since: int = 0) -> None:
