@@ -18,9 +18,9 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from mqtt_mutations import Message, Target, message
 from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
@@ -51,6 +51,107 @@ DATAGRAMS, BYTES = 40, 60_000
 MESSAGES = 500
 #: A single packet is given this long to be answered [s].
 ALONE = 0.002
+
+
+#: In place of a property, or its name; of a value of a control message; put into a payload.
+TEXTS = (
+    "",
+    "-1",
+    "1.0",
+    " 1",
+    "9" * 40,
+    "18446744073709551616",
+    "nan",
+    "\u0663",
+    "1_000",
+    "0x10",
+    "a" * 5000,
+    "session",
+)
+VALUES = (None, True, -1, 1e308, 10**30, "x" * 1500, "\ud7ff", [[]], {"a": {"b": 1}})
+PARTS = (
+    b"\x00",
+    b"\xff",
+    b"\xc3\x28",
+    b"+",
+    b",",
+    b"nan",
+    b"1e5",
+    b"{",
+    b"[" * 1500,
+    b'"',
+    b"\\ud800",
+    b"NaN",
+    b"9" * 5000,
+)
+VERBS = ("arm", "stop", "reset", "end", "speed_limit", "fly", "ARM", "")
+
+
+@dataclass
+class Message:
+    """One publish."""
+
+    topic: str
+    payload: bytes
+    pairs: list[tuple[str, str]] = field(default_factory=list)
+    retain: bool = False
+
+
+@dataclass
+class Target:
+    """What a hostile sender knows of the cell.
+
+    Attributes:
+        session, ended: Owner of the stream, and one that had its turn.
+        arming: Value of an `arm`: configuration and run; anybody can read both in the status.
+        far, held: Joint strings: degrees away from the arm on every joint, and where it stands.
+    """
+
+    session: str
+    ended: str
+    arming: dict
+    far: bytes
+    held: bytes
+
+
+def message(rng: random.Random, target: Target) -> Message:
+    """Return a malformed or hostile message; never a complete valid command of the armed session, which access rules keep off."""
+    session = rng.choice((target.session, target.ended, "another", ""))
+    made = _command(rng, target, session) if rng.random() < 0.7 else Message("control", _control(rng, target, session))
+    if rng.random() < 0.6:
+        made.payload = mutate(rng, made.payload)[:60_000]
+    made.retain = rng.random() < 0.02
+    return made
+
+
+def _command(rng: random.Random, target: Target, session: str) -> Message:
+    payload = target.far if session == target.session else rng.choice((target.far, target.held))
+    seq, stamp = rng.choice((1, 2, 70, 10**6, rng.randrange(10**19))), rng.randrange(10**19)
+    pairs = [("session", session), ("seq", str(seq)), ("stamp", str(stamp))]
+    for _ in range(rng.choice((0, 0, 1, 3))):
+        place = rng.randrange(len(pairs) or 1)
+        other = rng.choice((*pairs, ("extra", "1"))), (rng.choice(TEXTS), rng.choice(TEXTS))
+        pairs[place : place + 1] = rng.choice(([], [other[1]], [other[0]] * rng.choice((2, 200))))
+    return Message("command", payload, pairs)
+
+
+def _control(rng: random.Random, target: Target, session: str) -> bytes:
+    # the right value only from who is armed already, or had its turn: arming anew is the access rules' business
+    value = target.arming if session in (target.session, target.ended) else rng.choice((None, "0" * 64, 1.0, []))
+    document = {"id": str(rng.randrange(10**6)), "session": session, "verb": rng.choice(VERBS), "value": value}
+    for name in rng.sample(list(document), rng.choice((0, 0, 1, 2))):
+        document[rng.choice((name, "extra", "x" * 300))] = rng.choice(VALUES)
+    return json.dumps(document).encode()
+
+
+def mutate(rng: random.Random, data: bytes) -> bytes:
+    """Change a payload's bytes: flipped, cut, repeated, replaced, put in."""
+    data = bytearray(data)
+    for _ in range(rng.randint(1, 3)):
+        place, end = (min(len(data), rng.randrange(len(data) + 1) + more) for more in (0, rng.randint(1, 12)))
+        place, end = min(place, end), max(place, end)
+        data[place:end] = rng.choice((b"", rng.choice(PARTS), data[place:end] * 7, rng.randbytes(end - place)))
+    return bytes(data)
 
 
 class GatewayProcess:
@@ -212,14 +313,8 @@ class Mqtt:
         beside = Properties(PacketTypes.PUBLISH) if made.pairs else None
         if beside is not None:
             beside.UserProperty = made.pairs
-        topics = {
-            "command": self.topics.command,
-            "control": self.topics.control,
-            "stop": self.topics.stop_by("anybody"),
-        }
-        self._client.publish(
-            topics[made.topic], made.payload, qos=int(made.topic != "command"), retain=made.retain, properties=beside
-        )
+        topic = getattr(self.topics, made.topic)
+        self._client.publish(topic, made.payload, int(made.topic != "command"), made.retain, beside)
         self.sent += 1
 
     def ask(self, verb: str, session: str = "", value: object = None) -> dict:
@@ -260,7 +355,7 @@ class Mqtt:
 
     def clean(self) -> None:
         """Take retained messages away."""
-        for topic in ("command", "control", "stop"):
+        for topic in ("command", "control"):
             self.publish(Message(topic, b"", retain=True))
         self.marker()
 
