@@ -13,7 +13,6 @@ from collections.abc import Callable
 import yaml
 from link_mqtt import MqttEnd, publish_packet, read_publish
 from link_world import REALTIME, ROBOT_YAML, ROOT, XACRO, World, free_port
-from machine import Replies
 
 from construction_twin.core.histogram import percentile
 from construction_twin.core.units import CYCLE, CYCLE_NS
@@ -105,7 +104,6 @@ class Commander:
         self._on_state = on_state
         self._end = MqttEnd(port, "link-commander", [self._topics.status, self._topics.state])
         self.status: dict = {}
-        self.replies = Replies()
         self.cycle = 0
         self._due = 0
 
@@ -128,8 +126,8 @@ class Commander:
         self.wait_for("armed")
         self._due = time.monotonic_ns()
 
-    def stream(self, seconds: float, each_minute: Callable[[], None] | None = None) -> None:
-        """Send the motion at 250 Hz for a time [s]; `each_minute` is called after every 15 000 commands."""
+    def stream(self, seconds: float) -> None:
+        """Send the motion at 250 Hz for a time [s]."""
         for _ in range(round(seconds / CYCLE)):
             while (wait := self._due - time.monotonic_ns()) > 0:
                 self._listen(wait / 1e9)
@@ -138,8 +136,6 @@ class Commander:
             payload = self._codec.encode(pose_at(self._home, self.cycle))
             self._end.publish(publish_packet(self._topics.command, payload, pairs))
             self._due += CYCLE_NS
-            if each_minute is not None and self.cycle % 15_000 == 0:
-                each_minute()
 
     def next_status(self, timeout: float = 5.0) -> dict:
         """Return the next status; goes on streaming meanwhile."""
@@ -158,10 +154,8 @@ class Commander:
             for body in self._end.receive():
                 topic, payload, pairs = read_publish(body)
                 if topic == self._topics.state:
-                    state = read_state_properties(pairs)
-                    self.replies.add(state.seq, state.stamp)
                     if self._on_state is not None:
-                        self._on_state(state)
+                        self._on_state(read_state_properties(pairs))
                 else:
                     self.status = json.loads(payload)
 

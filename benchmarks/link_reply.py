@@ -19,8 +19,7 @@ _BUSY = "while True: pass"
 def measure(seconds: float, loaded: bool, realtime: int = REALTIME) -> tuple[dict, dict]:
     """Return the spread of the reply time [us], late replies and cycles while a motion is streamed; and what goes with it.
 
-    That is the gateway's ``state`` at the end, the ``machine``'s own pauses in the meantime (see `MachineProbe`), how many replies
-    were ``held_up``, and how many of these beside no pause (``held_up_by_us``, see `machine.Replies`).
+    That is the gateway's ``state`` at the end and the ``machine``'s own pauses in the meantime (see `MachineProbe`).
 
     If the machine does not run the mock controller in time, the stream gets ahead of it and the gateway brakes, but goes on
     answering.
@@ -42,16 +41,9 @@ def measure(seconds: float, loaded: bool, realtime: int = REALTIME) -> tuple[dic
             commander.stream(SETTLE)
         probe = world.enter_context(MachineProbe(realtime))
         before = commander.next_status()
-        commander.replies.taken(probe.taken())
+        probe.taken()
         commander.stream(seconds)
         machine = probe.taken()
-        late, ours = commander.replies.taken(machine)
-        del machine["intervals"]
         result = reply_spread(before, commander.next_status())
         commander.close()
-        return result, {
-            "state": commander.status["state"],
-            "machine": machine,
-            "held_up": late,
-            "held_up_by_us": ours,
-        }
+        return result, {"state": commander.status["state"], "machine": machine}

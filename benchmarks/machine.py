@@ -12,16 +12,11 @@ import select
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from contextlib import ExitStack
 
 #: Time asleep, short enough to see what delays a single reply; and the delay of a wake-up that counts as a pause [ns].
 PERIOD, PAUSE = 500_000, 1_000_000
-#: A busy host may take a processor away in many short pieces. Pauses of this length and more help to explain a late reply [ns];
-#: on an idle machine a watch wakes up at most 0.1 ms late.
-SLIVER = 250_000
-#: The controller's cycle, and how much longer the time between two replies is when the later one counts as held up [ns].
-CYCLE, HELD_UP = 4_000_000, 2_000_000
 
 
 class MachineProbe(ExitStack):
@@ -51,8 +46,7 @@ class MachineProbe(ExitStack):
     def taken(self) -> dict:
         """Return the pauses since the last call: their number, the longest one and their sum [ms].
 
-        ``intervals`` are the beginnings and ends on the monotonic clock [ns] of all pauses of `SLIVER` and more. ``above`` says
-        whether every watch has its priority; without it a pause may also be due to another program.
+        ``above`` says whether every watch has its priority; without it a pause may also be due to another program.
         """
         seen = []
         for watch in self.watches:
@@ -62,76 +56,8 @@ class MachineProbe(ExitStack):
             "pauses": sum(one["pauses"] for one in seen),
             "longest_ms": max(one["longest_ms"] for one in seen),
             "stood_ms": round(sum(one["stood_ms"] for one in seen), 1),
-            "intervals": sorted(tuple(interval) for one in seen for interval in one["intervals"]),
             "above": all(one["above"] for one in seen),
         }
-
-
-class Replies:
-    """The times of a gateway's replies, taken from its states: how many replies were held up, by the machine or by us."""
-
-    def __init__(self):
-        # stretches of states without a gap in their numbers: what happened in a gap is not known
-        self._stretches: list[list[int]] = [[]]
-        self._number: int | None = None
-
-    def add(self, number: int, stamp: int) -> int:
-        """Note a state; return how many are missing between the previous one and this.
-
-        Args:
-            stamp: Monotonic clock [ns].
-        """
-        missing = 0 if self._number is None else number - self._number - 1
-        if self._number is None or missing:
-            self._stretches.append([])
-        self._stretches[-1].append(stamp)
-        self._number = number
-        return missing
-
-    def interrupt(self) -> None:
-        """Begin a new stretch: the next state has no predecessor."""
-        self._number = None
-
-    def taken(self, machine: dict) -> tuple[int, int | None]:
-        """Return how many replies were held up since the last call, and how many of these no pause of the machine explains.
-
-        The second number is None where the probe had no priority above ours, because its pauses are then also due to us.
-
-        Args:
-            machine: Of the same time; see `MachineProbe.taken`.
-        """
-        held = [held_up(stretch, machine["intervals"]) for stretch in self._stretches]
-        self._stretches = [self._stretches[-1][-1:]]
-        return sum(late for late, _ in held), sum(ours for _, ours in held) if machine["above"] else None
-
-
-def held_up(stamps: Sequence[int], intervals: Sequence[tuple[int, int]]) -> tuple[int, int]:
-    """Return how many replies came late after the one before them, and how many of these no pause of the machine explains.
-
-    Pauses explain a late reply if they cover at least half of the time by which it exceeds a cycle. Pauses of every core count,
-    because gateway and controller move between cores. The kernel's throttling of real-time tasks counts as a pause, too.
-
-    Args:
-        stamps: Of the replies, rising, on the monotonic clock [ns].
-        intervals: Beginnings and ends of pauses, rising, of all cores; see `MachineProbe.taken`.
-    """
-    late = unexplained = first = 0
-    for earlier, later in zip(stamps, stamps[1:]):
-        beyond = later - earlier - CYCLE
-        if beyond < HELD_UP:
-            continue
-        late += 1
-        covered, at = 0, earlier
-        while first < len(intervals) and intervals[first][1] < earlier:
-            first += 1
-        for begin, end in intervals[first:]:
-            if begin >= later:
-                break
-            # pauses of two cores may overlap, what they share counts once
-            covered += max(0, min(end, later) - max(begin, at))
-            at = max(at, end)
-        unexplained += covered < beyond / 2
-    return late, unexplained
 
 
 def watch(core: int, priority: int, period: int) -> None:
@@ -144,7 +70,7 @@ def watch(core: int, priority: int, period: int) -> None:
             above = True
         except PermissionError:
             print("machine probe: SCHED_FIFO not permitted", file=sys.stderr)
-    late: list[tuple[int, int]] = []
+    late: list[float] = []
     looked, answering = time.monotonic_ns(), 0
     while True:
         asked, _, _ = select.select([sys.stdin], [], [], period / 1e9)
@@ -152,15 +78,14 @@ def watch(core: int, priority: int, period: int) -> None:
         # a pause between two rounds of this loop counts, the work of an answer does not
         due = looked + answering + period
         looked, answering = now, 0
-        if now - due > SLIVER:
-            late.append((due, now))
+        if now - due > PAUSE:
+            late.append((now - due) / 1e6)
         if asked:
             began = time.process_time_ns()
             if not sys.stdin.readline():
                 return
-            lengths = [(end - begin) / 1e6 for begin, end in late if end - begin > PAUSE]
-            seen = {"pauses": len(lengths), "longest_ms": round(max(lengths, default=0.0), 1), "stood_ms": sum(lengths)}
-            print(json.dumps(seen | {"intervals": late, "above": above}), flush=True)
+            seen = {"pauses": len(late), "longest_ms": round(max(late, default=0.0), 1), "stood_ms": sum(late)}
+            print(json.dumps(seen | {"above": above}), flush=True)
             late.clear()
             answering = time.process_time_ns() - began
 

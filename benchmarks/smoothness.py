@@ -1,6 +1,6 @@
 """How smooth the gateway's corrections are: RMS acceleration and jerk over those of the planned trajectory.
 
-Run it: ``python benchmarks/smoothness.py``. The gateway of `construction_twin.gateway.gateway` on a simulated clock, with simulated
+Run by `link.py` (``--parts smoothness``). The gateway of `construction_twin.gateway.gateway` on a simulated clock, with simulated
 arrivals of commands, beside a naive gateway that forwards the newest command it has. Nothing here depends on the machine's speed.
 
 A profile is a link: when does a command that was sent at t arrive? MQTT runs over TCP, so a command never overtakes another. The
@@ -9,8 +9,6 @@ links are disturbed from the start: each runs for `WARM_UP` at rest before the m
 
 from __future__ import annotations
 
-import argparse
-import json
 import random
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -40,8 +38,6 @@ POSES = ((55.0, -50.0, 75.0, 40.0, 60.0, -70.0), (-40.0, -80.0, 100.0, -60.0, 11
 PHASE = 1_700_000
 #: The sender's clock when ours reads 0 [ns].
 SENDER_EPOCH = 1_790_000_000 * NANOSECONDS
-#: Ratios up to this are the target where the longest stall is below the delay's bound.
-TARGET = 1.1
 
 
 @dataclass(frozen=True)
@@ -59,11 +55,6 @@ class Profile:
     stalls: tuple[float, float] = ()
     cut: tuple[float, float] = ()
     loss: float = 0.0
-
-    @property
-    def longest_stall(self) -> float:
-        """[s]"""
-        return max(self.stalls[1:] + self.cut[1:], default=0.0)
 
     def arrivals(self, sent: np.ndarray, seed: int) -> list[int | None]:
         """Return when each command of `sent` [ns from the start of the motion] arrives; None: never."""
@@ -272,20 +263,3 @@ def print_ratios(results: dict) -> None:
         print(
             f"{name:16s}{ours['acc_ratio']:12.3f}{ours['jerk_ratio']:10.3f}{naive['acc_ratio']:14.2f}{naive['jerk_ratio']:10.1f}"
         )
-
-
-def main() -> None:
-    """Print the tables, or with ``--json`` the values."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--json", action="store_true", help="print JSON in place of tables")
-    parser.add_argument("--decimals", type=int, default=6, help="decimals of the joint string [%(default)s]")
-    arguments = parser.parse_args()
-    results = measure(arguments.decimals)
-    if arguments.json:
-        print(json.dumps({"smoothness": results}, indent=2))
-        return
-    print_ratios(results)
-
-
-if __name__ == "__main__":
-    main()

@@ -10,15 +10,12 @@ import sys
 import tempfile
 from pathlib import Path
 
-import check_ports
-from demo import launch, newest_link, results_folder
+from demo import launch, launch_arguments, newest_link, results_folder
 
 
 def main(arguments: list[str]) -> int:
     """Build; return the exit code: 0 when the session left a new ``work.json``, else 1 after a sentence."""
-    if check_ports.main(arguments):
-        return 1
-    given = check_ports.launch_arguments(arguments)
+    given = launch_arguments(arguments)
     results = results_folder(given)
     before = newest_link(results, "work.json")
     logs = Path(os.environ.get("ROS_LOG_DIR", Path.home() / ".ros/log"))

@@ -14,8 +14,6 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-import check_ports
-
 ROOT = Path(__file__).resolve().parent.parent
 #: Lines of roslaunch about itself, not about the experiment.
 NOISE = re.compile(
@@ -82,6 +80,11 @@ def environment(given: Mapping[str, str], terminal: bool) -> dict[str, str]:
     return {**given, **settings}
 
 
+def launch_arguments(arguments: list[str]) -> dict[str, str]:
+    """Return ``name:=value`` arguments as a mapping; of several for one name the last counts, as in roslaunch."""
+    return dict(argument.split(":=", 1) for argument in arguments if ":=" in argument)
+
+
 def results_folder(given: Mapping[str, str]) -> Path:
     """Return the folder that the launch arguments name for the results."""
     return Path(given.get("results_dir", ROOT / "results")).expanduser()
@@ -125,9 +128,7 @@ def launch(arguments: list[str], name: str = "experiment") -> None:
 
 def main(arguments: list[str]) -> int:
     """Run the demo; return the exit code: 0 when the experiment left a new summary, else 1 after a sentence."""
-    if check_ports.main(arguments):
-        return 1
-    given = check_ports.launch_arguments(arguments)
+    given = launch_arguments(arguments)
     results = results_folder(given)
     before = newest(results)
     launch(arguments if "results_dir" in given else [f"results_dir:={results}", *arguments])

@@ -1,7 +1,4 @@
-"""Every shipped scenario on the simulated chain, with the judge and the assertions of `test/integration/test_scenario.py`.
-
-Five of them run live as well, whose names are in `LIVE`: what a launch has beside the chain is tested there.
-"""
+"""Every shipped scenario on the simulated chain, with the judge and the assertions of `test/integration/test_scenario.py`."""
 
 from __future__ import annotations
 
@@ -16,8 +13,6 @@ from construction_twin.ros.commands.scenario import print_verdict
 
 ROOT = Path(__file__).resolve().parents[3]
 SHIPPED = sorted(path.stem for path in (ROOT / "config/scenarios").glob("*.yaml"))
-#: At least three, so that services, sockets, driver, recording and verdict of a real launch are tested.
-LIVE = {"estop", "packets_lost", "stall_resume"}
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -45,8 +40,3 @@ def test_a_scenario_is_the_same_each_time():
     assert [(change.stamp, change.topic, change.value) for change in one[0].changes] == [
         (change.stamp, change.topic, change.value) for change in other[0].changes
     ]
-
-
-def test_the_scenarios_that_run_live_are_those():
-    files = {path.stem.removeprefix("scenario_") for path in (ROOT / "test/integration").glob("scenario_*.test")}
-    assert files == LIVE and len(LIVE) >= 3
