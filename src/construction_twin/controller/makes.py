@@ -7,7 +7,6 @@ from importlib import import_module
 
 from construction_twin.controller.port import Make
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 
 #: The make of a configuration that names none.
 DEFAULT = "rsi"
@@ -19,5 +18,5 @@ MODULES = {DEFAULT: "construction_twin.rsi.make"}
 def make_of(name: str) -> Make:
     """Return a make by its name; ConfigurationError for one that is not known."""
     if name not in MODULES:
-        raise ConfigurationError("make", name, Sentence("expected.one_of", known=", ".join(MODULES)))
+        raise ConfigurationError("make", name, f"one of {', '.join(MODULES)}")
     return import_module(MODULES[name]).MAKE

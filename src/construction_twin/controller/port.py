@@ -18,7 +18,6 @@ from construction_twin.controller.telegram import Reply, Telegram
 from construction_twin.controller.tool import GatewayTool, ToolReading
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.limits import MotionLimits
-from construction_twin.core.sentences import Sentence
 
 
 class Layout(Protocol):
@@ -185,7 +184,7 @@ class SessionRules(Protocol):
 
     Attributes:
         follows: Whether corrections are relative to the programmed position, and so move with it.
-        drifted: Key of the sentence on how far an axis is off where it was programmed; its value is ``distance``.
+        drifted: Template of the sentence on how far an axis is off where it was programmed; its value is ``distance``.
     """
 
     follows: bool
@@ -423,6 +422,6 @@ class Make(Generic[LayoutT]):
         """Return the form of a file that was given; ConfigurationError when the make has no files."""
         if self.file is None:
             raise ConfigurationError(
-                "file of the controller", given, Sentence("expected.no_controller_file", make=self.name)
+                "file of the controller", given, f"none: {self.name} has no file for its telegrams"
             )
         return self.file

@@ -6,7 +6,6 @@ import re
 from dataclasses import dataclass
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 
 #: The channel without which none of the outputs may be changed; no output can have its name.
 ENABLE = "Enable"
@@ -51,16 +50,16 @@ class GatewayTool:
         names = [*(output.name for output in self.outputs), *self.inputs]
         for name in (self.name, *names):
             if not isinstance(name, str) or not is_tool_name(name):
-                raise ConfigurationError("tool", name, Sentence("expected.gateway_tool.name"))
+                raise ConfigurationError("tool", name, "a name of small letters, digits and '_', at most 24")
         for kind, found in (("outputs", names[: len(self.outputs)]), ("inputs", list(self.inputs))):
             if not found or len(set(found)) != len(found):
-                raise ConfigurationError(f"tool {kind}", found, Sentence("expected.gateway_tool.once"))
+                raise ConfigurationError(f"tool {kind}", found, "at least one, each once")
         for output in self.outputs:
             if output.on_stop not in HOLDON or output.opens not in (True, False, None):
-                expected = Sentence("expected.gateway_tool.values")
+                expected = "on_stop keep or off, opens true, false or nothing"
                 raise ConfigurationError(f"tool output {output.name}", (output.on_stop, output.opens), expected)
             if output.on_stop == "off" and output.opens is False:
-                expected = Sentence("expected.gateway_tool.drops")
+                expected = "on_stop keep, or opens true: one missed reply would drop the part"
                 raise ConfigurationError(f"tool output {output.name}", (output.on_stop, output.opens), expected)
 
     @classmethod

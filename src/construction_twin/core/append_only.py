@@ -41,7 +41,7 @@ def read_lines(path: str | Path) -> list[dict]:
                 raise ValueError(type(fields).__name__)
         except ValueError as error:
             found = line[:80].decode(errors="replace")
-            expected = Sentence("expected.record.object", problem=str(error))
+            expected = f"a JSON object ({error})"
             raise ConfigurationError(f"{path} line {number}", found, expected) from error
         lines.append(fields)
     return lines
@@ -73,7 +73,7 @@ class AppendOnlyFile:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._file = os.open(self.path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o644)
         except OSError as error:
-            raise ConfigurationError(str(self.path), problem_of(error), Sentence("expected.writable")) from error
+            raise ConfigurationError(str(self.path), problem_of(error), "a file that can be written") from error
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             content = _read(self.path)
@@ -86,9 +86,7 @@ class AppendOnlyFile:
             self.close()
             if isinstance(error, ConfigurationError):
                 raise
-            raise ConfigurationError(
-                str(self.path), str(error), Sentence("expected.record.own", writer=writer)
-            ) from error
+            raise ConfigurationError(str(self.path), str(error), f"a file that no other {writer} writes") from error
 
     def defer(self, now: int, fields: dict) -> None:
         """Keep a line for the next `flush`; does not touch the disk.
@@ -139,7 +137,9 @@ class AppendOnlyFile:
         try:
             written = os.write(self._file, data)
             if written != len(data):
-                raise OSError(Sentence("reason.file.cut", written=written, count=len(data)))
+                raise OSError(
+                    Sentence("only {written} of {count} bytes could be written", written=written, count=len(data))
+                )
             os.fsync(self._file)
         except OSError as error:
             with contextlib.suppress(OSError):
@@ -153,13 +153,22 @@ class AppendOnlyFile:
         try:
             there, here = os.stat(self.path), os.fstat(self._file)
         except OSError as error:
-            raise self._failure(str(self.path), Sentence("reason.file.gone", problem=str(error))) from error
+            raise self._failure(
+                str(self.path),
+                Sentence(
+                    "the file is gone ({problem}): put it back, or start its node again, which begins another one",
+                    problem=str(error),
+                ),
+            ) from error
         if (there.st_dev, there.st_ino) != (here.st_dev, here.st_ino):
-            raise self._failure(str(self.path), Sentence("reason.file.replaced"))
+            raise self._failure(
+                str(self.path),
+                Sentence("the file was replaced by another: put it back, or start its node again, which checks it"),
+            )
 
 
 def _read(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise ConfigurationError(str(path), problem_of(error), Sentence("expected.readable")) from error
+        raise ConfigurationError(str(path), problem_of(error), "a file that can be read") from error

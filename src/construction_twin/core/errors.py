@@ -28,10 +28,10 @@ _MOST_SHOWN = 300
 
 def found_and_expected(where: str, value: object, expected: str) -> Sentence:
     """Return the sentence of what stands somewhere, and what would have been accepted there; a value None: nothing."""
-    found = Sentence("expected.nothing") if value is None else repr(value)
+    found = "nothing" if value is None else repr(value)
     if len(found) > _MOST_SHOWN:
         found = f"{found[: _MOST_SHOWN - 3]}..."
-    return Sentence("motion.scene", where=where, found=found, expected=expected)
+    return Sentence("{where}: found {found}, expected {expected}", where=where, found=found, expected=expected)
 
 
 class ConfigurationError(ConstructionTwinError):
@@ -56,24 +56,25 @@ class FileError(ConstructionTwinError):
     def __init__(self, path: str, error: OSError | UnicodeDecodeError):
         self.path = path
         if isinstance(error, UnicodeDecodeError):
-            super().__init__(Sentence("view.file.no_text", path=path, position=error.start))
+            super().__init__(f"{path} is no text in UTF-8 from byte {error.start} on; name a text file")
             return
-        key = _FILE_PROBLEMS.get(error.errno or 0)
-        found = {"path": path or str(error)} if key else {"path": path, "problem": problem_of(error)}
-        super().__init__(Sentence(key or "view.file.other", **found))
+        to_do = _FILE_PROBLEMS.get(error.errno or 0)
+        super().__init__(to_do.format(path=path or str(error)) if to_do else f"{path}: {problem_of(error)}")
 
 
 #: What opening a file raises that is not there, or may not be read: nothing is known of its contents.
 NOT_OPENED = (FileNotFoundError, NotADirectoryError, IsADirectoryError, PermissionError)
+_MISSING = "{path} is not there; check the name, and the folder that it is sought in"
+_DENIED = "{path} may not be used by this user; check its permissions, or take another place"
 #: What to say of the problems with files that a person can do something about.
 _FILE_PROBLEMS = {
-    errno.ENOENT: "view.file.missing",
-    errno.ENOTDIR: "view.file.missing",
-    errno.EISDIR: "view.file.folder",
-    errno.EACCES: "view.file.denied",
-    errno.EPERM: "view.file.denied",
-    errno.EROFS: "view.file.denied",
-    errno.ENOSPC: "view.file.full",
+    errno.ENOENT: _MISSING,
+    errno.ENOTDIR: _MISSING,
+    errno.EISDIR: "{path} is a folder; name a file",
+    errno.EACCES: _DENIED,
+    errno.EPERM: _DENIED,
+    errno.EROFS: _DENIED,
+    errno.ENOSPC: "there is no space left for {path}; make room, or take another disk",
 }
 
 
@@ -102,14 +103,26 @@ class RecordError(ReviewError):
     """A verdict cannot be recorded, and what is not recorded is not carried out."""
 
     def __init__(self, path: str, problem: str):
-        super().__init__(Sentence("review.no_record", path=path, problem=problem))
+        super().__init__(
+            Sentence(
+                "{path}: {problem}; nothing is approved without a record, mend it and approve again",
+                path=path,
+                problem=problem,
+            )
+        )
 
 
 class TransitionLogError(ConstructionTwinError):
     """A change of the monitor's state cannot be written down; it is kept and tried again."""
 
     def __init__(self, path: str, problem: str):
-        super().__init__(Sentence("reason.transitions_kept", path=path, problem=problem))
+        super().__init__(
+            Sentence(
+                "{path}: {problem}; transitions are kept in memory until the file can be written",
+                path=path,
+                problem=problem,
+            )
+        )
 
 
 class ExecutionError(ConstructionTwinError):
@@ -140,9 +153,16 @@ class MotionRefused(ConstructionTwinError):
         self.joint = joint
         self.value = value
         self.limit = limit
-        subject = {"joint": joint} if joint else {}
-        quantities = {"value": Quantity(value, unit), "limit": Quantity(limit, unit)}
-        super().__init__(Sentence(f"reason.motion.{reason}", **subject, **quantities))
+        subject = f"{joint}: " if joint else ""
+        super().__init__(
+            Sentence(
+                "{subject}{check} check failed: {value} against {limit}",
+                subject=subject,
+                check=reason,
+                value=Quantity(value, unit),
+                limit=Quantity(limit, unit),
+            )
+        )
 
 
 class ProtocolError(ConstructionTwinError):
@@ -170,8 +190,10 @@ class PoseUnknownError(ConstructionTwinError):
     """The robot's pose is not published, or not any more."""
 
     def __init__(self, topic: str, age: float, oldest: float):
-        found = "none" if age == float("inf") else "old"
-        super().__init__(Sentence(f"reason.pose_unknown.{found}", topic=topic, age=age, oldest=oldest))
+        found = "nothing was received" if age == float("inf") else f"the last one is {age:.3f} s old"
+        super().__init__(
+            f"the pose on {topic} is not known: {found}; expected one at most {oldest:g} s old, check that the twin runs"
+        )
 
 
 class RequestRefused(ConstructionTwinError):
@@ -183,14 +205,21 @@ class ServiceSilentError(ConstructionTwinError):
 
     def __init__(self, service: str, problem: object, program: str):
         problem = problem if isinstance(problem, Sentence) else str(problem)
-        super().__init__(Sentence("reason.service_silent", service=service, problem=problem, program=program))
+        super().__init__(
+            Sentence(
+                "{service} does not answer: {problem}; does {program} run?",
+                service=service,
+                problem=problem,
+                program=program,
+            )
+        )
 
 
 class SilenceError(ConstructionTwinError):
     """There is no answer: the system is not running, or not under this name."""
 
     def __init__(self, where: str, problem: str, to_do: str):
-        super().__init__(Sentence("view.silent", where=where, problem=problem, to_do=to_do))
+        super().__init__(f"{where}: {problem}; {to_do}")
 
 
 class ScenarioError(ConstructionTwinError):

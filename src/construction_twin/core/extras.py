@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 
 #: What setup/requirements-<group>.txt installs, by group: the names that Python imports.
 PACKAGES = {
@@ -18,5 +17,5 @@ def check_extras(group: str) -> None:
     """Check that a group's packages are there. To be called before a module that needs them is imported."""
     missing = [name for name in PACKAGES[group] if importlib.util.find_spec(name) is None]
     if missing:
-        expected = "expected.extras.installed" if len(missing) == 1 else "expected.extras.all_installed"
-        raise ConfigurationError(", ".join(missing), None, Sentence(expected, group=group))
+        which = "it is" if len(missing) == 1 else "they are"
+        raise ConfigurationError(", ".join(missing), None, f"that {which} installed; run setup/setup.sh {group}")

@@ -25,10 +25,10 @@ def read_file(path: str | Path, most: int) -> bytes:
     """
     with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise OSError(errno.EINVAL, Sentence("reason.file.irregular"), str(path))
+            raise OSError(errno.EINVAL, Sentence("not a regular file"), str(path))
         contents = file.read(most + 1)
     if len(contents) > most:
-        raise OSError(errno.EFBIG, Sentence("reason.file.too_large", size=f"{most / 2**20:.4g}"), str(path))
+        raise OSError(errno.EFBIG, Sentence("larger than {size} MiB", size=f"{most / 2**20:.4g}"), str(path))
     return contents
 
 
@@ -77,4 +77,4 @@ def check_writable(folder: str | Path) -> None:
             file.write(b"0")
     except OSError as error:
         found = f"{there}: {error.strerror or error}"
-        raise ConfigurationError(str(folder), found, Sentence("expected.writable_folder")) from error
+        raise ConfigurationError(str(folder), found, "a folder that files can be written into") from error

@@ -50,7 +50,10 @@ def parse_moment(text: object) -> Moment:
     found = _TEXT.fullmatch(text) if isinstance(text, str) else None
     if found is None:
         shown = "nothing" if text is None or text == "" else repr(text)[:60]
-        raise PayloadError("moment", Sentence("executor.void.no_moment", shown=shown))
+        raise PayloadError(
+            "moment",
+            Sentence("found {shown} as moment; expected the text moment of the newest view, as it came", shown=shown),
+        )
     return Moment(found[1], int(found[2]) * _MILLISECOND)
 
 
@@ -61,12 +64,23 @@ def staleness(seen: Moment, now: Moment) -> str:
         seen, now: What was shown, and the present; compared only where both are of one clock.
     """
     if seen.origin != now.origin:
-        return Sentence("executor.void.elsewhere")
+        return Sentence(
+            "void: it repeats a moment of another computer, or of before this one was started; look "
+            "again, and then ask anew"
+        )
     age = now.at - seen.at
     if age < 0:
-        return Sentence("executor.void.ahead", ahead=-age / NANOSECONDS)
+        return Sentence(
+            "void: it repeats a moment that is {ahead:.3f} s ahead, which no view has shown; look again, "
+            "and then ask anew",
+            ahead=-age / NANOSECONDS,
+        )
     if age > LIFETIME:
-        return Sentence("executor.void.old", age=age / NANOSECONDS, oldest=LIFETIME / NANOSECONDS)
+        return Sentence(
+            "too old: it is of {age:.1f} s ago, and after {oldest:g} s it is void; look again, and then ask anew",
+            age=age / NANOSECONDS,
+            oldest=LIFETIME / NANOSECONDS,
+        )
     return ""
 
 

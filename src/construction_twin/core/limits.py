@@ -89,7 +89,7 @@ def distance_off(
     if off is None:
         return ""
     distance = Quantity(q[off] - reference[off], "m" if limits.linear[off] else "rad")
-    return Sentence("reason.off", joint=limits.names[off], distance=distance)
+    return Sentence("{joint} is {distance:.6q}", joint=limits.names[off], distance=distance)
 
 
 def braking_distance(step: float, deceleration: float) -> float:

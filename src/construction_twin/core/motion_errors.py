@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from construction_twin.core.errors import ConstructionTwinError, found_and_expected
-from construction_twin.core.sentences import Quantity, Sentence, Value, both
+from construction_twin.core.sentences import Quantity, Sentence, both
 
 
 class KinematicsError(ConstructionTwinError):
@@ -26,7 +26,14 @@ class UnreachableError(KinematicsError):
     def __init__(self, missing: float, too_close: bool = False):
         self.missing = missing
         self.too_close = too_close
-        super().__init__(Sentence(f"motion.{'too_close' if too_close else 'out_of_reach'}", missing=missing * 1e3))
+        super().__init__(
+            Sentence(
+                "the target is too close to the arm by {missing:g} mm; move it away from the base"
+                if too_close
+                else "the target is out of the arm's reach by {missing:g} mm; move it closer to the base",
+                missing=missing * 1e3,
+            )
+        )
 
 
 class JointRangeError(KinematicsError):
@@ -36,13 +43,15 @@ class JointRangeError(KinematicsError):
         value, lower, upper: [rad] ([m] for a prismatic joint).
     """
 
-    _key = "motion.joint_range"
+    _words = "{joint} is {value}, outside its range {lower} to {upper}"
 
     def __init__(self, joint: str, value: float, lower: float, upper: float, linear: bool = False):
         self.joint, self.value, self.lower, self.upper, self.linear = joint, value, lower, upper, linear
         numbers = {"value": value, "lower": lower, "upper": upper}
         unit = "m" if linear else "rad"
-        super().__init__(Sentence(self._key, joint=joint, **{name: Quantity(at, unit) for name, at in numbers.items()}))
+        super().__init__(
+            Sentence(self._words, joint=joint, **{name: Quantity(at, unit) for name, at in numbers.items()})
+        )
 
 
 class PoseRangeError(JointRangeError):
@@ -57,29 +66,38 @@ class PoseRangeError(JointRangeError):
 class PositionRangeError(PoseRangeError):
     """The wrist cannot get where the target needs it within the joint ranges."""
 
-    _key = "motion.position_range"
+    _words = "the target's position needs {joint} at {value}, outside its range {lower} to {upper}; move the target"
 
 
 class OrientationError(PoseRangeError):
     """The target's position can be reached, but not with its orientation within the joint ranges."""
 
-    _key = "motion.orientation_range"
+    _words = "the target's orientation needs {joint} at {value}, outside its range {lower} to {upper}; turn the target"
 
 
 class BranchError(KinematicsError):
-    """A configuration of the arm (shoulder, elbow, wrist) is unknown, or does not exist for this arm or target."""
+    """A configuration of the arm (shoulder, elbow, wrist) is unknown, or does not exist for this arm or target.
 
-    def __init__(self, asked: str, available: tuple[str, ...], problem: str, **values: str):
-        if available:
-            values["available"] = ", ".join(available)
-        super().__init__(Sentence(f"motion.branch.{problem}", asked=repr(asked), **values))
+    Attributes:
+        available: What could be chosen instead; () where nothing can.
+    """
+
+    def __init__(self, asked: str, available: tuple[str, ...], problem: str):
+        self.available = available
+        choose = f"choose one of: {', '.join(available)}" if available else "leave the choice open"
+        super().__init__(f"configuration {asked!r} {problem}; {choose}")
 
 
 class UnreachableOrientationError(KinematicsError):
     """The target's position can be reached, but not with its orientation, whatever the joint ranges."""
 
     def __init__(self) -> None:
-        super().__init__(Sentence("motion.orientation"))
+        super().__init__(
+            Sentence(
+                "the target cannot be reached with its orientation, whatever the joint ranges; its position "
+                "can, turn the target"
+            )
+        )
 
 
 class NotFoundError(KinematicsError):
@@ -94,10 +112,25 @@ class NotFoundError(KinematicsError):
     def __init__(self, tried: int, budget_s: float, residual_m: float, residual_rad: float, hint: str = ""):
         self.tried, self.budget_s, self.hint = tried, budget_s, hint
         self.residual_m, self.residual_rad = residual_m, residual_rad
-        best = {"away": Quantity(residual_m, "m"), "turned": Quantity(residual_rad, "rad")}
-        seen = Sentence("motion.not_found.best", **best) if residual_m < 1e3 else ""
-        seen = both(seen, hint, Sentence("motion.not_found.todo"))
-        super().__init__(Sentence("motion.not_found", seconds=f"{budget_s:.3g}", tried=tried, seen=seen))
+        seen = (
+            Sentence(
+                "the best attempt was {away:.3} and {turned:.4} away",
+                away=Quantity(residual_m, "m"),
+                turned=Quantity(residual_rad, "rad"),
+            )
+            if residual_m < 1e3
+            else ""
+        )
+        seen = both(seen, hint, Sentence("allow more time or turn the target"))
+        super().__init__(
+            Sentence(
+                "no joint solution was found in the time given ({seconds} s, {tried} starting points); it "
+                "may still be reachable, because this was searched, not computed: {seen}",
+                seconds=f"{budget_s:.3g}",
+                tried=tried,
+                seen=seen,
+            )
+        )
 
 
 class SceneError(ConstructionTwinError):
@@ -126,7 +159,13 @@ class NoPathError(PlanningError):
     def __init__(self, planner: str, budget: float):
         self.planner = planner
         self.budget = budget
-        super().__init__(Sentence("motion.no_path", planner=planner, seconds=f"{budget:.3g}"))
+        super().__init__(
+            Sentence(
+                "{planner} found no path within {seconds} s; allow more time or choose another goal",
+                planner=planner,
+                seconds=f"{budget:.3g}",
+            )
+        )
 
 
 class CollisionError(PlanningError):
@@ -145,7 +184,11 @@ class CollisionError(PlanningError):
         super().__init__(self._sentence(first=first, second=second, where=where))
 
     def _sentence(self, **values: str) -> Sentence:
-        return Sentence("motion.collision", **values)
+        return Sentence(
+            "{first} touches {second} ({where}), or comes closer than the padding; expected no contact, "
+            "choose another pose or change the scene",
+            **values,
+        )
 
 
 class RetimedCollisionError(CollisionError):
@@ -160,8 +203,15 @@ class RetimedCollisionError(CollisionError):
         super().__init__(between, where)
 
     def _sentence(self, **values: str) -> Sentence:
-        key = "motion.retimed.beside_lines" if self.lines_free else "motion.retimed.on_line"
-        return Sentence(key, **values, why=self.why)
+        return Sentence(
+            "{first} touches {second} ({where}), or comes closer than the padding, although the straight lines between the "
+            "points are free; use more points there. The motion was timed anew, because {why}"
+            if self.lines_free
+            else "{first} touches {second} ({where}, on the straight line), or comes closer than the padding; expected no contact, "
+            "choose another way. The times are not the reason: the motion was timed anew, because {why}",
+            **values,
+            why=self.why,
+        )
 
 
 class DurationError(PlanningError):
@@ -174,7 +224,13 @@ class DurationError(PlanningError):
     def __init__(self, requested: float, minimum: float):
         self.requested = requested
         self.minimum = minimum
-        super().__init__(Sentence("motion.duration", requested=requested, minimum=minimum))
+        super().__init__(
+            Sentence(
+                "a duration of {requested:.3f} s breaks the joint limits; the shortest possible is {minimum:.3f} s",
+                requested=requested,
+                minimum=minimum,
+            )
+        )
 
 
 class PlanSizeError(PlanningError):
@@ -184,10 +240,17 @@ class PlanSizeError(PlanningError):
         quantity: ``duration`` [s], ``waypoints`` or ``length`` of the tool's path [m].
     """
 
+    _OF = {
+        "duration": ("duration", "s", "ask for a faster or shorter motion"),
+        "waypoints": ("waypoints", "", "ask for fewer, or for a faster or shorter motion"),
+        "length": ("length of the tool's path", "m", "divide it into several"),
+    }
+
     def __init__(self, quantity: str, value: float, limit: float):
         self.quantity, self.value, self.limit = quantity, value, limit
-        found, most = (Quantity(number, "m") if quantity == "length" else number for number in (value, limit))
-        super().__init__(Sentence(f"motion.size.{quantity}", value=found, limit=most))
+        what, unit, to_do = self._OF[quantity]
+        found, most = (Quantity(number, unit) for number in (value, limit))
+        super().__init__(f"the plan's {what} would be {found}; this planner takes at most {most}, {to_do}")
 
 
 class FarWaypointError(PlanningError):
@@ -201,28 +264,60 @@ class FarWaypointError(PlanningError):
         self.waypoint, self.distance, self.reach = waypoint, distance, reach
         away = f"{distance * 1e3:.0f}" if distance < 1e6 else f"{distance * 1e3:.6g}"
         reaches = f"{reach * 1e3:.0f}"
-        super().__init__(Sentence("motion.far", waypoint=waypoint, what=what, away=away, reach=reaches))
+        super().__init__(
+            Sentence(
+                "waypoint {waypoint}: {what} is {away} mm from the arm, which reaches {reach} mm; expected a "
+                "place near the arm, in the frame of the request: are unit and frame right?",
+                waypoint=waypoint,
+                what=what,
+                away=away,
+                reach=reaches,
+            )
+        )
 
 
 class NoSceneError(PlanningError):
     """It is not known what surrounds the arm, so nothing can be planned."""
 
     def __init__(self, source: str):
-        super().__init__(Sentence("motion.no_scene", source=source) if source else Sentence("motion.scene_not_set"))
+        super().__init__(
+            Sentence(
+                "no scene was received on {source}; the scene node is not running, start it and ask again",
+                source=source,
+            )
+            if source
+            else Sentence(
+                "there is no scene; give the pipeline one with set_scene, an empty one where nothing stands "
+                "near the arm"
+            )
+        )
 
 
 class SceneChangedError(PlanningError):
     """The scene is another one than the one that was planned in."""
 
     def __init__(self, planned: str, present: str):
-        super().__init__(Sentence("motion.scene_changed", planned=planned[:8], present=present[:8]))
+        super().__init__(
+            Sentence(
+                "the scene changed while planning, from {planned} to {present}; the plan was dropped, ask again",
+                planned=planned[:8],
+                present=present[:8],
+            )
+        )
 
 
 class NeighbourUnknownError(PlanningError):
     """Where the other arm is, or goes, is not published; it is never taken to be absent."""
 
     def __init__(self, neighbour: str, problem: str):
-        super().__init__(Sentence("motion.neighbour", neighbour=neighbour, problem=problem))
+        super().__init__(
+            Sentence(
+                "where {neighbour} is, or goes, is not known: {problem}; start it, or start this robot "
+                "without a neighbour",
+                neighbour=neighbour,
+                problem=problem,
+            )
+        )
 
 
 class LimitError(PlanningError):
@@ -238,8 +333,16 @@ class LimitError(PlanningError):
         self.where, self.joint, self.quantity = where, joint, quantity
         self.value, self.limit = value, limit
         unit = ("m" if linear else "rad") + {"velocity": "/s", "acceleration": "/s^2", "jerk": "/s^3"}.get(quantity, "")
-        values = {"value": Quantity(value, unit), "limit": Quantity(limit, unit)}
-        super().__init__(Sentence(f"motion.limit.{quantity}", where=where, joint=joint, **values))
+        super().__init__(
+            Sentence(
+                "{where}: {joint} has a {quantity} of {value}; its limit is {limit}; plan again",
+                where=where,
+                joint=joint,
+                quantity=quantity,
+                value=Quantity(value, unit),
+                limit=Quantity(limit, unit),
+            )
+        )
 
 
 class CartesianPathError(PlanningError):
@@ -258,13 +361,16 @@ class CartesianPathError(PlanningError):
     ):
         self.reason, self.cause = reason, cause
         self.fraction, self.distance, self.waypoint = fraction, distance, waypoint
-        values: dict[str, Value] = {
-            "distance": Quantity(distance, "m"),
-            "waypoint": waypoint,
-            "fraction": fraction,
-            "what": what,
-        }
-        super().__init__(Sentence("motion.path", **values))
+        super().__init__(
+            Sentence(
+                "the path ends {distance:.1} along, on the way to waypoint {waypoint} (fraction "
+                "{fraction:.4f}): {what}",
+                distance=Quantity(distance, "m"),
+                waypoint=waypoint,
+                fraction=fraction,
+                what=what,
+            )
+        )
 
 
 class SegmentError(PlanningError):
@@ -272,7 +378,9 @@ class SegmentError(PlanningError):
 
     def __init__(self, number: int, name: str, cause: ConstructionTwinError):
         self.number, self.name, self.cause = number, name, cause
-        super().__init__(Sentence("motion.segment", number=number, name=repr(name[:80]), cause=cause.sentence))
+        super().__init__(
+            Sentence("segment {number} ({name}): {cause}", number=number, name=repr(name[:80]), cause=cause.sentence)
+        )
 
 
 class FrameError(PlanningError):
@@ -282,22 +390,54 @@ class FrameError(PlanningError):
     LISTED = 40
 
     def __init__(self, frame: str, base: str, cause: str, known: Sequence[str]):
-        values = {"frame": repr(frame), "base": repr(base), "cause": cause, "known": ", ".join(known[: self.LISTED])}
         if len(known) > self.LISTED:
-            super().__init__(Sentence("motion.frames", **values, count=len(known) - self.LISTED))
+            super().__init__(
+                Sentence(
+                    "no transform from frame {frame} to {base}: {cause}; known are {known} and {count} more",
+                    frame=repr(frame),
+                    base=repr(base),
+                    cause=cause,
+                    known=", ".join(known[: self.LISTED]),
+                    count=len(known) - self.LISTED,
+                )
+            )
         else:
-            super().__init__(Sentence("motion.frame", **values))
+            super().__init__(
+                Sentence(
+                    "no transform from frame {frame} to {base}: {cause}; known are {known}",
+                    frame=repr(frame),
+                    base=repr(base),
+                    cause=cause,
+                    known=", ".join(known[: self.LISTED]),
+                )
+            )
 
 
 class EngagedError(PlanningError):
     """The arm was left inside an engaged segment of a work plan: only the way back along the executed path can be planned."""
 
     def __init__(self, task: str, segment: str, reason: str):
-        values = {"segment": repr(segment), "task": task}
         if reason:
-            super().__init__(Sentence("motion.engaged_because", **values, reason=reason))
+            super().__init__(
+                Sentence(
+                    "the arm was left in {segment} of task {task} ({reason}): only the way back along the path "
+                    "that it executed can be planned, with plan_way_back (twin back), until it has come to its "
+                    "end, or a person says with release_engagement that the arm is free",
+                    segment=repr(segment),
+                    task=task,
+                    reason=reason,
+                )
+            )
         else:
-            super().__init__(Sentence("motion.engaged", **values))
+            super().__init__(
+                Sentence(
+                    "the arm was left in {segment} of task {task}: only the way back along the path that it "
+                    "executed can be planned, with plan_way_back (twin back), until it has come to its end, or a "
+                    "person says with release_engagement that the arm is free",
+                    segment=repr(segment),
+                    task=task,
+                )
+            )
 
 
 class WaypointsError(PlanningError):

@@ -7,8 +7,6 @@ import os
 import socket
 from pathlib import Path
 
-from construction_twin.core.sentences import Sentence
-
 #: Linux: the state of a listening socket in /proc/<pid>/net/tcp.
 _LISTEN = "0A"
 
@@ -47,17 +45,19 @@ def reaches_itself(host: str, timeout: float) -> str:
         try:
             found = socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_STREAM)
         except (OSError, UnicodeError) as error:
-            return Sentence("preflight.address.none", error=getattr(error, "strerror", None) or str(error))
+            return f"it has no IPv4 address ({getattr(error, 'strerror', None) or str(error)})"
         address, port = str(found[0][4][0]), server.getsockname()[1]
         try:
             socket.create_connection((address, port), timeout).close()
         except OSError as error:
-            return Sentence("preflight.address.nobody", address=address, error=error.strerror or str(error))
+            return f"nothing of this machine answers at {address} ({error.strerror or str(error)})"
         try:
             # by the name, as HTTP does: where /etc/hosts has `::1` alone, who asks for IPv4 still gets 127.0.0.1, HTTP only ::1
             socket.create_connection((host, port), timeout).close()
         except OSError as error:
-            return Sentence("preflight.address.ipv6", error=error.strerror or str(error))
+            return (
+                f"it has an address of IPv6 alone, at which no program of ROS listens ({error.strerror or str(error)})"
+            )
     return ""
 
 

@@ -17,7 +17,7 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import seconds
 
 #: Why nothing is known of the tool before the first report.
-NO_REPORT = Sentence("executor.tool.no_report")
+NO_REPORT = Sentence("no report of the tool yet; check that bridge and gateway run")
 #: Numbers of the states WAITING and IDLE of `Execution.msg`.
 _NOTHING_PLAYED = (0, 1)
 #: A number that may be nan, which JSON has as null.
@@ -375,11 +375,15 @@ class ToolReport:
             return self.unknown()
         for signal in signals:
             if signal.name not in self.inputs:
-                return Sentence("executor.tool.no_input", tool=repr(self.tool), signal=repr(signal.name))
+                return Sentence("the tool {tool} has no input {signal}", tool=repr(self.tool), signal=repr(signal.name))
             if self.inputs[signal.name] is not signal.value:
-                return Sentence(f"executor.tool.reads_{'off' if signal.value else 'on'}", signal=signal.name)
+                return Sentence(
+                    "{signal} reads off, not on" if signal.value else "{signal} reads on, not off", signal=signal.name
+                )
         return ""
 
     def unknown(self) -> str:
         """Return why nothing is known of the tool, as a clause; "" when it is known."""
-        return "" if self.known else Sentence("executor.tool.unknown", reason=self.reason or NO_REPORT)
+        return (
+            "" if self.known else Sentence("the tool's state is not known: {reason}", reason=self.reason or NO_REPORT)
+        )

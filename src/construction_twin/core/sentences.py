@@ -27,9 +27,16 @@ from typing import Any
 from construction_twin.core.records import document
 from construction_twin.core.units import for_people, from_people, to_people
 
-_PLACE = re.compile(r"\{(\w+)(?::(?:\.(\d))?([fgqpst]))?\}")
+_PLACE = re.compile(r"\{(\w+)(?::(?:\.(\d))?([fgqpst])?)?\}")
 _FILE = Path(__file__).with_name("sentences.json")
 _ENGLISH: dict[str, str] = {key: words["en"] for key, words in json.loads(_FILE.read_bytes()).items()}
+#: The key of each template, as it is written in the code: without the formats of reasons.
+_KEY_OF: dict[str, str] = {
+    re.sub(
+        r"\{(\w+):(?:[stp]|(\.\d)p)\}", lambda place: f"{{{place[1]}{':' * bool(place[2])}{place[2] or ''}}}", words
+    ): key
+    for key, words in _ENGLISH.items()
+}
 #: Beginnings of the keys of what nodes give as reasons and answers: `understood` finds these.
 REASONS = (
     "reason.",
@@ -55,6 +62,13 @@ class Quantity:
     value: float
     unit: str
 
+    def __format__(self, form: str) -> str:
+        """Return it in deg or mm with the decimals it needs, with two (``.2``), or in its own unit with six (``.6q``)."""
+        if not form:
+            return for_people(self.value, self.unit)
+        number, unit = (self.value, self.unit) if form.endswith("q") else to_people(self.value, self.unit)
+        return f"{number:{form.removesuffix('q')}f} {unit}".strip()
+
 
 Value = str | int | float | Quantity
 
@@ -69,10 +83,13 @@ class Sentence(str):
     key: str
     values: Mapping[str, Value]
 
-    def __new__(cls, key: str, /, **values: Value) -> Sentence:
-        """Return the sentence of a key."""
-        sentence = super().__new__(cls, fill(_ENGLISH[key], values))
-        sentence.key, sentence.values = key, values
+    def __new__(cls, words: str, /, **values: Value) -> Sentence:
+        """Return the sentence of a key or of a template."""
+        if words in _ENGLISH:
+            sentence = super().__new__(cls, fill(_ENGLISH[words], values))
+        else:
+            sentence = super().__new__(cls, words.format(**values))
+        sentence.key, sentence.values = _KEY_OF.get(words, words), values
         return sentence
 
     def __getnewargs_ex__(self) -> tuple[tuple[str], Mapping[str, Value]]:
@@ -125,6 +142,7 @@ def _written(place: re.Match[str], values: Mapping[str, Value]) -> str:
     if value is None:
         return place[0]
     if isinstance(value, Quantity):
+        form = form or "p"
         if form == "p" and decimals is None:
             return for_people(value.value, value.unit)
         number, unit = to_people(value.value, value.unit) if form == "p" else (value.value, value.unit)

@@ -54,16 +54,24 @@ class SpeedLimit:
         """
         # written so that a nan does not pass
         if not 0.0 <= fraction <= 1.0:
-            wrong = Sentence("executor.refused.limit_fraction", sender=name, fraction=fraction)
+            wrong = Sentence(
+                "{sender} sent the speed limit {fraction}; expected a fraction from 0 to 1",
+                sender=name,
+                fraction=fraction,
+            )
             raise PayloadError("speed_limit", wrong)
         if not name:
-            raise PayloadError("speed_limit_source", Sentence("executor.refused.limit_unnamed"))
+            raise PayloadError(
+                "speed_limit_source", Sentence("a speed limit came without its sender's name; expected a node's name")
+            )
         if name != self.name and self.is_heard(now):
-            two = Sentence("executor.refused.limit_two", sender=name, other=self.name)
+            two = Sentence(
+                "{sender} sent a speed limit while {other} does; let only one of them", sender=name, other=self.name
+            )
             raise PayloadError("speed_limit_source", two)
         self.hear(fraction, name, now)
-        words = words.strip() or Sentence("executor.speed.no_words")
-        said = Sentence("executor.speed.limit", limit=fraction, name=name, words=words)
+        words = words.strip() or Sentence("no reason given")
+        said = Sentence("speed limit {limit:g} by {name}: {words}", limit=fraction, name=name, words=words)
         self._sentence_heard, self.reason = sentence or said, ""
         self.update(now)
 
@@ -97,9 +105,17 @@ class SpeedLimit:
 
     def _sentence(self, state: LimitState, limit: float) -> str:
         if state is LimitState.UNLIMITED:
-            return Sentence("executor.speed.unlimited")
+            return Sentence("no speed limit: no source of `speed_limit` was heard")
         if state is LimitState.MISSING:
-            return Sentence("executor.speed.missing", limit=limit)
+            return Sentence(
+                "speed limit {limit:g}: none was heard, and one is required; start a source of `speed_limit`",
+                limit=limit,
+            )
         if state is LimitState.HEARD:
             return self._sentence_heard
-        return Sentence("executor.speed.silent", limit=limit, name=self.name, deadline=self.deadline)
+        return Sentence(
+            "speed limit {limit:g}: {name} is silent for more than {deadline:g} s; check it, or start another source",
+            limit=limit,
+            name=self.name,
+            deadline=self.deadline,
+        )

@@ -103,7 +103,7 @@ class Machine(Generic[S, E, G, A, Occ]):
     Args:
         guards: From the occasion to what speaks against the row, in a sentence; "" for nothing. See `conditions`.
         actions: Takes row and occasion; returns the sentence with which the next state is entered, None for the occasion's own.
-        refusal: Key of the sentence about an event that its state does not take; its values are ``state`` and ``reason``.
+        refusal: Template of the sentence about an event that its state does not take; its values are ``state`` and ``reason``.
 
     Attributes:
         changed: True after every change of state or reason, until whoever reports it sets it to False.
@@ -119,7 +119,7 @@ class Machine(Generic[S, E, G, A, Occ]):
         reason: str,
         guards: Mapping[G, Callable[[Occ], str]],
         actions: Mapping[A, Callable[[Row[S, E, G, A], Occ], str | None]],
-        refusal: str = "reason.in_state",
+        refusal: str = "it is {state}: {reason}",
         after: Callable[[Row[S, E, G, A], Occ], None] | None = None,
     ):
         self.state = state

@@ -94,7 +94,7 @@ class SequenceCheck:
         if not last or 0 < seq - last <= MAX_JUMP:
             self.lost += seq - last - 1 if last else 0
         elif not self._is_confirmed(seq):
-            raise PayloadError("sequence", Sentence("gateway.command.behind", seq=seq, last=last))
+            raise PayloadError("sequence", Sentence("seq {seq} after {last}", seq=seq, last=last))
         elif seq < last:
             restarted = True
         else:
@@ -135,11 +135,16 @@ class FreshnessCheck:
         excess = self._travel.excess(stamp, received)
         if excess < -self._limit and self._early < CONFIRMATIONS:
             self._early += 1
-            raise PayloadError("early", Sentence("link.refused.early", seconds=-excess / NANOSECONDS))
+            raise PayloadError(
+                "early",
+                Sentence("state travelled {seconds:.3f} s less than the quickest one", seconds=-excess / NANOSECONDS),
+            )
         self._early = 0
         self._travel.take(stamp, received)
         if excess > self._limit:
-            raise PayloadError("stale", Sentence("link.refused.stale", seconds=excess / NANOSECONDS))
+            raise PayloadError(
+                "stale", Sentence("state is {seconds:.3f} s older than the freshest one", seconds=excess / NANOSECONDS)
+            )
 
 
 class StateCheck:

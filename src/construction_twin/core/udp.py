@@ -8,7 +8,6 @@ import sys
 import time
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.core.sentences import Sentence
 
 #: Largest telegram [bytes]. With every block declared a KR C4's exceeds 1 kB (docs/rsi.md, section 2) and stays below 2 kB; what is
 #: longer than this is none, and taking it apart would only keep the loop that answers.
@@ -28,7 +27,8 @@ def bind(host: str, port: int) -> socket.socket:
     except OSError as error:
         sock.close()
         raise ConstructionTwinError(
-            Sentence("view.udp_taken", host=host, port=port, problem=str(error.strerror))
+            f"cannot listen for RSI on UDP {host}:{port}: {error.strerror}; another gateway (or KUKA's "
+            "TestServer) may hold the port, or the address is not this machine's"
         ) from error
     sock.setblocking(False)
     ask_for_stamps(sock)
@@ -52,10 +52,10 @@ def address_of(host: str, option: str) -> str:
     try:
         found = {str(entry[4][0]) for entry in socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_DGRAM)}
     except (OSError, ValueError) as error:
-        expected = Sentence("expected.address", problem=str(error))
+        expected = f"an IPv4 address, or a name that this machine can look up ({error})"
         raise ConfigurationError(option, host, expected) from error
     if len(found) > 1:
-        expected = Sentence("expected.one_address", addresses=", ".join(sorted(found)))
+        expected = f"one address; the name stands for {', '.join(sorted(found))}, give the one that RSI comes from"
         raise ConfigurationError(option, host, expected)
     return found.pop()
 

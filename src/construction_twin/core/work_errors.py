@@ -22,8 +22,10 @@ class BuildingError(WorkError):
 
     def __init__(self, file: str, what: str, found: str, expected: str):
         self.file, self.what, self.found, self.expected = file, what, found, expected
-        where = Sentence("building.part", file=file, what=what)
-        super().__init__(Sentence("motion.scene", where=where, found=found, expected=expected))
+        where = f"{file}: {what}"
+        super().__init__(
+            Sentence("{where}: found {found}, expected {expected}", where=where, found=found, expected=expected)
+        )
 
     def __reduce__(self):
         """Return what it is made of again in another process."""
@@ -48,15 +50,17 @@ class TaskPlanningError(WorkError):
 
     def __init__(self, task: str, reason: str, stage: str = "", method: str = ""):
         self.task, self.reason, self.stage, self.method = task, reason, stage, method
-        at = {**({"stage": stage} if stage else {}), **({"method": repr(method)} if method else {})}
-        super().__init__(Sentence(f"work.cannot.{'_'.join(at) or 'task'}", task=task, reason=reason, **at))
+        at = (", {stage}" if stage else "") + (" with {method}" if method else "")
+        super().__init__(
+            Sentence("task {task}" + at + ": {reason}", task=task, stage=stage, method=repr(method), reason=reason)
+        )
 
 
 class LedgerError(WorkError):
     """What was done cannot be recorded, or its record cannot be read; nothing is done without it."""
 
     def __init__(self, path: str, problem: str):
-        super().__init__(Sentence("building.part", file=path, what=problem))
+        super().__init__(f"{path}: {problem}")
 
 
 class BodyError(WorkError):
@@ -64,7 +68,7 @@ class BodyError(WorkError):
 
     def __init__(self, element: str, problem: str):
         self.element, self.problem = element, problem
-        super().__init__(Sentence("building.element", element=element, problem=problem))
+        super().__init__(f"element {element}: {problem}")
 
     def __reduce__(self):
         # it comes out of worker processes

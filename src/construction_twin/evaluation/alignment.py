@@ -25,7 +25,6 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.evaluation.recording import Recording, Stream
 
@@ -107,7 +106,9 @@ class TwinPath:
         newest = np.maximum.accumulate(twin.stamps)
         increasing = np.concatenate([[True], twin.stamps[1:] > newest[:-1]])
         if np.count_nonzero(increasing) < 2:
-            raise ConstructionTwinError(Sentence("view.recording.stopped_clock"))
+            raise ConstructionTwinError(
+                "the twin's stamps do not increase; was the recording made with a stopped clock?"
+            )
         self.dropped = int(np.count_nonzero(~increasing))
         self._times = (twin.stamps[increasing] - base).astype(float)
         self._positions = twin.positions[increasing]
@@ -154,7 +155,9 @@ def task_window(recording: Recording) -> Window:
     stamps = recording.twin.stamps, recording.physical.stamps
     start, end = max(int(s.min()) for s in stamps), min(int(s.max()) for s in stamps)
     if end <= start:
-        raise ConstructionTwinError(Sentence("view.recording.apart"))
+        raise ConstructionTwinError(
+            "twin and physical samples do not overlap in time; were they recorded on one clock?"
+        )
     return Window(start, end, end, False)
 
 
@@ -273,6 +276,8 @@ def _align_command(name: str, recording: Recording, window: Window, lag_ns: floa
 def _paired(name, stamps, times, measured, path: TwinPath, missing: int = 0) -> Alignment:
     covered = path.covers(times)
     if not covered.any():
-        raise ConstructionTwinError(Sentence("view.recording.uncovered", name=name))
+        raise ConstructionTwinError(
+            f"alignment {name}: no physical sample inside the evaluated time meets the twin's recording"
+        )
     errors = measured[covered] - path(times[covered])
     return Alignment(name, stamps[covered], errors, missing + int(np.count_nonzero(~covered)))

@@ -24,7 +24,6 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from construction_twin.core.errors import NOT_OPENED, ConstructionTwinError, FileError, problem_of
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import share_file
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.evaluation.recording import (
@@ -101,10 +100,13 @@ class Bag:
         # its name as ROS 1 has it
         topic, found = connection.topic, connection.msgtype.replace("/msg/", "/")
         if found != kind:
-            raise ConstructionTwinError(Sentence("view.bag.type", topic=topic, found=found, type=kind))
+            raise ConstructionTwinError(f"{topic} in the bag is a {found}; expected a {kind}")
         if connection.digest != self._known[kind]:
-            values = {"topic": topic, "name": kind, "md5": connection.digest, "installed": self._known[kind]}
-            raise ConstructionTwinError(Sentence("view.bag.definition", **values))
+            raise ConstructionTwinError(
+                f"{topic} in the bag was recorded with another definition of {kind} (md5 {connection.digest}, "
+                f"installed is {self._known[kind]}); evaluate it with the version of the package that "
+                "recorded it"
+            )
 
 
 @contextmanager
@@ -123,10 +125,10 @@ def open_bag(path: str | Path) -> Iterator[Bag]:
         raise FileError(str(path), error) from error
     except (*_DAMAGED, OSError) as error:
         if "not indexed" in str(error):
-            raise ConstructionTwinError(Sentence("view.bag.unclosed", path=str(path))) from error
-        raise ConstructionTwinError(
-            Sentence("view.bag.unreadable", path=str(path), problem=problem_of(error))
-        ) from error
+            raise ConstructionTwinError(
+                f"{path} was not closed properly; run `rosbag reindex {path}` and try again"
+            ) from error
+        raise ConstructionTwinError(f"{path} cannot be read as a rosbag: {problem_of(error)}") from error
 
 
 @cache
@@ -160,15 +162,15 @@ def choose_robot(topics: Iterable[str], namespace: str | None, topic: str = TWIN
     robots = sorted(each[: -len(topic)].rstrip("/") or "/" for each in topics if each.endswith(f"/{topic}"))
     if not robots:
         if topic != TWIN:
-            raise ConstructionTwinError(Sentence("view.bag.no_such_topic", topic=topic))
-        raise ConstructionTwinError(Sentence("view.bag.no_topic", topic=TWIN, twin=TWIN, physical=PHYSICAL))
+            raise ConstructionTwinError(f"the bag holds no topic .../{topic}")
+        raise ConstructionTwinError(f"the bag holds no topic .../{TWIN}; record at least .../{TWIN} and .../{PHYSICAL}")
     if namespace is None:
         if len(robots) > 1:
-            raise ConstructionTwinError(Sentence("view.bag.robots", robots=", ".join(robots)))
+            raise ConstructionTwinError(f"the bag holds the robots {', '.join(robots)}; name one of them")
         return robots[0]
     wanted = "/" + namespace.strip("/")
     if wanted not in robots:
-        raise ConstructionTwinError(Sentence("view.bag.no_robot", robot=wanted, robots=", ".join(robots)))
+        raise ConstructionTwinError(f"the bag holds no robot {wanted}; it holds {', '.join(robots)}")
     return wanted
 
 
@@ -195,7 +197,7 @@ class _Run:
         for name in (TWIN, PHYSICAL):
             if not messages[name]:
                 topic = f"{self._robot.rstrip('/')}/{name}"
-                raise ConstructionTwinError(Sentence("view.bag.no_messages", topic=topic))
+                raise ConstructionTwinError(f"the bag holds no messages on {topic}; is that side recorded?")
         reported = set(messages[PHYSICAL][0][1].name)
         self._joints = tuple(name for name in messages[TWIN][0][1].name if name in reported)
         return Recording(
@@ -242,11 +244,13 @@ class _Run:
             if names not in columns:
                 missing = [joint for joint in self._joints if joint not in names]
                 if missing:
-                    raise ConstructionTwinError(Sentence("view.bag.no_joints", topic=topic, joints=", ".join(missing)))
+                    raise ConstructionTwinError(
+                        f"a message on {topic} lacks {', '.join(missing)}; each must name all joints"
+                    )
                 columns[names] = [names.index(joint) for joint in self._joints]
             if len(message.position) != len(names):
                 raise ConstructionTwinError(
-                    Sentence("view.bag.count", topic=topic, found=len(message.position), count=len(names))
+                    f"a message on {topic} has {len(message.position)} values for {len(names)} joints"
                 )
             rows.append([message.position[column] for column in columns[names]])
         return np.array(rows, dtype=float).reshape(len(rows), len(self._joints))
@@ -293,5 +297,5 @@ def _mock(messages: list) -> dict | None:
     try:
         status = json.loads(messages[-1][1].data)
     except json.JSONDecodeError as error:
-        raise ConstructionTwinError(Sentence("view.bag.no_json", topic=MOCK, problem=str(error))) from error
+        raise ConstructionTwinError(f"the last message on {MOCK} is not JSON: {error}") from error
     return status if isinstance(status, dict) else None

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 
 
@@ -33,9 +32,11 @@ class Stream:
     def __post_init__(self):
         if self.positions.ndim != 2 or not len(self.stamps) == len(self.positions) == len(self.received):
             shapes = f"{self.stamps.shape}, {self.positions.shape}, {self.received.shape}"
-            raise ConstructionTwinError(Sentence("view.recording.shapes", shapes=shapes))
+            raise ConstructionTwinError(
+                f"stamps, positions and received have shapes {shapes}; expected (k,), (k, n), (k,)"
+            )
         if not np.isfinite(self.positions).all():
-            raise ConstructionTwinError(Sentence("view.recording.not_finite"))
+            raise ConstructionTwinError("a recorded joint position is not a finite number; the recording is damaged")
 
     def __len__(self) -> int:
         return len(self.stamps)
@@ -154,18 +155,20 @@ class Recording:
 
     def __post_init__(self):
         if not self.joint_names:
-            raise ConstructionTwinError(Sentence("view.recording.no_joints"))
+            raise ConstructionTwinError(
+                "twin and physical arm report no joint in common; check the joint names in the recording"
+            )
         for name in ("twin", "physical"):
             count = len(getattr(self, name))
             if count < 2:
-                raise ConstructionTwinError(Sentence("view.recording.few", count=count, name=name))
+                raise ConstructionTwinError(
+                    f"the recording holds {count} {name} samples; a comparison needs at least 2"
+                )
         for name in ("twin", "physical", "feedback", "command", "expected"):
             stream = getattr(self, name)
             if stream is not None and stream.positions.shape[1] != len(self.joint_names):
                 raise ConstructionTwinError(
-                    Sentence(
-                        "view.recording.joints", name=name, found=stream.positions.shape[1], count=len(self.joint_names)
-                    )
+                    f"{name} has {stream.positions.shape[1]} joints, expected {len(self.joint_names)}"
                 )
 
     @property

@@ -81,16 +81,22 @@ class CommandStream:
             q = self._codec.decode(payload)
             return Command(self._arrival_stamp(now, q), q, 0)
         if properties is None:
-            raise PayloadError("properties", Sentence("gateway.command.properties"))
+            raise PayloadError("properties", Sentence("command without session, seq and stamp"))
         if properties.session != self.session:
-            names = {"session": repr(properties.session), "armed": repr(self.session)}
-            raise PayloadError("session", Sentence("gateway.command.session", **names))
+            raise PayloadError(
+                "session",
+                Sentence(
+                    "command of session {session}; armed is {armed}",
+                    session=repr(properties.session),
+                    armed=repr(self.session),
+                ),
+            )
         step = properties.seq - self._sequence
         if step <= 0:
             raise self._why_behind(properties.seq, -step)
         if step > FARTHEST and self.last_stamp:
             # nor would the count of what was lost mean anything
-            found = Sentence("gateway.command.far", seq=properties.seq, last=self._sequence)
+            found = Sentence("seq {seq} after {last}: no stream loses so many", seq=properties.seq, last=self._sequence)
             raise PayloadError("sequence", found)
         q = self._codec.decode(payload)
         self._check_age(properties.stamp, now)
@@ -99,18 +105,21 @@ class CommandStream:
         return Command(properties.stamp, q, step - 1)
 
     def _why_behind(self, seq: int, behind: int) -> PayloadError:
-        numbers = {"seq": seq, "last": self._sequence}
         if behind >= REMEMBERED or seq < 1:
-            return PayloadError("sequence", Sentence("gateway.command.behind", **numbers))
+            return PayloadError("sequence", Sentence("seq {seq} after {last}", seq=seq, last=self._sequence))
         if self._taken >> behind & 1:
-            return PayloadError("duplicate", Sentence("gateway.command.again", **numbers))
-        return PayloadError("reordered", Sentence("gateway.command.reordered", **numbers))
+            return PayloadError(
+                "duplicate", Sentence("seq {seq} after {last}: it was taken before", seq=seq, last=self._sequence)
+            )
+        return PayloadError(
+            "reordered", Sentence("seq {seq} after {last}: a newer one came first", seq=seq, last=self._sequence)
+        )
 
     def _check_age(self, stamp: int, now: int) -> None:
         # a command that is late leaves the reference as it is, so it may be taken before it is judged
         late = self._travel_time.take(stamp, now) / NANOSECONDS
         if late > self._config.max_age:
-            raise PayloadError("stale", Sentence("gateway.command.stale", late=late))
+            raise PayloadError("stale", Sentence("command is {late:.3f} s older than the freshest", late=late))
 
     def _arrival_stamp(self, now: int, q: tuple[float, ...]) -> int:
         """Return a stamp for a command without one: the sender's 4 ms grid, begun anew after a gap in which it was given up.
@@ -226,14 +235,25 @@ class CommandIntake:
         hole = player.hole(stamp)
         if hole:
             # too long to guess what the motion was in between
-            raise StreamBroken(Event.STREAM_SILENT, Sentence("gateway.stream.hole", seconds=hole))
+            raise StreamBroken(Event.STREAM_SILENT, Sentence("{seconds:.3f} s of the stream are missing", seconds=hole))
         behind = player.backlog
         if behind > self._config.speed_limit_backlog:
-            backlog = {"behind": behind, "most": self._config.speed_limit_backlog}
             if player.stood:
-                found = Sentence("gateway.stream.replies", count=player.stood, **backlog)
+                found = Sentence(
+                    "the arm is {behind:.3f} s behind its stream, at most {most:g} s are put off: it has stood "
+                    "{count} times because telegrams or replies did not arrive in time",
+                    count=player.stood,
+                    behind=behind,
+                    most=self._config.speed_limit_backlog,
+                )
                 raise StreamBroken(Event.REPLIES_LOST, found)
-            found = Sentence("gateway.stream.speed", fraction=player.fraction, **backlog)
+            found = Sentence(
+                "the sender does not obey the speed limit of {fraction:g}: it is {behind:.3f} s ahead of the "
+                "arm, at most {most:g} s are put off",
+                fraction=player.fraction,
+                behind=behind,
+                most=self._config.speed_limit_backlog,
+            )
             raise StreamBroken(Event.SPEED_IGNORED, found)
         self._check.accept(stamp, q)
         self._push(stamp, q, waited)

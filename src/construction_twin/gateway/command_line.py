@@ -168,7 +168,11 @@ def _ends(arguments: argparse.Namespace, config: GatewayConfig) -> _Ends:
     address = _listen_address(arguments.listen, config)
     controller = address_of(arguments.controller, "--controller") if arguments.controller else None
     if controller is None and not is_loopback(address[0]):
-        raise ConfigurationError("--controller", "", Sentence("expected.controller_address", address=address[0]))
+        raise ConfigurationError(
+            "--controller",
+            "",
+            (f"the controller's address: what comes to {address[0]} comes from a network, and only the controller may"),
+        )
     return _Ends(broker, Topics(arguments.prefix, config.robot), address, controller)
 
 
@@ -219,7 +223,7 @@ def _run(argv: list[str]) -> int:
     if service.gateway.mode is not Mode.NORMAL:
         log.warning("%s", noted(f"mode {service.gateway.mode.value}", service.gateway.mode, words))
     if stops.found:
-        log.warning("%s", Sentence("gateway.stopped_before", reason=stops.found))
+        log.warning("%s", Sentence("stopped before, and not reset ({reason})", reason=stops.found))
     log.info("%s; %s", request_realtime(arguments.realtime), lock_memory())
     # a full collection over everything imported would take longer than the controller waits
     gc.freeze()

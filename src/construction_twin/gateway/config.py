@@ -19,7 +19,6 @@ from construction_twin.controller.port import Layout, Make
 from construction_twin.controller.tool import GatewayTool
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.limits import MotionLimits
-from construction_twin.core.sentences import Sentence
 
 #: Written into the file; another number means another meaning of its keys.
 FORMAT = 2
@@ -93,29 +92,27 @@ class GatewayConfig:
     def __post_init__(self):
         count = len(self.axes)
         if not count or not isinstance(self.axes, tuple) or not all(isinstance(axis, str) for axis in self.axes):
-            raise ConfigurationError("axes", self.axes, Sentence("expected.at_least_one_axis"))
+            raise ConfigurationError("axes", self.axes, "at least one axis name")
         for name in ("lower", "upper", "velocity", "acceleration"):
             values = getattr(self, name)
             if len(values) != count or not all(isinstance(v, (int, float)) and math.isfinite(v) for v in values):
-                raise ConfigurationError(name, values, Sentence("expected.per_axis", count=count))
+                raise ConfigurationError(name, values, f"{count} finite numbers, one per axis")
         if any(low >= high for low, high in zip(self.lower, self.upper)):
-            raise ConfigurationError("lower", self.lower, Sentence("expected.below_upper", upper=str(self.upper)))
+            raise ConfigurationError("lower", self.lower, f"values below upper {self.upper}")
         if min(self.velocity) <= 0 or min(self.acceleration) <= 0:
-            raise ConfigurationError(
-                "velocity, acceleration", (self.velocity, self.acceleration), Sentence("expected.positive_limits")
-            )
+            raise ConfigurationError("velocity, acceleration", (self.velocity, self.acceleration), "positive limits")
         if self.layout is None:
             object.__setattr__(self, "layout", make_of(DEFAULT).plain(self.axes))
         if not self.reference and self.make.references:
             object.__setattr__(self, "reference", self.make.references[0])
         cycles = self.make.cycles
         if type(self.cycle) is not int or self.cycle not in cycles:
-            expected = Sentence("expected.cycle_why", cycles=" or ".join(map(str, cycles)), why=self.make.words.cycles)
+            expected = f"{' or '.join(map(str, cycles))} ms: {self.make.words.cycles}"
             raise ConfigurationError("cycle", self.cycle, expected)
         if type(self.decimals) is not int or not 1 <= self.decimals <= 6:
-            raise ConfigurationError("decimals", self.decimals, Sentence("expected.range", lowest=1, largest=6))
+            raise ConfigurationError("decimals", self.decimals, "1 to 6")
         if not isinstance(self.properties, bool):
-            raise ConfigurationError("properties", self.properties, Sentence("expected.true_or_false"))
+            raise ConfigurationError("properties", self.properties, "true or false")
         for name in (
             "start_tolerance",
             "start_tolerance_linear",
@@ -131,33 +128,31 @@ class GatewayConfig:
         ):
             value = getattr(self, name)
             if not isinstance(value, (int, float)) or not 0 < value < math.inf:
-                raise ConfigurationError(name, value, Sentence("expected.positive"))
+                raise ConfigurationError(name, value, "a positive number")
         if not self.playout_delay_min <= self.playout_delay <= self.playout_delay_max:
-            bounds = Sentence("expected.playout", lowest=self.playout_delay_min, largest=self.playout_delay_max)
+            bounds = f"{self.playout_delay_min} (playout_delay_min) to {self.playout_delay_max} (playout_delay_max)"
             raise ConfigurationError("playout_delay", self.playout_delay, bounds)
         if self.playout_delay_max >= self.max_age:
-            raise ConfigurationError(
-                "playout_delay_max", self.playout_delay_max, Sentence("expected.below_max_age", max_age=self.max_age)
-            )
+            raise ConfigurationError("playout_delay_max", self.playout_delay_max, f"less than max_age, {self.max_age}")
         fraction = self.speed_limit_silent
         if isinstance(fraction, bool) or not isinstance(fraction, (int, float)) or not 0 <= fraction <= 1:
-            raise ConfigurationError("speed_limit_silent", fraction, Sentence("expected.velocity_fraction"))
+            raise ConfigurationError("speed_limit_silent", fraction, "a fraction of the velocity limits, 0 to 1")
         self._check_rsi()
 
     def _check_rsi(self) -> None:
         if type(self.e1_sign) is not int or self.e1_sign not in (1, -1):
-            raise ConfigurationError("e1_sign", self.e1_sign, Sentence("expected.sign"))
+            raise ConfigurationError("e1_sign", self.e1_sign, "1 or -1")
         if not isinstance(self.e1_offset, (int, float)) or not math.isfinite(self.e1_offset):
-            raise ConfigurationError("e1_offset", self.e1_offset, Sentence("expected.finite"))
+            raise ConfigurationError("e1_offset", self.e1_offset, "a finite number [rad] or [m]")
         for name in ("e1_feedback_scale", "e1_correction_scale"):
             value = getattr(self, name)
             if not isinstance(value, (int, float)) or not 0 < value < math.inf:
-                raise ConfigurationError(name, value, Sentence("expected.positive"))
+                raise ConfigurationError(name, value, "a positive number")
         if not set(self.linear) <= set(self.axes):
-            raise ConfigurationError("linear", self.linear, Sentence("expected.some_axes", axes=", ".join(self.axes)))
+            raise ConfigurationError("linear", self.linear, f"some of the axes {', '.join(self.axes)}")
         known = self.make.references
         if known and self.reference not in known:
-            raise ConfigurationError("reference", self.reference, Sentence("expected.one_of", known=", ".join(known)))
+            raise ConfigurationError("reference", self.reference, f"one of {', '.join(known)}")
         self.make.check(self)
 
     @property
@@ -228,17 +223,17 @@ def parse_config(text: str, where: str) -> GatewayConfig:
         known = {field.name for field in fields(GatewayConfig)} - ({"tool"} - set(motion))
         make = make_of(motion.pop("make", DEFAULT))
         if document["format"] != FORMAT:
-            raise ConfigurationError(where, document["format"], Sentence("expected.gateway_file.format", format=FORMAT))
+            raise ConfigurationError(where, document["format"], f"format {FORMAT}; export it again")
         if set(motion) != known:
             difference = sorted(set(motion) ^ known)
-            raise ConfigurationError(where, difference, Sentence("expected.gateway_file.keys"))
+            raise ConfigurationError(where, difference, "no missing or unknown keys; export it again")
         layout = make.read_layout(_with_tuples(motion["layout"]))
         tool = GatewayTool.of_document(motion["tool"]) if "tool" in motion else None
         config = GatewayConfig(**motion | {"layout": layout, "tool": tool})
     except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
-        raise ConfigurationError(where, str(error), Sentence("expected.gateway_file")) from error
+        raise ConfigurationError(where, str(error), "a file written by export_gateway_config") from error
     if document.get("hash") != config.hash:
-        expected = Sentence("expected.gateway_file.hash", hash=config.hash)
+        expected = f"hash {config.hash}; the file was edited, export it again"
         raise ConfigurationError(where, document.get("hash"), expected)
     return config
 
@@ -252,8 +247,8 @@ def load_config(path: str) -> GatewayConfig:
     try:
         text = Path(path).read_text(encoding="utf-8")
     except OSError as error:
-        expected = Sentence("expected.gateway_file.readable")
+        expected = "a readable file written by export_gateway_config"
         raise ConfigurationError(path, error.strerror, expected) from error
     except UnicodeDecodeError as error:
-        raise ConfigurationError(path, str(error), Sentence("expected.gateway_file")) from error
+        raise ConfigurationError(path, str(error), "a file written by export_gateway_config") from error
     return parse_config(text, path)

@@ -15,7 +15,7 @@ from statistics import median
 
 from construction_twin.controller.port import Make
 from construction_twin.controller.telegram import STAMP_NS, stamp_step
-from construction_twin.core.sentences import Sentence, Value
+from construction_twin.core.sentences import Sentence
 
 #: A session is measured for this long before it is first judged [ms of it, at the expected cycle].
 FIRST = 400
@@ -215,16 +215,55 @@ class ControllerClock:
 
     @staticmethod
     def _off_sentence(off: float) -> str:
-        too, word = "too_" if abs(off) > FOLLOWED else "", "fast" if off > 0.0 else "slow"
-        return Sentence(f"gateway.clock.{too}{word}", percent=100.0 * abs(off))
+        fast = off > 0.0
+        ends = ", and a long motion ends in a stop ({cause}): it cannot be followed" if abs(off) > FOLLOWED else ""
+        return Sentence(
+            "the controller's clock is {percent:.2f} % "
+            + ("fast" if fast else "slow")
+            + " against this PC's: the arm is as much "
+            + ("faster" if fast else "slower")
+            + " than planned"
+            + ends
+            + "; right clocks agree within 0.02 %, so one of them is simulated, virtual, or being set",
+            percent=100.0 * abs(off),
+            cause="silence" if fast else "lead",
+        )
 
     def _sentence(self, step: float, rate: float) -> str:
         cycle, stamp = self._cycle, self._words.stamp
         if step != cycle and abs(rate - 1.0) <= FAR_OFF:
             setting = self._words.cycle.format(self._modes[cycle])
-            found = Sentence("gateway.clock.cycle", step=step, stamp=stamp, expected=cycle, setting=setting)
-            return Sentence("gateway.clock.cycle_or", cycle=found, step=step) if step in self._modes else found
-        values: dict[str, Value] = {"rate": rate, "stamp": stamp, "step": step, "expected": cycle}
+            found = Sentence(
+                "the controller's cycle is {step:g} ms ({stamp} steps of {step:g}); expected {expected} ms: {setting}",
+                step=step,
+                stamp=stamp,
+                expected=cycle,
+                setting=setting,
+            )
+            return (
+                Sentence(
+                    "{cycle}; or set the gateway's cycle to {step:g} (rsi_cycle:={step:g})", cycle=found, step=step
+                )
+                if step in self._modes
+                else found
+            )
         if not rate:
-            return Sentence("gateway.clock.rate", **values)
-        return Sentence("gateway.clock.rate_every", **values, every=step / rate)
+            return Sentence(
+                "the controller's clock runs {rate:.2f} times as fast as real time ({stamp} steps of "
+                "{step:g}); expected {stamp} to count milliseconds, {expected} per telegram: what sends is "
+                "no controller in real time",
+                rate=rate,
+                stamp=stamp,
+                step=step,
+                expected=cycle,
+            )
+        return Sentence(
+            "the controller's clock runs {rate:.2f} times as fast as real time ({stamp} steps of "
+            "{step:g}, a telegram every {every:.1f} ms); expected {stamp} to count milliseconds, "
+            "{expected} per telegram: what sends is no controller in real time",
+            rate=rate,
+            stamp=stamp,
+            step=step,
+            expected=cycle,
+            every=step / rate,
+        )

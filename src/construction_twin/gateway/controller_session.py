@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from construction_twin.controller.telegram import STAMP_NS, Telegram, stamp_step
 from construction_twin.core.limits import distance_off
-from construction_twin.core.sentences import Sentence, Value
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 
@@ -194,15 +194,15 @@ class ControllerSession:
     def _is_another(self, goes_on: bool, step: int) -> bool:
         """Return whether a telegram so many ms on begins another session, by what every make has."""
         if not self.alive:
-            self.began = Sentence("gateway.began.first")
+            self.began = Sentence("the first telegram after silence")
         elif not goes_on:
-            self.began = Sentence("gateway.began.source")
+            self.began = Sentence("telegrams come from another source")
             self._counters["sessions_by_source"] += 1
         else:
             self.jump_ms = step
             if 0 < step * STAMP_NS <= self._timeout:
                 return False
-            self.began = Sentence("gateway.began.jump", stamp=self._words.stamp, jump=step)
+            self.began = Sentence("{stamp} jumped by {jump} ms", stamp=self._words.stamp, jump=step)
             self._counters["sessions_by_ipoc_jump"] += 1
         self._rules.begin()
         return True
@@ -211,7 +211,11 @@ class ControllerSession:
         """Return whether the make's own signs show that a session was ended and begun anew while cycles are missing."""
         sign = self._rules.restarted(telegram, self.origin, sent, moving)
         if sign:
-            values: dict[str, Value] = {"sign": sign, "jump": self.jump_ms, "protocol": self._words.protocol}
-            self.began = Sentence("gateway.began.again", **values)
+            self.began = Sentence(
+                "{sign}, {jump} ms on: {protocol} was switched on anew",
+                sign=sign,
+                jump=self.jump_ms,
+                protocol=self._words.protocol,
+            )
         self._counters["sessions_by_restart" if sign else "ipoc_steps_irregular"] += 1
         return bool(sign)

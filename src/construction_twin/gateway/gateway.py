@@ -17,7 +17,7 @@ from construction_twin.controller.telegram import Telegram
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.follower import Follower
 from construction_twin.core.records import document
-from construction_twin.core.sentences import Sentence, Value, both
+from construction_twin.core.sentences import Sentence, both
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.state_table import Machine
 from construction_twin.core.units import NANOSECONDS
@@ -53,7 +53,7 @@ HELD = (State.MEASURING, State.OTHER_CYCLE, State.READY, State.ARMED)
 #: An arm may begin a session this many start tolerances away from the held pose: its first command may be one away from either.
 DISPLACED = 2.0
 #: Why no switch is armed, and armed ones are void.
-_SPEED_0 = Sentence("gateway.speed.zero")
+_SPEED_0 = Sentence("the speed limit is 0")
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,13 +72,13 @@ class Answer:
 @lru_cache(maxsize=len(State))
 def _is(state: State) -> Sentence:
     # every command of a stream that goes on after a stop is refused with it
-    return Sentence("gateway.is", state=state.value)
+    return Sentence("gateway is {state}", state=state.value)
 
 
 @lru_cache(maxsize=4)
 def _not_answered(protocol: str, reason: str) -> Sentence:
     # the same with every telegram
-    return Sentence("gateway.not_answered", protocol=protocol, reason=reason)
+    return Sentence("this {protocol} session is not answered: {reason}", protocol=protocol, reason=reason)
 
 
 class Gateway:
@@ -139,7 +139,7 @@ class Gateway:
         self._machine = Machine(
             ROWS,
             State.NO_CONTROLLER,
-            Sentence("gateway.no_telegram_yet"),
+            Sentence("no telegram yet"),
             {
                 Guard.ANSWERS: lambda occasion: "read-only" if self.mode is Mode.READ_ONLY else "",
                 Guard.READS_ONLY: lambda occasion: "" if self.mode is Mode.READ_ONLY else "answered",
@@ -160,7 +160,7 @@ class Gateway:
                 Action.RESET: self._on_reset,
                 Action.LAST_RESORT: self._on_fault,
             },
-            refusal="gateway.in_state",
+            refusal="gateway is {state}: {reason}",
         )
 
     @property
@@ -175,7 +175,7 @@ class Gateway:
 
     @property
     def _sentence(self) -> Sentence:
-        return Sentence("gateway.in_state", state=self.state.value, reason=self.reason)
+        return Sentence("gateway is {state}: {reason}", state=self.state.value, reason=self.reason)
 
     def _noted(self, sentence: Sentence) -> str:
         return noted(sentence, self.mode, self._words)
@@ -282,7 +282,11 @@ class Gateway:
             self._machine.changed = True
         if self._controller.is_silent(now):
             said, silent = self._status.sentence, {"seconds": self.config.timeout}
-            why = Sentence("gateway.silent_said", **silent, said=said) if said else Sentence("gateway.silent", **silent)
+            why = (
+                Sentence("no telegram for {seconds:g} s; the last one said: {said}", **silent, said=said)
+                if said
+                else Sentence("no telegram for {seconds:g} s", **silent)
+            )
             self._machine.on(Event.CONTROLLER_SILENT, Occasion(why))
         state = self._machine.state
         if state is State.MEASURING or state is State.OTHER_CYCLE:
@@ -344,19 +348,24 @@ class Gateway:
 
     def _begin_session(self, telegram: Telegram) -> None:
         controller, words = self._controller, self._words
-        began: dict[str, Value] = {
-            "protocol": words.protocol,
-            "stamp": words.stamp,
-            "value": telegram.controller_ms,
-            "why": controller.began,
-        }
         # what stands against arming is said, too: the states of a new session do not tell
-        why = Sentence("gateway.stopped_before", reason=self.stopped) if self.stopped else ""
-        self._began = both(self._noted(Sentence("gateway.session_began", **began)), why)
+        why = Sentence("stopped before, and not reset ({reason})", reason=self.stopped) if self.stopped else ""
+        self._began = both(
+            self._noted(
+                Sentence(
+                    "{protocol} session began at {stamp} {value}: {why}",
+                    protocol=words.protocol,
+                    stamp=words.stamp,
+                    value=telegram.controller_ms,
+                    why=controller.began,
+                )
+            ),
+            why,
+        )
         self._machine.on(Event.SESSION_BEGAN, Occasion(self._began))
         if self._machine.state is State.MEASURING:
             if self._measures:
-                self._machine.add(Sentence("gateway.measuring"))
+                self._machine.add(Sentence("measuring the controller's cycle"))
             else:
                 self._machine.on(Event.CYCLE_FITS, Occasion(self._began))
 
@@ -426,7 +435,7 @@ class Gateway:
             overdue = self._player.overdue
             if overdue > self._silence:
                 self._player.give_up(self.session, self._controller.heard_at)
-                why = Sentence("gateway.no_command", seconds=overdue / NANOSECONDS)
+                why = Sentence("no command for {seconds:.3f} s beyond the newest one", seconds=overdue / NANOSECONDS)
                 self._brake(Event.STREAM_SILENT, why)
             return position
         if machine.state is State.BRAKING:
@@ -438,7 +447,7 @@ class Gateway:
         return follower.position
 
     def _brake(self, event: Event, reason: str, account: str = "", ending: bool = False) -> None:
-        why = Sentence(f"gateway.brake.{CAUSES[event]}", reason=reason)
+        why = Sentence("{cause}: {reason}", cause=CAUSES[event], reason=reason)
         self._machine.on(event, Occasion(why, account=account, ending=ending))
 
     def _on_brake(self, row: Row, occasion: Occasion) -> None:
@@ -495,7 +504,7 @@ class Gateway:
             return
         try:
             if state is State.ARMED:
-                why = Sentence("gateway.stream_began", session=self.session)
+                why = Sentence("stream of session {session} began", session=self.session)
                 machine.on(Event.STREAM_BEGAN, Occasion(why, now, stamp=stamp, q=q))
             else:
                 if lost:
@@ -537,10 +546,16 @@ class Gateway:
             "switch": lambda switch: self._switch(switch, now),
         }
         if control.verb not in verbs:
-            return self._refuse("verb", Sentence("gateway.verb", verb=repr(control.verb)))
+            return self._refuse("verb", Sentence("unknown verb {verb}", verb=repr(control.verb)))
         if control.verb != "stop" and self._owners.is_repeated(control):
-            names = {"id": repr(control.id), "session": repr(control.session)}
-            return self._refuse("repeated", Sentence("gateway.answered", **names))
+            return self._refuse(
+                "repeated",
+                Sentence(
+                    "message {id} of session {session} was answered before",
+                    id=repr(control.id),
+                    session=repr(control.session),
+                ),
+            )
         answer = verbs[control.verb](control)
         return answer if answer.ok else self._refuse(control.verb, answer.reason)
 
@@ -557,13 +572,17 @@ class Gateway:
         fraction = float(control.value)  # type: ignore[arg-type]  # `refusal` has found a number
         # a lower limit counts even with an old number: its source may count anew, and a recording of it can only slow the arm
         if self.speed.is_repeated(control) and fraction >= self.speed.given:
-            why = Sentence("gateway.speed.again", id=control.id, session=repr(control.session))
+            why = Sentence(
+                "speed limit {id} of session {session}, or a later one, came before",
+                id=control.id,
+                session=repr(control.session),
+            )
             self._refuse("repeated", why)
             return Answer(False, "")
         if self.speed.give(fraction, control.session, now):
             self._machine.changed = True
         self._poll_speed_limit(now)
-        return Answer(True, Sentence("gateway.speed.taken", fraction=fraction))
+        return Answer(True, Sentence("speed at most {fraction:g} of the limits", fraction=fraction))
 
     def _poll_speed_limit(self, now: int) -> None:
         if self.speed.poll(now):
@@ -582,11 +601,11 @@ class Gateway:
             if refusal:
                 self._owners.refuse(control.session)
                 return Answer(False, refusal)
-            return Answer(True, Sentence("gateway.arm.already"))
+            return Answer(True, Sentence("already armed for this session"))
         refusal = another or self._refusal_of_session(control.session)
-        why = self._noted(Sentence("gateway.arm.armed_for", session=control.session))
+        why = self._noted(Sentence("armed for session {session}", session=control.session))
         refusal = refusal or self._machine.on(Event.ARM, Occasion(why, session=control.session))
-        return Answer(False, refusal) if refusal else Answer(True, self._noted(Sentence("gateway.arm.armed")))
+        return Answer(False, refusal) if refusal else Answer(True, self._noted(Sentence("armed")))
 
     def _refusal_of_value(self, value: object) -> str:
         """Return in one sentence why the value of an `arm` does not mean this configuration and run; "" when it does."""
@@ -594,18 +613,27 @@ class Gateway:
             return refusal
         named = value if isinstance(value, dict) else {"hash": value}
         if named.get("hash") != self.config.hash:
-            return Sentence("gateway.arm.hash", found=repr(named.get("hash")), present=self.config.hash)
+            return Sentence(
+                "configuration hash {found} is not the gateway's {present}",
+                found=repr(named.get("hash")),
+                present=self.config.hash,
+            )
         if set(named) != {"hash", "run", "protocol"}:
-            return Sentence("gateway.arm.names")
+            return Sentence("arm must name hash, run and protocol of the gateway's status, and nothing else")
         if named["run"] != self.run:
-            return Sentence("gateway.arm.run", run=repr(named["run"]))
+            return Sentence(
+                "run {run} is not the gateway's present one: it was started again, or a recording is being replayed",
+                run=repr(named["run"]),
+            )
         return ""
 
     def _refusal_of_session(self, session: str) -> str:
         if not is_session(session):
-            return Sentence("gateway.arm.session", session=repr(session))
+            return Sentence(
+                "session {session} cannot be armed; expected 1 to 64 letters, digits, - and _", session=repr(session)
+            )
         if self.fault and self.state is not State.FAILED:
-            return Sentence("gateway.arm.stopped")
+            return Sentence("stopped since the last reset; reset first")
         return ""
 
     def _refusal_of_arm(self, occasion: Occasion) -> str:
@@ -616,9 +644,13 @@ class Gateway:
         measured, follower = self._controller.measured, self._player.follower
         distance = measured and follower and self._controller.distance_off(measured, follower.position, DISPLACED)
         if distance:
-            return Sentence("gateway.arm.displaced", distance=distance)
+            return Sentence(
+                "{distance} off the pose that the gateway holds: the controller moved the arm, or it is "
+                "still moving; reset, and if that does not help start the controller's program again",
+                distance=distance,
+            )
         if self._owners.knows(occasion.session):
-            return Sentence("gateway.arm.had_its_turn", session=occasion.session)
+            return Sentence("session {session} has had its turn; begin another", session=occasion.session)
         return ""
 
     def _on_armed(self, row: Row, occasion: Occasion) -> None:
@@ -627,38 +659,52 @@ class Gateway:
         self.refusals.forgive()
 
     def _refusal_of_second_session(self, occasion: Occasion) -> str:
-        return "" if occasion.session == self.session else Sentence("gateway.arm.other", session=self.session)
+        return (
+            ""
+            if occasion.session == self.session
+            else Sentence("armed for session {session}; stop and reset first", session=self.session)
+        )
 
     def _refusal_without_origin(self, occasion: Occasion) -> str:
         return self._sentence if self._player.follower is None else ""
 
     def _switch(self, control: Control, now: int) -> Answer:
         if self.tool is None:
-            return Answer(False, Sentence("gateway.tool.none"))
+            return Answer(False, Sentence("tool: the configuration has none: no switch is possible"))
         stamp, waited = stamp_of(control.value), now - self._controller.heard_at
         lead = None if stamp is None else self._player.lead(stamp) - waited / NANOSECONDS
         refusal = self.tool.arm(control.value, lead, self._obstacle_of_switch(control.session))
-        return Answer(not refusal, refusal or Sentence("gateway.arm.armed"))
+        return Answer(not refusal, refusal or Sentence("armed"))
 
     def _obstacle_of_switch(self, session: str) -> str:
         """Return why nothing may be switched now; "" for nothing."""
         if self.state is not State.FOLLOWING:
-            return Sentence("gateway.tool.no_stream", state=self.state.value, reason=self.reason)
+            return Sentence(
+                "no stream is followed, the gateway is {state}: {reason}", state=self.state.value, reason=self.reason
+            )
         if session != self.session:
-            return Sentence("gateway.tool.other_session", session=session, present=self.session)
+            return Sentence(
+                "session {session} does not command, session {present} does", session=session, present=self.session
+            )
         if self.mode is Mode.COMMISSIONING:
-            return Sentence("gateway.tool.commissioning")
+            return Sentence("commissioning mode: nothing is switched, as nothing moves")
         return "" if self.speed.given else _SPEED_0
 
     def _void(self, control: Control) -> Answer:
         session = control.session
-        why = Sentence("gateway.asked.by", session=session) if session else Sentence("gateway.asked.void")
+        why = (
+            Sentence("asked for by {session}", session=session)
+            if session
+            else Sentence("asked for by somebody without a session")
+        )
         count = self.tool.void(why) if self.tool else 0
-        return Answer(True, Sentence(f"gateway.void.{'one' if count == 1 else 'many'}", count=count))
+        return Answer(True, f"{count} armed {'switch is' if count == 1 else 'switches are'} void")
 
     def _stop(self, control: Control) -> Answer:
         session = control.session
-        self.stop(Sentence("gateway.asked.by", session=session) if session else Sentence("gateway.asked.nobody"))
+        self.stop(
+            Sentence("asked for by {session}", session=session) if session else Sentence("asked for without a session")
+        )
         return Answer(True, _is(self.state))
 
     def stop(self, reason: str, account: str = "", ending: bool = False) -> None:
@@ -668,7 +714,7 @@ class Gateway:
     def recall(self, reason: str) -> None:
         """Be stopped until a `reset`, because the run before this one was, and nobody has reset that; before anything else."""
         self.stopped = reason
-        self.stop(Sentence("gateway.stopped_before", reason=reason))
+        self.stop(Sentence("stopped before, and not reset ({reason})", reason=reason))
 
     def on_stop(self, stop: Intervention, now: int) -> Answer:
         """Carry out a person's stop that came at `now` [ns]; it needs no session, and nothing that arming needs.
@@ -685,7 +731,7 @@ class Gateway:
             # it changes nothing now, and yet a reset that is under way does not know of it
             self.fault_number += 1
             return Answer(True, "")
-        self.stop(Sentence("gateway.asked.account", account=stop.account), stop.account)
+        self.stop(Sentence("asked for by account {account}", account=stop.account), stop.account)
         return Answer(True, _is(self.state))
 
     def refuse_stop(self, account: str, error: PayloadError, now: int) -> Answer:
@@ -699,7 +745,11 @@ class Gateway:
         if self._player.follower is None or self.state is State.FAILED:
             return Answer(False, self._sentence)
         session = control.session
-        self.end(Sentence("gateway.asked.end_by", session=session) if session else Sentence("gateway.asked.end"))
+        self.end(
+            Sentence("end asked for by {session}", session=session)
+            if session
+            else Sentence("end asked for without a session")
+        )
         return Answer(True, self._words.ends)
 
     def end(self, reason: str, program: bool = False) -> None:
@@ -717,7 +767,7 @@ class Gateway:
         return self._ending and self.state in (State.HOLDING, State.MEASURING, State.OTHER_CYCLE)
 
     def _reset(self, control: Control) -> Answer:
-        done = Sentence("gateway.reset.done")
+        done = Sentence("reset")
         occasion = Occasion(self._noted(done), session=control.session, value=control.value)
         refusal = self._machine.on(Event.RESET, occasion)
         return Answer(False, refusal) if refusal else Answer(True, done)
@@ -728,29 +778,38 @@ class Gateway:
             return self._refusal_without_origin(occasion)
         if refusal := self._refusal_of_number(occasion.value):
             return refusal
-        return "" if follower.at_rest else Sentence("gateway.reset.moves")
+        return "" if follower.at_rest else Sentence("the arm is still moving; stop it first")
 
     def _refusal_of_number(self, value: object) -> str:
         """Return in one sentence why the value of a `reset` does not mean the newest stop of this run; "" when it does."""
         if refusal := other_protocol(PROTOCOL, protocol_of(value)):
             return refusal
         if not isinstance(value, dict) or set(value) != {"run", "fault_number", "protocol"}:
-            return Sentence("gateway.reset.names")
+            return Sentence("reset must name run, fault_number and protocol of the gateway's status, and nothing else")
         run, number = value["run"], value["fault_number"]
         if run != self.run:
-            return Sentence("gateway.reset.run", run=repr(run))
+            return Sentence(
+                "run {run} is not the gateway's present one: it was started again since the reset was asked for",
+                run=repr(run),
+            )
         if type(number) is not int or number != self.fault_number:
-            return Sentence("gateway.reset.number", found=repr(number), number=self.fault_number)
+            return Sentence(
+                "reset names fault_number {found}, the last stop is number {number}: look at it, and reset again",
+                found=repr(number),
+                number=self.fault_number,
+            )
         return ""
 
     def _refusal_of_owner_reset(self, occasion: Occasion) -> str:
         if occasion.session != self.session:
             # also the owner's own next session asks too early sometimes: no intruder yet
-            return Sentence("gateway.reset.owner", session=self.session)
+            return Sentence(
+                "session {session} commands; stop it, or wait until its stream has ended", session=self.session
+            )
         return self._refusal_of_reset(occasion)
 
     def _on_reset(self, row: Row, occasion: Occasion) -> None:
-        self._disarm(Sentence("gateway.reset.done"))
+        self._disarm(Sentence("reset"))
         self.fault, self.stopped, self._ending = False, "", False
         self.refusals.forgive()
         if self.mode is Mode.COMMISSIONING or not any(self.correction):

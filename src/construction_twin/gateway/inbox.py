@@ -91,11 +91,21 @@ class TelegramInbox:
     def _read(self, data: bytes, source: tuple) -> Telegram | None:
         refusals = self._gateway.refusals
         if self._controller is not None and source[0] != self._controller:
-            why = Sentence("gateway.datagram.address", source=source[0], controller=self._controller)
+            why = Sentence(
+                "datagrams from {source} are not read, because --controller is {controller}",
+                source=source[0],
+                controller=self._controller,
+            )
             refusals.telegram("address", why)
             return None
         if not self._gateway.accepts(source, self._clock()):
-            refusals.telegram("source", Sentence("gateway.datagram.source", source=f"{source[0]}:{source[1]}"))
+            refusals.telegram(
+                "source",
+                Sentence(
+                    "a datagram from {source} while another sender's session is alive",
+                    source=f"{source[0]}:{source[1]}",
+                ),
+            )
             return None
         try:
             telegram = self._parse(data)

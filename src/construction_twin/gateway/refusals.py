@@ -108,5 +108,10 @@ class UnreadReport:
             return None
         self._count, self._reported_at = refusals.unread, now
         before, self._reason = self._reason, last.reason
-        sentence = Sentence("gateway.unread", count=refusals.unread, reason=last.reason, why=last.why)
+        sentence = Sentence(
+            "datagrams refused: {count}, the last one for {reason}: {why}",
+            count=refusals.unread,
+            reason=last.reason,
+            why=last.why,
+        )
         return UnreadNote(sentence, last.reason != before)

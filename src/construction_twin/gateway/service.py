@@ -71,7 +71,7 @@ _Result = TypeVar("_Result")
 
 
 #: Until the failure's own sentence is made: nothing is looked up while it is taken note of.
-_FAILED = Sentence("gateway.has_failed")
+_FAILED = Sentence("the gateway has failed")
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +157,7 @@ class GatewayService:
         try:
             while self._running:
                 self._turn()
-            self.guarded(self.gateway.end, Sentence("gateway.ending"), True)
+            self.guarded(self.gateway.end, Sentence("the gateway is ending"), True)
             self._last_resort.ending = self.gateway.config.layout.stop
             deadline = time.monotonic() + _LONGEST_BRAKING
             while self._braking and time.monotonic() < deadline:
@@ -226,7 +226,10 @@ class GatewayService:
             frame = frame.tb_next
         where = f" in {frame.tb_frame.f_code.co_name}" if frame is not None else ""
         what = f"{type(error).__name__}{where}: {error}"[:_LONGEST_FAILURE]
-        self.failure = Sentence("gateway.failed", what=what)
+        self.failure = Sentence(
+            "{what}; the gateway has failed: it brakes, holds and takes no command; see its log, start it again",
+            what=what,
+        )
         # a thread of its own, because a traceback is formatted from source files, and a disk may take longer than a cycle
         threading.Thread(
             target=log.critical, args=("%s", self.failure), kwargs={"exc_info": error}, daemon=True
@@ -323,10 +326,16 @@ class GatewayService:
             self._log(logging.WARNING if wrong else logging.INFO, kind, now.reason)
         if now.clock_off != before.clock_off:
             level = logging.WARNING if now.clock_off else logging.INFO
-            self._log(level, "controller's clock", gateway.clock.off_sentence or Sentence("gateway.clock.right"))
+            self._log(
+                level, "controller's clock", gateway.clock.off_sentence or Sentence("nothing is wrong with it any more")
+            )
         if now.limit_silent and not before.limit_silent:
             fraction = gateway.speed.given
-            self._log(logging.WARNING, "speed limit", Sentence("gateway.speed.silent", fraction=fraction))
+            self._log(
+                logging.WARNING,
+                "speed limit",
+                Sentence("its source is silent; {fraction:g} of the limits until it speaks", fraction=fraction),
+            )
 
     def _log(self, level: int, kind: str, text: str) -> None:
         note = self._lines.note(kind, time.monotonic_ns())
@@ -409,7 +418,9 @@ class GatewayService:
         self.gateway.on_command(payload, properties, time.monotonic_ns())
 
     def _refuse_retained(self, name: str) -> None:
-        self.gateway.refusals.message("retained", Sentence("gateway.retained", name=name))
+        self.gateway.refusals.message(
+            "retained", Sentence("a message on {name} with the retain flag: its age is unknown", name=name)
+        )
 
     def _on_control(self, client, userdata, message: paho.MQTTMessage) -> None:
         if message.retain:
@@ -493,7 +504,7 @@ class GatewayService:
             return None
         status = document() | {"connection": self._number}
         if final:
-            status |= {"state": "offline", "reason": Sentence("gateway.stopped")}
+            status |= {"state": "offline", "reason": Sentence("gateway stopped")}
         return self._mqtt.client.publish(self._topics.status, json.dumps(status), qos=1, retain=True)
 
     def _document(self) -> dict:

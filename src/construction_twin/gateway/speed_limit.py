@@ -60,13 +60,18 @@ class EnforcedSpeedLimit:
         fraction = control.value
         # bool is a number to Python; a number as large as JSON allows is none that a float holds
         if isinstance(fraction, bool) or not isinstance(fraction, (int, float)) or not 0 <= fraction <= 1:
-            return Sentence("gateway.speed.value", found=repr(str(fraction)[:32]))
+            return Sentence("speed limit {found}: expected a number from 0 to 1", found=repr(str(fraction)[:32]))
         if not session:
-            return Sentence("gateway.speed.unarmed", session=repr(control.session))
+            return Sentence("session {session} is not armed", session=repr(control.session))
         if control.session != session:
-            return Sentence("gateway.speed.other", session=repr(control.session), armed=repr(session))
+            return Sentence(
+                "session {session} is not armed, {armed} is", session=repr(control.session), armed=repr(session)
+            )
         if message_number(control.id) is None:
-            return Sentence("gateway.speed.id", id=repr(control.id))
+            return Sentence(
+                "speed limit with the id {id}: expected a whole number, higher than that of the one before",
+                id=repr(control.id),
+            )
         return ""
 
     def is_repeated(self, control: Control) -> bool:

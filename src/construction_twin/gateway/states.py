@@ -35,8 +35,10 @@ def noted(sentence: str, mode: Mode, words: Words) -> str:
     if mode is Mode.NORMAL:
         return sentence
     if mode is Mode.COMMISSIONING:
-        return Sentence("gateway.commissioning", what=sentence)
-    return Sentence("gateway.read_only", what=sentence, why=words.read_only)
+        return Sentence("{what}; commissioning: every correction is sent as zero, the arm does not move", what=sentence)
+    return Sentence(
+        "{what}; {why}, so nothing is answered and no motion can be commanded", what=sentence, why=words.read_only
+    )
 
 
 class State(Enum):

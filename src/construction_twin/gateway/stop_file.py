@@ -41,7 +41,7 @@ class StopFile:
             self.found = self._read()
             write_in_place(self._path, self.found, ROOM)
         except OSError as error:
-            expected = Sentence("expected.writable_but", problem=str(error.strerror))
+            expected = f"a file that can be written ({error.strerror})"
             raise ConfigurationError("--stop-file", str(path), expected) from error
         self._wanted = self._written = self.found
         self._news = threading.Event()
@@ -56,7 +56,7 @@ class StopFile:
             return ""
         except UnicodeDecodeError:
             # whatever it was, it was not nothing
-            return Sentence("gateway.stop_unreadable", path=str(self._path))
+            return Sentence("what {path} says of a stop cannot be read", path=str(self._path))
 
     def keep(self, reason: str) -> None:
         """Keep why the arm is stopped, "" once somebody has reset it; returns at once."""
@@ -85,7 +85,15 @@ class StopFile:
         try:
             write_in_place(self._path, reason, ROOM)
         except OSError as error:
-            log.error("%s", Sentence("gateway.stop_not_kept", path=str(self._path), problem=str(error.strerror)))
+            log.error(
+                "%s",
+                Sentence(
+                    "{path} was not written ({problem}): whether the arm is stopped would not outlast this "
+                    "program; mend it",
+                    path=str(self._path),
+                    problem=str(error.strerror),
+                ),
+            )
             return False
         self._written = reason
         return True

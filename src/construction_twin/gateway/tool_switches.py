@@ -38,7 +38,7 @@ ROUND_TRIP = 5
 #: Inputs that chatter are told no more often than this [s].
 SHORTEST_PAUSE = 0.05
 
-_NOT_TOLD, _FIRED = Sentence("gateway.tool.not_told"), Sentence("gateway.tool.fired")
+_NOT_TOLD, _FIRED = Sentence("telegrams do not tell Out and In, each channel as 0 or 1"), Sentence("fired")
 
 
 class SwitchEvent(Enum):
@@ -129,7 +129,7 @@ class ToolSwitches:
         self._changed = False
         self._telegrams = self._reported_at = 0
         self._latest: ToolReading | None = None
-        self._begin(Sentence("gateway.no_telegram_yet"))
+        self._begin(Sentence("no telegram yet"))
 
     def _begin(self, why: str) -> None:
         self._reading: ToolReading | None = None
@@ -157,11 +157,13 @@ class ToolSwitches:
             return ""
         pairs = zip(self._names, self._reading.outputs, self._commanded)
         differ = [
-            Sentence(f"gateway.tool.reads_{'on' if read else 'off'}", name=name)
+            Sentence(
+                "{name} reads back on, commanded off" if read else "{name} reads back off, commanded on", name=name
+            )
             for name, read, told in pairs
             if read != told
         ]
-        return Sentence("gateway.tool.differs", found=both(*differ), seconds=LONGEST_DIFFERENCE)
+        return Sentence("{found}, for more than {seconds:g} s", found=both(*differ), seconds=LONGEST_DIFFERENCE)
 
     def note(self, reading: ToolReading | None) -> None:
         """Take what the newest telegram tells; None when it cannot be read."""
@@ -169,8 +171,8 @@ class ToolSwitches:
 
     def begin_session(self) -> None:
         """Forget what was read back: another controller session has begun."""
-        self.void(Sentence("gateway.tool.new_session"))
-        self._begin(Sentence("gateway.tool.nothing_read"))
+        self.void(Sentence("another RSI session began"))
+        self._begin(Sentence("nothing read back yet in this RSI session"))
         self._news = True
 
     def end_session(self, why: str) -> None:
@@ -194,7 +196,7 @@ class ToolSwitches:
             self._unknown, self._news = why, True
             if why:
                 self._counters["tool_read_back_lost"] += 1
-                self.void(Sentence("gateway.tool.not_read", why=why))
+                self.void(Sentence("the outputs are not read back: {why}", why=why))
         if reading is not None and reading is not self._reading:
             self._compare(reading)
         if self._enabled:
@@ -230,7 +232,10 @@ class ToolSwitches:
             self._command(
                 tuple(value and name not in dropped for name, value in zip(self._names, self._commanded)),
             )
-            self._dropped = Sentence("gateway.tool.dropped", names=", ".join(dropped))
+            self._dropped = Sentence(
+                "{names} went off with a missed reply, and stays off until it is switched on anew",
+                names=", ".join(dropped),
+            )
             self._counters["tool_outputs_dropped"] += len(dropped)
             self.void(self._dropped)
             self._news = True
@@ -288,36 +293,54 @@ class ToolSwitches:
         """
         switch = _switch_of(value, self._fire)
         if switch is None:
-            return Sentence("gateway.tool.form", longest=LONGEST_TEXT)
+            return Sentence(
+                "tool: a switch must have a new id (1 to {longest} printable characters), output, value "
+                "(true or false) and stamp (whole number of ns), and nothing else",
+                longest=LONGEST_TEXT,
+            )
         if switch.id in self._used:
-            return Sentence("gateway.tool.again", id=repr(switch.id))
+            return Sentence("tool: switch {id} was asked for before", id=repr(switch.id))
         self._used.append(switch.id)
         self._reported.append(switch)
         why = obstacle or self._refusal(switch, lead)
         self._news = True
         if why:
-            refusal = Sentence("gateway.tool.refused", why=why)
+            refusal = Sentence("tool: {why}", why=why)
             switch.on(SwitchEvent.DECLINED, refusal)
             return refusal
-        switch.on(SwitchEvent.ACCEPTED, Sentence("gateway.tool.waits", stamp=switch.stamp))
+        switch.on(SwitchEvent.ACCEPTED, Sentence("fires with the setpoint of {stamp}", stamp=switch.stamp))
         self._armed.append(switch)
         self._armed.sort(key=lambda waiting: waiting.stamp)
         return ""
 
     def _refusal(self, switch: ToolSwitch, lead: float | None) -> str:
         if self._unknown:
-            return Sentence("gateway.tool.unknown", why=self._unknown)
+            return Sentence("the outputs are not known: {why}", why=self._unknown)
         if self.difference:
-            return Sentence("gateway.tool.switch_back", difference=self.difference)
+            return Sentence(
+                "{difference}; switch it back where it was switched, or end the RSI program and start it "
+                "anew: a new session takes the outputs as they read",
+                difference=self.difference,
+            )
         if switch.output not in self._names:
-            names = {"output": repr(switch.output), "names": ", ".join(self._names)}
-            return Sentence("gateway.tool.no_output", tool=self.tool.name, **names)
+            return Sentence(
+                "{tool} has no output {output}; it has {names}",
+                tool=self.tool.name,
+                output=repr(switch.output),
+                names=", ".join(self._names),
+            )
         if lead is None or lead <= 0.0:
-            return Sentence("gateway.tool.late", stamp=switch.stamp, seconds=-(lead or 0.0))
+            return Sentence(
+                "the playout has passed the stamp {stamp} already, by {seconds:.3f} s",
+                stamp=switch.stamp,
+                seconds=-(lead or 0.0),
+            )
         if lead > MOST_AHEAD:
-            return Sentence("gateway.tool.early", seconds=lead, most=MOST_AHEAD)
+            return Sentence(
+                "the stamp lies {seconds:.3f} s ahead of the playout; at most {most:g} s", seconds=lead, most=MOST_AHEAD
+            )
         if len(self._armed) >= MOST_REPORTED:
-            return Sentence("gateway.tool.full", count=MOST_REPORTED)
+            return Sentence("{count} switches wait already", count=MOST_REPORTED)
         return ""
 
     def void(self, why: str) -> int:

@@ -18,7 +18,6 @@ from pathlib import Path
 
 from construction_twin.controller.telegram import stamp_step
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.gateway.states import State
 
 #: Begins every trace; the number is the format's.
@@ -44,14 +43,20 @@ def check_trace(path: str, axes: int) -> None:
     """Raise a ConfigurationError where `TraceWriter` would; change nothing."""
     file = Path(path).resolve()
     if file.exists() and not file.is_file():
-        raise ConfigurationError("--trace", path, Sentence("expected.trace.regular"))
+        raise ConfigurationError(
+            "--trace",
+            path,
+            "a regular file, or a path where none is yet; this is a device, a folder, a pipe or a socket",
+        )
     if not os.access(file if file.exists() else file.parent, os.W_OK):
         problem = "no such folder" if not file.parent.is_dir() else "Permission denied"
-        raise ConfigurationError("--trace", path, Sentence("expected.writable_but", problem=problem))
+        raise ConfigurationError("--trace", path, f"a file that can be written ({problem})")
     there = file.stat().st_blocks * 512 if file.exists() else 0
     if shutil.disk_usage(file.parent).free + there < (needed := room(axes)):
         problem = os.strerror(errno.ENOSPC)
-        raise ConfigurationError("--trace", path, Sentence("expected.trace.room", room=needed / 1e6, problem=problem))
+        raise ConfigurationError(
+            "--trace", path, f"a file on a disk with {needed / 1e6:.1f} MB of room, reserved at the start ({problem})"
+        )
 
 
 @dataclass(frozen=True)
@@ -98,20 +103,24 @@ class TraceWriter:
         self.dropped = 0
         file = Path(path).resolve()
         if file.exists() and not file.is_file():
-            raise ConfigurationError("--trace", path, Sentence("expected.trace.regular"))
+            raise ConfigurationError(
+                "--trace",
+                path,
+                "a regular file, or a path where none is yet; this is a device, a folder, a pipe or a socket",
+            )
         try:
             file.unlink(missing_ok=True)
             self._file = file.open("x+b")
         except OSError as error:
-            raise ConfigurationError(
-                "--trace", path, Sentence("expected.writable_but", problem=str(error.strerror))
-            ) from error
+            raise ConfigurationError("--trace", path, f"a file that can be written ({error.strerror})") from error
         try:
             os.posix_fallocate(self._file.fileno(), 0, self._end)
         except OSError as error:
             file.unlink()
             self._file.close()
-            expected = Sentence("expected.trace.room", room=self._end / 1e6, problem=str(error.strerror))
+            expected = (
+                f"a file on a disk with {self._end / 1e6:.1f} MB of room, reserved at the start ({error.strerror})"
+            )
             raise ConfigurationError("--trace", path, expected) from error
         self._memory = mmap.mmap(self._file.fileno(), self._end)
         _HEADER.pack_into(self._memory, 0, MAGIC, axes, self._entry.size)
@@ -143,11 +152,11 @@ def read_trace(path: str | Path) -> list[TraceEntry]:
     """
     data = Path(path).read_bytes()
     if len(data) < _HEADER.size or not data.startswith(MAGIC):
-        raise ConfigurationError(str(path), data[:16], Sentence("expected.trace.file"))
+        raise ConfigurationError(str(path), data[:16], "a file written by rsi_gateway --trace")
     _, axes, size = _HEADER.unpack_from(data)
     entry = _entry(axes)
     if size != entry.size:
-        raise ConfigurationError(str(path), size, Sentence("expected.trace.entries", bytes=entry.size))
+        raise ConfigurationError(str(path), size, f"entries of {entry.size} bytes")
     entries = []
     for at in range(_HEADER.size, len(data) - size + 1, size):
         ipoc, stamp, state, session, lost, *position = entry.unpack_from(data, at)

@@ -341,7 +341,9 @@ class ClosedFormInverse(BranchInverse):
         if configuration is not None:
             # raises the reason if no configuration reaches the pose
             others = {str(solution.configuration) for solution in self.all(pose, seed)}
-            raise BranchError(str(configuration), tuple(sorted(others)), "not_here")
+            raise BranchError(
+                str(configuration), tuple(sorted(others)), "does not exist for this pose within the ranges"
+            )
         flange = self.flange(pose)
         branches, _, extension = self.branches(flange)
         if extension[0] < 0.0:

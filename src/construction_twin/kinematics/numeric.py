@@ -327,10 +327,16 @@ class _Search:
             unit = "m" if robot.linear[joint] else "rad"
             numbers = {"value": float(nearest[joint]), "lower": robot.lower[joint], "upper": robot.upper[joint]}
             values = {name: Quantity(value, unit) for name, value in numbers.items()}
-            return Sentence("motion.hint.outside", joint=robot.joint_names[joint], **values)
+            return Sentence(
+                "with {joint} at {value} it would be, outside its range {lower} to {upper}",
+                joint=robot.joint_names[joint],
+                **values,
+            )
         missing = inverse.missing_position(self._pose, self._seed)
         if self._settings.tolerance_m < missing < math.inf:
-            return Sentence("motion.hint.position", missing=Quantity(missing, "m"))
+            return Sentence(
+                "the nearest position found was {missing:.3} away, in any orientation", missing=Quantity(missing, "m")
+            )
         return ""
 
 

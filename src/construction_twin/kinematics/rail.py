@@ -377,7 +377,9 @@ class RailInverse(InverseKinematics):
         if configuration is not None:
             # raises the reason if no configuration reaches the pose
             others = {str(solution.configuration) for solution in self.all(pose, seed)}
-            raise BranchError(str(configuration), tuple(sorted(others)), "not_here")
+            raise BranchError(
+                str(configuration), tuple(sorted(others)), "does not exist for this pose within the ranges"
+            )
         try:
             found = self._search.nearest(pose, seed)
             return replace(found, configuration=self.configuration(found.q))

@@ -61,9 +61,9 @@ class Configuration:
         chosen = {}
         for word in text.split():
             if word not in _WORDS:
-                raise BranchError(text, tuple(_WORDS), "word", word=repr(word))
+                raise BranchError(text, tuple(_WORDS), f"has the unknown word {word!r}")
             if _WORDS[word] in chosen:
-                raise BranchError(text, tuple(_WORDS), "twice", part=_WORDS[word])
+                raise BranchError(text, tuple(_WORDS), f"chooses the {_WORDS[word]} twice")
             chosen[_WORDS[word]] = word
         return cls(**chosen)
 
@@ -228,12 +228,22 @@ def check_pose(pose: Pose) -> None:
     if _is_rigid(rotation.tolist()) and all(map(math.isfinite, position.tolist())):
         return
     if not (np.isfinite(position).all() and np.isfinite(rotation).all()):
-        values = {"position": str(position.tolist()), "rotation": str(rotation.tolist())}
-        raise KinematicsError(Sentence("motion.pose.values", **values))
+        raise KinematicsError(
+            Sentence(
+                "pose is position {position}, rotation {rotation}; expected finite numbers",
+                position=str(position.tolist()),
+                rotation=str(rotation.tolist()),
+            )
+        )
     error = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if error > _ORTHONORMAL or np.linalg.det(rotation) < 0.0:
-        found = {"rotation": str(rotation.tolist()), "error": f"{error:.3g}"}
-        raise KinematicsError(Sentence("motion.pose.rotation", **found))
+        raise KinematicsError(
+            Sentence(
+                "the pose's rotation {rotation} is {error} off a rotation; expected orthonormal, right-handed axes",
+                rotation=str(rotation.tolist()),
+                error=f"{error:.3g}",
+            )
+        )
 
 
 def _is_rigid(rows: list[list[float]]) -> bool:
@@ -303,7 +313,7 @@ def refuse_configuration(configuration: Configuration | None) -> None:
         BranchError: If it does.
     """
     if configuration is not None and configuration != Configuration():
-        raise BranchError(str(configuration), (), "meaningless")
+        raise BranchError(str(configuration), (), "has no meaning for an arm without a spherical wrist of the OPW kind")
 
 
 def refine(chain: Chain, q: np.ndarray, pose: Pose, steps: int = 8, within: bool = True) -> np.ndarray:

@@ -9,7 +9,6 @@ from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.controller.makes import DEFAULT, make_of
 from construction_twin.controller.port import Layout
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.mock.gripper import Gripper
 
 _BOUNDS = ("correction_lower", "correction_upper", "correction_monitor")
@@ -77,19 +76,15 @@ class MockConfig:
         for name in ("start_pose", "lower", "upper", "velocity", "acceleration", *_BOUNDS):
             values = getattr(self, name)
             if values is not None and (len(values) != count or not all(map(math.isfinite, values))):
-                raise ConfigurationError(name, values, Sentence("expected.per_axis", count=count))
+                raise ConfigurationError(name, values, f"{count} finite numbers, one per axis")
         if self.cycle not in make.cycles:
-            raise ConfigurationError(
-                "cycle", self.cycle, Sentence("expected.cycle", cycles=" or ".join(map(str, make.cycles)))
-            )
+            raise ConfigurationError("cycle", self.cycle, f"{' or '.join(map(str, make.cycles))} ms")
         for name, allowed in (("timeout", self.timeout >= 1), ("first_stamp", self.first_stamp >= 0)):
             if not allowed:
-                raise ConfigurationError(name, getattr(self, name), Sentence("expected.larger"))
+                raise ConfigurationError(name, getattr(self, name), "a larger number")
         for name, sign in (("correction_lower", -1), ("correction_upper", 1), ("correction_monitor", 1)):
             if any(sign * value < 0.0 for value in getattr(self, name) or ()):
-                raise ConfigurationError(
-                    name, getattr(self, name), Sentence("expected.signed", sign="<=" if sign < 0 else ">=")
-                )
+                raise ConfigurationError(name, getattr(self, name), f"numbers {'<=' if sign < 0 else '>='} 0")
 
     @property
     def period(self) -> float:

@@ -24,7 +24,6 @@ from construction_twin.controller.port import ControllerStatus, MockStatus
 from construction_twin.controller.telegram import STAMP_WRAP, Reply, stamp_step
 from construction_twin.core.errors import ConfigurationError, TelegramError
 from construction_twin.core.motion_errors import JointRangeError
-from construction_twin.core.sentences import Sentence
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.gripper import SimulatedTool
 from construction_twin.mock.own_motion import EmergencyBrake, Program, ToolSpeedLimit
@@ -153,7 +152,9 @@ class MockController:
             JointRangeError: If `pose` lies outside the soft limits.
         """
         if self.pressed:
-            raise ConfigurationError("restart", "the emergency stop is pressed", Sentence("expected.released"))
+            raise ConfigurationError(
+                "restart", "the emergency stop is pressed", "a released one: inject `estop` with `on` false"
+            )
         if pose is None:
             pose = _clamp(self.reported, self.config.lower, self.config.upper)
         self._check_range(pose)
@@ -273,7 +274,7 @@ class MockController:
             duration: [s]; 0: `JOG_FRACTION` of the limits.
         """
         if self.pressed or self.ramp is not None and not self.ramp.done:
-            raise ConfigurationError("jog", tuple(goal), Sentence("expected.jog"))
+            raise ConfigurationError("jog", tuple(goal), "an arm at rest whose emergency stop is not pressed")
         self._check_range(goal)
         if not self.running:
             self.ramp = None

@@ -125,28 +125,32 @@ class FaultKind:
 
 #: Every fault by its name.
 KINDS = {
-    "stall": FaultKind("one", (0,), Sentence("expected.fault.no_value")),
-    "slow": FaultKind("one", (1,), Sentence("expected.fault.slow")),
-    "offset": FaultKind("one", (1,), Sentence("expected.fault.offset"), shift=True, positive=False),
-    "drift": FaultKind("one", (1,), Sentence("expected.fault.drift"), shift=True, positive=False),
-    "backlash": FaultKind("one", (1,), Sentence("expected.fault.backlash")),
-    "noise": FaultKind("any", (1,), Sentence("expected.fault.noise")),
-    "drop": FaultKind("no", (1,), Sentence("expected.fault.datagrams"), network=True),
-    "delay": FaultKind("no", (1, 2), Sentence("expected.fault.delay"), network=True, positive=False),
-    "duplicate": FaultKind("no", (1,), Sentence("expected.fault.datagrams"), network=True),
-    "estop": FaultKind("no", (0,), Sentence("expected.fault.no_value")),
-    "rsi_timeout": FaultKind("no", (0,), Sentence("expected.fault.no_value")),
-    "t1": FaultKind("no", (0, 1), Sentence("expected.fault.t1")),
-    "mode": FaultKind("no", (1,), Sentence("expected.fault.mode"), largest=4.0, whole=True),
-    "program": FaultKind("no", (1,), Sentence("expected.fault.program"), largest=5.0, whole=True),
-    "override": FaultKind("no", (1,), Sentence("expected.fault.override"), positive=False, largest=100.0),
-    "grip_fails": FaultKind("no", (0,), Sentence("expected.fault.no_value")),
-    "grip_lost": FaultKind("no", (0,), Sentence("expected.fault.no_value"), lasting=False),
-    "opened_by_hand": FaultKind("no", (0,), Sentence("expected.fault.no_value"), lasting=False),
-    "no_read_back": FaultKind("no", (0,), Sentence("expected.fault.no_value")),
-    "collision": FaultKind("one", (1,), Sentence("expected.fault.collision"), shift=True, positive=False),
-    "restart_at": FaultKind("no", (-1,), Sentence("expected.fault.pose"), positive=False, lasting=False),
-    "jog": FaultKind("no", (-1,), Sentence("expected.fault.pose"), positive=False, lasting=False),
+    "stall": FaultKind("one", (0,), "no value"),
+    "slow": FaultKind("one", (1,), "the largest velocity [rad/s]"),
+    "offset": FaultKind("one", (1,), "the offset [rad]", shift=True, positive=False),
+    "drift": FaultKind("one", (1,), "the rate [rad/s]", shift=True, positive=False),
+    "backlash": FaultKind("one", (1,), "the play [rad]"),
+    "noise": FaultKind("any", (1,), "the standard deviation [rad]"),
+    "drop": FaultKind("no", (1,), "the fraction of datagrams, up to 1", network=True),
+    "delay": FaultKind("no", (1, 2), "the delay, and how much more it may be [s]", network=True, positive=False),
+    "duplicate": FaultKind("no", (1,), "the fraction of datagrams, up to 1", network=True),
+    "estop": FaultKind("no", (0,), "no value"),
+    "rsi_timeout": FaultKind("no", (0,), "no value"),
+    "t1": FaultKind("no", (0, 1), "nothing, or the tool's speed [m/s]"),
+    "mode": FaultKind("no", (1,), "the operating mode: 1 T1, 2 T2, 3 AUT, 4 EXT", largest=4.0, whole=True),
+    "program": FaultKind(
+        "no", (1,), "the program's state: 1 FREE, 2 RESET, 3 ACTIVE, 4 STOP, 5 END", largest=5.0, whole=True
+    ),
+    "override": FaultKind("no", (1,), "the override, 0 to 100 percent", positive=False, largest=100.0),
+    "grip_fails": FaultKind("no", (0,), "no value"),
+    "grip_lost": FaultKind("no", (0,), "no value", lasting=False),
+    "opened_by_hand": FaultKind("no", (0,), "no value", lasting=False),
+    "no_read_back": FaultKind("no", (0,), "no value"),
+    "collision": FaultKind(
+        "one", (1,), "the torque with which something pushes on the axis [Nm]", shift=True, positive=False
+    ),
+    "restart_at": FaultKind("no", (-1,), "a pose [rad]", positive=False, lasting=False),
+    "jog": FaultKind("no", (-1,), "a pose [rad]", positive=False, lasting=False),
 }
 
 
@@ -222,12 +226,12 @@ class FaultBoard:
             raise ConfigurationError(fault.name, fault.values, str(error)) from error
         self.changes += 1
         if not kind.lasting:
-            return Sentence("fault.happened", fault=fault.name)
+            return f"{fault.name} is carried out"
         cycles = math.ceil(fault.duration / self.controller.config.period - 1e-9) if fault.duration else math.inf
         self._active[fault.name, fault.subject] = fault, self._cycle + cycles
         if fault.duration:
-            return Sentence("fault.on_for", fault=str(fault), seconds=fault.duration)
-        return Sentence("fault.on", fault=str(fault))
+            return f"{fault} is on for {fault.duration:g} s"
+        return f"{fault} is on"
 
     def end(self, fault: Fault) -> str:
         """Switch a fault off; only name, axis and direction count.
@@ -239,51 +243,49 @@ class FaultBoard:
             raise ConfigurationError(
                 fault.name,
                 fault.subject or None,
-                Sentence("expected.fault.on", faults=", ".join(self.active) or Sentence("expected.fault.none")),
+                f"a fault that is on: {', '.join(self.active) or 'none is'}",
             )
         _, stop = self._actions(fault)
         stop()
         del self._active[fault.name, fault.subject]
         self.changes += 1
-        return Sentence("fault.over", fault=str(fault))
+        return f"{fault} is over"
 
     def _is_over(self, fault: Fault) -> bool:
         return fault.name == "rsi_timeout" and not self.controller.running
 
     def _check(self, fault: Fault) -> FaultKind:
         if fault.name not in KINDS:
-            raise ConfigurationError("fault", fault.name, Sentence("expected.one_of", known=", ".join(KINDS)))
+            raise ConfigurationError("fault", fault.name, f"one of {', '.join(KINDS)}")
         kind, axes = KINDS[fault.name], self.controller.config.axes
         if kind.axis == "one" and not fault.axis or kind.axis == "no" and fault.axis:
             raise ConfigurationError(
                 fault.name,
                 fault.axis,
-                Sentence("expected.fault.joint") if kind.axis == "one" else Sentence("expected.fault.no_joint"),
+                "a joint" if kind.axis == "one" else "no joint",
             )
         if fault.axis and fault.axis not in axes:
-            raise ConfigurationError(fault.name, fault.axis, Sentence("expected.one_of", known=", ".join(axes)))
+            raise ConfigurationError(fault.name, fault.axis, f"one of {', '.join(axes)}")
         if fault.direction not in (DIRECTIONS if kind.network else ("",)):
             raise ConfigurationError(
                 fault.name,
                 fault.direction,
-                Sentence("expected.fault.direction") if kind.network else Sentence("expected.fault.no_direction"),
+                "direction to_pc, to_controller or none" if kind.network else "no direction",
             )
         counts = [len(axes) if count < 0 else count for count in kind.values]
         if len(fault.values) not in counts or not all(map(math.isfinite, fault.values)):
             raise ConfigurationError(fault.name, fault.values, kind.meaning)
         if kind.positive and not all(value > 0.0 for value in fault.values):
-            raise ConfigurationError(
-                fault.name, fault.values, Sentence("expected.fault.above_zero", meaning=kind.meaning)
-            )
+            raise ConfigurationError(fault.name, fault.values, f"{kind.meaning}, greater than 0")
         if kind.network and not all(0.0 <= value <= 1.0 for value in fault.values):
-            raise ConfigurationError(fault.name, fault.values, Sentence("expected.fault.to_one", meaning=kind.meaning))
+            raise ConfigurationError(fault.name, fault.values, f"{kind.meaning}, 0 to 1")
         allowed = not kind.whole or all(value.is_integer() for value in map(float, fault.values))
         if math.isfinite(kind.largest) and not (
             allowed and all(0.0 <= value <= kind.largest for value in fault.values)
         ):
             raise ConfigurationError(fault.name, fault.values, kind.meaning)
         if not (math.isfinite(fault.duration) and fault.duration >= 0.0):
-            raise ConfigurationError(fault.name, fault.duration, Sentence("expected.fault.duration"))
+            raise ConfigurationError(fault.name, fault.duration, "a duration [s] of 0 or more")
         return kind
 
     def _actions(self, fault: Fault) -> tuple[Callable[[], None], Callable[[], None]]:
@@ -326,7 +328,13 @@ class FaultBoard:
         tool = self.controller.tool
         if tool is None:
             words = self.controller.words
-            raise ConstructionTwinError(Sentence("reason.no_tool_channels", fault=fault.name, file=words.description))
+            raise ConstructionTwinError(
+                Sentence(
+                    "{fault}: found None, expected {file} with channels of a tool",
+                    fault=fault.name,
+                    file=words.description,
+                )
+            )
 
         def fail(on: bool) -> None:
             tool.fails = on
@@ -352,7 +360,9 @@ class FaultBoard:
     def _push(self, fault: Fault):
         servo = self.controller.servo
         if not isinstance(servo, WithMass):
-            raise ConstructionTwinError(Sentence("reason.no_mass", fault=fault.name))
+            raise ConstructionTwinError(
+                Sentence("{fault} needs a mock arm with mass: start it with servo:=physics", fault=fault.name)
+            )
         joint = self.controller.config.axes.index(fault.axis)
         return lambda: servo.push(joint, fault.values[0]), lambda: servo.push(joint, 0.0)
 

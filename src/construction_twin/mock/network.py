@@ -22,7 +22,6 @@ from queue import Empty, SimpleQueue
 from typing import TypeVar
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.udp import ask_for_stamps, receive
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.mock.controller import MockController
@@ -289,5 +288,7 @@ def _resolve(host: str, port: int) -> tuple[str, int]:
     try:
         address = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)[0][4]
     except OSError as error:
-        raise ConstructionTwinError(Sentence("view.no_host", host=repr(host), port=port, problem=str(error))) from error
+        raise ConstructionTwinError(
+            f"gateway host {host!r} port {port}: {error}; give an IPv4 address or a known name"
+        ) from error
     return str(address[0]), int(address[1])

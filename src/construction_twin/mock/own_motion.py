@@ -9,7 +9,6 @@ import math
 from collections.abc import Callable, Sequence
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.mock.servo import Chase
 
@@ -87,7 +86,9 @@ class Program:
         distances = [abs(b - a) for a, b in zip(start, goal)]
         quickest = _shortest(distances, velocity, acceleration, 1.0)
         if duration and duration < quickest:
-            raise ConfigurationError("jog duration", duration, Sentence("expected.jog_duration", quickest=quickest))
+            raise ConfigurationError(
+                "jog duration", duration, f"at least {quickest:.3f} s: a shorter motion exceeds the limits"
+            )
         self.cycles = max(
             1, math.ceil((duration or _shortest(distances, velocity, acceleration, JOG_FRACTION)) / period)
         )

@@ -24,7 +24,6 @@ from construction_twin.controller.port import Layout
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.extras import check_extras
 from construction_twin.core.realtime import request_realtime
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import share_file
 from construction_twin.core.units import CYCLE, from_wire, radians, to_wire
 from construction_twin.core.validation import configuration_error
@@ -138,7 +137,7 @@ class MockSettings(pydantic.BaseModel):
     @classmethod
     def _is_known(cls, make: str) -> str:
         if make not in MODULES:
-            raise ValueError(Sentence("expected.one_of", known=", ".join(MODULES)))
+            raise ValueError(f"one of {', '.join(MODULES)}")
         return make
 
     @pydantic.field_validator("cycle")
@@ -146,7 +145,7 @@ class MockSettings(pydantic.BaseModel):
     def _is_of_the_make(cls, cycle: int, info: pydantic.ValidationInfo) -> int:
         cycles = make_of(info.data["make"]).cycles if "make" in info.data else (cycle,)
         if cycle not in cycles:
-            raise ValueError(Sentence("expected.cycle", cycles=" or ".join(map(str, cycles))))
+            raise ValueError(f"{' or '.join(map(str, cycles))} ms")
         return cycle
 
 
@@ -159,7 +158,7 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
     def listed(name: str) -> tuple[float, ...] | None:
         values = getattr(settings, name)
         if values and len(values) != len(robot.axes):
-            raise ConfigurationError(name, values, Sentence("expected.per_joint_or_none", count=len(robot.axes)))
+            raise ConfigurationError(name, values, f"{len(robot.axes)} numbers, one per joint, or none")
         return from_wire(values, robot.linear) if values else None
 
     config = MockConfig(
@@ -196,7 +195,7 @@ def gateway_address(settings: MockSettings) -> tuple[str, int]:
     if settings.gateway_port:
         return settings.gateway_host, settings.gateway_port
     if make.file is not None and not settings.ethernet_xml:
-        raise ConfigurationError("gateway_port", 0, Sentence("expected.port_or_file", file=make.words.description))
+        raise ConfigurationError("gateway_port", 0, f"a port, or {make.words.description} that names it")
     return settings.gateway_host, layout.port
 
 

@@ -15,7 +15,6 @@ import pydantic
 import yaml
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.validation import configuration_error
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.urdf import parse_urdf, read_text
@@ -106,7 +105,7 @@ def read_drives(path: str | Path, robot: RobotModel) -> ArmDrives:
     try:
         content = yaml.safe_load(read_text(path))
     except yaml.YAMLError as error:
-        raise ConfigurationError(str(path), " ".join(str(error).split()), Sentence("expected.yaml_file")) from error
+        raise ConfigurationError(str(path), " ".join(str(error).split()), "a YAML file") from error
     return load_drives(content, robot, str(path))
 
 
@@ -120,7 +119,7 @@ def load_drives(content: object, robot: RobotModel, where: str) -> ArmDrives:
         raise ConfigurationError(
             f"{where}/joints",
             sorted(read.joints),
-            Sentence("expected.robot.entry_each", names=str(list(robot.joint_names))),
+            f"one entry for each of {list(robot.joint_names)}",
         )
     axes = [read.joints[name] for name in robot.joint_names]
     efforts = _efforts(robot)

@@ -138,7 +138,7 @@ def open_context():
                 del sys.modules[name]
         else:
             return context
-    raise ConstructionTwinError(Sentence("rehearsal.no_picture", problem="; ".join(problems)))
+    raise ConstructionTwinError(Sentence("no picture can be drawn here: {problem}", problem="; ".join(problems)))
 
 
 def _camera(frames: list[_Frame]) -> mujoco.MjvCamera:

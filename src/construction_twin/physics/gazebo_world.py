@@ -19,7 +19,6 @@ import numpy as np
 import pinocchio
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.physics.constants import FRICTION, GRAVITY, STEP
 from construction_twin.physics.drive import ArmDrives
 from construction_twin.physics.mass import MassProperties, of_link, of_object, of_shape, together
@@ -67,7 +66,14 @@ def check_serial(bodies: RobotBodies) -> None:
     """Raise a ConfigurationError for an arm with a joint that follows another: the plugin knows one serial chain."""
     names = [name for index, name in enumerate(bodies.model.names) if index and name not in bodies.robot.joint_names]
     if names:
-        raise ConfigurationError("URDF", ", ".join(names), Sentence("expected.physics.serial", names=", ".join(names)))
+        raise ConfigurationError(
+            "URDF",
+            ", ".join(names),
+            (
+                f"an arm of which no joint follows another: Gazebo moves one serial chain (here {', '.join(names)}"
+                "); twin:=mujoco moves this one"
+            ),
+        )
 
 
 class _Builder:
@@ -137,7 +143,7 @@ class _Builder:
         )
         if self._drives.estimates:
             keys = ", ".join(self._drives.estimates)
-            self._remarks.append(Sentence("physics.remark.drives", keys=keys, source=self._drives.source))
+            self._remarks.append(f"of the arm these are estimates: {keys}; torques: {self._drives.source}")
         lines = [_numbers((0.0, 0.0, -GRAVITY))]
         before = "world"
         for index in range(1, model.njoints):
@@ -185,13 +191,15 @@ class _Builder:
         shapes = [of_shape(one.geometry).at(one.placement) for one in own if one.item is None]
         parts = [of_link(name, model.inertias[index], shapes)]
         if parts[0].estimated:
-            self._remarks.append(Sentence("physics.remark.link_mass", joint=name, mass=parts[0].mass))
+            self._remarks.append(
+                f"the URDF gives no mass for what {name} moves; estimated from its shapes: {parts[0].mass:.1f} kg"
+            )
         objects = (one for one in own if one.item is not None)
         for owner, placed in itertools.groupby(objects, key=lambda one: one.owner):
             pieces = list(placed)
             part = of_object(pieces)
             parts.append(part.at(pieces[0].placement))
-            self._remarks.append(Sentence("physics.remark.object_mass", object=owner, mass=part.mass))
+            self._remarks.append(f"mass of {owner} is an estimate from its volume: {part.mass:.1f} kg")
         return together(parts)
 
     def _add_shapes(

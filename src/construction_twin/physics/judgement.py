@@ -43,17 +43,30 @@ def reasons(report: RehearsalReport, limits: Limits, linear: Set[str]) -> Iterat
     """Yield why a rehearsal has failed; `linear`: names of prismatic joints."""
     load = report.payload
     if load.rated_mass and load.mass > load.rated_mass:
-        yield Sentence("rehearsal.mass", mass=load.mass, rated=load.rated_mass)
+        yield Sentence(
+            "the flange carries {mass:.1f} kg; the arm is rated for {rated:.1f} kg",
+            mass=load.mass,
+            rated=load.rated_mass,
+        )
     if load.rated_inertia and load.inertia > load.rated_inertia:
-        yield Sentence("rehearsal.inertia", inertia=load.inertia, rated=load.rated_inertia)
+        yield Sentence(
+            "the load has a moment of inertia of {inertia:.1f} kg m^2 at the flange; the arm is rated "
+            "for {rated:.1f} kg m^2",
+            inertia=load.inertia,
+            rated=load.rated_inertia,
+        )
     for place, rated in ((load.across, load.rated_across), (load.along, load.rated_along)):
         if rated and abs(place) > rated:
-            yield Sentence("rehearsal.distance", distance=Quantity(place, "m"), rated=Quantity(rated, "m"))
+            yield Sentence(
+                "the load's centre of mass is {distance:.1} from the flange; the arm is rated for {rated:.1}",
+                distance=Quantity(place, "m"),
+                rated=Quantity(rated, "m"),
+            )
     for axis in report.axes:
         if axis.limit and axis.usage > limits.torque:
             unit = "N" if axis.joint in linear else "Nm"
             yield Sentence(
-                "rehearsal.torque",
+                "{joint} needs {peak:.0q} after {time:.2f} s; it has {limit:.0q} ({percent:.0f} %)",
                 joint=axis_name(axis.joint),
                 peak=Quantity(axis.peak, unit),
                 limit=Quantity(axis.limit, unit),
@@ -61,21 +74,43 @@ def reasons(report: RehearsalReport, limits: Limits, linear: Set[str]) -> Iterat
                 time=axis.time,
             )
     if report.braking.usage > limits.torque and not report.contacts:
-        yield Sentence("rehearsal.braking", time=report.braking.time, percent=report.braking.usage * 100.0)
+        yield Sentence(
+            "braking after {time:.2f} s takes {percent:.0f} % of an axis' torque: the arm would not stop "
+            "within its limits",
+            time=report.braking.time,
+            percent=report.braking.usage * 100.0,
+        )
     if report.grip.usage > 1.0:
         grip = report.grip
-        yield Sentence("rehearsal.grip", object=grip.name, time=grip.time, percent=grip.usage * 100.0, cups=grip.cups)
+        yield Sentence(
+            "at {time:.2f} s {object} may slip or come off: of its {cups} cups one would need "
+            "{percent:.0f} % of what it holds; plan a slower motion, or another grip",
+            object=grip.name,
+            time=grip.time,
+            percent=grip.usage * 100.0,
+            cups=grip.cups,
+        )
     for contact in report.contacts:
         yield Sentence(
-            "rehearsal.contact", first=contact.first, second=contact.second, time=contact.time, force=contact.force
+            "{first} touches {second} after {time:.2f} s, with up to {force:.0f} N",
+            first=contact.first,
+            second=contact.second,
+            time=contact.time,
+            force=contact.force,
         )
     for one in report.objects:
         if math.isfinite(one.released):
             if one.fell > limits.stays:
-                yield Sentence("rehearsal.fell", object=one.name, time=one.released, distance=one.fell * 1e3)
+                yield Sentence(
+                    "{object}, let go after {time:.2f} s, falls {distance:.0f} mm",
+                    object=one.name,
+                    time=one.released,
+                    distance=one.fell * 1e3,
+                )
             elif one.moved > limits.stays or one.turned > limits.stays_turned:
                 yield Sentence(
-                    "rehearsal.slipped",
+                    "{object}, let go after {time:.2f} s, does not stay: it moves {distance:.0f} mm and turns "
+                    "{angle:.1}",
                     object=one.name,
                     time=one.released,
                     distance=one.moved * 1e3,
@@ -83,11 +118,14 @@ def reasons(report: RehearsalReport, limits: Limits, linear: Set[str]) -> Iterat
                 )
         elif one.moved > limits.stays or one.turned > limits.stays_turned:
             yield Sentence(
-                "rehearsal.moved", object=one.name, distance=one.moved * 1e3, angle=Quantity(one.turned, "rad")
+                "{object}, which the plan does not touch, moves {distance:.0f} mm and turns {angle:.1}",
+                object=one.name,
+                distance=one.moved * 1e3,
+                angle=Quantity(one.turned, "rad"),
             )
     if report.tracking > LARGEST_TRACKING and not report.contacts:
         error = Quantity(report.tracking, "m" if report.tracking_joint in linear else "rad")
-        yield Sentence("rehearsal.tracking", joint=axis_name(report.tracking_joint), error=error)
+        yield Sentence("{joint} is held {error:.2} off its path", joint=axis_name(report.tracking_joint), error=error)
 
 
 def worst_payload(payloads: Sequence[MassProperties], bodies: RobotBodies, rating: PayloadRating | None) -> PayloadLoad:

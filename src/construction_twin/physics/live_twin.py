@@ -11,7 +11,6 @@ from collections import deque
 import mujoco
 import numpy as np
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.physics.arm import Servo, SimulatedArm
 from construction_twin.physics.model import PhysicsModel
 
@@ -42,8 +41,15 @@ class LiveTwin:
     def problem(self) -> str:
         """Why what is shown is not a simulation, or was begun anew; empty: it is one."""
         if self._model is None and not self._next:
-            return Sentence("physics.twin.no_model")
-        return Sentence("physics.twin.diverged", count=self.diverged) if self.diverged else ""
+            return "nothing is simulated before the scene is known: the twin is where it is told to be"
+        return (
+            (
+                "the simulation was begun anew at the commanded pose, because its numbers had become "
+                f"useless: {self.diverged} times so far"
+            )
+            if self.diverged
+            else ""
+        )
 
     @property
     def remarks(self) -> tuple[str, ...]:

@@ -14,7 +14,6 @@ import numpy as np
 import pinocchio
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.scene.collision_bodies import Body
 
 #: Taken for a shape of unknown material [kg/m^3]: between spruce and aluminium, as what a lab carries is.
@@ -65,7 +64,9 @@ def payload_of(numbers: Sequence[float], name: str) -> MassProperties | None:
     mass, *centre = numbers
     is_payload = len(numbers) in (1, 4) and LEAST_MASS <= mass <= _LARGEST_PAYLOAD
     if not is_payload or not math.hypot(*centre) <= _LARGEST_DISTANCE:
-        raise ConfigurationError(name, tuple(numbers), Sentence("expected.physics.payload"))
+        raise ConfigurationError(
+            name, tuple(numbers), "a mass above 0 [kg], or a mass and its centre in the tip link: KG,X,Y,Z [kg], [m]"
+        )
     # a cube of 20 cm, when nobody says more
     return MassProperties(mass, np.array(centre or (0.0, 0.0, 0.0)), np.eye(3) * mass * 0.04 / 6.0)
 
@@ -133,6 +134,6 @@ def of_link(name: str, inertia: pinocchio.Inertia, shapes: Sequence[MassProperti
         raise ConfigurationError(
             f"URDF link {name} inertia",
             np.round([low, middle, high], 6).tolist(),
-            Sentence("expected.physics.inertia"),
+            ("principal moments of which none is negative and the largest is at most the sum of the others [kg m^2]"),
         )
     return MassProperties(inertia.mass, np.array(inertia.lever, dtype=float), matrix)

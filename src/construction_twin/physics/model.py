@@ -15,7 +15,6 @@ import mujoco
 import numpy as np
 import pinocchio
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.physics.constants import FRICTION, GRAVITY, STEP
 from construction_twin.physics.drive import ArmDrives
 from construction_twin.physics.mass import MassProperties, of_link, of_object, of_shape, together
@@ -187,7 +186,7 @@ class _Builder:
         payload = self._add_flange_load(joints, carried)
         if self._drives.estimates:
             keys = ", ".join(self._drives.estimates).replace("_", " ")
-            self._remarks.append(Sentence("physics.remark.drives", keys=keys, source=self._drives.source))
+            self._remarks.append(f"of the arm these are estimates: {keys}; torques: {self._drives.source}")
         self._exclude_pairs()
         self._add_followers()
         compiled = self._spec.compile()
@@ -246,7 +245,10 @@ class _Builder:
             ]
             inertia = of_link(model.names[index], model.inertias[index], own)
             if inertia.estimated:
-                self._remarks.append(Sentence("physics.remark.link_mass", joint=model.names[index], mass=inertia.mass))
+                self._remarks.append(
+                    f"the URDF gives no mass for what {model.names[index]} moves; estimated from its shapes: "
+                    f"{inertia.mass:.1f} kg"
+                )
             _set_mass(body, inertia)
             made.append(body)
         for link, shapes in itertools.groupby(self._robot_bodies.bodies, key=lambda one: one.owner):
@@ -269,7 +271,7 @@ class _Builder:
                 properties = properties.scaled_to(self._load.masses[name])
             if one.joint:
                 if properties.estimated:
-                    self._remarks.append(Sentence("physics.remark.object_mass", object=name, mass=properties.mass))
+                    self._remarks.append(f"mass of {name} is an estimate from its volume: {properties.mass:.1f} kg")
                 holder = joints[one.joint].add_body(
                     name=name, pos=one.placement.translation, quat=_quaternion(one.placement.rotation)
                 )
@@ -278,7 +280,7 @@ class _Builder:
                 carried.append((one, properties))
             elif name in self._load.loose:
                 if properties.estimated:
-                    self._remarks.append(Sentence("physics.remark.object_mass", object=name, mass=properties.mass))
+                    self._remarks.append(f"mass of {name} is an estimate from its volume: {properties.mass:.1f} kg")
                 self._add_loose(pieces, properties)
             elif name in apart:
                 self._add_geoms(self._spec.worldbody.add_body(name=name), pieces)
@@ -332,7 +334,10 @@ class _Builder:
             return
         shapes = pieces[0].shapes
         if shapes is not None and shapes.whole is not None:
-            self._remarks.append(Sentence("physics.remark.pieces", object=pieces[0].owner, reach=shapes.reach * 1e3))
+            self._remarks.append(
+                f"the mesh of {pieces[0].owner} is curved: planner and simulation have convex pieces, which "
+                f"reach up to {shapes.reach * 1e3:.1f} mm beyond it"
+            )
         for one in pieces:
             placement = one.placement if placed else pinocchio.SE3.Identity()
             for geometry in self._touchable(one):
@@ -367,14 +372,20 @@ class _Builder:
         if pieces is None:
             corners = self._unless_flat(owner, vertices)
             if corners:
-                self._remarks.append(Sentence("physics.remark.hull", object=owner))
+                self._remarks.append(
+                    f"the mesh of {owner} is neither convex nor closed, or too fine to be divided: the simulation "
+                    "has its convex hull, so it may find contacts that are none"
+                )
             return corners
-        self._remarks.append(Sentence("physics.remark.cover", object=owner, reach=pieces.reach * 1e3))
+        self._remarks.append(
+            f"the mesh of {owner} is not convex: the simulation has convex pieces, which reach up to "
+            f"{pieces.reach * 1e3:.1f} mm beyond it, so it may find contacts that are none"
+        )
         return [corners for corners in pieces.corners if not _is_flat(corners)]
 
     def _unless_flat(self, owner: str, vertices: np.ndarray) -> list[np.ndarray]:
         if _is_flat(vertices):
-            self._remarks.append(Sentence("physics.remark.flat", object=owner))
+            self._remarks.append(f"the mesh of {owner} encloses no volume: the simulation leaves it out")
             return []
         return [vertices]
 

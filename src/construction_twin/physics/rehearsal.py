@@ -110,7 +110,13 @@ class Rehearsal:
         missing = [each for each in (*wanted, last) if each not in scenes]
         if missing:
             return finished(
-                replace(named, reasons=(Sentence("rehearsal.no_scene", scene=missing[0][:12]),)), clock() - begin
+                replace(
+                    named,
+                    reasons=(
+                        Sentence("the scene {scene} that a segment needs is not known here", scene=missing[0][:12]),
+                    ),
+                ),
+                clock() - begin,
             )
         ends = [segment.end for segment in plan.segments] or [plan.trajectory.duration]
         parts = [Part(scenes[scene], end) for scene, end in zip(wanted, ends)]
@@ -119,7 +125,9 @@ class Rehearsal:
             found = run.report(named, clock)
         # ValueError: MuJoCo's compiler refuses a model
         except (ConstructionTwinError, mujoco.FatalError, ValueError) as error:
-            found = replace(named, reasons=(Sentence("rehearsal.engine", problem=" ".join(str(error).split())),))
+            found = replace(
+                named, reasons=(Sentence("the simulation broke off: {problem}", problem=" ".join(str(error).split())),)
+            )
         return finished(found, clock() - begin)
 
 
@@ -246,7 +254,9 @@ class _Run:
         return self._judged(named, times, objects, settle)
 
     def _diverged(self, named: RehearsalReport, time: float) -> RehearsalReport:
-        reason = Sentence("rehearsal.diverged", time=time)
+        reason = Sentence(
+            "the simulation came apart after {time:.2f} s of the plan: its numbers are no motion", time=time
+        )
         return replace(named, state=FAILED, reasons=(reason,), remarks=tuple(dict.fromkeys(self._remarks)))
 
     def _let_stand(self, setpoints: np.ndarray) -> bool:
@@ -264,12 +274,31 @@ class _Run:
         if standing.restless:
             most = max(standing.restless.values()) * 1e3
             self._remarks.append(
-                Sentence("rehearsal.remark.restless", objects=listed(standing.restless), distance=most)
+                Sentence(
+                    "without any plan these would move by up to {distance:.1f} mm: {objects}; they stand on "
+                    "nothing that the scene has, or inside each other. They are fixed in this rehearsal, and "
+                    "nothing tips them over",
+                    objects=listed(standing.restless),
+                    distance=most,
+                )
             )
         if near[MOST:]:
-            self._remarks.append(Sentence("rehearsal.remark.far", most=MOST, count=len(near) - MOST))
+            self._remarks.append(
+                Sentence(
+                    "the {most} elements nearest to the path can be tipped over; {count} further ones are fixed "
+                    "in this rehearsal",
+                    most=MOST,
+                    count=len(near) - MOST,
+                )
+            )
         if of.unweighed:
-            self._remarks.append(Sentence("rehearsal.remark.unweighed", objects=listed(of.unweighed)))
+            self._remarks.append(
+                Sentence(
+                    "nobody says what these weigh: {objects}. They are fixed in this rehearsal, and nothing tips "
+                    "them over",
+                    objects=listed(of.unweighed),
+                )
+            )
         return True
 
     def _arm(self, scene: Scene, pose: np.ndarray, before: SimulatedArm | None, begin: float) -> SimulatedArm:
@@ -318,7 +347,7 @@ class _Run:
         grip = of.grip.on([replace(piece, placement=to_tip * piece.placement) for piece in pieces])
         name = self._bodies[carried[0].name]
         if not len(grip.cups):
-            self._remarks.append(Sentence("physics.remark.no_cup", object=name))
+            self._remarks.append(f"no cup of the tool lies on {name}: whether it is held is not looked at")
             return None
         return GripWatch(
             grip, name, physics, [item.name for item in carried], bodies.model.names[frame.parentJoint], frame.placement

@@ -20,7 +20,6 @@ from urdf_parser_py.urdf import Joint
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import JointRangeError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import radians
 from construction_twin.core.validation import configuration_error
 from construction_twin.robot.other_joints import OtherJoint, find_other_joints
@@ -217,11 +216,9 @@ def _read_description(yaml_path: str | Path) -> dict:
     try:
         description = yaml.safe_load(read_text(yaml_path))
     except yaml.YAMLError as error:
-        raise ConfigurationError(
-            str(yaml_path), " ".join(str(error).split()), Sentence("expected.yaml_file")
-        ) from error
+        raise ConfigurationError(str(yaml_path), " ".join(str(error).split()), "a YAML file") from error
     if not isinstance(description, dict):
-        raise ConfigurationError(str(yaml_path), description, Sentence("expected.robot.mapping"))
+        raise ConfigurationError(str(yaml_path), description, "a mapping of the robot's keys")
     return description
 
 
@@ -239,9 +236,9 @@ def _check_joint(joint: Joint) -> None:
     where = f"URDF joint {joint.name}"
     if joint.joint_type not in ("revolute", "continuous", "prismatic") or joint.mimic is not None:
         found = "a mimic joint" if joint.mimic is not None else joint.joint_type
-        raise ConfigurationError(where, found, Sentence("expected.robot.movable"))
+        raise ConfigurationError(where, found, "an independent revolute, continuous or prismatic joint")
     unit = "m" if joint.joint_type == "prismatic" else "rad"
-    positive = Sentence("expected.robot.velocity", unit=f"{unit}/s")
+    positive = f"a positive number [{unit}/s]"
     limit = joint.limit
     if joint.joint_type == "continuous":
         if limit is None or not 0 < limit.velocity < math.inf:
@@ -249,9 +246,9 @@ def _check_joint(joint: Joint) -> None:
             raise ConfigurationError(f"{where} limit velocity", found, positive)
         return
     if limit is None or limit.lower is None or limit.upper is None or not limit.lower < limit.upper:
-        raise ConfigurationError(f"{where} limit", _limit_text(limit), Sentence("expected.robot.below", unit=unit))
+        raise ConfigurationError(f"{where} limit", _limit_text(limit), f"lower < upper [{unit}]")
     if not (math.isfinite(limit.lower) and math.isfinite(limit.upper)):
-        raise ConfigurationError(f"{where} limit", _limit_text(limit), Sentence("expected.robot.finite", unit=unit))
+        raise ConfigurationError(f"{where} limit", _limit_text(limit), f"finite lower and upper [{unit}]")
     if not 0 < limit.velocity < math.inf:
         raise ConfigurationError(f"{where} limit velocity", limit.velocity, positive)
 
@@ -262,10 +259,12 @@ def _range(joint: Joint, described: _RevoluteJoint | _PrismaticJoint) -> tuple[f
     where = f"robot/joints/{joint.name}/range_deg"
     if joint.joint_type != "continuous":
         if given is not None:
-            raise ConfigurationError(where, list(given), Sentence("expected.robot.no_range"))
+            raise ConfigurationError(where, list(given), "no range: the URDF has this joint's")
         return float(joint.limit.lower), float(joint.limit.upper)
     if given is None or not given[0] < given[1]:
-        raise ConfigurationError(where, given and list(given), Sentence("expected.robot.range"))
+        raise ConfigurationError(
+            where, given and list(given), "[lower, upper] with lower < upper: the URDF lets this joint turn without end"
+        )
     lower, upper = radians(given)
     return lower, upper
 
@@ -278,12 +277,10 @@ def _describe_joints(parsed: _RobotDescription, joints: Sequence[Joint]) -> list
     """Return the YAML's entry for each joint, in their order, with the keys that fit its type."""
     names = [joint.name for joint in joints]
     if not names:
-        expected = Sentence("expected.robot.moved", base=parsed.base_link)
+        expected = f"a link that at least one joint moves relative to {parsed.base_link}"
         raise ConfigurationError("robot/tip_link", parsed.tip_link, expected)
     if set(parsed.joints) != set(names):
-        raise ConfigurationError(
-            "robot/joints", sorted(parsed.joints), Sentence("expected.robot.entry_each", names=str(names))
-        )
+        raise ConfigurationError("robot/joints", sorted(parsed.joints), f"one entry for each of {names}")
     described: list[_RevoluteJoint | _PrismaticJoint] = []
     for joint in joints:
         kind: type[_RevoluteJoint | _PrismaticJoint]
@@ -292,7 +289,7 @@ def _describe_joints(parsed: _RobotDescription, joints: Sequence[Joint]) -> list
     rsi_axes = [joint.rsi for joint in described]
     for number, axis in enumerate(rsi_axes):
         if axis in rsi_axes[:number]:
-            expected = Sentence("expected.robot.other_axis", joint=names[rsi_axes.index(axis)])
+            expected = f"a different RSI axis for each joint; {names[rsi_axes.index(axis)]} has this one"
             raise ConfigurationError(f"robot/joints/{names[number]}/rsi", axis, expected)
     return described
 
@@ -304,4 +301,4 @@ def _check_home(robot: RobotModel) -> None:
         linear = robot.linear[robot.joint_names.index(error.joint)]
         key = f"robot/joints/{error.joint}/{'home_mm' if linear else 'home_deg'}"
         found = error.value * 1e3 if linear else math.degrees(error.value)
-        raise ConfigurationError(key, found, Sentence("expected.robot.home", problem=error.sentence)) from error
+        raise ConfigurationError(key, found, f"a pose in range: {error.sentence}") from error

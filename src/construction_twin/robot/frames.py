@@ -125,7 +125,9 @@ def quaternion_to_rotation(quaternion) -> np.ndarray:
     """
     values = np.asarray(quaternion, dtype=float)
     if values.shape != (4,) or not abs(np.linalg.norm(values) - 1.0) <= _NORM_TOLERANCE:
-        raise KinematicsError(Sentence("motion.pose.quaternion", found=str(values.tolist())))
+        raise KinematicsError(
+            Sentence("quaternion x, y, z, w is {found}; expected 4 numbers of norm 1", found=str(values.tolist()))
+        )
     x, y, z, w = (values / np.linalg.norm(values)).tolist()
     return np.array(
         [

@@ -14,7 +14,6 @@ from typing import Any
 from urdf_parser_py.urdf import URDF, Joint
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot
 from construction_twin.robot.urdf import chain_joints, expand_xacro, parse_urdf, xacro_arguments
 
@@ -49,13 +48,15 @@ def find_ends(urdf: str, base_link: str = "", tip_link: str = "") -> tuple[str, 
     tip_link = tip_link or "tool0"
     if tip_link not in model.link_map:
         ends = sorted(set(model.link_map) - set(model.child_map))
-        raise ConfigurationError("tip link", tip_link, Sentence("expected.robot.tip", ends=", ".join(ends)))
+        raise ConfigurationError(
+            "tip link", tip_link, f"a link of the URDF; links at an end of its tree: {', '.join(ends)}"
+        )
     if not base_link:
         path = _path(model, tip_link)
         base_link = "base_link" if "base_link" in path else path[1 if path[0] == "world" and len(path) > 1 else 0]
     if base_link not in model.link_map:
         raise ConfigurationError(
-            "base link", base_link, Sentence("expected.robot.base", links=", ".join(sorted(model.link_map)))
+            "base link", base_link, f"one of the URDF's links: {', '.join(sorted(model.link_map))}"
         )
     chain_joints(model, base_link, tip_link)
     return base_link, tip_link
@@ -77,9 +78,7 @@ def new_description(urdf: str, name: str, base_link: str, tip_link: str, full_sp
     """
     joints = [joint for joint in chain_joints(parse_urdf(urdf), base_link, tip_link) if joint.joint_type != "fixed"]
     if not 0 < len(joints) <= _MOST:
-        raise ConfigurationError(
-            "tip link", tip_link, Sentence("expected.robot.joint_count", most=_MOST, count=len(joints))
-        )
+        raise ConfigurationError("tip link", tip_link, f"a link that 1 to {_MOST} joints move; {len(joints)} do")
     axes = rsi_axes([joint.joint_type == "prismatic" for joint in joints])
     endless = any(joint.joint_type == "continuous" for joint in joints)
     return {
@@ -126,17 +125,15 @@ def _joint(joint: Joint, axis: str, full_speed_in: float) -> dict[str, Any]:
     where = f"URDF joint {joint.name}"
     if joint.joint_type not in ("revolute", "continuous", "prismatic") or joint.mimic is not None:
         found = "a mimic joint" if joint.mimic is not None else joint.joint_type
-        raise ConfigurationError(where, found, Sentence("expected.robot.movable"))
+        raise ConfigurationError(where, found, "an independent revolute, continuous or prismatic joint")
     limit, endless = joint.limit, joint.joint_type == "continuous"
     if not endless and (limit is None or limit.lower is None or limit.upper is None or not limit.lower < limit.upper):
-        raise ConfigurationError(
-            f"{where} limit", None if limit is None else limit.lower, Sentence("expected.robot.order")
-        )
+        raise ConfigurationError(f"{where} limit", None if limit is None else limit.lower, "lower < upper")
     if limit is None or not 0 < limit.velocity < math.inf:
         raise ConfigurationError(
             f"{where} limit velocity",
             None if limit is None else limit.velocity,
-            Sentence("expected.robot.acceleration"),
+            "a positive number: no acceleration follows from it",
         )
     unit, per_unit = ("mm", 1e3) if joint.joint_type == "prismatic" else ("deg", _DEGREES)
     acceleration = _rounded(limit.velocity * per_unit / full_speed_in)

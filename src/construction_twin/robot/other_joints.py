@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from urdf_parser_py.urdf import URDF, Joint
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 
 #: The types that have one position, and its unit.
 _UNITS = {"revolute": "rad", "continuous": "rad", "prismatic": "m"}
@@ -81,23 +80,26 @@ def other_joints_text(others: Sequence[OtherJoint], base_link: str, tip_link: st
     """Return the sentence that tells a person about them; empty when there are none."""
     still = [str(joint) for joint in others if joint.position is not None]
     moving = [str(joint) for joint in others if joint.position is None]
-    named = {**({"still": ", ".join(still)} if still else {}), **({"moving": ", ".join(moving)} if moving else {})}
-    if not named:
+    if not others:
         return ""
-    key = "both" if len(named) > 1 else next(iter(named))
-    return Sentence(f"startup.other_joints.{key}", base=base_link, tip=tip_link, **named)
+    parts = []
+    if still:
+        parts.append(f"stand still: {', '.join(still)}; `other_joints` of the robot YAML says where")
+    if moving:
+        parts.append(f"{'others ' * bool(still)}move with it: {', '.join(moving)}")
+    return f"joints outside of the chain from {base_link} to {tip_link} {'; '.join(parts)}"
 
 
 def _check_taker(name: str, value: float, others: Mapping[str, Joint], settable: Sequence[str]) -> None:
     where = f"robot/other_joints/{name}"
     if name not in others:
-        expected = Sentence("expected.robot.takers", joints=str(list(settable)))
+        expected = f"one of the joints outside of the chain that take a value: {list(settable)}"
         raise ConfigurationError(where, value, expected)
     joint = others[name]
     if joint.mimic is not None:
-        raise ConfigurationError(where, value, Sentence("expected.robot.follows", joint=joint.mimic.joint))
+        raise ConfigurationError(where, value, f"no value: it follows {joint.mimic.joint}")
     if joint.joint_type not in _UNITS:
-        raise ConfigurationError(where, value, Sentence("expected.robot.at_zero", kind=joint.joint_type))
+        raise ConfigurationError(where, value, f"no value: a {joint.joint_type} joint stands at zero")
 
 
 def _position(
@@ -108,9 +110,9 @@ def _position(
         leader = joint.mimic.joint
         where = f"URDF joint {joint.name} mimic"
         if leader in passed:
-            raise ConfigurationError(where, leader, Sentence("expected.robot.leader"))
+            raise ConfigurationError(where, leader, "a joint that does not follow it")
         if leader not in others and leader not in chain:
-            raise ConfigurationError(where, leader, Sentence("expected.robot.movable_of"))
+            raise ConfigurationError(where, leader, "a movable joint of the URDF")
         # the attributes are optional
         offset += factor * float(joint.mimic.offset or 0.0)
         factor *= 1.0 if joint.mimic.multiplier is None else float(joint.mimic.multiplier)
@@ -129,12 +131,10 @@ def _stands_at(joint: Joint, given: float | None) -> float:
     unit, limit = _UNITS[joint.joint_type], joint.limit
     where = f"URDF joint {joint.name} limit"
     if limit is None:
-        raise ConfigurationError(where, None, Sentence("expected.robot.bounds", unit=unit))
+        raise ConfigurationError(where, None, f"lower and upper [{unit}]")
     lower, upper = float(limit.lower or 0.0), float(limit.upper or 0.0)
     if not (math.isfinite(lower) and math.isfinite(upper) and lower <= upper):
-        raise ConfigurationError(
-            where, f"lower {lower}, upper {upper}", Sentence("expected.robot.finite_range", unit=unit)
-        )
+        raise ConfigurationError(where, f"lower {lower}, upper {upper}", f"finite ones, lower <= upper [{unit}]")
     if given is None:
         # as joint_state_publisher, which shows the twin's
         return 0.0 if lower <= 0.0 <= upper else (lower + upper) / 2.0
@@ -142,6 +142,6 @@ def _stands_at(joint: Joint, given: float | None) -> float:
         raise ConfigurationError(
             f"robot/other_joints/{joint.name}",
             given,
-            Sentence("expected.robot.within", lower=lower, upper=upper, unit=unit),
+            f"{lower:g} to {upper:g} [{unit}]",
         )
     return given

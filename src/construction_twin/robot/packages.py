@@ -13,7 +13,6 @@ from xml.etree import ElementTree
 import rospkg
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import NAME, share_folder
 
 
@@ -31,16 +30,19 @@ class Packages:
             if name == NAME:
                 # installed by pip: no folder of ROS_PACKAGE_PATH holds it
                 return share_folder()
-            searched = os.pathsep.join(error.ros_paths or ()) or Sentence("expected.robot.no_folders")
+            searched = os.pathsep.join(error.ros_paths or ()) or "which names no folder"
             raise ConfigurationError(
                 where,
                 f"no ROS package {name!r}",
-                Sentence("expected.robot.package", folders=searched),
+                (
+                    f"one below a folder of ROS_PACKAGE_PATH ({searched}); source the workspace that holds it, or "
+                    "add its folder"
+                ),
             ) from error
         except (ElementTree.ParseError, AttributeError) as error:
             # AttributeError: rospkg's, of a package.xml without a name
             raise ConfigurationError(
-                where, f"a package.xml that cannot be read ({error})", Sentence("expected.robot.well_formed_packages")
+                where, f"a package.xml that cannot be read ({error})", "well-formed ones below ROS_PACKAGE_PATH"
             ) from error
 
     def file(self, uri: str, where: str) -> Path:
@@ -56,9 +58,9 @@ class Packages:
         else:
             path = Path()
         if not path.is_absolute():
-            raise ConfigurationError(where, uri, Sentence("expected.robot.mesh_uri"))
+            raise ConfigurationError(where, uri, "package://<package>/<path>, file:///<path> or an absolute path")
         if not path.is_file():
-            raise ConfigurationError(where, uri, Sentence("expected.robot.no_file", path=str(path)))
+            raise ConfigurationError(where, uri, f"a file; there is no {path}")
         return path
 
 

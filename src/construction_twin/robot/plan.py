@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 from construction_twin.core.freshness import Moment
 from construction_twin.core.motion_errors import TrajectoryError
-from construction_twin.core.sentences import Sentence
 from construction_twin.robot.segments import Segment, check_segments, segments_hash
 from construction_twin.robot.trajectory import Trajectory
 
@@ -95,11 +94,11 @@ class Plan:
 
     def __post_init__(self):
         if not self.id:
-            raise TrajectoryError(Sentence("motion.trajectory.no_id"))
+            raise TrajectoryError("a plan has an empty id; expected a unique one")
         check_segments(self.id, self.scene, self.trajectory.duration, self.segments)
         found = content_hash(self.trajectory, self.task, self.segments)
         if self.hash != found:
-            raise TrajectoryError(Sentence("motion.trajectory.hash", plan=self.id, hash=self.hash, found=found))
+            raise TrajectoryError(f"plan {self.id} has hash '{self.hash}', its content has {found}; plan it again")
 
 
 def content_hash(trajectory: Trajectory, task: str = "", segments: tuple[Segment, ...] = ()) -> str:

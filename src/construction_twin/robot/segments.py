@@ -12,7 +12,6 @@ import math
 from dataclasses import asdict, dataclass
 
 from construction_twin.core.motion_errors import TrajectoryError
-from construction_twin.core.sentences import Sentence, Value
 
 
 @dataclass(frozen=True)
@@ -96,16 +95,22 @@ def check_segments(plan_id: str, scene: str, duration: float, segments: tuple[Se
     """
     before, present = 0.0, scene
     for number, segment in enumerate(segments):
-        where: dict[str, Value] = {"plan": plan_id, "number": number, "segment": segment.name}
         if not math.isfinite(segment.end) or segment.end <= before:
-            raise TrajectoryError(Sentence("motion.segments.order", **where, end=segment.end, before=before))
+            raise TrajectoryError(
+                f"plan {plan_id}, segment {number} ('{segment.name}') ends at {segment.end} s; expected after {before}"
+                " s"
+            )
         if segment.scene != present:
-            scenes: dict[str, Value] = {"scene": segment.scene[:12], "present": present[:12]}
-            raise TrajectoryError(Sentence("motion.segments.scene", **where, **scenes))
+            raise TrajectoryError(
+                f"plan {plan_id}, segment {number} ('{segment.name}') is for scene {segment.scene[:12]}; the "
+                f"one before it leaves {present[:12]}"
+            )
         for switch in segment.switches:
             if not (math.isfinite(switch.timeout) and switch.timeout > 0.0):
-                late: dict[str, Value] = {"output": switch.output, "seconds": switch.timeout}
-                raise TrajectoryError(Sentence("motion.segments.timeout", **where, **late))
+                raise TrajectoryError(
+                    f"plan {plan_id}, segment {number} ('{segment.name}'): {switch.output} has {switch.timeout} s "
+                    "to be confirmed; expected above 0"
+                )
         before, present = segment.end, segment.scene_after
     if segments and before != duration:
-        raise TrajectoryError(Sentence("motion.segments.last", plan=plan_id, end=before, duration=duration))
+        raise TrajectoryError(f"plan {plan_id}: its last segment ends at {before} s, its trajectory at {duration} s")

@@ -14,7 +14,6 @@ import pydantic
 import yaml
 
 from construction_twin.core.errors import ConfigurationError, problem_of
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.validation import configuration_error
 from construction_twin.robot.segments import Signal, Switch
 
@@ -78,7 +77,7 @@ class Output(_Strict):
     @pydantic.model_validator(mode="after")
     def _keeps_the_part(self) -> Output:
         if self.on_stop == "off" and self.opens is False:
-            raise ValueError(Sentence("expected.gateway_tool.drops"))
+            raise ValueError("on_stop keep, or opens true: one missed reply would drop the part")
         return self
 
     @pydantic.field_validator("on_stop", mode="before")
@@ -133,22 +132,22 @@ class Tool(_Strict):
     @pydantic.model_validator(mode="after")
     def _consistent(self) -> Tool:
         if len(set(self.inputs)) != len(self.inputs):
-            raise ValueError(Sentence("expected.tool.inputs"))
+            raise ValueError("inputs with different names")
         if self.mass + self.payload > self.load:
-            raise ValueError(Sentence("expected.tool.load", mass=self.mass + self.payload, load=self.load))
+            raise ValueError(f"mass and payload, {self.mass + self.payload:g} kg, within load, {self.load:g} kg")
         for name, action in (("grip", self.grip), ("release", self.release)):
             unknown = sorted((set(action.set) - set(self.outputs)) | (set(action.confirm) - set(self.inputs)))
             if unknown:
                 known = ", ".join((*self.outputs, *self.inputs))
-                raise ValueError(Sentence("expected.tool.known", action=name, names=", ".join(unknown), known=known))
+                raise ValueError(f"in {name} outputs and inputs that the file has ({known}), not {', '.join(unknown)}")
         opening = {name: output.opens for name, output in self.outputs.items() if output.opens is not None}
         if not opening:
-            raise ValueError(Sentence("expected.tool.opens"))
+            raise ValueError("opens for at least one output: the value that lets go of a workpiece")
         for name, value in opening.items():
             if self.grip.set.get(name) is value:
-                raise ValueError(Sentence("expected.tool.grip", output=name))
+                raise ValueError(f"a grip that does not set {name} to the value that opens")
             if self.release.set.get(name) is not value:
-                raise ValueError(Sentence("expected.tool.release", output=name))
+                raise ValueError(f"a release that sets {name} to the value that opens")
         return self
 
 
@@ -165,7 +164,7 @@ def read_tool(path: str | Path) -> ToolFile:
     try:
         description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigurationError(str(path), problem_of(error), Sentence("expected.tool.file")) from error
+        raise ConfigurationError(str(path), problem_of(error), "a YAML file of a tool") from error
     return ToolFile(tool_of(description, str(path)), Path(path).resolve().parent)
 
 
@@ -176,7 +175,7 @@ def tool_hash(path: str | Path) -> str:
     try:
         return hashlib.sha256(Path(path).read_bytes()).hexdigest()
     except OSError as error:
-        raise ConfigurationError(str(path), problem_of(error), Sentence("expected.tool.file")) from error
+        raise ConfigurationError(str(path), problem_of(error), "a YAML file of a tool") from error
 
 
 def tool_of(description: object, where: str) -> Tool:

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from construction_twin.core.motion_errors import TrajectoryError
-from construction_twin.core.sentences import Sentence
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +42,7 @@ class Trajectory:
     def __post_init__(self):
         object.__setattr__(self, "joint_names", tuple(self.joint_names))
         if not self.joint_names or len(set(self.joint_names)) != len(self.joint_names):
-            raise TrajectoryError(Sentence("motion.trajectory.names", names=str(self.joint_names)))
+            raise TrajectoryError(f"joint names are {self.joint_names}; expected at least one and all different")
         times = _frozen_array("times", self.times, 1)
         object.__setattr__(self, "times", _check_times(times))
         shape = (len(times), len(self.joint_names))
@@ -137,19 +136,20 @@ class Trajectory:
         if t == self._knots[-1]:
             return self.positions[row].copy(), self.velocities[row].copy(), self.accelerations[row].copy()
         if t != t:
-            raise TrajectoryError(Sentence("motion.trajectory.time_nan"))
+            raise TrajectoryError("a trajectory cannot be sampled at time nan")
         rest = np.zeros(len(self.joint_names))
         return self.positions[row].copy(), rest, rest.copy()
 
     def _check_values(self, name: str, values: np.ndarray, shape: tuple[int, int]) -> None:
         if values.shape != shape:
-            shapes = {"shape": str(values.shape), "expected": str(shape)}
-            raise TrajectoryError(Sentence("motion.trajectory.shape", name=name, **shapes))
+            raise TrajectoryError(f"{name} have shape {values.shape}; expected {shape}, waypoints by joints")
         wrong = np.argwhere(~np.isfinite(values))
         if len(wrong):
             row, joint = wrong[0]
-            where = {"name": name, "row": int(row), "joint": self.joint_names[joint]}
-            raise TrajectoryError(Sentence("motion.trajectory.not_finite", **where, value=float(values[row, joint])))
+            raise TrajectoryError(
+                f"{name} of waypoint {int(row)}: {self.joint_names[joint]} is {float(values[row, joint])}, "
+                "not a finite number"
+            )
 
 
 def whole_nanoseconds(times: np.ndarray) -> np.ndarray:
@@ -168,29 +168,27 @@ def _frozen_array(name: str, values, dimensions: int) -> np.ndarray:
     try:
         array = np.array(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise TrajectoryError(Sentence("motion.trajectory.no_array", name=name, problem=str(error))) from error
+        raise TrajectoryError(f"{name} are not a regular array of numbers: {error}") from error
     if array.ndim != dimensions:
-        raise TrajectoryError(
-            Sentence("motion.trajectory.dimensions", name=name, found=array.ndim, expected=dimensions)
-        )
+        raise TrajectoryError(f"{name} have {array.ndim} dimensions; expected {dimensions}")
     array.flags.writeable = False
     return array
 
 
 def _check_times(times: np.ndarray) -> np.ndarray:
     if len(times) < 2:
-        raise TrajectoryError(Sentence("motion.trajectory.too_few", count=len(times)))
+        raise TrajectoryError(f"{len(times)} waypoints; a motion needs at least two")
     if not np.all(np.isfinite(times)):
         row = int(np.argmin(np.isfinite(times)))
-        raise TrajectoryError(Sentence("motion.trajectory.time_not_finite", row=row, time=float(times[row])))
+        raise TrajectoryError(f"time of waypoint {row} is {float(times[row])}, not a finite number")
     times = whole_nanoseconds(times)
     if times[0] != 0.0:
-        raise TrajectoryError(Sentence("motion.trajectory.first_time", time=float(times[0])))
+        raise TrajectoryError(f"the first waypoint is at {float(times[0])} s; expected 0")
     late = np.flatnonzero(np.diff(times) <= 0.0)
     if len(late):
         row = int(late[0]) + 1
         raise TrajectoryError(
-            Sentence("motion.trajectory.time_order", row=row, time=float(times[row]), before=float(times[row - 1]))
+            f"waypoint {row} is at {float(times[row]):.9f} s, not after the one before at {float(times[row - 1]):.9f} s"
         )
     times[0] = 0.0  # -0.0 would change the hash
     times.flags.writeable = False

@@ -19,7 +19,6 @@ from urdf_parser_py.xml_reflection.core import ParseError
 from xacro.substitution_args import ArgException
 
 from construction_twin.core.errors import ConfigurationError, problem_of
-from construction_twin.core.sentences import Sentence
 from construction_twin.robot.packages import Packages
 
 _LOG = logging.getLogger(__name__)
@@ -36,15 +35,13 @@ def xacro_arguments(text: str) -> dict[str, str]:
     try:
         words = shlex.split(text)
     except ValueError as error:
-        raise ConfigurationError(
-            "robot_xacro_args", text, Sentence("expected.robot.words_but", problem=str(error))
-        ) from error
+        raise ConfigurationError("robot_xacro_args", text, f"words name=value, divided by spaces ({error})") from error
     arguments: dict[str, str] = {}
     for word in words:
         name, separator, value = word.partition("=")
         name = name.removesuffix(":")
         if not (name and separator):
-            raise ConfigurationError("robot_xacro_args", word, Sentence("expected.robot.words"))
+            raise ConfigurationError("robot_xacro_args", word, "words name=value, divided by spaces")
         arguments[name] = value
     return arguments
 
@@ -79,12 +76,14 @@ def expand_xacro(path: str | Path, arguments: Mapping[str, str] | None = None) -
     except xacro.XacroException as error:
         raise _refusal(str(path), error) from error
     except ExpatError as error:
-        raise ConfigurationError(str(path), _found(str(path), error), Sentence("expected.xml.well_formed")) from error
+        raise ConfigurationError(str(path), _found(str(path), error), "well-formed XML") from error
     unknown = sorted(set(arguments or {}) - given.used)
     if unknown:
         known = sorted(given.used)
         expected = (
-            Sentence("expected.robot.arguments", names=str(known)) if known else Sentence("expected.robot.no_arguments")
+            f"one of the arguments that the file has: {known}"
+            if known
+            else "one of the arguments that the file has: none"
         )
         raise ConfigurationError(f"{path} argument", unknown[0], expected)
     return document.toprettyxml(indent="  ")
@@ -123,8 +122,8 @@ def _refusal(path: str, error: xacro.XacroException) -> ConfigurationError:
         return cause
     if isinstance(cause, ArgException):
         where = f"{xacro.filestack[-1]} $(arg {cause})"
-        return ConfigurationError(where, "no value", Sentence("expected.robot.argument", argument=str(cause)))
-    return ConfigurationError(path, _found(path, error), Sentence("expected.robot.xacro"))
+        return ConfigurationError(where, "no value", f"one in robot_xacro_args, e.g. {cause}=...")
+    return ConfigurationError(path, _found(path, error), "a xacro file that expands")
 
 
 def _found(path: str, error: Exception) -> str:
@@ -141,7 +140,7 @@ def parse_urdf(urdf: str) -> URDF:
         with contextlib.redirect_stderr(remarks):
             model = URDF.from_xml_string(urdf.encode())
     except (ParseError, ElementTree.ParseError, AssertionError, KeyError, ValueError) as error:
-        raise ConfigurationError("URDF", str(error), Sentence("expected.urdf")) from error
+        raise ConfigurationError("URDF", str(error), "a URDF") from error
     for remark in remarks.getvalue().splitlines():
         _LOG.debug("URDF: %s", remark)
     return model
@@ -151,12 +150,12 @@ def chain_joints(model: URDF, base_link: str, tip_link: str) -> list[Joint]:
     """Return the joints from `base_link` to `tip_link`, fixed ones included."""
     for key, link in (("robot/base_link", base_link), ("robot/tip_link", tip_link)):
         if link not in model.link_map:
-            raise ConfigurationError(key, link, Sentence("expected.robot.link_of", links=str(sorted(model.link_map))))
+            raise ConfigurationError(key, link, f"one of the URDF's links {sorted(model.link_map)}")
     joints: list[Joint] = []
     link = tip_link
     while link != base_link:
         if link not in model.parent_map or len(joints) == len(model.joints):
-            raise ConfigurationError("robot/tip_link", tip_link, Sentence("expected.robot.descendant", base=base_link))
+            raise ConfigurationError("robot/tip_link", tip_link, f"a descendant of {base_link}")
         name, link = model.parent_map[link]
         joints.append(model.joint_map[name])
     return joints[::-1]
@@ -167,4 +166,4 @@ def read_text(path: str | Path) -> str:
     try:
         return Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(str(path), problem_of(error), Sentence("expected.text_file")) from error
+        raise ConfigurationError(str(path), problem_of(error), "a readable text file") from error

@@ -13,7 +13,6 @@ from xml.etree import ElementTree
 from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.controller.telegram import Reply
 from construction_twin.core.errors import ConfigurationError, TelegramError
-from construction_twin.core.sentences import Sentence
 from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP
 from construction_twin.rsi.status_channels import NAMES, RsiStatus, status_channels
 from construction_twin.rsi.telegram import (
@@ -66,7 +65,7 @@ class RobotEncoder:
     ):
         check_axis_names(axes)
         if not 1 <= precision <= 32:
-            raise ConfigurationError("precision", precision, Sentence("expected.xml.precision"))
+            raise ConfigurationError("precision", precision, "1 to 32 decimals")
         self._count = len(axes)
         self._units = [(unit.feedback_factor, unit.zero) for unit in axis_units(axes, units)]
         blocks = grouped(send)
@@ -177,12 +176,12 @@ class SensorDecoder:
         if root.get("Type") != self._sentype:
             raise TelegramError(
                 "sentype",
-                Sentence("telegram.reply.sentype", found=repr(root.get("Type", "")[:64]), expected=repr(self._sentype)),
+                f"the reply's Type is {root.get('Type', '')[:64]!r}; expected the SENTYPE {self._sentype!r}",
             )
         found = find_children(root, self._wanted)
         for element, _ in self._slots:
             if element not in found:
-                raise TelegramError("element", Sentence("telegram.reply.no_element", element=element))
+                raise TelegramError("element", f"the reply has no {element} element")
         values = [read_number(found[element], axis) for element, axis in self._slots]
         correction = tuple([value * factor for value, factor in zip(values, self._factors)])
         switched = self._switches(found.get(SET)) if self._switched else ()
@@ -190,22 +189,22 @@ class SensorDecoder:
 
     def _switches(self, element: ElementTree.Element | None) -> tuple[bool, ...]:
         if element is None:
-            raise TelegramError("element", Sentence("telegram.reply.no_element", element=SET))
+            raise TelegramError("element", f"the reply has no {SET} element")
         texts = [element.get(name) for name in self._switched]
         for name, text in zip(self._switched, texts):
             if text is None:
-                raise TelegramError("attribute", Sentence("telegram.no_attribute", element=SET, name=name))
+                raise TelegramError("attribute", f"{SET} has no {name}")
             if text not in ("0", "1"):
-                raise TelegramError("number", Sentence("telegram.bit", name=f"{SET} {name}", found=repr(text[:32])))
+                raise TelegramError("number", f"{SET} {name} is {text[:32]!r}; expected 0 or 1")
         return tuple([text == "1" for text in texts])
 
     def _stop(self, element: ElementTree.Element | None) -> bool | None:
         if element is None and self._stop_required:
-            raise TelegramError("element", Sentence("telegram.reply.no_element", element=STOP))
+            raise TelegramError("element", f"the reply has no {STOP} element")
         if element is None or self._stop_ignored:
             return None
         if element.text not in ("0", "1"):
-            raise TelegramError("number", Sentence("telegram.bit", name=STOP, found=repr((element.text or "")[:32])))
+            raise TelegramError("number", f"{STOP} is {(element.text or '')[:32]!r}; expected 0 or 1")
         return element.text == "1"
 
 
@@ -229,7 +228,7 @@ def _block(tags: tuple[str, ...], precision: int) -> str:
         element, _, attribute = name.partition(".")
         return f'<{element} {attribute}="%g"/>' if attribute else f"<{element}>%g</{element}>"
     known = (*POSE_BLOCKS, *AXIS_BLOCKS, "Delay", *NAMES, "Out.<output>", "In.<input>")
-    raise ConfigurationError("SEND", name, Sentence("expected.one_of", known=", ".join(known)))
+    raise ConfigurationError("SEND", name, f"one of {', '.join(known)}")
 
 
 def _pose_on_wire(pose: Sequence[float]) -> tuple[float, ...]:

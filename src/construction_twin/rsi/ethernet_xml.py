@@ -21,7 +21,6 @@ from xml.etree import ElementTree
 
 from construction_twin.controller.tool import ENABLE
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, RsiLayout
 from construction_twin.rsi.status_channels import doubled_channel
 from construction_twin.rsi.tool_channels import IN, OUT, SET, is_set_channel, names_of
@@ -86,9 +85,9 @@ def load_ethernet_xml(path: str | Path) -> EthernetXml:
             data = file.read(MAX_BYTES + 1)
         text = data.decode("utf-8-sig")
     except OSError as error:
-        raise EthernetXmlError(str(path), "file", error.strerror, Sentence("expected.xml.readable")) from error
+        raise EthernetXmlError(str(path), "file", error.strerror, "a readable RSI Ethernet XML") from error
     except UnicodeDecodeError as error:
-        raise EthernetXmlError(str(path), "file", str(error), Sentence("expected.xml.utf8")) from error
+        raise EthernetXmlError(str(path), "file", str(error), "text in UTF-8") from error
     return read_ethernet_xml(text, str(path))
 
 
@@ -102,13 +101,13 @@ def read_ethernet_xml(text: str, where: str) -> EthernetXml:
     config = _section(root, "CONFIG", where)
     protocol = config.findtext("PROTOCOL")
     if protocol is not None and protocol.strip().upper() != "UDP":
-        raise EthernetXmlError(where, "CONFIG/PROTOCOL", protocol, Sentence("expected.xml.protocol"))
+        raise EthernetXmlError(where, "CONFIG/PROTOCOL", protocol, "UDP or no such element: a KR C4 talks UDP only")
     onlysend = _text(config, "ONLYSEND", where).upper()
     if onlysend not in ("TRUE", "FALSE"):
-        raise EthernetXmlError(where, "CONFIG/ONLYSEND", onlysend, Sentence("expected.xml.true_or_false"))
+        raise EthernetXmlError(where, "CONFIG/ONLYSEND", onlysend, "TRUE or FALSE")
     sentype = _text(config, "SENTYPE", where)
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_.-]{0,63}", sentype):
-        raise EthernetXmlError(where, "CONFIG/SENTYPE", sentype, Sentence("expected.xml.name"))
+        raise EthernetXmlError(where, "CONFIG/SENTYPE", sentype, "a letter, then letters, digits, '_', '.' or '-'")
     send = _elements(root, "SEND", where)
     receive = _elements(root, "RECEIVE", where)
     for element in send:
@@ -149,21 +148,20 @@ def check_axes(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
         if channel == STOP:
             continue
         if axis not in ROBOT_AXES and axis not in EXTERNAL_AXES:
-            expected = Sentence("expected.xml.filled")
+            expected = (
+                "axis corrections (e.g. AK.A1), Stop, a tool's outputs (Set.Enable and e.g. Set.vacuum) and "
+                "outputs of type BOOL (Out.01) only: no other channel is filled; remove it from the file"
+            )
             raise EthernetXmlError(where, f"RECEIVE {channel}", channel, expected)
         if axis in elements:
-            raise EthernetXmlError(
-                where, f"RECEIVE {channel}", f"a second channel for {axis}", Sentence("expected.xml.one_channel")
-            )
+            raise EthernetXmlError(where, f"RECEIVE {channel}", f"a second channel for {axis}", "one channel per axis")
         if axis not in axes:
-            raise EthernetXmlError(
-                where, f"RECEIVE {channel}", axis, Sentence("expected.xml.axes", axes=", ".join(axes))
-            )
+            raise EthernetXmlError(where, f"RECEIVE {channel}", axis, f"the robot's axes {', '.join(axes)} only")
         elements[axis] = element
     for axis in axes:
         if axis not in elements:
             example = f"{'EK' if axis in EXTERNAL_AXES else 'AK'}.{axis}"
-            raise EthernetXmlError(where, f"RECEIVE {example}", None, Sentence("expected.xml.correction", axis=axis))
+            raise EthernetXmlError(where, f"RECEIVE {example}", None, f"a correction channel for {axis}, TYPE DOUBLE")
     for group in (ROBOT_AXES, EXTERNAL_AXES):
         names = sorted({element for axis, element in elements.items() if axis in group})
         if len(names) > 1:
@@ -171,8 +169,17 @@ def check_axes(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
                 where,
                 f"RECEIVE {names[1]}",
                 names,
-                Sentence("expected.xml.one_element", first=group[0], last=group[-1]),
+                f"one element for all of {group[0]} to {group[-1]}",
             )
+
+
+#: What the gateway reads of the position blocks, by DEF_; those of external axes where there are any.
+_MEANING = {
+    "AIPos": "the measured axes",
+    "ASPos": "the pose that corrections are relative to",
+    "EIPos": "the measured external axes",
+    "ESPos": "the external axes' programmed position",
+}
 
 
 def check_gateway(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
@@ -183,25 +190,24 @@ def check_gateway(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
             correction, and as `check_axes`.
     """
     check_axes(layout, axes, where)
-    blocks = ["AIPos", "ASPos"]
-    if any(axis in EXTERNAL_AXES for axis in axes):
-        blocks += ["EIPos", "ESPos"]
-    for block in blocks:
-        if block not in layout.send:
-            expected = Sentence("expected.xml.block", block=block, meaning=Sentence(f"expected.xml.block.{block}"))
+    external = any(axis in EXTERNAL_AXES for axis in axes)
+    for block in _MEANING:
+        if block not in layout.send and (external or block.startswith("A")):
+            expected = f'TAG="DEF_{block}" INDX="INTERNAL": {_MEANING[block]}'
             raise EthernetXmlError(where, f"SEND DEF_{block}", None, expected)
     if "Delay" not in layout.send and not layout.onlysend:
-        expected = Sentence("expected.xml.delay")
+        expected = (
+            'TAG="DEF_Delay" TYPE="LONG" INDX="INTERNAL": the count of late replies; without it '
+            "the reply after one that did not arrive would be a step"
+        )
         raise EthernetXmlError(where, "SEND DEF_Delay", None, expected)
     twice = doubled_channel(layout.send)
     if twice:
         name = twice.partition(".")[0]
-        raise EthernetXmlError(
-            where, f"SEND {twice}", f"a second channel for {name}", Sentence("expected.xml.one_of_both", name=name)
-        )
+        raise EthernetXmlError(where, f"SEND {twice}", f"a second channel for {name}", f"one: {name} or {name}.R")
     for channel, holdon in zip(layout.receive, layout.holdon):
         if channel != STOP and not holdon and not layout.onlysend:
-            expected = Sentence("expected.xml.holdon")
+            expected = '"1": with "0" one missed reply commands a jump back to the start pose'
             raise EthernetXmlError(where, f"RECEIVE {channel} HOLDON", "0", expected)
     _check_switched(layout, where)
 
@@ -213,12 +219,17 @@ def _check_switched(layout: RsiLayout, where: str) -> None:
         return
     if not holdon.get(ENABLE, False):
         declared = '"1"' if ENABLE in holdon else f'TAG="{SET}.{ENABLE}" TYPE="BOOL" HOLDON="1"'
-        expected = Sentence("expected.xml.enable", declared=declared)
+        expected = (
+            f"{declared}: until it is 1 the RSI context leaves the outputs as they are; without it RSI_ON "
+            "itself may open a grip"
+        )
         raise EthernetXmlError(where, f"RECEIVE {SET}.{ENABLE}", "HOLDON 0" if ENABLE in holdon else None, expected)
     read_back = names_of(OUT, layout.send)
     for name in layout.switched:
         if name != ENABLE and name not in read_back:
-            expected = Sentence("expected.xml.read_back", tag=f"{OUT}.{name}")
+            expected = (
+                f'TAG="{OUT}.{name}" in SEND, the output as DIGOUT reads it: what is not read back is not switched'
+            )
             raise EthernetXmlError(where, f"RECEIVE {SET}.{name}", None, expected)
 
 
@@ -241,31 +252,31 @@ def controller_sends_to(path: str | Path, layout: RsiLayout) -> str:
     for field in fields(RsiLayout):
         found, ours = getattr(ethernet.layout, field.name), getattr(layout, field.name)
         if found != ours:
-            expected = Sentence("expected.xml.as_configured", ours=str(ours))
+            expected = f"{ours} as in the configuration; export it again from this file"
             raise EthernetXmlError(str(path), field.name, found, expected)
     return ethernet.address
 
 
 def _document(text: str, where: str) -> ElementTree.Element:
     if len(text) > MAX_BYTES:
-        raise EthernetXmlError(where, "file", f"more than {MAX_BYTES} characters", Sentence("expected.xml.small"))
+        raise EthernetXmlError(where, "file", f"more than {MAX_BYTES} characters", "an RSI Ethernet XML of a few kB")
     # refused before the parser sees them, also in a comment: that rules out entity expansion
     for markup in ("<!DOCTYPE", "<!ENTITY"):
         if markup in text or "\0" in text:
-            raise EthernetXmlError(where, "file", markup, Sentence("expected.xml.plain"))
+            raise EthernetXmlError(where, "file", markup, "a plain XML without document type, entities or NUL")
     try:
         root = ElementTree.fromstring(text)
     except (ElementTree.ParseError, LookupError, ValueError) as error:
-        raise EthernetXmlError(where, "file", str(error), Sentence("expected.xml.well_formed")) from error
+        raise EthernetXmlError(where, "file", str(error), "well-formed XML") from error
     if root.tag != "ROOT":
-        raise EthernetXmlError(where, "file", root.tag[:64], Sentence("expected.xml.root"))
+        raise EthernetXmlError(where, "file", root.tag[:64], "the root element ROOT")
     return root
 
 
 def _section(root: ElementTree.Element, name: str, where: str) -> ElementTree.Element:
     found = root.findall(name)
     if len(found) != 1:
-        raise EthernetXmlError(where, name, f"{len(found)} of them", Sentence("expected.one"))
+        raise EthernetXmlError(where, name, f"{len(found)} of them", "one")
     return found[0]
 
 
@@ -277,7 +288,7 @@ def _text(config: ElementTree.Element, name: str, where: str) -> str:
             where,
             f"CONFIG/{name}",
             [element.text for element in found] or None,
-            Sentence("expected.xml.one_with_value"),
+            "one, with a value",
         )
     return texts[0]
 
@@ -285,7 +296,7 @@ def _text(config: ElementTree.Element, name: str, where: str) -> str:
 def _port(config: ElementTree.Element, where: str) -> int:
     text = _text(config, "PORT", where)
     if not re.fullmatch(r"[0-9]{1,5}", text) or not 0 < int(text) < 65536:
-        raise EthernetXmlError(where, "CONFIG/PORT", text, Sentence("expected.xml.port"))
+        raise EthernetXmlError(where, "CONFIG/PORT", text, "a UDP port from 1 to 65535")
     return int(text)
 
 
@@ -294,7 +305,7 @@ def _address(config: ElementTree.Element, where: str) -> str:
     try:
         return str(ipaddress.IPv4Address(text))
     except ipaddress.AddressValueError as error:
-        raise EthernetXmlError(where, "CONFIG/IP_NUMBER", text, Sentence("expected.xml.address")) from error
+        raise EthernetXmlError(where, "CONFIG/IP_NUMBER", text, "the IPv4 address of the PC") from error
 
 
 def _elements(root: ElementTree.Element, direction: str, where: str) -> list[_Element]:
@@ -306,19 +317,19 @@ def _elements(root: ElementTree.Element, direction: str, where: str) -> list[_El
         element = _Element(*(entry.get(name, "").strip() for name in ("TAG", "TYPE", "INDX", "HOLDON")))
         place = f"{direction} {element.tag[:64]}"
         if not _TAG(element.tag):
-            raise EthernetXmlError(where, place, element.tag, Sentence("expected.xml.tag"))
-        if element.type not in TYPES:
             raise EthernetXmlError(
-                where, f"{place} TYPE", element.type, Sentence("expected.one_of", known=", ".join(TYPES))
+                where, place, element.tag, 'a TAG of letters, digits and "_", at most one "." inside'
             )
+        if element.type not in TYPES:
+            raise EthernetXmlError(where, f"{place} TYPE", element.type, f"one of {', '.join(TYPES)}")
         if element.tag in (known.tag for known in elements):
-            raise EthernetXmlError(where, place, "it is there twice", Sentence("expected.xml.once"))
+            raise EthernetXmlError(where, place, "it is there twice", "each TAG once")
         _check_index(element, place, seen, where)
         if direction == "RECEIVE" and element.holdon not in ("0", "1"):
-            raise EthernetXmlError(where, f"{place} HOLDON", element.holdon, Sentence("expected.xml.bit"))
+            raise EthernetXmlError(where, f"{place} HOLDON", element.holdon, '"0" or "1"')
         elements.append(element)
     if direction == "SEND" and not elements:
-        raise EthernetXmlError(where, "SEND/ELEMENTS", None, Sentence("expected.xml.sends"))
+        raise EthernetXmlError(where, "SEND/ELEMENTS", None, "the elements that the controller sends")
     return elements
 
 
@@ -326,9 +337,9 @@ def _check_index(element: _Element, place: str, seen: set[str], where: str) -> N
     if element.index == "INTERNAL":
         return
     if not re.fullmatch(r"[1-9][0-9]?", element.index) or int(element.index) > 64:
-        raise EthernetXmlError(where, f"{place} INDX", element.index, Sentence("expected.xml.index"))
+        raise EthernetXmlError(where, f"{place} INDX", element.index, "INTERNAL or a channel from 1 to 64")
     if element.index in seen:
-        raise EthernetXmlError(where, f"{place} INDX", element.index, Sentence("expected.xml.free_index"))
+        raise EthernetXmlError(where, f"{place} INDX", element.index, "a channel that no other element has")
     seen.add(element.index)
 
 
@@ -336,7 +347,7 @@ def _check_internal(element: _Element, where: str) -> None:
     place = f"SEND {element.tag}"
     internal = element.index == "INTERNAL"
     if element.tag.startswith("DEF_") != internal:
-        raise EthernetXmlError(where, f"{place} INDX", element.index, Sentence("expected.xml.internal"))
+        raise EthernetXmlError(where, f"{place} INDX", element.index, "INTERNAL for DEF_ elements, and for no others")
     expected = INTERNAL.get(element.tag)
     if expected and element.type != expected:
         raise EthernetXmlError(where, f"{place} TYPE", element.type, expected)
@@ -345,9 +356,14 @@ def _check_internal(element: _Element, where: str) -> None:
 def _check_channel(element: _Element, where: str) -> None:
     place = f"RECEIVE {element.tag}"
     if _GENERATOR_1(element.tag):
-        raise EthernetXmlError(where, place, element.tag, Sentence("expected.xml.generator"))
+        raise EthernetXmlError(
+            where,
+            place,
+            element.tag,
+            ("another function generator: RSI uses number 1 itself, and the ETHERNET object would report RSIBad"),
+        )
     if element.tag.startswith("DEF_") != (element.index == "INTERNAL"):
-        raise EthernetXmlError(where, f"{place} INDX", element.index, Sentence("expected.xml.internal"))
+        raise EthernetXmlError(where, f"{place} INDX", element.index, "INTERNAL for DEF_ elements, and for no others")
     axis = element.tag.partition(".")[2]
     expected = (
         "DOUBLE"

@@ -17,7 +17,6 @@ from functools import partial
 from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.controller.telegram import Telegram
 from construction_twin.core.errors import TelegramError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.udp import MAX_TELEGRAM
 from construction_twin.rsi.layout import EXTERNAL_AXES, STOP, RsiLayout
 from construction_twin.rsi.telegram import (
@@ -202,7 +201,7 @@ class RobotDecoder:
             if not elements:
                 return None
             missing = next(block for block in blocks if block not in found)
-            raise TelegramError("element", Sentence("telegram.other_block", block=missing))
+            raise TelegramError("element", f"the telegram has no {missing}, but another block of the same kind")
         texts = [elements[block].get(axis) for block, axis in self._slots]
         for text in texts:
             if text is None or not is_number(text):

@@ -121,7 +121,7 @@ def check_tool(tool: GatewayTool | None, layout: RsiLayout, where: str) -> None:
     """
     if tool is None:
         if layout.switched:
-            expected = Sentence("expected.xml.no_tool")
+            expected = "no such channel, or the tool file that it belongs to (launch argument tool)"
             raise EthernetXmlError(where, f"RECEIVE {SET}.{layout.switched[0]}", "no tool", expected)
         return
     declared = {
@@ -141,22 +141,23 @@ def check_tool(tool: GatewayTool | None, layout: RsiLayout, where: str) -> None:
         foreign = [name for name in declared[element] if name not in wanted]
         if missing or foreign:
             name = (missing or foreign)[0]
-            expected = Sentence("expected.xml.as_tool_file", channels=f"{element}.{', '.join(wanted)}", tool=tool.name)
+            expected = f"{element}.{', '.join(wanted)}, as the tool file of {tool.name} has them"
             raise EthernetXmlError(where, f"{section} {element}.{name}", None if missing else name, expected)
     holdon = dict(zip(layout.switched, layout.switched_holdon))
     for output in tool.outputs:
         if output.name in holdon and holdon[output.name] is not HOLDON[output.on_stop]:
             found = str(int(holdon[output.name]))
-            expected = Sentence(
-                "expected.xml.on_stop", holdon=int(HOLDON[output.on_stop]), tool=tool.name, on_stop=output.on_stop
-            )
+            expected = f'"{int(HOLDON[output.on_stop])}": the tool file of {tool.name} says on_stop: {output.on_stop}'
             raise EthernetXmlError(where, f"RECEIVE {SET}.{output.name} HOLDON", found, expected)
 
 
 class RsiSessionRules:
     """One RSI session after the other, see `SessionRules`."""
 
-    drifted = "gateway.rsi.drifted"
+    drifted = (
+        "{distance} off where ASPos was: a program of the controller moves the arm while a stream does; if ASPos contains the "
+        "corrections, set reference to AIPos"
+    )
 
     def __init__(self, setup: Setup[RsiLayout]):
         self.follows = setup.reference == "ASPos"
@@ -176,12 +177,22 @@ class RsiSessionRules:
             self._empty_telegrams += 1
             return (), ""
         if measured is None or setpoint is None:
-            return (), Sentence("gateway.rsi.no_pose")
+            return (), Sentence(
+                "telegrams lack AIPos or ASPos, so the present correction is unknown: not answering; declare "
+                "DEF_AIPos and DEF_ASPos in the Ethernet XML"
+            )
         if telegram.missed is None:
-            return (), Sentence("gateway.rsi.no_delay")
+            return (), Sentence(
+                "telegrams lack Delay, so a reply that does not arrive would go unnoticed, and the next one "
+                "would be a step: not answering; declare DEF_Delay in the Ethernet XML"
+            )
         distance = distance_off(measured, setpoint, self._limits, self._tolerances)
         if distance:
-            return (), Sentence("gateway.rsi.joined", distance=distance)
+            return (), Sentence(
+                "{distance} off its programmed position already: joined a running session, not answering; it "
+                "times out, then start the program again",
+                distance=distance,
+            )
         return setpoint if self.follows else measured, ""
 
     def restarted(
@@ -197,14 +208,14 @@ class RsiSessionRules:
         if measured is None and setpoint is None:
             # so a session of RSI up to 2.3 begins, but no pose says that this is one: it is not answered
             self._empty_telegrams = 1
-            return Sentence("gateway.rsi.only_ipoc")
+            return Sentence("a telegram with nothing but IPOC")
         if not self.follows or measured is None or setpoint is None:
             return ""
         if moving and outside_tolerance(setpoint, origin, tolerances) is None:
             # at the beginning of a motion the servo may be no further yet
             return ""
         elsewhere = outside_tolerance(measured, setpoint, tolerances) is not None
-        return "" if elsewhere else Sentence("gateway.rsi.at_arm")
+        return "" if elsewhere else Sentence("ASPos is where the arm stands")
 
 
 #: Cycles that RSI has [ms], and their names in KRL (docs/rsi.md, section 1).
@@ -329,9 +340,9 @@ MAKE = Make(
     words=Words(
         protocol="RSI",
         stamp="IPOC",
-        read_only=Sentence("gateway.rsi.read_only"),
-        no_stop=Sentence("gateway.rsi.no_stop"),
-        ends=Sentence("gateway.rsi.ends"),
+        read_only=Sentence("read-only: the Ethernet XML has ONLYSEND TRUE"),
+        no_stop=Sentence("the Ethernet XML declares no Stop element: end the program on the pendant"),
+        ends=Sentence("RSI_MOVECORR ends as soon as the arm is at rest"),
         ended="RSI_MOVECORR ended",
         cycle="RSI_ON(..., {})",
         cycles=f"RSI_ON with {' or '.join(CYCLES.values())}",

@@ -22,12 +22,15 @@ PROGRAM_STATES = {1: "FREE", 2: "RESET", 3: "ACTIVE", 4: "STOP", 5: "END"}
 NAMES = ("Mode", "ProgStatus", "OvPro")
 ATTRIBUTE = "R"
 
-_MODE_SENTENCES = {1: Sentence("gateway.rsi.t1"), 2: Sentence("gateway.rsi.t2")}
+_MODE_SENTENCES = {
+    1: Sentence("the controller is in T1: the arm moves only while enabling switch and start key are held, and slowly"),
+    2: Sentence("the controller is in T2: the arm moves only while enabling switch and start key are held"),
+}
 _PROGRAM_SENTENCES = {
-    1: Sentence("gateway.rsi.free"),
-    2: Sentence("gateway.rsi.at_beginning"),
-    4: Sentence("gateway.rsi.program_stopped"),
-    5: Sentence("gateway.rsi.program_ended"),
+    1: Sentence("no program is selected on the controller (FREE): select and start the RSI program"),
+    2: Sentence("the controller's program is at its beginning (RESET): start it"),
+    4: Sentence("the controller's program is stopped (STOP): press start on the pendant"),
+    5: Sentence("the controller's program has ended (END): reset and start it"),
 }
 
 
@@ -61,8 +64,14 @@ class RsiStatus:
         """Why the arm may not move, or not as expected; "" when nothing of this kind is known."""
         parts = [_MODE_SENTENCES.get(self.mode or 0, ""), _PROGRAM_SENTENCES.get(self.program or 0, "")]
         if self.override is not None and self.override < 100.0:
-            key = "override" if self.override > 0.0 else "override_zero"
-            parts.append(Sentence(f"gateway.rsi.{key}", percent=self.override))
+            parts.append(
+                Sentence(
+                    "the override is {percent:g} %: the controller's own motions are slower by that, corrections are not"
+                    if self.override > 0.0
+                    else "the override is {percent:g} %: whether corrections act then is not known, set it to 100 %",
+                    percent=self.override,
+                )
+            )
         return both(*parts)
 
 

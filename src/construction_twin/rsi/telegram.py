@@ -16,7 +16,6 @@ from xml.etree import ElementTree
 
 from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.core.errors import ConfigurationError, TelegramError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.udp import MAX_TELEGRAM
 from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, default_element
 
@@ -49,19 +48,19 @@ def without_declaration(data: bytes) -> bytes:
 def read_document(data: bytes, root_tag: str) -> ElementTree.Element:
     """Return the root of a telegram; TelegramError when it is too large, not plain text, not XML, or another document."""
     if not 0 < len(data) <= MAX_TELEGRAM:
-        raise TelegramError("size", Sentence("telegram.size", size=len(data), most=MAX_TELEGRAM))
+        raise TelegramError("size", f"telegram of {len(data)} B; expected 1 to {MAX_TELEGRAM} B")
     # Without NUL, because "<" followed by NUL makes the parser read UTF-16, in which markup looks different from below.
     if not data.isascii() or b"\0" in data:
-        raise TelegramError("encoding", Sentence("telegram.encoding"))
+        raise TelegramError("encoding", "telegram holds bytes that are not ASCII text")
     # No controller sends any; refusing them before the parser sees them rules out entity expansion.
     if b"<!" in data or b"<?" in data:
-        raise TelegramError("markup", Sentence("telegram.markup"))
+        raise TelegramError("markup", "telegram holds a declaration, comment or processing instruction")
     try:
         root = ElementTree.fromstring(data)
     except ElementTree.ParseError as error:
-        raise TelegramError("xml", Sentence("telegram.xml", problem=str(error))) from error
+        raise TelegramError("xml", f"telegram is not well-formed: {error}") from error
     if root.tag != root_tag:
-        raise TelegramError("root", Sentence("telegram.root", root=repr(root.tag[:64]), expected=root_tag))
+        raise TelegramError("root", f"the telegram's root is {root.tag[:64]!r}; expected {root_tag}")
     return root
 
 
@@ -72,7 +71,7 @@ def find_children(root: ElementTree.Element, wanted: frozenset[str]) -> dict[str
         tag = child.tag
         if tag in wanted:
             if tag in found:
-                raise TelegramError("ipoc" if tag == "IPOC" else "element", Sentence("telegram.twice", name=tag))
+                raise TelegramError("ipoc" if tag == "IPOC" else "element", f"the telegram has {tag} twice")
             found[tag] = child
     return found
 
@@ -81,9 +80,9 @@ def read_ipoc(found: dict[str, ElementTree.Element]) -> int:
     """Return the telegram's IPOC; TelegramError (``ipoc``) without one."""
     element = found.get("IPOC")
     if element is None:
-        raise TelegramError("ipoc", Sentence("telegram.no_ipoc"))
+        raise TelegramError("ipoc", "the telegram has no IPOC")
     if len(element):
-        raise TelegramError("ipoc", Sentence("telegram.ipoc_elements"))
+        raise TelegramError("ipoc", "IPOC holds elements; expected a number")
     return read_count(element.text, "IPOC", "ipoc")
 
 
@@ -91,7 +90,7 @@ def read_count(text: str | None, name: str, reason: str) -> int:
     """Return a whole number of at most 64 bits."""
     if text is None or not _COUNT(text) or int(text) > _UINT64_MAX:
         shown = text if text is None else text[:32]
-        raise TelegramError(reason, Sentence("telegram.count", name=name, found=repr(shown), most=_UINT64_MAX))
+        raise TelegramError(reason, f"{name} is {shown!r}; expected a whole number from 0 to {_UINT64_MAX}")
     return int(text)
 
 
@@ -99,17 +98,17 @@ def read_number(element: ElementTree.Element, attribute: str, exponent: bool = F
     """Return an attribute that is a decimal number; `exponent` says whether it may have one."""
     text = element.get(attribute)
     if text is None:
-        raise TelegramError("attribute", Sentence("telegram.no_attribute", element=element.tag, name=attribute))
+        raise TelegramError("attribute", f"{element.tag} has no {attribute}")
     if not (is_number if exponent else _is_fixed)(text):
-        kind = "telegram.decimal" if exponent else "telegram.plain_decimal"
-        raise TelegramError("number", Sentence(kind, element=element.tag, name=attribute, found=repr(text[:32])))
+        expected = "a decimal number" if exponent else "a plain decimal number"
+        raise TelegramError("number", f"{element.tag} {attribute} is {text[:32]!r}; expected {expected}")
     return float(text)
 
 
 def axis_units(axes: tuple[str, ...], units: tuple[AxisUnit, ...]) -> tuple[AxisUnit, ...]:
     """Return `units`, or plain ones when none are given; ConfigurationError when they are not one per axis."""
     if units and len(units) != len(axes):
-        raise ConfigurationError("units", units, Sentence("expected.for_each", names=", ".join(axes)))
+        raise ConfigurationError("units", units, f"one for each of {', '.join(axes)}")
     return units or (AxisUnit(),) * len(axes)
 
 
@@ -119,7 +118,7 @@ def correction_channels(axes: tuple[str, ...], receive: tuple[str, ...]) -> tupl
     receive = receive or tuple(f"{default_element(axis)}.{axis}" for axis in axes)
     check_names("RECEIVE", receive)
     if sorted(channel.partition(".")[2] for channel in receive if channel != STOP) != sorted(axes):
-        raise ConfigurationError("RECEIVE", receive, Sentence("expected.xml.corrections", axes=", ".join(axes)))
+        raise ConfigurationError("RECEIVE", receive, f"one correction for each of {', '.join(axes)}")
     return receive
 
 
@@ -132,19 +131,19 @@ def check_axis_names(axes: Sequence[str]) -> None:
     """Raise ConfigurationError for a name that is no axis of RSI."""
     for axis in axes:
         if axis not in ROBOT_AXES and axis not in EXTERNAL_AXES:
-            raise ConfigurationError("axes", axis, Sentence("expected.xml.axis_names"))
+            raise ConfigurationError("axes", axis, "A1 to A6 or E1 to E6")
 
 
 def check_names(where: str, names: Sequence[str]) -> None:
     """Raise ConfigurationError for a name that cannot stand in a telegram."""
     for name in names:
         if not _NAME(name):
-            raise ConfigurationError(where, name, Sentence("expected.xml.name"))
+            raise ConfigurationError(where, name, "a letter, then letters, digits, '_', '.' or '-'")
 
 
 def check_values(name: str, values: Sequence[float], count: int) -> None:
     """Raise TelegramError (``number``) unless there are `count` values, all finite."""
     if len(values) != count:
-        raise TelegramError("number", Sentence("telegram.values", name=name, found=len(values), count=count))
+        raise TelegramError("number", f"{name} holds {len(values)} values; expected {count}")
     if not all(map(math.isfinite, values)):
-        raise TelegramError("number", Sentence("telegram.finite", name=name, found=str(tuple(values))))
+        raise TelegramError("number", f"{name} is {tuple(values)}; expected finite numbers")

@@ -17,7 +17,6 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from construction_twin.controller.tool import ENABLE, ToolReading, is_tool_name
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 
 #: Elements of the channels.
 SET, OUT, IN = "Set", "Out", "In"
@@ -97,7 +96,7 @@ def set_element(switched: Sequence[str], values: Sequence[bool]) -> str:
     """
     values = values or (False,) * len(switched)
     if len(values) != len(switched):
-        raise ConfigurationError(SET, tuple(values), Sentence("expected.xml.switches", names=", ".join(switched)))
+        raise ConfigurationError(SET, tuple(values), f"a value for each of {', '.join(switched)}")
     attributes = " ".join(f'{name}="{int(value)}"' for name, value in zip(switched, values))
     return f"<{SET} {attributes}/>" if attributes else ""
 

@@ -14,7 +14,6 @@ import pydantic
 import yaml
 
 from construction_twin.core.errors import ScenarioError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import radians
 from construction_twin.core.validation import wrong_value
 from construction_twin.mock.faults import KINDS
@@ -82,7 +81,7 @@ class Step(_Model):
     @pydantic.model_validator(mode="after")
     def _one_action(self) -> Step:
         if sum(action is not None for action in (self.move, self.approve, self.inject, self.call)) != 1:
-            raise ValueError(Sentence("expected.one_action"))
+            raise ValueError("exactly one of move, approve, inject and call")
         return self
 
     def __str__(self) -> str:
@@ -142,7 +141,7 @@ class Scenario(_Model):
 def make_scenario(name: str, content: object) -> Scenario:
     """Return the scenario that a YAML's key ``scenario`` holds."""
     if not isinstance(content, Mapping):
-        raise ScenarioError(Sentence("view.scenario.no_mapping", name=name, found=repr(content)))
+        raise ScenarioError(f"{name}: the key `scenario` holds {content!r}; expected title, steps, expect")
     try:
         return Scenario.model_validate({"name": name, **content})
     except pydantic.ValidationError as error:
@@ -155,7 +154,7 @@ def read_scenario(path: Path) -> Scenario:
         content = yaml.safe_load(path.read_text())
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         reason = getattr(error, "strerror", None) or " ".join(str(error).split())
-        raise ScenarioError(Sentence("view.scenario.unreadable", path=str(path), problem=reason)) from error
+        raise ScenarioError(f"{path}: cannot be read as YAML: {reason}") from error
     if not isinstance(content, Mapping) or "scenario" not in content:
-        raise ScenarioError(Sentence("view.scenario.no_key", path=str(path)))
+        raise ScenarioError(f"{path}: expected the key `scenario`, as config/scenarios/stall_replan.yaml has it")
     return make_scenario(re.sub(r"[^a-z0-9_]", "_", path.stem.lower()), content["scenario"])

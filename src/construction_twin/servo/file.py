@@ -10,7 +10,6 @@ import pydantic
 import yaml
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.validation import configuration_error
 from construction_twin.servo.model import JointServo, ServoModel
 
@@ -54,14 +53,14 @@ def read_servos(path: str | Path, names: Sequence[str]) -> ServoModel:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     # brackets nested by the thousand are a RecursionError, other bytes than UTF-8 and dates that do not exist a ValueError
     except (OSError, yaml.YAMLError, ValueError, RecursionError) as error:
-        problem = Sentence("expected.yaml", problem=" ".join(str(error).split()))
+        problem = f"YAML ({' '.join(str(error).split())})"
         raise ConfigurationError("servo_model", str(path), problem) from error
     try:
         file = _File.model_validate(content)
     except pydantic.ValidationError as error:
         raise configuration_error(error, _File) from error
     if set(file.joints) != set(names):
-        expected = Sentence("expected.servo_joints", names=", ".join(names))
+        expected = f"those of this arm: {', '.join(names)}"
         raise ConfigurationError("servo_model", ", ".join(file.joints), expected)
     servos = [file.joints[name] for name in names]
     kept = JointServo.__match_args__

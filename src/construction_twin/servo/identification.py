@@ -15,7 +15,6 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.servo.model import JointServo
 
@@ -86,17 +85,23 @@ class Identified:
 def identify(names: Sequence[str], drives: Sequence[Drive], cycle_ns: int) -> Identified:
     """Find the servo of every joint."""
     if not drives or not sum(int(drive.counts.sum()) for drive in drives):
-        raise ConstructionTwinError(Sentence("view.identify.nothing"))
+        raise ConstructionTwinError(
+            "the recording holds no motion that begins at rest and answers commands as they were given"
+        )
     period = cycle_ns / NANOSECONDS
     still = [name for joint, name in enumerate(names) if not _excited(drives, joint, period)]
     if still:
         raise ConstructionTwinError(
-            Sentence("view.identify.still", joints=", ".join(still), travel=TRAVEL, speed=SPEED)
+            f"the recording does not excite {', '.join(still)}: each joint must travel {TRAVEL:g} rad (m) "
+            f"at {SPEED:g} rad/s (m/s) or more"
         )
     found = tuple(_Fit(drives, joint, period).joint(name) for joint, name in enumerate(names))
     unsure = [each.name for each in found if not each.lag_error <= LAG_ERROR]
     if unsure:
-        raise ConstructionTwinError(Sentence("view.identify.unsure", joints=", ".join(unsure), error=LAG_ERROR * 1e3))
+        raise ConstructionTwinError(
+            f"the lag of {', '.join(unsure)} is not known to {LAG_ERROR * 1e3:g} ms: record more and "
+            "quicker motion of each joint"
+        )
     return Identified(found, cycle_ns)
 
 

@@ -12,7 +12,6 @@ from typing import Protocol
 
 from construction_twin.core.follower import Follower
 from construction_twin.core.limits import MotionLimits, outside_tolerance
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 
 #: Commands without an answer that are remembered: one second.
@@ -35,8 +34,11 @@ class GazeboTwin:
         """One sentence when Gazebo is silent or late; empty: it answers."""
         waiting = len(self._open)
         if waiting == _REMEMBERED:
-            return Sentence("physics.gazebo.silent")
-        return Sentence("physics.gazebo.late", late=waiting * CYCLE_NS // 1_000_000) if waiting > _LATE else ""
+            return (
+                "Gazebo has answered no command for 1 s, so the twin has no pose; what is commanded does not "
+                "depend on it"
+            )
+        return f"Gazebo is {waiting * CYCLE_NS // 1_000_000} ms behind what is commanded" if waiting > _LATE else ""
 
     def restart(self) -> None:
         """Forget nothing: the plugin puts the arm where the first command is that is away from the one before."""

@@ -213,7 +213,7 @@ def test_a_configuration_asked_for_is_kept_or_refused(slot):
             solution = INVERSE.nearest(pose, KR120.home, slot)
         except BranchError as error:
             refused += 1
-            available = error.sentence.values["available"]
+            available = error.available
             assert available and str(slot) not in available
         else:
             kept += 1

@@ -136,7 +136,7 @@ def test_configuration_on_the_track_is_kept_or_refused():
                 solution = RAIL.nearest(pose, TRACK.home, slot)
             except BranchError as error:
                 refused += 1
-                available = error.sentence.values["available"]
+                available = error.available
                 assert available and str(slot) not in available
             else:
                 kept += 1
