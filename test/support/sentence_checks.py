@@ -26,7 +26,10 @@ def _agrees(text: str, key: str, values: dict[str, Value]) -> bool:
     said = _sentence(text)
     if said is None or said.key != key:
         return False
-    return all(name in said.values and f"{said.values[name]}" == f"{value}" for name, value in values.items())
+    found = said.values
+    return all(
+        name in found and (found[name] == value or f"{found[name]}" == f"{value}") for name, value in values.items()
+    )
 
 
 def has_parts(text: str, *parts: str) -> bool:

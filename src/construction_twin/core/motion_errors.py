@@ -241,15 +241,18 @@ class PlanSizeError(PlanningError):
     """
 
     _OF = {
-        "duration": ("duration", "s", "ask for a faster or shorter motion"),
-        "waypoints": ("waypoints", "", "ask for fewer, or for a faster or shorter motion"),
-        "length": ("length of the tool's path", "m", "divide it into several"),
+        "duration": ("duration", "ask for a faster or shorter motion"),
+        "waypoints": ("waypoints", "ask for fewer, or for a faster or shorter motion"),
+        "length": ("length of the tool's path", "divide it into several"),
     }
 
     def __init__(self, quantity: str, value: float, limit: float):
         self.quantity, self.value, self.limit = quantity, value, limit
-        what, unit, to_do = self._OF[quantity]
-        found, most = (Quantity(number, unit) for number in (value, limit))
+        what, to_do = self._OF[quantity]
+        found, most = (
+            f"{Quantity(number, 'm')}" if quantity == "length" else f"{number:g}{' s' * (quantity == 'duration')}"
+            for number in (value, limit)
+        )
         super().__init__(f"the plan's {what} would be {found}; this planner takes at most {most}, {to_do}")
 
 
