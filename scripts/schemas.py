@@ -34,7 +34,6 @@ from construction_twin.views.message_history import Message
 from construction_twin.views.scene_view import SceneView
 from construction_twin.views.status_line import Line
 
-_WIDTH = 132
 #: What the page checks, by the name of the constant in web/src/schemas.js; of a kind of request its answer. `pause/ack` is as
 #: `stop/ack`.
 CHECKED: dict[str, Any] = {
@@ -96,18 +95,18 @@ def _inlined(node: dict[str, Any], known: Mapping[str, Any], words: bool) -> dic
 def view_schema() -> str:
     """Return the JSON Schema of `view` as text."""
     head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": f"view, version {VERSION}"}
-    return f"{_text(head | schema(View))}\n"
+    return json.dumps(head | schema(View), ensure_ascii=False, indent=1) + "\n"
 
 
 def page_schemas() -> str:
     """Return the text of web/src/schemas.js."""
     constants = [
-        f"/** {_about(kind)}. */\nexport const {name} = {_text(schema(kind, words=False))};\n"
+        f"/** {_about(kind)}. */\nexport const {name} = {json.dumps(schema(kind, words=False))};\n"
         for name, kind in CHECKED.items()
     ]
     reasons = (
         f"/** Beginnings of the keys of reasons and answers, as core/sentences.py has them. */\n"
-        f"export const REASONS = {_text(list(REASONS))};\n"
+        f"export const REASONS = {json.dumps(list(REASONS))};\n"
     )
     head = "// Made from the records by scripts/schemas.py; check.js and sentences.js read it.\n"
     return "\n".join([head, *constants, reasons])
@@ -118,32 +117,6 @@ def _about(kind: Any) -> str:
         return f"A message on <prefix>/<robot>/{kind.ack.format('<account>')}"
     made = schema(kind)
     return made.get("items", made)["description"].partition(".")[0]
-
-
-def _text(value: Any, indent: str = "", before: int = 0) -> str:
-    """Return JSON in which what fits into a line stands in one; `before` is what already stands in this line."""
-    line = json.dumps(value, ensure_ascii=False)
-    if len(indent) + before + len(line) < _WIDTH or not isinstance(value, (dict, list)):
-        return line
-    deeper = f"{indent}  "
-    if isinstance(value, dict):
-        items = [f'"{key}": {_text(item, deeper, len(key) + 4)}' for key, item in value.items()]
-        return "{\n" + ",\n".join(deeper + item for item in items) + f"\n{indent}}}"
-    items = [_text(item, deeper) for item in value]
-    if all(isinstance(item, str) for item in value):
-        # names, as many in a line as fit
-        return f"[\n{_filled(items, deeper)}\n{indent}]"
-    return "[\n" + ",\n".join(deeper + item for item in items) + f"\n{indent}]"
-
-
-def _filled(items: Sequence[str], indent: str) -> str:
-    lines = [indent]
-    for number, item in enumerate(items):
-        piece = item + ("," if number < len(items) - 1 else "")
-        if len(lines[-1]) + 1 + len(piece) > _WIDTH:
-            lines.append(indent)
-        lines[-1] += piece if lines[-1] == indent else f" {piece}"
-    return "\n".join(lines)
 
 
 if __name__ == "__main__":

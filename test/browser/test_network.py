@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 from console_page import CHROMIUM, ConsolePage, launch
 from console_site import ConsoleSite
-from netem import CELL_PC, ROS_PC, Namespaces, why_no_namespaces
+from namespaces import CELL_PC, ROS_PC, Namespaces, why_no_namespaces
 from playwright.sync_api import expect
 from processes import wait_until
 

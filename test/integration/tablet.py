@@ -29,7 +29,7 @@ class Tablet:
         self.account = known.user
         self._refused: dict[int, bool] = {}
         self.heard: dict[str, list[tuple[bytes, bool]]] = {
-            topic: [] for topic in (topics.plan, topics.view, topics.review_ack, topics.stop_ack, topics.pause_ack)
+            topic: [] for topic in (topics.plan, topics.view, topics.review_ack, topics.stop_ack)
         }
         broker = Broker("localhost", port, account=known)
         self.client = make_client(broker, unique_id(topics.robot, "tablet"), "unused")
@@ -69,23 +69,16 @@ class Tablet:
         wait(lambda: info.mid in self._refused, f"the broker's answer on {topic}")
         return not self._refused.pop(info.mid)
 
-    def press(self, verb: str, by: str = "executor") -> dict:
-        """Publish on `<verb>/<account>`; return the answer of gateway or executor."""
-        topics = self._topics
-        topic, ack = {
-            "stop": (topics.stop_by, topics.stop_ack),
-            "pause": (topics.pause_by, topics.pause_ack),
-            "resume": (topics.resume_by, topics.pause_ack),
-        }[verb]
+    def stop(self) -> dict:
+        """Publish on `stop/<account>`; return the answer of the gateway."""
         id_ = uuid.uuid4().hex
-        content = {"id": id_} | ({"moment": self.moment} if verb == "resume" else {})
-        self.client.publish(topic(self.account), json.dumps(content), qos=1)
+        self.client.publish(self._topics.stop_by(self.account), json.dumps({"id": id_}), qos=1)
 
         def answers() -> list[dict]:
-            found = [json.loads(payload) for payload, _ in list(self.heard[ack])]
-            return [answer for answer in found if (answer["id"], answer["by"]) == (id_, by)]
+            found = [json.loads(payload) for payload, _ in list(self.heard[self._topics.stop_ack])]
+            return [answer for answer in found if (answer["id"], answer["by"]) == (id_, "gateway")]
 
-        wait(answers, f"an answer to {verb} by the {by}")
+        wait(answers, "the gateway's answer to the stop")
         return answers()[0]
 
     def verdict(self, plan: dict, verdict: str, **changes) -> dict:

@@ -125,7 +125,7 @@ class SiteTest(unittest.TestCase):
             still = arm.positions()[-1]
             self.assertTrue(self.tablet.verdict(self.tablet.plan, "approved")["ok"])
             wait(lambda: abs(arm.positions()[-1] - still).max() > 0.02, "motion")
-            answer = self.tablet.press("stop", "gateway")
+            answer = self.tablet.stop()
             self.assertTrue(answer["ok"], answer)
             self.assertEqual(answer["account"], "anna")
             # by the executor, or by the gate that closes when the gateway brakes: whichever is first

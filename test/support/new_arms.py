@@ -32,16 +32,7 @@ def _turn(origin, axis, lower, upper, speed, size, centre, rpy="0 0 0") -> tuple
 
 
 _SIX = [f"A{number}" for number in range(1, 7)]
-#: A heavy industrial arm: spherical wrist, 2.9 m of reach.
-HEAVY = Arm("heavy_210", "base_link", "tool0", _SIX, (
-    _turn("0 0 0.35", "0 0 -1", -185, 185, 2.1, "0.6 0.5 0.5", "0.1 0 0.2"),
-    _turn("0.35 0 0.4", "0 1 0", -45, 85, 2.0, "0.3 0.35 1.25", "0 -0.3 0.6"),
-    _turn("0 0 1.25", "0 1 0", -210, 65, 2.0, "1.1 0.3 0.4", "0.2 0.1 0"),
-    _turn("0.9 0 -0.05", "-1 0 0", -350, 350, 3.1, "0.4 0.2 0.2", "0.25 0 0"),
-    _turn("0.6 0 0", "0 1 0", -125, 125, 3.0, "0.2 0.14 0.14", "0.02 0 0"),
-    _turn("0.19 0 0", "-1 0 0", -350, 350, 3.8, "0.02 0.15 0.15", "0.01 0 0"),
-))  # fmt: skip
-#: A lighter industrial arm of another maker: 1.5 m of reach, its zero is straight up and forward.
+#: An industrial arm with a spherical wrist: 1.5 m of reach, its zero is straight up and forward.
 LIGHT = Arm("light_16", "base_link", "tool0", _SIX, (
     _turn("0 0 0.35", "0 0 1", -180, 180, 2.6, "0.4 0.4 0.3", "0 0 0.1"),
     _turn("0.1 0 0.265", "0 1 0", -100, 110, 2.6, "0.2 0.2 0.7", "0 0.15 0.35"),
@@ -74,7 +65,7 @@ RAIL = Arm("light_on_rail", "base_link", "tool0", ["E1", *_SIX], (
     ("prismatic", "0 0 0.3", "0 0 0", "0 1 0", -1.5, 1.5, 1.2, "0.6 0.6 0.2", "0 0 0"),
     *LIGHT.joints,
 ))  # fmt: skip
-ARMS = (HEAVY, LIGHT, TEN, SEVEN, RAIL)
+ARMS = (LIGHT, TEN, SEVEN, RAIL)
 
 
 def write_arm(folder: Path, arm: Arm) -> Path:
@@ -92,12 +83,7 @@ def write_arm(folder: Path, arm: Arm) -> Path:
         ]
         parent = link
     # Z out of the flange, as KUKA's $TOOL
-    flange = {
-        "heavy_210": f"0 {_HALF} 0",
-        "light_16": f"0 {_HALF} 0",
-        "light_on_rail": f"0 {_HALF} 0",
-        "ten_kilos": f"{-_HALF} 0 0",
-    }
+    flange = {"light_16": f"0 {_HALF} 0", "light_on_rail": f"0 {_HALF} 0", "ten_kilos": f"{-_HALF} 0 0"}
     parts += [
         f'<joint name="flange" type="fixed"><parent link="{parent}"/><child link="{arm.tip}"/>',
         f'  <origin xyz="0 0 0" rpy="{flange.get(arm.name, "0 0 0")}"/></joint>',

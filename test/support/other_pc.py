@@ -17,7 +17,7 @@ import rospy
 from actionlib_msgs.msg import GoalID
 from construction_twin.msg import Execution, Link, Plan, Sync
 from construction_twin.srv import ReviewPlan
-from netem import CELL_PC, ROS_PC, Namespaces
+from namespaces import CELL_PC, ROS_PC, Namespaces
 from processes import ROOT, wait_until
 
 #: Other namespaces are other networks: ports are free there.

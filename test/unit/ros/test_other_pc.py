@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 from construction_twin.msg import Execution, Link, Sync
-from netem import Namespaces, why_no_namespaces
+from namespaces import Namespaces, why_no_namespaces
 from other_pc import OtherPc, TwinPc
 from processes import wait_until
 

@@ -1,4 +1,4 @@
-"""Two network namespaces with a line between them, and the kernel's `netem` on it where it exists. Needs root; for tests only."""
+"""Two network namespaces with a line between them. Needs root; for tests only."""
 
 from __future__ import annotations
 
@@ -8,18 +8,9 @@ import secrets
 import subprocess
 from contextlib import contextmanager
 
-from impairment_profiles import Profile
-
 #: Addresses of the two ends: the ROS PC and the cell PC. Nobody but the two namespaces sees them.
 ROS_PC, CELL_PC = "10.197.0.1", "10.197.0.2"
 _CLONE_NEWNET = 0x40000000
-_TC, _ROOT = ("tc", "qdisc"), ("dev", "line", "root")
-
-
-def netem_arguments(profile: Profile) -> list[str]:
-    """Return delay, jitter and loss of a profile as arguments of ``tc qdisc ... netem``."""
-    delay = ["delay", f"{profile.delay * 1e3:g}ms", f"{profile.jitter * 1e3:g}ms"]
-    return ["limit", "10000", *delay, "loss", f"{profile.loss * 100:g}%"]
 
 
 class Namespaces:
@@ -44,18 +35,6 @@ class Namespaces:
     def __exit__(self, *_) -> None:
         for space in (self.ros, self.cell):
             subprocess.run(["ip", "netns", "delete", space], capture_output=True)
-
-    @contextmanager
-    def shaped(self, profile: Profile):
-        """Put a profile on both ends of the line while the block runs."""
-        try:
-            for space in (self.ros, self.cell):
-                self.inside(space, *_TC, "add", *_ROOT, "netem", *netem_arguments(profile))
-            yield
-        finally:
-            for space in (self.ros, self.cell):
-                # an end without settings may have nothing to delete
-                subprocess.run([*self.prefix(space), *_TC, "delete", *_ROOT], capture_output=True)
 
     @contextmanager
     def entered(self):
@@ -88,25 +67,10 @@ def why_no_namespaces() -> str:
     """Return why namespaces cannot be made here; "" when they can."""
     if os.name != "posix" or os.geteuid() != 0:
         return "network namespaces need root"
-    return _why_not(lambda spaces: None)
-
-
-def why_no_netem() -> str:
-    """Return why `netem` cannot be used here; "" when it can. Tried in a namespace of its own."""
-
-    def shape(spaces: Namespaces) -> None:
-        with spaces.shaped(Profile(delay=0.02)):
-            pass
-
-    return why_no_namespaces() or _why_not(shape)
-
-
-def _why_not(action) -> str:
     try:
-        with Namespaces() as spaces:
-            action(spaces)
+        with Namespaces():
+            return ""
     except FileNotFoundError as error:
         return f"{error.filename} is not installed"
     except subprocess.CalledProcessError as error:
         return f"`{' '.join(error.cmd)}`: {(error.stderr or '').strip() or error}"
-    return ""
