@@ -65,9 +65,6 @@ class KillTest(Interruption):
         pids = [int(file.parent.name) for file in names if file.read_text().strip() == "mosquitto"]
         return next((pid for pid in pids if self.port in listening_ports(pid)), 0)
 
-    def test_stop_at_the_gateway(self):
-        self.halt_and_recover()
-
 
 if __name__ == "__main__":
     rostest.rosrun("construction_twin", "kill", KillTest, sys.argv)

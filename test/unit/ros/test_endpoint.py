@@ -17,11 +17,6 @@ def test_ten_in_a_second_for_each_account_and_the_rest_is_counted():
     assert answers.report() == {"verdicts malformed, not answered": 3}
 
 
-def test_nothing_is_reported_where_all_were_answered():
-    answers = RequestCounts("verdicts", clock=lambda: 0)
-    assert answers.is_due("ada") and answers.report() == {}
-
-
 def test_what_became_of_a_request_is_counted_in_a_word():
     counts = RequestCounts("ik", "solved", "not solved")
     for ok, word in ((True, ""), (False, ""), (True, "free"), (True, "free")):
