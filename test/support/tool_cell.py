@@ -40,13 +40,12 @@ class ToolCell:
 
     Args:
         layout, tool: Default: the shipped ones.
-        gated: Bool. See `SimulatedTool`.
         commissioning: Bool
         changes: Of the gateway's configuration.
     """
 
-    def __init__(self, layout=LAYOUT, tool=TOOL, gated=True, commissioning=False, **changes):
-        mock = dataclasses.replace(CONFIG, layout=layout, gripper=GRIPPER, tool_gated=gated)
+    def __init__(self, layout=LAYOUT, tool=TOOL, commissioning=False, **changes):
+        mock = dataclasses.replace(CONFIG, layout=layout, gripper=GRIPPER)
         self.config = GatewayConfig(
             "arm", AXES, mock.lower, mock.upper, mock.velocity, mock.acceleration, layout=layout, tool=tool, **changes
         )

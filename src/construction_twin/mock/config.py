@@ -41,7 +41,7 @@ class MockConfig:
         first_stamp: Of the first packet [ms].
         restart_gap: How far the controller's clock has advanced when the next session starts [ms].
         gripper: What the tool does, where the layout has channels of one.
-        tool_gated: False: the controller maps the outputs plainly, so that a session's begin switches them off (`gripper`).
+
     """
 
     axes: tuple[str, ...]
@@ -65,7 +65,6 @@ class MockConfig:
     first_stamp: int = 4_208_163_634
     restart_gap: int = 10_000
     gripper: Gripper = Gripper()
-    tool_gated: bool = True
 
     def __post_init__(self) -> None:
         if self.layout is None:

@@ -109,7 +109,7 @@ class MockController:
         self._encode, self._decode, self._status = side.encode, side.decode, side.status
         self.tool: SimulatedTool | None = None
         if layout.switched or layout.outputs or layout.inputs:
-            self.tool = SimulatedTool(layout, config.gripper, config.period, config.tool_gated)
+            self.tool = SimulatedTool(layout, config.gripper, config.period)
         #: Per axis, whether a missed reply keeps its correction.
         self._holds = side.holds
         self._stop_declared, self._holds_stop = layout.stop, side.holds_stop

@@ -1,11 +1,7 @@
 """The tool at the mock's flange: the controller's outputs and inputs, what connects them to telegrams, and a simulated gripper.
 
-Outputs outlive every session, as on a controller. What the controller does with the channels of a reply is one of two:
-
-* gated, as the files in krl/ do it: set and reset behind `ENABLE`. They act on rising edges, and leave an output alone while the
-  channel is 0, which it is from the session's begin to the first reply that says otherwise;
-* plain: every output follows its channel from the session's begin on, whose first value is 0. A grip that is closed by a 1 opens
-  then. The mock can do it, so that a test can show it.
+Outputs outlive every session, as on a controller. The channels of a reply set and reset them behind `ENABLE`, as in the files of
+krl/: on rising edges, and not while the channel is 0, which it is from the session's begin to the first reply that says otherwise.
 
 Gripper: `time` after the outputs read what closes (opens) it, the inputs read what confirms that. Pure; cycles are counted.
 """
@@ -48,11 +44,10 @@ class SimulatedTool:
         fails, lost, hidden: Faults: the grip does not close; it has let go; the telegrams do not tell the outputs.
     """
 
-    def __init__(self, layout: Layout, gripper: Gripper, period: float, gated: bool = True):
+    def __init__(self, layout: Layout, gripper: Gripper, period: float):
         self._names = layout.switched
         self._holdon = layout.switched_holdon
         self._gripper = gripper
-        self._gated = gated
         self._wait = max(1, round(gripper.time / period))
         self.outputs = {name: False for name in layout.outputs}
         self.inputs = {name: False for name in layout.inputs}
@@ -71,8 +66,6 @@ class SimulatedTool:
         """Begin a session: every channel of a reply is 0 before the first reply; outputs stay."""
         self._channels = (False,) * len(self._names)
         self._edges: dict[str, bool | None] = {}
-        if not self._gated:
-            self._map()
 
     def take(self, switched: tuple[bool, ...]) -> None:
         """Take the channels of a valid reply."""
@@ -88,9 +81,6 @@ class SimulatedTool:
         values = dict(zip(self._names, self._channels))
         enabled = values.pop(ENABLE, False)
         for name, value in values.items():
-            if not self._gated:
-                self.outputs[name] = value
-                continue
             # AND of Enable with the channel sets, AND of Enable with its opposite resets, each on a rising edge
             edge = value if enabled else None
             if edge is not None and edge is not self._edges.get(name):

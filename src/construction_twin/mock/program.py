@@ -130,7 +130,6 @@ class MockSettings(pydantic.BaseModel):
     fault_seed: Annotated[int, pydantic.Field(ge=0)] = 0
     restart_after: Annotated[float, pydantic.Field(ge=0)] = 0.0
     tool: dict = {}
-    tool_gated: bool = True
     realtime_priority: Annotated[int, pydantic.Field(ge=0, le=99)] = 0
 
     @pydantic.field_validator("make")
@@ -175,7 +174,6 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
         timeout=settings.timeout,
         stop_required=settings.stop_required,
         gripper=_gripper(settings),
-        tool_gated=settings.tool_gated,
     )
     return MockController(config, build_servo(settings, robot), make_forward_kinematics(robot))
 
