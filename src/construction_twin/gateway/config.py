@@ -245,10 +245,9 @@ def _with_tuples(document: dict) -> dict:
 def load_config(path: str) -> GatewayConfig:
     """Read a configuration file; ConfigurationError when it is missing or does not fit."""
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        # what is no text is no JSON either
+        text = Path(path).read_text(encoding="utf-8", errors="replace")
     except OSError as error:
         expected = "a readable file written by export_gateway_config"
         raise ConfigurationError(path, error.strerror, expected) from error
-    except UnicodeDecodeError as error:
-        raise ConfigurationError(path, str(error), "a file written by export_gateway_config") from error
     return parse_config(text, path)

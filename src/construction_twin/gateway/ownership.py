@@ -40,12 +40,9 @@ class Ownership:
         self.intruder = ""
         self.intrusions = 0
 
-    def begin(self, session: str) -> bool:
-        """Give a session its turn; return False when it has had it: it is stale, or a recording of it is being replayed."""
-        if session in self._had_their_turn:
-            return False
+    def begin(self, session: str) -> None:
+        """Give a session its turn."""
         self._had_their_turn.add(session)
-        return True
 
     def knows(self, session: str) -> bool:
         """Return whether a session has had its turn; what still comes from it was sent before its end."""

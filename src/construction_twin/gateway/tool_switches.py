@@ -25,7 +25,7 @@ from construction_twin.core.units import NANOSECONDS
 
 #: A switch further ahead of the playout than this is refused [s]: it would be one for a motion that nobody sees yet.
 MOST_AHEAD = 2.0
-#: Switches that are told, and so many may wait.
+#: Switches that are told.
 MOST_REPORTED = 16
 #: Longest id of a switch, and name of an output [characters].
 LONGEST_TEXT = 160
@@ -339,8 +339,6 @@ class ToolSwitches:
             return Sentence(
                 "the stamp lies {seconds:.3f} s ahead of the playout; at most {most:g} s", seconds=lead, most=MOST_AHEAD
             )
-        if len(self._armed) >= MOST_REPORTED:
-            return Sentence("{count} switches wait already", count=MOST_REPORTED)
         return ""
 
     def void(self, why: str) -> int:

@@ -22,7 +22,6 @@ from xml.etree import ElementTree
 from construction_twin.controller.tool import ENABLE
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, RsiLayout
-from construction_twin.rsi.status_channels import doubled_channel
 from construction_twin.rsi.tool_channels import IN, OUT, SET, is_set_channel, names_of
 
 
@@ -201,10 +200,6 @@ def check_gateway(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
             "the reply after one that did not arrive would be a step"
         )
         raise EthernetXmlError(where, "SEND DEF_Delay", None, expected)
-    twice = doubled_channel(layout.send)
-    if twice:
-        name = twice.partition(".")[0]
-        raise EthernetXmlError(where, f"SEND {twice}", f"a second channel for {name}", f"one: {name} or {name}.R")
     for channel, holdon in zip(layout.receive, layout.holdon):
         if channel != STOP and not holdon and not layout.onlysend:
             expected = '"1": with "0" one missed reply commands a jump back to the start pose'

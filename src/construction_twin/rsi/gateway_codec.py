@@ -153,10 +153,6 @@ class RobotDecoder:
         if known:
             return known
         document = without_declaration(data)
-        if document is not data and self._shape is not None:
-            known = self._of_shape(self._shape, document)
-            if known:
-                return known
         found = find_children(read_document(document, "Rob"), self._wanted)
         delay = found.get("Delay")
         telegram = Telegram(

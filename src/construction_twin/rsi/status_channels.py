@@ -80,16 +80,6 @@ def status_channels(send: Sequence[str]) -> tuple[str, ...]:
     return tuple(tag for tag in send if _name_of(tag))
 
 
-def doubled_channel(send: Sequence[str]) -> str:
-    """Return the second TAG of an optional channel that is declared twice, plain and dotted; "" for none."""
-    seen: set[str] = set()
-    for tag in status_channels(send):
-        if _name_of(tag) in seen:
-            return tag
-        seen.add(_name_of(tag))
-    return ""
-
-
 def _name_of(tag: str) -> str:
     """Return the channel that a TAG stands for; "" when it is none."""
     name, dot, attribute = tag.partition(".")
