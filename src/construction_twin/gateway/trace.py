@@ -39,7 +39,7 @@ def room(axes: int, cycles: int = DEFAULT_CYCLES) -> int:
     return _HEADER.size + cycles * _entry(axes).size
 
 
-def check_trace(path: str, axes: int) -> None:
+def check_trace(path: str, axes: int, cycles: int = DEFAULT_CYCLES) -> None:
     """Raise a ConfigurationError where `TraceWriter` would; change nothing."""
     file = Path(path).resolve()
     if file.exists() and not file.is_file():
@@ -48,15 +48,16 @@ def check_trace(path: str, axes: int) -> None:
             path,
             "a regular file, or a path where none is yet; this is a device, a folder, a pipe or a socket",
         )
-    if not os.access(file if file.exists() else file.parent, os.W_OK):
+    if not os.access(file.parent, os.W_OK):
         problem = "no such folder" if not file.parent.is_dir() else "Permission denied"
         raise ConfigurationError("--trace", path, f"a file that can be written ({problem})")
     there = file.stat().st_blocks * 512 if file.exists() else 0
-    if shutil.disk_usage(file.parent).free + there < (needed := room(axes)):
-        problem = os.strerror(errno.ENOSPC)
-        raise ConfigurationError(
-            "--trace", path, f"a file on a disk with {needed / 1e6:.1f} MB of room, reserved at the start ({problem})"
-        )
+    if shutil.disk_usage(file.parent).free + there < (needed := room(axes, cycles)):
+        raise ConfigurationError("--trace", path, _room_of(needed, os.strerror(errno.ENOSPC)))
+
+
+def _room_of(size: int, problem: str) -> str:
+    return f"a file on a disk with {size / 1e6:.1f} MB of room, reserved at the start ({problem})"
 
 
 @dataclass(frozen=True)
@@ -101,26 +102,15 @@ class TraceWriter:
         self._end = room(axes, cycles)
         self._at = _HEADER.size
         self.dropped = 0
+        check_trace(path, axes, cycles)
         file = Path(path).resolve()
-        if file.exists() and not file.is_file():
-            raise ConfigurationError(
-                "--trace",
-                path,
-                "a regular file, or a path where none is yet; this is a device, a folder, a pipe or a socket",
-            )
         try:
             file.unlink(missing_ok=True)
             self._file = file.open("x+b")
-        except OSError as error:
-            raise ConfigurationError("--trace", path, f"a file that can be written ({error.strerror})") from error
-        try:
             os.posix_fallocate(self._file.fileno(), 0, self._end)
         except OSError as error:
-            file.unlink()
-            self._file.close()
-            expected = (
-                f"a file on a disk with {self._end / 1e6:.1f} MB of room, reserved at the start ({error.strerror})"
-            )
+            file.unlink(missing_ok=True)
+            expected = _room_of(self._end, str(error.strerror))
             raise ConfigurationError("--trace", path, expected) from error
         self._memory = mmap.mmap(self._file.fileno(), self._end)
         _HEADER.pack_into(self._memory, 0, MAGIC, axes, self._entry.size)
