@@ -14,7 +14,6 @@ import threading
 import time
 from collections import Counter
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +24,6 @@ from impairment_profiles import Profile
 from processes import ROOT, BrokerProcess, wait_until
 
 from construction_twin.core.errors import ReviewError
-from construction_twin.core.limits import MotionLimits
 from construction_twin.core.udp import bind
 from construction_twin.core.units import CYCLE, radians
 from construction_twin.gateway.trace import TraceEntry, read_trace
@@ -185,12 +183,6 @@ class FaultCell:
         self.wait_until_following()
         assert not self.mock.said("stopped"), self.describe()
 
-    def freeze_gateway(self, seconds: float) -> None:
-        """Let the gateway not run for a while: its replies are late."""
-        self.gateway.send(signal.SIGSTOP)
-        time.sleep(seconds)
-        self.gateway.send(signal.SIGCONT)
-
     def start_gateway(self) -> None:
         """Start the gateway's program, with a trace of its own."""
         trace = self._folder / f"trace{len(self._traces)}"
@@ -338,61 +330,3 @@ class FaultCell:
 
         self.wait(is_later, "a status")
         return Counter(self.commander.status["counters"])
-
-
-@dataclass(frozen=True)
-class ArmReport:
-    """What the controller made of the replies, from the packets it sent (ideal servo: 3 cycles).
-
-    Attributes:
-        missed: Cycles without a valid reply.
-        blow: Largest change of velocity from one cycle to the next [rad/s]: the step that HOLDON makes.
-        at: IPOC of the packet that shows it [ms].
-        starts: Times that the arm began to move anew after missed cycles.
-    """
-
-    packets: int
-    missed: int
-    blow: float
-    at: int
-    starts: int = 0
-
-    def __str__(self) -> str:
-        return (
-            f"{self.missed} of {self.packets} replies missed; largest change of the arm's velocity from one cycle to the next: "
-            f"{np.rad2deg(self.blow):.1f} deg/s at IPOC {self.at}"
-        )
-
-
-def judge_arm(packets, limits: MotionLimits) -> ArmReport:
-    """Check that every missed cycle left the setpoint where it was (HOLDON), and report the blows that this made.
-
-    The step of the first reply that arrives again is checked too: it is one from rest, inside the acceleration limits.
-
-    `Delay` of a packet above 0 says that the cycle before was missed; with a servo of 3 cycles the packet two further on then
-    shows the pose of the one before it.
-    """
-    measured = np.array([packet.measured for packet in packets])
-    ipoc = np.array([packet.controller_ms for packet in packets])
-    missed = np.array([packet.missed > 0 for packet in packets])
-    # AIPos has 6 decimals of a degree: a step is the difference of two rounded values
-    largest = (np.array(limits.acceleration) + limits.allowances(6)) * CYCLE**2 + np.deg2rad(1e-6)
-    starts = 0
-    for index in np.flatnonzero(missed[:-3]):
-        if ipoc[index + 2] - ipoc[index] == 8:
-            np.testing.assert_array_equal(
-                measured[index + 2],
-                measured[index + 1],
-                f"the cycle before IPOC {ipoc[index]} was missed, and yet moved",
-            )
-        if ipoc[index + 3] - ipoc[index] == 12 and not missed[index + 1]:
-            starts += 1
-            step = np.abs(measured[index + 3] - measured[index + 2])
-            assert (step <= largest).all(), (
-                f"after missed cycles, at IPOC {ipoc[index + 3]}: a step of {np.rad2deg(step)} deg"
-            )
-    change = np.abs(np.diff(measured, n=2, axis=0)).max(axis=1) / CYCLE
-    # a new session begins where the arm stands
-    change[(np.diff(ipoc)[1:] != 4) | (np.diff(ipoc)[:-1] != 4)] = 0.0
-    worst = int(change.argmax())
-    return ArmReport(len(packets), int(missed.sum()), float(change[worst]), int(ipoc[worst + 2]), starts)

@@ -1,4 +1,4 @@
-"""A network that is not good: proxies that sit between two programs and delay, hold up, lose, repeat and reorder what they carry.
+"""A network that is not good: proxies that sit between two programs and delay, hold up and lose what they carry.
 
 For tests only. asyncio in a thread of its own; every draw comes from a seed. A profile can be changed while traffic flows.
 Times in s.
@@ -29,8 +29,8 @@ _MAX_DATAGRAM = 65535
 class _Line:
     """A profile that began at some time, and the draws for it."""
 
-    def __init__(self, seed: int, clock: Callable[[], float]):
-        self._chance = random.Random(seed)
+    def __init__(self, clock: Callable[[], float]):
+        self._chance = random.Random(1)
         self._clock = clock
         self.begin(Profile())
 
@@ -57,9 +57,6 @@ class _Line:
         period, into = self.profile.stall[0], self._clock() - self._since
         return period / 2 - into if into < period / 2 else period - (into - period / 2) % period
 
-    def happens(self, fraction: float) -> bool:
-        return fraction > 0.0 and self._chance.random() < fraction
-
     @property
     def is_cut(self) -> bool:
         return self._clock() - self._since < self.profile.cut
@@ -73,29 +70,22 @@ class TcpProxy:
         stalls: Those that held something up, oldest first.
     """
 
-    def __init__(self, target: tuple[str, int], seed: int = 1):
+    def __init__(self, target: tuple[str, int]):
         self.target = target
         self.counters: Counter[str] = Counter()
         self.address: tuple[str, int] = ()
         self.stalls: list[Stall] = []
-        self._line = _Line(seed, time.monotonic)
+        self._line = _Line(time.monotonic)
         self._writers: set[asyncio.StreamWriter] = set()
 
-    async def start(self, host: str = "127.0.0.1", port: int = 0) -> None:
+    async def start(self) -> None:
         """Listen; `address` says where."""
-        self._server = await asyncio.start_server(self._serve, host, port)
+        self._server = await asyncio.start_server(self._serve, "127.0.0.1", 0)
         self.address = self._server.sockets[0].getsockname()[:2]
 
     def apply(self, profile: Profile) -> None:
         """Behave like this from now on."""
-        if not profile.for_tcp:
-            raise ValueError(f"{profile}: TCP neither loses nor repeats nor reorders")
         self._line.begin(profile)
-
-    @property
-    def is_cut(self) -> bool:
-        """Whether nothing gets through now."""
-        return self._line.is_cut
 
     def until_stall(self) -> float:
         """Return how long it is until the next stall begins [s]; infinite without any."""
@@ -192,29 +182,29 @@ class TcpProxy:
 
 
 class UdpProxy:
-    """Carries datagrams to `target` and its answers back, as its profile says. Every client gets a port of its own, as in a NAT.
+    """Carries datagrams to `target` and its answers back unless the line is cut. Every client gets a port of its own, as in a NAT.
 
     Args:
         tap: Called with each datagram of a client as it comes in, before anything happens to it.
 
     Attributes:
-        counters: ``up``, ``down`` (datagrams carried), ``lost``, ``duplicated``, ``held_back``.
+        counters: ``up``, ``down`` (datagrams carried), ``lost``.
     """
 
-    def __init__(self, target: tuple[str, int], seed: int = 1, tap: Callable[[bytes], None] = lambda data: None):
+    def __init__(self, target: tuple[str, int], tap: Callable[[bytes], None] = lambda data: None):
         self.target = target
         self.counters: Counter[str] = Counter()
         self.address: tuple[str, int] = ()
         #: So many of the target's next answers are lost.
         self.answers_to_lose = 0
         self._tap = tap
-        self._line = _Line(seed, time.monotonic)
+        self._line = _Line(time.monotonic)
         self._outlets: dict[tuple, socket.socket] = {}
 
-    async def start(self, host: str = "127.0.0.1", port: int = 0) -> None:
+    async def start(self) -> None:
         """Listen; `address` says where."""
         self._loop = asyncio.get_running_loop()
-        self._inlet = _datagram_socket((host, port))
+        self._inlet = _datagram_socket(("127.0.0.1", 0))
         self.address = self._inlet.getsockname()
         self._loop.add_reader(self._inlet, self._from_client)
 
@@ -249,27 +239,9 @@ class UdpProxy:
             self._carry(lambda data=data: self._inlet.sendto(data, client), "down")
 
     def _carry(self, send: Callable[[], object], way: str) -> None:
-        line, profile = self._line, self._line.profile
-        if line.is_cut or line.happens(profile.loss):
+        if self._line.is_cut:
             self.counters["lost"] += 1
             return
-        copies = 1
-        if line.happens(profile.duplication):
-            self.counters["duplicated"] += 1
-            copies = 2
-        late = 0.0
-        if line.happens(profile.reordering):
-            self.counters["held_back"] += 1
-            late = profile.held_back
-        now = time.monotonic()
-        for _ in range(copies):
-            pause = line.arrival(now) + late - now
-            if pause > 0.0:
-                self._loop.call_later(pause, self._send, send, way)
-            else:
-                self._send(send, way)
-
-    def _send(self, send: Callable[[], object], way: str) -> None:
         try:
             send()
             self.counters[way] += 1
@@ -323,13 +295,13 @@ class Network:
         self._thread.join(5.0)
         self._loop.close()
 
-    def tcp(self, target: tuple[str, int], seed: int = 1, port: int = 0, host: str = "127.0.0.1") -> TcpProxy:
-        """Return a TCP proxy that listens on loopback, or on another address."""
-        return self._started(TcpProxy(target, seed), port, host)
+    def tcp(self, target: tuple[str, int]) -> TcpProxy:
+        """Return a TCP proxy that listens on loopback."""
+        return self._started(TcpProxy(target))
 
-    def udp(self, target: tuple[str, int], seed: int = 1, port: int = 0, tap=lambda data: None) -> UdpProxy:
+    def udp(self, target: tuple[str, int], tap=lambda data: None) -> UdpProxy:
         """Return a UDP proxy that listens on loopback."""
-        return self._started(UdpProxy(target, seed, tap), port)
+        return self._started(UdpProxy(target, tap))
 
     def apply(self, proxy: TcpProxy | UdpProxy, profile: Profile) -> None:
         """Change a proxy's profile now."""
@@ -343,8 +315,8 @@ class Network:
         hurry()
         self._loop.run_forever()
 
-    def _started(self, proxy, port: int, host: str = "127.0.0.1"):
-        self._wait(proxy.start(host, port))
+    def _started(self, proxy):
+        self._wait(proxy.start())
         self._proxies.append(proxy)
         return proxy
 

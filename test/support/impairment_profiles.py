@@ -8,17 +8,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Profile:
-    """What a link does to its traffic, in both directions alike.
+    """What a link does to its traffic, in both directions alike; of datagrams: only the cut.
 
     Attributes:
-        delay, jitter: Travel time is uniform in delay +- jitter [s]. TCP keeps the order; datagrams overtake each other.
+        delay, jitter: Travel time is uniform in delay +- jitter [s]. TCP keeps the order.
         stall: Period and length of the times in which nothing arrives, half a period after the begin for the first [s]; () for
             none.
         cut: Nothing passes for this long from the begin [s]: TCP brings it afterwards, datagrams are lost.
-        rate: Bytes per second and direction of a TCP connection; 0 for no bound.
-        loss, duplication, reordering: Fraction of datagrams that are lost; arrive twice; arrive `held_back` later than their travel
-            time.
-        held_back: [s]
+        rate: Bytes per second and direction; 0 for no bound.
     """
 
     delay: float = 0.0
@@ -26,10 +23,6 @@ class Profile:
     stall: tuple[float, float] = ()
     cut: float = 0.0
     rate: float = 0.0
-    loss: float = 0.0
-    duplication: float = 0.0
-    reordering: float = 0.0
-    held_back: float = 0.006
 
     def travel(self, chance: random.Random) -> float:
         """Draw a travel time [s]."""
@@ -50,11 +43,6 @@ class Profile:
         into = (at - period / 2) % period
         return at - into if into < length else None
 
-    @property
-    def for_tcp(self) -> bool:
-        """True when a TCP connection can behave like this."""
-        return not (self.loss or self.duplication or self.reordering)
-
 
 #: The issue's profiles by name, and a line that carries a fifth more than one robot's traffic.
 TCP_PROFILES = {
@@ -63,13 +51,6 @@ TCP_PROFILES = {
     "stall_200ms_5s": Profile(stall=(5.0, 0.2)),
     "cut_1s": Profile(cut=1.0),
     "throttled": Profile(rate=80_000.0),
-}
-UDP_PROFILES = {
-    "loss_1": Profile(loss=0.01),
-    "loss_5": Profile(loss=0.05),
-    "reordering": Profile(reordering=0.02),
-    "duplication": Profile(duplication=0.05),
-    "delay": Profile(delay=0.0005, jitter=0.0005),
 }
 
 

@@ -130,6 +130,8 @@ def test_without_a_stop_channel_the_end_is_refused_and_nothing_is_stopped():
     cell = following()
     ok, said = cell.control("end")
     assert not ok and "no Stop element" in said
+    # nor has it a tool
+    assert not cell.control("switch", value={})[0] and "tool" not in cell.gateway.status()
     assert cell.state is State.FOLLOWING
 
 

@@ -9,6 +9,7 @@ from gateway_cell import START, Cell, following, slow
 
 from construction_twin.core.units import CYCLE_NS
 from construction_twin.gateway.gateway import Gateway, State
+from construction_twin.gateway.ownership import MEMORY, Ownership
 from construction_twin.mqtt.messages import CommandProperties, Control
 
 
@@ -181,3 +182,10 @@ def test_reordered_and_repeated_commands_are_dropped_and_counted_apart(order, re
     }
     assert found == reasons
     go_on(cell, begin=100 + max(order))
+
+
+def test_what_is_remembered_of_sessions_is_bounded():
+    owners = Ownership()
+    for k in range(MEMORY + 1):
+        owners.begin(f"s{k}")
+    assert not owners.knows("s0") and owners.knows("s1") and owners.knows(f"s{MEMORY}")

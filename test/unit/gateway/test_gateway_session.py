@@ -24,7 +24,7 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS, format_allowance
 from construction_twin.gateway.gateway import State
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.mqtt.messages import PROTOCOL
+from construction_twin.mqtt.messages import FIRST_PROTOCOL, PROTOCOL, other_protocol
 
 # -- session ---------------------------------------------------------------------------------------------------------
 
@@ -250,6 +250,13 @@ def test_only_the_gateway_s_present_run_arms(named):
     assert (status["last_refusal"], status["run"]) == (f"arm: {reason}", RUN)
     # the session has not had its turn, and the next attempt may be right
     assert cell.arm()[0]
+
+
+def test_a_bridge_of_another_protocol_arms_and_resets_nothing_and_learns_why():
+    cell = Cell()
+    cell.cycle()
+    for verb, value in (("arm", cell.config.hash), ("reset", {"run": RUN, "fault_number": 0})):
+        assert cell.control(verb, value=value) == (False, other_protocol(PROTOCOL, FIRST_PROTOCOL))
 
 
 def test_without_a_controller_nothing_arms_and_nothing_resets():

@@ -6,11 +6,11 @@ import math
 import random
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
-from construction_twin.gateway.playout import CALM, MARGIN, URGENT, Playout, PlayoutBounds
+from construction_twin.gateway.playout import CALM, MARGIN, URGENT, Playout, PlayoutBounds, Slew
 
 DELAY = 5 * CYCLE_NS
 LONGEST = 60 * CYCLE_NS
@@ -212,6 +212,14 @@ def test_the_delay_stays_within_its_bounds(stall):
     assert network.playout.delay == (PlayoutBounds(DELAY, DELAY, LONGEST).delay(200_000_000) if stall < 1 else LONGEST)
 
 
+def test_a_cut_longer_than_any_delay_teaches_nothing():
+    link = Link()
+    link.playout.learn(LONGEST + 1)
+    assert link.playout.delay == DELAY
+    link.playout.learn(30 * CYCLE_NS)
+    assert link.playout.delay == 30 * CYCLE_NS + MARGIN
+
+
 @given(st.integers(1, 250_000_000), st.integers(0, 50), st.integers(0, 100), st.integers(0, 300_000_000))
 def test_delays_are_bounded_and_whole_cycles_from_the_start(start, below, above, jitter):
     bounds = PlayoutBounds(start, max(1, start - below * 1_000_000), start + above * 1_000_000)
@@ -252,3 +260,22 @@ def test_targets_stay_within_the_commands_and_never_run_backwards(rounds):
         assert last <= stamp <= link.playout.newest
         assert q == pytest.approx(pose((stamp - T0) / CYCLE_NS), abs=1e-12)
         last = stamp
+
+
+@settings(deadline=None)
+@given(
+    st.lists(st.tuples(st.integers(-60_000_000, 60_000_000), st.integers(0, 400)), min_size=1, max_size=6),
+    st.sampled_from((CALM, URGENT)),
+)
+def test_a_shift_of_playout_time_is_carried_out_whole_and_within_its_pace_also_when_it_is_changed_on_the_way(
+    changes, pace
+):
+    slew, shifts = Slew(), [0]
+    for wanted, cycles in changes:
+        slew.remaining += wanted
+        shifts += [slew.step(pace) for _ in range(cycles)]
+    while slew.moving and len(shifts) < 40_000:
+        shifts.append(slew.step(pace))
+    assert sum(shifts) == sum(wanted for wanted, _ in changes)
+    assert all(-pace.back <= shift <= pace.ahead for shift in shifts)
+    assert all(abs(b - a) <= pace.change for a, b in zip(shifts, [*shifts[1:], 0]))

@@ -21,6 +21,7 @@ from construction_twin.gateway.tool_switches import (
     ROUND_TRIP,
     ToolSwitches,
 )
+from construction_twin.mock.faults import Fault, FaultBoard
 
 GRIPPED = {"vacuum_reached": True}
 
@@ -275,6 +276,23 @@ def test_until_the_read_back_comes_nothing_is_sent_and_switches_are_refused():
     assert not cell.out
 
 
+def test_a_gateway_that_joins_a_running_session_refuses_switches():
+    cell = ToolCell().follow()
+    pose = tuple(q + 0.002 * k for k, q in zip((1, 0, 0, 0, 0, 0), HOME))
+    for part in range(40):
+        cell.send(tuple(a + (b - a) * part / 39 for a, b in zip(HOME, pose)), cell.session)
+        cell.cycle()
+    cell.cycle(5)
+    cell.start_gateway(run="run2")
+    cell.sent.clear()
+    cell.cycle(5)
+    assert cell.state is State.JOINED and cell.sent == []
+    status = cell.status()
+    assert status["known"] is False and "this RSI session is not answered" in status["reason"]
+    assert cell.status()["outputs"] == {"vacuum": False}
+    assert not cell.switch(True)[0]
+
+
 def test_what_a_person_switches_at_the_pendant_before_the_first_switch_is_right():
     cell = ToolCell()
     cell.cycle(5)
@@ -408,6 +426,17 @@ def test_at_the_end_of_rsi_outputs_are_kept_or_switched_off():
         cell.cycle(5)
         assert not cell.controller.running and cell.controller.reason.startswith("stop: requested")
         assert cell.out is held
+
+
+def test_no_read_back_is_a_fault_of_the_mock():
+    cell = ToolCell().follow()
+    faults = FaultBoard(cell.controller, 0)
+    faults.inject(Fault("no_read_back"))
+    cell.go_on(2)
+    assert cell.status()["known"] is False
+    faults.end(Fault("no_read_back"))
+    cell.go_on(2)
+    assert cell.status()["known"] is True
 
 
 # -- faults of the gripper

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import pytest
 from mock_cell import (
     AXES,
+    CONFIG,
     HOME,
     NO_HOLDON,
     WITH_STOP,
@@ -16,6 +18,7 @@ from mock_cell import (
     step,
 )
 
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.core.units import radians
 from construction_twin.mock.servo import IdealServo
@@ -80,6 +83,13 @@ def test_d_a_step_of_one_degree_in_one_cycle_is_a_fault():
     assert_stopped(cell, "command velocity A1: 250 deg/s, limit 246 deg/s (2 times 123 deg/s)")
     assert not cell.mock.flag
     assert cell.mock.measured == HOME
+
+
+def test_d_acceleration_is_supervised_when_velocity_is_not():
+    cell = Cell(velocity_factor=0.0)
+    cell.cycles(5)
+    cell.cycle(step(0, 1.0))
+    assert_stopped(cell, "command acceleration A1: 62500 deg/s², limit 62320 deg/s² (400 times 155.8 deg/s²)")
 
 
 def test_e_a_correction_beyond_its_limit_is_clamped_without_an_error():
@@ -198,6 +208,24 @@ def test_unusable_replies_count_as_missing():
         assert not cell.mock.receive(data)
     assert cell.cycle(ZERO).missed == 4
     assert cell.mock.counters["malformed"] == 4
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"start_pose": HOME[:5]},
+        {"lower": (math.nan,) * 6},
+        {"timeout": 0},
+        {"first_stamp": -4},
+        {"correction_lower": radians((1,) * 6)},
+        {"correction_upper": radians((-1,) * 6)},
+        {"correction_monitor": radians((-1,) * 6)},
+        {"correction_upper": ()},
+    ],
+)
+def test_configurations_without_meaning_are_refused(changes):
+    with pytest.raises(ConfigurationError):
+        dataclasses.replace(CONFIG, **changes)
 
 
 @pytest.mark.parametrize(

@@ -47,6 +47,18 @@ def test_it_answers_as_the_realistic_servo(robot, cycle):
     assert worst < 5e-5
 
 
+def test_a_stalled_axis_stands_and_comes_back(robot):
+    servo = build_servo(settings(), robot)
+    servo.reset(robot.home)
+    servo.stall(2)
+    goal = tuple(q + 0.05 for q in robot.home)
+    stood = {servo.step(goal)[2] for _ in range(100)}
+    assert len(stood) == 1 and stood.pop() == pytest.approx(robot.home[2], abs=1e-9)
+    servo.release(2, 1.0, 2.0)
+    rest(servo, goal, 300)
+    assert servo.measured == pytest.approx(goal, abs=1e-4)
+
+
 def test_a_collision_pushes_its_axis_until_it_ends(controller):
     board, servo, home = FaultBoard(controller, 0), controller.servo, controller.config.start_pose
     before = rest(servo, home)

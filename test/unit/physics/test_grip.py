@@ -75,3 +75,9 @@ def test_the_same_board_in_a_hurry_slips():
     heavy = rehearsed(60.0, 10.0, board())
     assert heavy.state == FAILED and "rehearsal.grip" in [reason.key for reason in heavy.reasons]
     assert heavy.grip.usage == pytest.approx(3 * slow.grip.usage, rel=0.05)
+
+
+def test_what_no_cup_lies_on_is_a_remark_and_without_cups_nothing_is_looked_at():
+    report = rehearsed(20.0, 10.0, board(0.5))
+    assert report.grip.name == "" and "physics.remark.no_cup" in [remark.key for remark in report.remarks]
+    assert rehearsed(20.0, 10.0, board(), grip=None).grip.name == ""

@@ -122,6 +122,21 @@ def corner_mesh(path, closed: bool = True) -> str:
     return write_stl(path, np.array(triangles if closed else triangles[:-1]))
 
 
+def test_a_mesh_that_cannot_be_divided_is_its_hull_and_says_so(tmp_path):
+    corner = SceneObject("corner", "mesh", (), (1.5, 0.0, 1.0), mesh=corner_mesh(tmp_path / "l.stl", closed=False))
+    physics = model_of(scene=Scene((corner,)))
+    assert [remark.values["object"] for remark in physics.remarks if remark.key == "physics.remark.hull"] == ["corner"]
+    # of the bodies that can be moved the mass is that of the mesh, not of the hull
+    whole = SceneObject("corner", "mesh", (), (1.5, 0.0, 1.0), mesh=corner_mesh(tmp_path / "whole.stl"))
+    loose = model_of(scene=Scene((whole,)), load=Load({}, {"corner": "corner"}))
+    assert loose.model.body("corner").mass[0] == pytest.approx(1000.0 * (0.4 * 0.1 + 0.3 * 0.1) * 0.1, rel=1e-6)
+    # a probe in the notch, where only the hull is
+    probe = SceneObject("probe", "sphere", (0.03,), (1.65, 0.15, 1.05))
+    beside = model_of(scene=Scene((corner, probe)), load=Load({"probe": 1.0}, {"probe": "probe"}))
+    owners = [{beside.owners[geom] for geom in geoms} for geoms in beside.at_rest(READY).contact.geom]
+    assert {"corner", "probe"} in owners
+
+
 def test_a_link_that_is_not_convex_is_pieces_in_the_simulation_and_says_so(tmp_path):
     """The planner keeps its surface; its hull would touch what lies in its notch."""
     mesh = corner_mesh(tmp_path / "l.stl")

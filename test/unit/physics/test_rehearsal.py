@@ -1,4 +1,5 @@
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import coal
@@ -10,12 +11,13 @@ from physics_samples import READY, between, bodies_of, drives, pairs_of, plan_of
 from scene_samples import FLOOR
 
 from construction_twin.kinematics.chain import Chain
+from construction_twin.physics import rehearsal as module
 from construction_twin.physics.arm import SimulatedArm
 from construction_twin.physics.drive import PayloadRating
 from construction_twin.physics.judgement import Limits
 from construction_twin.physics.mass import of_shape
 from construction_twin.physics.rehearsal import Rehearsal
-from construction_twin.physics.report import BROKEN, FAILED, PASSED, finished, is_whole
+from construction_twin.physics.report import BROKEN, FAILED, PASSED, AxisLoad, finished, is_whole
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.robot.segments import Segment
 from construction_twin.scene.objects import Scene, SceneObject
@@ -228,8 +230,49 @@ def test_the_pieces_of_an_element_fall_as_one_body():
     assert report.payload.mass == pytest.approx(10.0)
 
 
+def stack(names: tuple[str, ...], first: str, away: float = 0.3) -> tuple[SceneObject, ...]:
+    """Return tiles on a table under the flange, side by side, `first` the one at the flange; and the table."""
+    x, y, z = tile(False).position
+    table = SceneObject("table", "box", (1.2, 1.2, z - 0.02), (x, y, (z - 0.02) / 2.0), touch=names)
+    items = [
+        SceneObject(name, "box", (0.25, 0.25, 0.04), (x, y + (0.0 if name == first else away), z)) for name in names
+    ]
+    return (table, *items)
+
+
 def held(item: SceneObject) -> SceneObject:
     return replace(item, link=TIP, position=(0.0, 0.0, 0.15), touch=("table",))
+
+
+def watched(*names: str) -> tuple[list[np.ndarray], Callable[[float, SimulatedArm], None]]:
+    """Return where objects are in every cycle of a rehearsal, which has to be given the other: shape (objects, 3) [m]."""
+    places: list[np.ndarray] = []
+
+    def watch(_time: float, arm: SimulatedArm) -> None:
+        places.append(arm.data.geom_xpos[[arm.physics.owners.index(name) for name in names]].copy())
+
+    return places, watch
+
+
+@pytest.mark.parametrize("taken", ["stock/1", "stock/2"])
+def test_of_objects_with_like_names_the_one_that_stays_does_not_move(taken):
+    table, *items = stack(("stock/1", "stock/2"), taken)
+    (stays,) = [item for item in items if item.name != taken]
+    (goes,) = [item for item in items if item.name == taken]
+    places, watch = watched(stays.name)
+    scenes = [Scene((table, *items)), Scene((table, held(goes), stays)), Scene((table, stays, goes))]
+    motion = between(READY, READY, 1.0)
+    segments = tuple(
+        Segment(str(number), end, False, (), (), scenes[number].hash, scenes[number + 1].hash)
+        for number, end in enumerate((0.5, 1.0))
+    )
+    rehearsal = Rehearsal(bodies_of("kr120"), pairs_of("kr120"), drives(), masses={"stock/1": 2.0, "stock/2": 3.0})
+    plan = plan_of(motion, scenes[0], segments)
+    report = rehearsal.of_plan(plan, {scene.hash: scene for scene in scenes}, lambda: 0.0, watch)
+    assert report.state == PASSED, report.reasons
+    assert np.abs(np.array(places) - places[0]).max() < 1e-3
+    # what is let go beside it is a body of its own, with its full name
+    assert [one.name for one in report.objects] == [taken]
 
 
 @pytest.mark.parametrize("masses, number", [((100.0, 130.0), "mass"), ((50.0, 20.0), "inertia")])
@@ -267,6 +310,16 @@ class TestNumbersThatAreNone:
         report = rehearse(SMALL)
         assert (report.state, reasons(report)) == (FAILED, ["rehearsal.diverged"])
         assert report.reasons[0].values["time"] == pytest.approx(0.5, abs=0.01)
+
+    @pytest.mark.parametrize("bad", [math.nan, math.inf])
+    def test_any_other_number(self, monkeypatch, bad):
+        monkeypatch.setattr(
+            module,
+            "AxisLoad",
+            lambda *numbers: replace(AxisLoad(*numbers), rms=bad if numbers[0] == "joint_a3" else 0.0),
+        )
+        report = rehearse(SMALL)
+        assert (report.state, reasons(report)) == (FAILED, ["rehearsal.diverged"])
 
 
 def test_a_report_that_passed_for_reasons_is_none():

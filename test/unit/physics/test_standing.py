@@ -9,6 +9,7 @@ from scene_samples import FLOOR
 
 from construction_twin.kinematics.chain import Chain
 from construction_twin.physics.report import FAILED, PASSED, RehearsalReport
+from construction_twin.physics.standing import MOST, nearest
 from construction_twin.scene.objects import Scene, SceneObject
 
 TIP = robot_of("kr120").tip_link
@@ -99,3 +100,16 @@ def test_the_same_strike_gives_the_same_bytes_and_a_fixed_wall_only_contacts():
     fixed, _ = struck(masses={"block": 20.0}, unweighed=tuple(item.name for item in wall))
     assert fixed.state == FAILED and fixed.objects == ()
     assert "brick3.1" in told(fixed, "unweighed")["objects"]
+
+
+def test_of_many_bodies_those_near_the_path_can_be_tipped_over():
+    far = [
+        SceneObject(f"far{number}", "box", (0.1, 0.1, 0.1), (-3.0, 0.2 * number - 4.0, 0.05)) for number in range(MOST)
+    ]
+    near = SceneObject("near", "box", (0.1, 0.1, 0.1), (2.0, 0.0, 0.05))
+    objects = (*far, near)
+    report = rehearse(between(READY, ASIDE, 1.0), Scene((FLOOR, *objects)), masses=weights(objects))
+    assert (report.state, told(report, "far")) == (PASSED, {"most": MOST, "count": 1})
+    bodies = {item.name: item.name for item in objects}
+    ordered = nearest(objects, bodies, robot_of("kr120"), np.linspace(READY, ASIDE, 100))
+    assert ordered[0] == "near" and set(ordered) == set(bodies)

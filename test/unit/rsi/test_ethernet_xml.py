@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from processes import ROOT
 
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.rsi.ethernet_xml import (
     MAX_BYTES,
     EthernetXmlError,
@@ -181,6 +182,14 @@ def test_what_does_not_fit_is_one_sentence_that_names_the_element(old, new, elem
 )
 def test_hostile_documents_are_refused_before_anything_is_expanded(text):
     assert refusal(text).element == "file"
+
+
+def test_a_file_that_cannot_be_read_is_refused_by_name(tmp_path):
+    binary = tmp_path / "binary.xml"
+    binary.write_bytes(b"\xff\xfe<ROOT/>")
+    for path in (binary, tmp_path / "none.xml"):
+        with pytest.raises(ConfigurationError, match=path.name):
+            load_ethernet_xml(path)
 
 
 @given(st.data())

@@ -11,6 +11,7 @@ from gateway_cell import CONFIG
 from construction_twin.controller.last_resort import LONGEST_GAP_MS, LastResort
 from construction_twin.core.units import CYCLE
 from construction_twin.rsi.controller_codec import parse_sensor
+from construction_twin.rsi.gateway_codec import SensorEncoder
 from construction_twin.rsi.layout import RsiLayout
 from construction_twin.rsi.make import last_resort
 
@@ -119,6 +120,13 @@ def test_it_ends_the_program_only_once_the_arm_is_at_rest():
         reply = resort.answer(resort.stamp + 4)
         ends.append((moving, b"<Stop>1</Stop>" in reply))
     assert ends[0] == (True, False) and ends[-1] == (False, True)
+
+
+def test_replies_leave_a_tool_s_outputs_as_they_were_sent_last():
+    resort = taken_over()
+    encoder = SensorEncoder("ImFree", AXES, (), (), ("Enable", "vacuum"))
+    resort.hold(*(encoder.template(end, (True, True)) for end in (None, True)))
+    assert b'<Set Enable="1" vacuum="1"/>' in resort.answer(resort.stamp + 4)
 
 
 def counted(ipoc, delay):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from processes import ROOT
 
 from construction_twin.controller.tool import ToolReading
-from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.errors import ConfigurationError, TelegramError
 from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder
 from construction_twin.rsi.ethernet_xml import (
     EthernetXmlError,
@@ -122,3 +122,19 @@ def test_without_values_every_channel_is_0():
     assert b'<Set Enable="0" vacuum="0" lamp="0"/>' in encoder.encode(ZERO, 1)
     with pytest.raises(ConfigurationError, match="a value for each of Enable, vacuum, lamp"):
         encoder.encode(ZERO, 1, None, (True,))
+
+
+@pytest.mark.parametrize(
+    "old, new, reason",
+    [
+        (b'<Set Enable="1" vacuum="1" lamp="0"/>', b"", "element"),
+        (b' lamp="0"', b"", "attribute"),
+        (b'lamp="0"', b'lamp="true"', "number"),
+    ],
+)
+def test_a_reply_that_lacks_a_channel_does_not_count(old, new, reason):
+    data = SensorEncoder("ImFree", AXES, (), (), SWITCHED).encode(ZERO, 1, None, (True, True, False))
+    assert old in data
+    with pytest.raises(TelegramError) as refused:
+        SensorDecoder("ImFree", AXES, switched=SWITCHED).parse(data.replace(old, new))
+    assert refused.value.reason == reason

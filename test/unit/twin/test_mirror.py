@@ -146,6 +146,11 @@ class TestTwin:
         robot.end_mirror()
         assert not robot.follow(2 * CYCLE_NS, (1.0, 0.0)) and robot.execute(3 * CYCLE_NS, robot.pose)
 
+    def test_an_older_measurement_moves_nothing(self):
+        twin = MirrorTwin(LIMITS, (0.0, 0.0))
+        twin.follow(8, (0.0, 0.0))
+        assert twin.follow(8, (0.1, 0.0)) is None
+
 
 def assert_no_jump(poses, since: int = 0) -> None:
     """Every step of a robot is inside its velocity limits."""

@@ -89,3 +89,13 @@ class TestStamps:
 
     def test_the_executor_waits_longer_than_the_twin_is_silent(self):
         assert TWIN_TIMEOUT >= 2 * SILENCE
+
+    def test_says_for_how_long_it_will_not_repeat(self):
+        clock = TwinClock()
+        assert clock.idle(self.T0) == 0
+        clock.on_command(self.T0, self.T0)
+        assert clock.idle(self.T0 + 1) == SILENCE - 1 and clock.idle(self.T0 + 2 * SILENCE) == 0
+        # a clock that was set back says nothing of the future
+        assert clock.idle(self.T0 - NANOSECONDS) == SILENCE
+        clock.restart()
+        assert clock.idle(self.T0) == 0
