@@ -20,7 +20,7 @@ def test_a_status_waits_for_an_answer_while_telegrams_come_and_for_nothing_witho
     clock.sent(1.9)
     assert not clock.is_due(2.5, True) and clock.is_due(2.9, True)
     clock.hurry()
-    assert not clock.is_due(2.9 + QUIET / 2, False) and clock.is_due(2.9 + QUIET, False)
+    assert not clock.is_due(2.9 + QUIET / 2, False) and clock.is_due(2.9 + 2 * QUIET, False)
 
 
 def line(number: int) -> logging.LogRecord:
