@@ -14,7 +14,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.physics.report import PASSED
 from construction_twin.planning.work_plan import joined
 from construction_twin.robot.segments import Segment
-from construction_twin.ros.shared.rehearsal_process import Question, answer, prepared
+from construction_twin.ros.shared.physics_process import Question, answer, prepared
 from construction_twin.work.jobs import TaskMotions
 from construction_twin.work.site import read_site
 from construction_twin.work.site_scene import WorkState

@@ -27,7 +27,7 @@ from construction_twin.ros.messages.records import from_msg, to_msg
 from construction_twin.ros.messages.scene_convert import scene_to_msg
 from construction_twin.ros.nodes import rehearsal as module
 from construction_twin.ros.nodes.rehearsal import NODE, Settings
-from construction_twin.ros.shared.rehearsal_process import PROGRAM, Question
+from construction_twin.ros.shared.physics_process import PROGRAM, Question
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.work.worker import Worker, WorkerError
@@ -68,19 +68,15 @@ class Process:
 
     def __init__(self):
         self.questions: list[Question] = []
-        self.prepared = self.closed = 0
+        self.closed = 0
         self.asked, self.interrupted = threading.Event(), threading.Event()
         self.answers = True
         self.error: WorkerError | None = None
         self.interrupts = 0
 
-    def ask_first(self, name, **arguments):
-        assert name == "prepare"
-        self.prepared += 1
-        self.tool = tool_hash(arguments["tool"])
-
-    def ask(self, name, question: Question) -> RehearsalReport:
+    def ask(self, name, arm, question: Question) -> RehearsalReport:
         assert name == "rehearse"
+        self.tool = tool_hash(arm["tool"])
         self.questions.append(question)
         self.asked.set()
         if self.error is not None:
@@ -312,12 +308,10 @@ def test_the_process_rehearses_a_plan_and_its_result_crosses_the_topic_unchanged
     process = Worker(PROGRAM)
     try:
         tool = str(ROOT / "config/tools/vacuum_frame.yaml")
-        process.ask_first(
-            "prepare", robot=ROBOT, self_collision=SETTINGS.self_collision, drives=SETTINGS.drives, tool=tool
-        )
+        arm = {"robot": ROBOT, "self_collision": SETTINGS.self_collision, "drives": SETTINGS.drives, "tool": tool}
         plan = plain_plan()
         question = Question(plan, {SCENES[0].hash: SCENES[0]}, {}, "i")
-        report = process.ask("rehearse", question=question)
+        report = process.ask("rehearse", arm=arm, question=question)
         assert (report.state, report.plan_hash, report.inputs) == (PASSED, plan.hash, "i"), report.reasons
         assert report.tool == tool_hash(tool)
         assert [axis.joint for axis in report.axes] == list(ROBOT.joint_names)
@@ -327,7 +321,7 @@ def test_the_process_rehearses_a_plan_and_its_result_crosses_the_topic_unchanged
         # a held beam that weighs far more than the arm may carry
         work = work_plan()
         scenes = {scene.hash: scene for scene in SCENES}
-        heavy = process.ask("rehearse", question=Question(work, scenes, {"beam": 240.0}, "i"))
+        heavy = process.ask("rehearse", arm=arm, question=Question(work, scenes, {"beam": 240.0}, "i"))
         assert heavy.state == FAILED and heavy.payload.mass == pytest.approx(240.0)
         assert not heavy.payload.estimated and "240.0 kg" in heavy.reasons[0]
     finally:

@@ -25,9 +25,9 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.element_masses import element_masses, tool_mass
-from construction_twin.ros.shared.model_builder import ModelBuilder
 from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.params import NodeSettings
+from construction_twin.ros.shared.physics_process import PROGRAM
 from construction_twin.ros.shared.ports import (
     Interface,
     Ports,
@@ -41,8 +41,8 @@ from construction_twin.ros.shared.ports import (
 from construction_twin.ros.transport.cycle import Cycles
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
 from construction_twin.ros.transport.publisher import Sink
-from construction_twin.scene.objects import Scene
 from construction_twin.twin.virtual_robot import GazeboTwin, KinematicBackend, TwinBackend, TwinClock, VirtualRobot
+from construction_twin.work.worker import Worker
 
 if TYPE_CHECKING:
     from construction_twin.physics.live_twin import LiveTwin
@@ -90,25 +90,12 @@ def is_in_gazebo(settings: Settings) -> bool:
 
 
 @dataclass(frozen=True)
-class Gazebo:
-    """What a twin in Gazebo has besides.
-
-    Attributes:
-        twin: What is known of it.
-        commanded: For what is commanded: Gazebo hears it.
-    """
-
-    twin: GazeboTwin
-    commanded: Sink
-
-
-@dataclass(frozen=True)
 class Simulation:
     """What a twin that is simulated in this process has besides.
 
     Attributes:
         live: It.
-        build: Returns the arm in a scene with the masses of bodies that it carries; may take its time. Raises
+        build: Takes `scene`, and `masses` of bodies that the arm carries; returns the arm in it, and may take its time. Raises
             ConstructionTwinError.
         masses: What the tool weighs, see `physics.known_mass` [kg].
         names: Joint names.
@@ -116,7 +103,7 @@ class Simulation:
     """
 
     live: LiveTwin
-    build: Callable[[Scene, Mapping[str, float]], PhysicsModel]
+    build: Callable[..., PhysicsModel]
     masses: Mapping[str, float]
     names: tuple[str, ...]
     commanded: Sink
@@ -132,7 +119,7 @@ class VirtualRobotNode:
         diagnostics: Counts what is refused.
         restarted: Ends the wait of `run` for a silence.
         simulation: Of a twin that is simulated here; None: none is.
-        gazebo: Of a twin in Gazebo. Without either it is where it is told to be.
+        commanded: For what is commanded to a twin in Gazebo, which hears it. Without either it is where it is told to be.
     """
 
     def __init__(
@@ -143,16 +130,14 @@ class VirtualRobotNode:
         diagnostics: NodeDiagnostics,
         restarted: threading.Event,
         simulation: Simulation | None = None,
-        gazebo: Gazebo | None = None,
+        commanded: Sink | None = None,
     ):
         self._robot = robot
-        self._simulation, self._gazebo = simulation, gazebo
-        self._backend: TwinBackend = KinematicBackend()
-        self._commanded: Sink | None = None
+        self._simulation, self._gazebo = simulation, GazeboTwin() if commanded is not None else None
+        self._backend: TwinBackend = self._gazebo or KinematicBackend()
+        self._commanded = commanded
         if simulation is not None:
             self._backend, self._commanded = simulation.live, simulation.commanded
-        elif gazebo is not None:
-            self._backend, self._commanded = gazebo.twin, gazebo.commanded
         self._effort_at = 0
         #: Hash of the scene that is simulated, and why the newest one is not.
         self._scene, self._scene_problem = "", ""
@@ -190,7 +175,7 @@ class VirtualRobotNode:
         """Simulate one cycle, and publish its poses with a stamp [ns] if they are to be told; under the lock."""
         if told and self._gazebo is not None:
             # before it can be answered
-            self._gazebo.twin.told(stamp)
+            self._gazebo.told(stamp)
         if told and self._commanded is not None:
             # first: who decides what is commanded next waits for no simulation
             self._commanded.publish(stamp, commanded)
@@ -210,7 +195,7 @@ class VirtualRobotNode:
         if gazebo is None:
             return
         with self._lock:
-            if gazebo.twin.answer(stamp):
+            if gazebo.answer(stamp):
                 self._twin.publish(stamp, q)
                 return
         self._diagnostics.refuse("answer", Sentence("physics.twin.answer"))
@@ -224,7 +209,7 @@ class VirtualRobotNode:
             return
         try:
             scene = scene_from_msg(message)
-            model = simulation.build(scene, {**self._masses, **simulation.masses})
+            model = simulation.build(scene=scene, masses={**self._masses, **simulation.masses})
         except ConstructionTwinError as error:
             # the simulation goes on in the scene before
             self._scene_problem = str(error)
@@ -324,7 +309,7 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> VirtualRobotNo
         ports.diagnostics,
         threading.Event(),
         _simulation(settings, robot, ports) if is_simulated_here(settings) else None,
-        Gazebo(GazeboTwin(), ports.publishers["twin/commanded"]) if is_in_gazebo(settings) else None,
+        ports.publishers["twin/commanded"] if is_in_gazebo(settings) else None,
     )
 
 
@@ -332,10 +317,11 @@ def _simulation(settings: Settings, robot: RobotModel, ports: Ports) -> Simulati
     # only here: what simulates is not everywhere
     from construction_twin.physics.live_twin import LiveTwin
 
-    builder = ModelBuilder(robot, settings.drives, tuple(settings.payload))
+    arm = {"robot": robot, "payload": tuple(settings.payload)}
+    arm |= {name: getattr(settings, name) for name in ("self_collision", "drives")}
     return Simulation(
         LiveTwin(),
-        partial(builder.build, self_collision=settings.self_collision),
+        partial(Worker(PROGRAM).ask, "build", arm=arm),
         tool_mass(settings.tool),
         robot.joint_names,
         ports.publishers["twin/commanded"],

@@ -8,43 +8,36 @@ from chain_samples import ROBOT
 from live_twin_samples import DRIVES, FLOOR, SELF_COLLISION, carrying, model_in
 
 from construction_twin.physics.live_twin import LiveTwin
-from construction_twin.ros.shared.model_builder import ModelBuilder
+from construction_twin.ros.shared.physics_process import PROGRAM
 from construction_twin.scene.objects import SceneObject
-from construction_twin.work.worker import WorkerError
+from construction_twin.work.worker import Worker, WorkerError
 
 
 @pytest.fixture
-def builder():
-    builder = ModelBuilder(ROBOT, DRIVES)
-    yield builder
-    builder.close()
+def build():
+    worker = Worker(PROGRAM)
+    arm = {"robot": ROBOT, "self_collision": SELF_COLLISION, "drives": DRIVES}
+    yield lambda scene, **other: worker.ask("build", arm=arm | other, scene=scene, masses={})
+    worker.close()
 
 
-def test_its_models_are_those_of_this_process(builder):
+def test_its_models_are_those_of_this_process(build):
     for scene in (FLOOR, carrying(0.3)):
         here, there = LiveTwin(), LiveTwin()
-        here.take_model(model_in(scene)), there.take_model(builder.build(scene, {}, SELF_COLLISION))
+        here.take_model(model_in(scene)), there.take_model(build(scene))
         for share in np.linspace(0.0, 0.1, 50):
             commanded = tuple(np.array(ROBOT.home) + share)
             assert here.cycle(commanded) == there.cycle(commanded)
         assert here.remarks == there.remarks and here.effort == there.effort
 
 
-def test_a_scene_that_cannot_be_built_is_a_sentence_and_the_next_one_is_built(builder):
+def test_a_scene_that_cannot_be_built_is_a_sentence_and_the_next_one_is_built(build):
     with pytest.raises(WorkerError) as refusal:
-        builder.build(
-            FLOOR.add(SceneObject("hanging", "box", (0.1,) * 3, (1.0, 1.0, 1.0), touch=("nothing_there",))),
-            {},
-            SELF_COLLISION,
-        )
+        build(FLOOR.add(SceneObject("hanging", "box", (0.1,) * 3, (1.0, 1.0, 1.0), touch=("nothing_there",))))
     assert refusal.value.kind == "SceneError" and "nothing_there" in str(refusal.value)
-    assert builder.build(FLOOR, {}, SELF_COLLISION).robot.name == ROBOT.name
+    assert build(FLOOR).robot.name == ROBOT.name
 
 
-def test_without_a_file_of_drives_the_torques_are_the_urdf_s():
-    builder = ModelBuilder(ROBOT, "")
-    try:
-        drives = builder.build(FLOOR, {}, SELF_COLLISION).drives
-    finally:
-        builder.close()
+def test_without_a_file_of_drives_the_torques_are_the_urdf_s(build):
+    drives = build(FLOOR, drives="").drives
     assert drives.source == "URDF effort" and not any(drives.armature)
