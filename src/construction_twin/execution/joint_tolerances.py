@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from construction_twin.core.errors import GoalError, GoalJointsError
 from construction_twin.core.sentences import Quantity, Sentence
@@ -16,20 +17,6 @@ from construction_twin.robot.description import RobotModel
 
 #: What a tolerance bounds, with what stands behind the joint's unit.
 QUANTITIES = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
-
-
-@dataclass(frozen=True)
-class ToleranceRequest:
-    """The tolerance of one joint, as it was asked for: 0 is the default, a negative number no bound.
-
-    Attributes:
-        position, velocity, acceleration: [rad, rad/s, rad/s^2], or in m.
-    """
-
-    joint: str
-    position: float
-    velocity: float = 0.0
-    acceleration: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -51,11 +38,11 @@ class Tolerances:
         free = (math.inf,) * len(robot.linear)
         return cls(position, free, free)
 
-    def asked(self, robot: RobotModel, asked: Iterable[ToleranceRequest]) -> Tolerances:
+    def asked(self, robot: RobotModel, asked: Iterable[Any]) -> Tolerances:
         """Return these tolerances with what a goal asks for in their place.
 
         Args:
-            asked: Joints in any order; those that are missing keep their default.
+            asked: control_msgs/JointTolerance. Joints in any order; those that are missing keep their default.
 
         Raises:
             GoalJointsError: Naming a joint that is none of the robot's.
@@ -64,18 +51,18 @@ class Tolerances:
         columns = {quantity: list(getattr(self, quantity)) for quantity in QUANTITIES}
         named: set[str] = set()
         for one in asked:
-            if one.joint not in robot.joint_names:
+            if one.name not in robot.joint_names:
                 known = ", ".join(robot.joint_names)
-                raise GoalJointsError(Sentence("reason.goal.tolerance_joint", joint=one.joint, known=known))
-            if one.joint in named:
-                raise GoalError(Sentence("reason.goal.tolerance_twice", joint=one.joint))
-            named.add(one.joint)
-            index = robot.joint_names.index(one.joint)
+                raise GoalJointsError(Sentence("reason.goal.tolerance_joint", joint=one.name, known=known))
+            if one.name in named:
+                raise GoalError(Sentence("reason.goal.tolerance_twice", joint=one.name))
+            named.add(one.name)
+            index = robot.joint_names.index(one.name)
             for quantity, column in columns.items():
                 value = getattr(one, quantity)
                 if math.isnan(value):
                     what = Sentence(f"reason.goal.quantity.{quantity}")
-                    raise GoalError(Sentence("reason.goal.tolerance_nan", quantity=what, joint=one.joint))
+                    raise GoalError(Sentence("reason.goal.tolerance_nan", quantity=what, joint=one.name))
                 if value:
                     column[index] = value if value > 0.0 else math.inf
         return Tolerances(*(tuple(column) for column in columns.values()))

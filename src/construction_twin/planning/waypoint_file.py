@@ -20,10 +20,12 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable
+from pathlib import Path
 
 import numpy as np
 
-from construction_twin.core.motion_errors import WaypointsError
+from construction_twin.core.files import read_file
+from construction_twin.core.motion_errors import PlanningError, WaypointsError
 from construction_twin.core.sentences import Sentence
 from construction_twin.planning.waypoints import Unit, Waypoints, check_finite
 from construction_twin.robot.description import RobotModel
@@ -41,6 +43,31 @@ _DECIMAL_COMMA = re.compile(r"^[+-]?\d*,\d+(?:[eE][+-]?\d+)?$", re.ASCII)
 _TIME = "time_s"
 #: Suffixes of the columns of velocities and accelerations.
 _RATES = {"_s": "velocities", "_s2": "accelerations"}
+
+
+#: Largest CSV file [bytes]: 20000 waypoints with velocities, 15 columns of 20 characters, are 6 MiB.
+_LARGEST_FILE = 16 * 2**20
+
+
+def read_waypoints(path: str, robot: RobotModel, columns: str = "") -> Waypoints:
+    """Read a CSV file of joint waypoints, whose columns are told if it does not name them.
+
+    Raises:
+        WaypointsError: Naming the line, the column, what was found and what was expected.
+        PlanningError: If the file cannot be read.
+    """
+    if not Path(path).is_absolute():
+        raise PlanningError(Sentence("motion.file.relative", path=repr(path)))
+    try:
+        text = read_file(path, _LARGEST_FILE).decode("utf-8")
+    except OSError as error:
+        found = Sentence("motion.file.unreadable", path=str(path), problem=str(error.strerror))
+        raise PlanningError(found) from error
+    except UnicodeDecodeError as error:
+        raise PlanningError(Sentence("motion.file.no_text", path=str(path))) from error
+    except ValueError as error:  # a null character in the path
+        raise PlanningError(Sentence("motion.file.bad_path", path=repr(path), problem=str(error))) from error
+    return parse_waypoints(text, robot, columns)
 
 
 def parse_waypoints(text: str, robot: RobotModel, columns: str = "") -> Waypoints:

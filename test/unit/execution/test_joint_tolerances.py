@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import pytest
 from executor_bench import ROBOT
@@ -11,9 +12,20 @@ from sentence_checks import says
 
 from construction_twin.core.errors import GoalError, GoalJointsError
 from construction_twin.core.sentences import Quantity, Sentence
-from construction_twin.execution.joint_tolerances import ToleranceRequest, Tolerances, check_joint_names
+from construction_twin.execution.joint_tolerances import Tolerances, check_joint_names
 
 NAMES = ROBOT.joint_names
+
+
+class Asked(NamedTuple):
+    """As control_msgs/JointTolerance."""
+
+    name: str
+    position: float
+    velocity: float = 0.0
+    acceleration: float = 0.0
+
+
 ZERO = (0.0,) * 6
 DEFAULT = Tolerances.default(ROBOT, 0.01, 0.005)
 
@@ -24,9 +36,9 @@ def off(joint: int, value: float) -> tuple[float, ...]:
 
 def test_zero_is_the_default_negative_no_bound_and_the_rest_as_asked():
     asked = [
-        ToleranceRequest(NAMES[1], 0.0),
-        ToleranceRequest(NAMES[2], -1.0, -1.0, -1.0),
-        ToleranceRequest(NAMES[3], 0.2, 0.5),
+        Asked(NAMES[1], 0.0),
+        Asked(NAMES[2], -1.0, -1.0, -1.0),
+        Asked(NAMES[3], 0.2, 0.5),
     ]
     taken = DEFAULT.asked(ROBOT, asked)
     assert taken.position == (0.01, 0.01, math.inf, 0.2, 0.01, 0.01)
@@ -41,7 +53,7 @@ def test_a_default_of_zero_is_no_bound_and_prismatic_joints_have_their_own():
 
 @pytest.mark.parametrize("joint", range(6))
 def test_a_joint_that_is_off_is_named_with_value_and_tolerance(joint):
-    tolerances = DEFAULT.asked(ROBOT, [ToleranceRequest(name, 0.1, 0.2, 0.3) for name in NAMES])
+    tolerances = DEFAULT.asked(ROBOT, [Asked(name, 0.1, 0.2, 0.3) for name in NAMES])
     assert tolerances.violation(ROBOT, off(joint, -0.1), off(joint, 0.2), off(joint, 0.3)) == ""
     name = NAMES[joint]
     for quantity, errors, error, bound in (
@@ -69,7 +81,7 @@ def test_a_tolerance_of_a_foreign_joint_or_of_no_number_is_refused():
         GoalJointsError,
         check=says("reason.goal.tolerance_joint", joint="elbow", known=", ".join(NAMES)),
     ):
-        DEFAULT.asked(ROBOT, [ToleranceRequest("elbow", 0.1)])
+        DEFAULT.asked(ROBOT, [Asked("elbow", 0.1)])
     with pytest.raises(
         GoalError,
         check=says(
@@ -78,12 +90,12 @@ def test_a_tolerance_of_a_foreign_joint_or_of_no_number_is_refused():
             joint="joint_a1",
         ),
     ):
-        DEFAULT.asked(ROBOT, [ToleranceRequest("joint_a1", 0.1, math.nan)])
+        DEFAULT.asked(ROBOT, [Asked("joint_a1", 0.1, math.nan)])
 
 
 @pytest.mark.parametrize("second", [0.2, 0.1])
 def test_a_tolerance_of_a_joint_that_is_named_twice_is_refused(second):
-    asked = [ToleranceRequest("joint_a1", 0.1), ToleranceRequest("joint_a1", second)]
+    asked = [Asked("joint_a1", 0.1), Asked("joint_a1", second)]
     with pytest.raises(GoalError, check=says("reason.goal.tolerance_twice", joint="joint_a1")):
         DEFAULT.asked(ROBOT, asked)
 

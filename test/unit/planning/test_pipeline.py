@@ -33,13 +33,10 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.planning.pipeline import PlanningPipeline
 from construction_twin.planning.planner import PlannerSettings
 from construction_twin.planning.tool_path import ToolWaypoint
+from construction_twin.planning.waypoint_file import read_waypoints
 from construction_twin.planning.waypoints import from_points
-from construction_twin.ros.nodes.planner import (
-    plan_request,
-    read_waypoints,
-    tool_waypoints,
-    trajectory_waypoints,
-)
+from construction_twin.ros.nodes import planner
+from construction_twin.ros.nodes.planner import plan_request, tool_waypoints, trajectory_waypoints
 from construction_twin.scene.objects import Scene, SceneObject
 
 EMPTY, WALLED = Scene(padding=0.01), Scene((WALL,), 0.01)
@@ -193,34 +190,34 @@ def test_the_speed_scale_of_the_settings_is_the_default_for_all():
 # -- from messages
 
 
-def test_zero_and_empty_mean_the_default():
-    asked = plan_request(PlanToJointsRequest(), "p", Moment("c0ffee00", 5))
-    assert (asked.plan_id, asked.asked, asked.source) == ("p", Moment("c0ffee00", 5), "request")
+@pytest.fixture
+def now(monkeypatch) -> Moment:
+    """The moment at which requests arrive."""
+    monkeypatch.setattr(planner, "present", lambda: NOW)
+    return NOW
+
+
+NOW = Moment("c0ffee00", 9 * 10**9)
+
+
+def test_zero_and_empty_mean_the_default(now):
+    asked = plan_request(PlanToJointsRequest())
+    assert (asked.asked, asked.source) == (now, "request")
     assert (asked.duration, asked.speed_scale, asked.acceleration_scale, asked.waypoints) == (None,) * 4
     full = PlanToJointsRequest(duration=2.0, speed_scale=0.5, acceleration_scale=0.25, waypoints=9, source="me")
-    asked = plan_request(full, "p", Moment("c0ffee00", 5))
+    asked = plan_request(full, "/a.csv")
     assert (asked.duration, asked.speed_scale, asked.acceleration_scale, asked.waypoints) == (2.0, 0.5, 0.25, 9)
-    assert asked.source == "me"
+    assert asked.source == "me" and plan_request(PlanFromCsvRequest(path="/a.csv"), "/a.csv").source == "/a.csv"
 
 
-def test_a_request_may_say_how_old_it_is_but_not_that_it_comes_from_the_future():
-    then, now = Moment("c0ffee00", 5 * 10**9), Moment("c0ffee00", 9 * 10**9)
-    assert plan_request(PlanToJointsRequest(asked=str(then)), "p", now).asked == then
-    assert plan_request(PlanToJointsRequest(asked=str(now)), "p", now).asked == now
-    elsewhere = Moment("deadbeef", then.at)
-    for asked, arrived in ((now, then), (elsewhere, now)):
-        with pytest.raises(PlanningError, check=says("motion.asked.elsewhere", asked=str(asked), arrived=str(arrived))):
-            plan_request(PlanToJointsRequest(asked=str(asked)), "p", arrived)
+def test_a_request_may_say_how_old_it_is_but_not_that_it_comes_from_the_future(now):
+    for then in (Moment("c0ffee00", 5 * 10**9), now):
+        assert plan_request(PlanToJointsRequest(asked=str(then))).asked == then
+    for asked in (Moment("c0ffee00", now.at + 10**9), Moment("deadbeef", 1)):
+        with pytest.raises(PlanningError, check=says("motion.asked.elsewhere", asked=str(asked), arrived=str(now))):
+            plan_request(PlanToJointsRequest(asked=str(asked)))
     with pytest.raises(PayloadError, check=says("executor.void.no_moment", shown="'4.0'")):
-        plan_request(PlanToJointsRequest(asked="4.0"), "p", now)
-
-
-def test_a_request_for_a_file_is_from_the_file_unless_it_says_otherwise():
-    assert plan_request(PlanFromCsvRequest(path="/a.csv"), "p", Moment("c0ffee00", 0), "/a.csv").source == "/a.csv"
-    assert (
-        plan_request(PlanFromCsvRequest(path="/a.csv", source="me"), "p", Moment("c0ffee00", 0), "/a.csv").source
-        == "me"
-    )
+        plan_request(PlanToJointsRequest(asked="4.0"))
 
 
 def test_a_tool_path_comes_in_its_frame():

@@ -10,9 +10,8 @@ import pytest
 import rospy
 from actionlib_msgs.msg import GoalID, GoalStatus
 
-from construction_twin.ros.messages.joint_goals import control_messages
-from construction_twin.ros.nodes import follow_joint_trajectory as module
-from construction_twin.ros.nodes.follow_joint_trajectory import GoalServer
+from construction_twin.ros.messages import joint_goals as module
+from construction_twin.ros.messages.joint_goals import GoalServer, control_messages
 
 MESSAGES = control_messages()
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -19,12 +18,13 @@ from construction_twin.core.limits import MotionLimits
 from construction_twin.core.sentences import understood
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.monitor.gate import Gate
+from construction_twin.monitor.monitor import Monitor
 from construction_twin.monitor.settings import Behaviour
 from construction_twin.monitor.states import SyncEvent, SyncState
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.ros.nodes import pca_monitor as module
 from construction_twin.ros.shared.diagnostics import OK, Report
-from construction_twin.ros.shared.stop_memory import PARAMETER
+from construction_twin.ros.shared.stop_memory import PARAMETER, StopMemory
 from construction_twin.ros.transport.joint_stream import from_time, to_time
 from construction_twin.servo.model import JointServo, ServoModel
 
@@ -61,15 +61,10 @@ class World:
         patch(rospy.Time, "now", lambda: to_time(self.wall))
         for level in ("loginfo", "logwarn", "logerr"):
             patch(rospy, level, lambda *words: self.logged.append(words[0] % words[1:]))
-        self.outputs = module.Outputs(
-            self.topic("command/joint_states"),
-            self.topic("sync"),
-            self.topic("hold"),
-            SimpleNamespace(report=self.report, flush=lambda: None, problem="", values=dict),
-            self.plan_to_joints,
-            lambda session: self.parameters.update({PARAMETER: session}),
-            self.topic("expected/joint_states"),
-        )
+        topics = (each.topic for each in module.INTERFACE.publishes)
+        self.publishers = {topic: self.topic(topic) for topic in topics} | {
+            "transitions": SimpleNamespace(publish=lambda _: None)
+        }
         #: What the gate knows of the arm's servos.
         self.servos: ServoModel | None = None
 
@@ -78,16 +73,16 @@ class World:
         behaviour = Behaviour(**SETTINGS)
         limits, codec = MotionLimits.of(ROBOT), JointStringCodec.of(ROBOT, 6)
         self.gate = Gate(limits, codec, behaviour.gate_settings(True), self.steady, self.servos)
-        outputs = self.outputs if sync is None else replace(self.outputs, sync=sync)
+        stopped_in = self.parameters.get(PARAMETER, "")
         return module.PcaMonitorNode(
-            self.gate,
-            behaviour,
+            Monitor(self.gate, behaviour, ROBOT.joint_names, stopped_in, self.steady),
             ROBOT.joint_names,
-            True,
-            outputs,
+            self.publishers if sync is None else self.publishers | {"sync": sync},
+            SimpleNamespace(add=self.report, flush=lambda: None, problem="", values=dict),
+            self.plan_to_joints,
+            StopMemory(stopped_in, lambda session: self.parameters.update({PARAMETER: session})),
             SimpleNamespace(refuse=lambda *said: self.refused.append(said)),
             SimpleNamespace(report=lambda: Report(OK, "")),
-            self.parameters.get(PARAMETER, ""),
         )
 
     def change(self, node, settings: str, operator: str = "Ada"):

@@ -15,14 +15,13 @@ from sentence_checks import says
 from construction_twin.coordination.path_judge import Judgement, PlanUnknownError
 from construction_twin.coordination.path_sweep import PathSweep
 from construction_twin.core.errors import PoseUnknownError
-from construction_twin.core.motion_errors import NeighbourUnknownError, PlanningError, SceneError
+from construction_twin.core.motion_errors import NeighbourUnknownError, SceneError
 from construction_twin.core.sentences import Sentence
 from construction_twin.ros.nodes import neighbour as neighbour_node
 from construction_twin.ros.nodes.neighbour import NeighbourNode
 from construction_twin.ros.shared import arm_listener
 from construction_twin.ros.shared.arm_listener import ArmPlans, OtherArm
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN
-from construction_twin.ros.shared.request_handler import OccupiedSpace, RequestHandler
 from construction_twin.scene.neighbour import Neighbour
 from construction_twin.scene.objects import Scene, SceneObject
 
@@ -251,28 +250,6 @@ def test_without_knowing_what_it_carries_nobody_knows_how_far_it_reaches(poses):
         arm(poses, scene=Scene((foreign,), 0.0)).occupied()
     problem = caught.value.sentence.values["problem"]
     assert (problem.key, problem.values["problem"].values["found"]) == ("motion.neighbour.load", "'no_such_link'")
-
-
-def test_a_plan_that_fails_because_the_other_arm_may_be_anywhere_says_so():
-    beside = SimpleNamespace(
-        occupied=lambda _: other().anywhere(), unknown="where b is, or goes, is not known: no message"
-    )
-    space = OccupiedSpace(beside, "b", 0.5, 0.1)
-    pipeline = SimpleNamespace(scene=EMPTY, wait_for_scene=lambda _: None)
-    count = SimpleNamespace(count=lambda *_: None)
-    handler = RequestHandler(pipeline, count, lambda: 1, 0.0, lambda plan, changes: str(plan), lambda *_: None, space)
-
-    def blocked(_):
-        assert [item.padding for item in space.obstacles()] == [pytest.approx(0.1, abs=2e-3)]
-        raise PlanningError("the start is in collision")
-
-    answer = handler.answer(blocked, None)
-    assert not answer.success
-    assert answer.message.startswith(
-        "the start is in collision; plans keep clear of the whole reach of b, because where b is"
-    )
-    beside.unknown = ""
-    assert handler.answer(blocked, None).message == "the start is in collision"
 
 
 def test_moveit_is_told_of_the_other_arm_where_it_stands_without_a_plan_and_is_known(bench):

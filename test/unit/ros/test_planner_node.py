@@ -26,15 +26,17 @@ from construction_twin.srv import (
 )
 from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
 from launch_files import twin_in_tf
+from neighbour_cell import other
 from planning_cell import HOME, LEFT, RIGHT, ROBOT, ROOT, standing
 from std_srvs.srv import TriggerRequest
 from tf2_msgs.msg import TFMessage
-from unplugged import Unplugged, over_the_wire
+from unplugged import Subscriber, Unplugged, over_the_wire
 
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.link.requests import Joints
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
+from construction_twin.planning import requests as plan_requests
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.ros.console import requests
@@ -43,7 +45,7 @@ from construction_twin.ros.messages import convert
 from construction_twin.ros.messages.scene_convert import object_to_msg, scene_to_msg, tf_frame
 from construction_twin.ros.nodes import planner as module
 from construction_twin.ros.nodes.planner import NODE, Settings
-from construction_twin.ros.shared import frame_listener, request_handler
+from construction_twin.ros.shared import frame_listener
 from construction_twin.ros.shared.frames import Frames
 from construction_twin.ros.transport import subscriber
 from construction_twin.scene.objects import Scene, SceneObject, product
@@ -57,7 +59,7 @@ SCENE = Scene((BLOCK,), 0.01)
 class Bench:
     """The node without ROS: its topics and services as calls, its messages through the wire format."""
 
-    def __init__(self, monkeypatch, tf_prefix: str = "", tf: tf2_ros.Buffer | None = None):
+    def __init__(self, monkeypatch, tf_prefix: str = "", tf: tf2_ros.Buffer | None = None, neighbour=None):
         self.pose = tuple(HOME)
         tf = tf2_ros.Buffer(debug=False) if tf is None else tf
         base = tf_frame(tf_prefix, ROBOT.base_link)
@@ -65,8 +67,8 @@ class Bench:
         values |= {"self_collision": str(ROOT / "config/kr120_self_collision.yaml"), "tf_prefix": tf_prefix, "seed": 1}
         values |= {"max_waypoints": 600}
         patch = monkeypatch.setattr
-        patch(module, "neighbour_settings", lambda: None)
-        patch(request_handler, "VERDICT_TIME", 0.0)
+        patch(module, "neighbour_settings", lambda: neighbour)
+        patch(plan_requests, "VERDICT_TIME", 0.0)
         patch(module, "caller_of", lambda _: "a caller")
         patch(
             module,
@@ -192,6 +194,40 @@ def test_once_it_is_free_any_motion_is_planned_and_there_is_no_way_back(bench):
     bench.callbacks["engagement"](Engagement())
     assert bench.work(task()).success
     assert not bench.services["plan_way_back"](TriggerRequest()).success
+
+
+def test_without_the_scene_s_publisher_nothing_is_planned_until_a_scene_comes(bench, monkeypatch):
+    def send():
+        return bench.services["plan_to_joints"](PlanToJointsRequest(goal=list(LEFT)))
+
+    monkeypatch.setattr(module, "SCENE_TIMEOUT", 0.0)
+    with monkeypatch.context() as silent:
+        silent.setattr(Subscriber, "get_num_connections", lambda _: 0)
+        answer = send()
+        assert not answer.success and "the scene node is not running" in answer.message
+    assert not send().success and bench.refused == {"NoSceneError": 2}
+    bench.show(SCENE)
+    assert send().success
+
+
+def test_a_plan_that_fails_because_the_other_arm_may_be_anywhere_says_so(monkeypatch):
+    beside = SimpleNamespace(unknown="")
+
+    def occupied(_):
+        beside.unknown = "where b is, or goes, is not known: no message"
+        return other().anywhere()
+
+    beside.occupied = occupied
+    monkeypatch.setattr(module, "await_robot", lambda _: None)
+    monkeypatch.setattr(module, "listen_to_other_arm", lambda *_, **__: beside)
+    bench = Bench(monkeypatch, neighbour=SimpleNamespace(name="b", padding=0.1))
+    answer = bench.services["plan_to_joints"](PlanToJointsRequest(goal=list(LEFT)))
+    assert not answer.success
+    assert "; plans keep clear of the whole reach of b, because where b is" in answer.message
+    # what was unknown then says nothing of another failure
+    beside.occupied = lambda _: []
+    answer = bench.services["plan_to_joints"](PlanToJointsRequest(goal=[0.0]))
+    assert not answer.success and "whole reach" not in answer.message
 
 
 class TestAMotionThatIsSentAgain:

@@ -10,15 +10,13 @@ import functools
 import queue
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-import genpy
 import pydantic
 import rospy
-from actionlib import ActionServer, ServerGoalHandle
-from actionlib_msgs.msg import GoalID, GoalStatus, GoalStatusArray
+from actionlib import ServerGoalHandle
 
 from construction_twin.core.errors import GoalError, GoalJointsError
 from construction_twin.core.sentences import Sentence
@@ -46,6 +44,7 @@ from construction_twin.robot.plan import BY_ACTION
 from construction_twin.ros.messages.joint_goals import (
     LONGEST,
     GoalDefaults,
+    GoalServer,
     asked_duration,
     control_messages,
     fill_feedback,
@@ -64,93 +63,8 @@ from construction_twin.ros.shared.ports import (
 )
 from construction_twin.ros.transport.joint_stream import from_time
 from construction_twin.ros.transport.persistent_service import NO_ANSWER
-from construction_twin.ros.transport.publisher import Publisher
-from construction_twin.ros.transport.subscriber import Subscriber, caller_of
+from construction_twin.ros.transport.subscriber import caller_of
 from construction_twin.srv import PlanTrajectory, ReviewPlan, StopPlan
-
-#: Messages kept for a client, and of clients, that are busy.
-QUEUE = 50
-#: How often the status of all goals is published [Hz], and how long that of a goal which has ended [s]: actionlib's own values.
-STATUS_RATE, STATUS_KEPT = 5.0, 5.0
-
-
-class GoalServer(ActionServer):
-    """As `actionlib.ActionServer`, but an error in a callback ends the node, and a client that is slow or gone holds up nothing.
-
-    rospy's subscriber would log such an error and go on; its publisher starts a thread per client that is no daemon, and complains
-    about what is published while the node ends.
-
-    Args:
-        name: Of the action.
-        kind: Of the action: ``...Action``.
-        on_goal, on_cancel: Take the goal's handle; in rospy's threads, with the server's lock held.
-        refused: See `Subscriber`.
-        recalled: Returns the result of a goal that was cancelled before it came, from a sentence.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        kind: type,
-        on_goal: Callable[[ServerGoalHandle], None],
-        on_cancel: Callable[[ServerGoalHandle], None],
-        refused: Callable[[str, str], None],
-        recalled: Callable[[str], genpy.Message],
-    ):
-        super().__init__(name, kind, on_goal, on_cancel, auto_start=False)
-        self._refused, self._recalled = refused, recalled
-
-    def initialize(self) -> None:
-        """Connect to the five topics; called by `start`."""
-        self.status_pub = Publisher(f"{self.ns}/status", GoalStatusArray, queue_size=QUEUE, latch=True)
-        self.result_pub = Publisher(f"{self.ns}/result", self.ActionResult, queue_size=QUEUE)
-        self.feedback_pub = Publisher(f"{self.ns}/feedback", self.ActionFeedback, queue_size=QUEUE)
-        self.goal_sub = self._hear("goal", self.ActionGoal, self.internal_goal_callback)
-        self.cancel_sub = self._hear("cancel", GoalID, self.internal_cancel_callback)
-        self.status_list_timeout = rospy.Duration(STATUS_KEPT)
-        self.status_timer = rospy.Timer(rospy.Duration(1.0 / STATUS_RATE), self.publish_status_async)
-
-    def is_connected(self, node: str) -> bool:
-        """Return whether a node still hears the status of its goals.
-
-        The status goes out all the time, so the connection of a client that ended without a word is found to be closed. That to a
-        machine which was cut off stays for as long as TCP believes in it.
-        """
-        return any(connection.endpoint_id == node for connection in self.status_pub.impl.connections)
-
-    def internal_cancel_callback(self, goal_id: GoalID) -> None:
-        """Cancel what is there, and forget when.
-
-        actionlib goes on to drop every goal whose stamp is not later than the cancel's: a client whose clock is an hour ahead would
-        lock everybody else out for an hour, without a word. Here a cancel is about goals that are there, and nothing that comes.
-        """
-        # in one: a goal that comes between the two would be dropped
-        with self.lock:
-            super().internal_cancel_callback(goal_id)
-            self.last_cancel = rospy.Time()
-
-    def internal_goal_callback(self, goal) -> None:
-        """Take a goal; one whose id is there already is refused and counted.
-
-        actionlib drops it without a word; and where its cancel came first, the result that it sends has no error code, which is the
-        code of success. The goal is then recalled with `recalled`.
-        """
-        with self.lock:
-            there = [each for each in self.status_list if each.status.goal_id.id == goal.goal_id.id]
-            if self.started and there:
-                status = there[0].status
-                if status.status == GoalStatus.RECALLING:
-                    sentence = "cancelled before it came"
-                    status.status, status.text = GoalStatus.RECALLED, sentence
-                    self.publish_result(status, self._recalled(sentence))
-                else:
-                    sentence = "its id is that of a goal that is there; expected a new one for each goal"
-                self._refused("repeated goal", f"goal {goal.goal_id.id!r} of {caller_of(goal)} dropped: {sentence}")
-            super().internal_goal_callback(goal)
-
-    def _hear(self, topic: str, kind: type, callback: Callable) -> Subscriber:
-        return Subscriber(f"{self.ns}/{topic}", kind, callback, self._refused, queue_size=QUEUE, tcp_nodelay=True)
-
 
 #: Time between two looks at poses and clock while a goal has the arm, and while none has [s].
 PERIOD, IDLE_PERIOD = 0.02, 0.2
@@ -225,8 +139,8 @@ class FollowJointTrajectoryNode:
         server: GoalServer = GoalServer(
             name,
             self._messages.FollowJointTrajectoryAction,
-            lambda handle: self._inbox.put(functools.partial(self._take_goal, server, handle)),
-            lambda handle: self._inbox.put(functools.partial(self._take_cancel, server, handle)),
+            lambda handle: self._put(self._take_goal, server, handle),
+            lambda handle: self._put(self._goals.on_cancel, _key(server, handle)),
             self._diagnostics.refuse,
             functools.partial(self._result, ResultCode.GOAL_TOLERANCE_VIOLATED),
         )
@@ -248,7 +162,8 @@ class FollowJointTrajectoryNode:
                     self._inbox.get(timeout=looks - now)()
                 except queue.Empty:
                     continue
-            self._carry_out()
+            for effect in self._goals.take_effects():
+                self._do(effect)
             self._described = self._goals.describe()
             if self._goals.state in FOLLOWED:
                 self._needs_poses.set()
@@ -317,21 +232,28 @@ class FollowJointTrajectoryNode:
 
     def on_review(self, message: Review) -> None:
         """Take a verdict."""
-        self._inbox.put(functools.partial(self._take_review, message))
+        self._put(self._goals.on_verdict, message.plan_id, message.approved, message.reviewer, message.reason)
 
     def on_execution(self, message: Execution) -> None:
         """Take what the executor does."""
-        self._inbox.put(functools.partial(self._take_execution, message))
+        if message.state not in ExecutorState._value2member_map_:
+            sentence = Sentence("reason.refused.execution_state", state=message.state)
+            self._diagnostics.refuse("execution", sentence)
+            return
+        state, start = ExecutorState(message.state), from_time(message.plan_start)
+        self._put(self._goals.on_execution, message.plan_id, state, message.outcome, message.reason, start)
+
+    def _put(self, take: Callable[..., None], *arguments: object) -> None:
+        self._inbox.put(lambda: take(*arguments, time.monotonic_ns()))
 
     # -- what was in the inbox
 
-    def _take_goal(self, server: GoalServer, handle: ServerGoalHandle) -> None:
+    def _take_goal(self, server: GoalServer, handle: ServerGoalHandle, now: int) -> None:
         goal, client, goal_id = handle.get_goal(), caller_of(handle.goal), _key(server, handle)
         self._taken += 1
         names = goal.trajectory.joint_names
         try:
-            empty = not names and not goal.trajectory.points
-            if empty:
+            if not names and not goal.trajectory.points:
                 goal.trajectory.joint_names = names = list(self._robot.joint_names)
             taken = trajectory_goal(goal, goal_id, client, self._robot, self._defaults)
         except GoalError as error:
@@ -341,40 +263,19 @@ class FollowJointTrajectoryNode:
             handle.set_rejected(self._result(code, str(error)), str(error))
             return
         self._clients[goal_id] = Client(server, handle, tuple(self._robot.joint_names.index(name) for name in names))
-        now = time.monotonic_ns()
-        if goal.trajectory.points:
-            self._goals.on_goal(taken, now)
-        else:
-            self._goals.on_stand_still(taken, now)
-
-    def _take_cancel(self, server: GoalServer, handle: ServerGoalHandle) -> None:
-        self._goals.on_cancel(_key(server, handle), time.monotonic_ns())
-
-    def _take_review(self, message: Review) -> None:
-        now = time.monotonic_ns()
-        self._goals.on_verdict(message.plan_id, message.approved, message.reviewer, message.reason, now)
-
-    def _take_execution(self, message: Execution) -> None:
-        if message.state not in ExecutorState._value2member_map_:
-            sentence = Sentence("reason.refused.execution_state", state=message.state)
-            self._diagnostics.refuse("execution", sentence)
-            return
-        state, start, now = ExecutorState(message.state), from_time(message.plan_start), time.monotonic_ns()
-        self._goals.on_execution(message.plan_id, state, message.outcome, message.reason, start, now)
+        (self._goals.on_goal if goal.trajectory.points else self._goals.on_stand_still)(taken, now)
 
     # -- effects
-
-    def _carry_out(self) -> None:
-        for effect in self._goals.take_effects():
-            self._do(effect)
 
     def _do(self, effect: Effect) -> None:
         if isinstance(effect, Ask):
             self._in_background(self._plan, effect.goal, self._clients[effect.goal.id].handle.get_goal().trajectory)
         elif isinstance(effect, Withdraw):
-            self._in_background(self._withdraw, effect)
+            verdict = {"approve": False, "reviewer": f"client {effect.client}", "reason": effect.reason}
+            plan = {"plan_id": effect.plan_id, "plan_hash": effect.plan_hash}
+            self._in_background(self._call, "review_plan", ReviewPlan, plan | verdict)
         elif isinstance(effect, Brake):
-            self._in_background(self._brake, effect)
+            self._in_background(self._call, "stop_plan", StopPlan, {"plan_id": effect.plan_id})
         elif isinstance(effect, Accept):
             rospy.loginfo("goal of %s: %s", caller_of(self._clients[effect.goal_id].handle.goal), effect.text)
             self._clients[effect.goal_id].handle.set_accepted(effect.text)
@@ -435,44 +336,19 @@ class FollowJointTrajectoryNode:
         else:
             self._put(self._goals.on_not_planned, answer.message)
 
-    def _withdraw(self, effect: Withdraw) -> None:
+    def _call(self, service: str, kind: type, fields: Mapping[str, object]) -> None:
         try:
-            review = rospy.ServiceProxy("review_plan", ReviewPlan)
-            answer = review(
-                plan_id=effect.plan_id,
-                plan_hash=effect.plan_hash,
-                approve=False,
-                reviewer=f"client {effect.client}",
-                reason=effect.reason,
-            )
+            done = rospy.ServiceProxy(service, kind)(**fields).success
         except rospy.ROSInterruptException:
             return
         except NO_ANSWER as error:
-            self._failed("review_plan", error)
-            return
-        if not answer.success:
-            # the plan has not reached the executor yet, or a verdict has just been taken, which will be heard of
-            self._put(self._goals.on_call_failed)
-
-    def _brake(self, effect: Brake) -> None:
-        try:
-            answer = rospy.ServiceProxy("stop_plan", StopPlan)(plan_id=effect.plan_id)
-        except rospy.ROSInterruptException:
-            return
-        except NO_ANSWER as error:
-            self._failed("stop_plan", error)
-            return
-        if not answer.success:
-            # the plan has ended, or its approval and the start have just crossed this, which will be heard of
-            self._put(self._goals.on_call_failed)
-
-    def _failed(self, service: str, error: Exception) -> None:
-        if not rospy.core.is_shutdown_requested():
+            if rospy.core.is_shutdown_requested():
+                return
             rospy.logwarn("%s gave no answer (%s); trying again", rospy.resolve_name(service), error)
+            done = False
+        if not done:
+            # the plan has not reached the executor yet, or its verdict, start or end has just crossed this, which will be heard of
             self._put(self._goals.on_call_failed)
-
-    def _put(self, take: Callable[..., None], *arguments: object) -> None:
-        self._inbox.put(lambda: take(*arguments, time.monotonic_ns()))
 
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import functools
 import time
-import uuid
 from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import pydantic
 import rospy
-from geometry_msgs.msg import PoseStamped
 from std_srvs.srv import Trigger, TriggerRequest
 from trajectory_msgs.msg import JointTrajectory
 
-from construction_twin.core.files import read_file
-from construction_twin.core.freshness import Moment, parse_moment
+from construction_twin.core.freshness import parse_moment
 from construction_twin.core.motion_errors import EngagedError, PlanningError, SceneError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
@@ -29,8 +25,9 @@ from construction_twin.msg import Plan as PlanMsg
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.planning.pipeline import PlanningPipeline
 from construction_twin.planning.planner import PlannerSettings, PlanRequest
+from construction_twin.planning.requests import Answer, PlanRequests
 from construction_twin.planning.tool_path import ToolWaypoint
-from construction_twin.planning.waypoint_file import parse_waypoints
+from construction_twin.planning.waypoint_file import read_waypoints
 from construction_twin.planning.waypoints import Waypoints, from_points
 from construction_twin.planning.work_plan import in_segment
 from construction_twin.planning.work_segment import WorkSegment
@@ -48,6 +45,7 @@ from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.arm_listener import (
     OTHER_POSE_AGE,
+    OtherArm,
     await_robot,
     listen_to_other_arm,
     neighbour_settings,
@@ -58,7 +56,6 @@ from construction_twin.ros.shared.frames import listen_to_frames
 from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.ports import Interface, NewestPose, Ports, Publication, Served, Shared, Subscription
-from construction_twin.ros.shared.request_handler import OccupiedSpace, RequestHandler
 from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.subscriber import caller_of
 from construction_twin.scene.neighbour import Obstacle
@@ -80,35 +77,25 @@ from construction_twin.srv import (
     PlanWorkRequest,
 )
 
-#: Largest CSV file [bytes]: 20000 waypoints with velocities, 15 columns of 20 characters, are 6 MiB.
-_LARGEST_FILE = 16 * 2**20
 
-
-def plan_request(request, plan_id: str, arrived: Moment, source: str = "request") -> PlanRequest:
+def plan_request(request, source: str = "request") -> PlanRequest:
     """Return the request behind any of the services'; zero and empty mean the default.
 
     Args:
         request: Request of PlanToJoints, PlanToPose, PlanCartesian, PlanFromCsv or PlanTrajectory
-        plan_id: Of the plan to be made.
-        arrived: When the request arrived; used if it does not say when it was asked for.
         source: Name of the requester if the request does not give one.
 
     Raises:
         PayloadError: ``moment``, of when it was asked for.
         PlanningError: If that is not before it arrived, on the same clock: then a stop between the two would not void it.
     """
+    arrived = present()
     asked = parse_moment(request.asked) if getattr(request, "asked", "") else arrived
     if asked.origin != arrived.origin or asked.at > arrived.at:
         raise PlanningError(Sentence("motion.asked.elsewhere", asked=str(asked), arrived=str(arrived)))
-    return PlanRequest(
-        plan_id=plan_id,
-        asked=asked,
-        source=request.source or source,
-        duration=getattr(request, "duration", None) or None,
-        speed_scale=request.speed_scale or None,
-        acceleration_scale=request.acceleration_scale or None,
-        waypoints=getattr(request, "waypoints", None) or None,
-    )
+    given = {name: getattr(request, name, None) or None for name in ("duration", "waypoints")}
+    scales = {name: getattr(request, name) or None for name in ("speed_scale", "acceleration_scale")}
+    return PlanRequest(asked=asked, source=request.source or source, **given, **scales)
 
 
 def tool_waypoints(waypoints: Iterable, base_T_frame: Pose) -> list[ToolWaypoint]:
@@ -140,27 +127,6 @@ def work_segments(messages: Iterable) -> list[WorkSegment]:
         with in_segment(number, msg.name):
             segments.append(work_segment_from_msg(msg))
     return segments
-
-
-def read_waypoints(path: str, robot: RobotModel, columns: str = "") -> Waypoints:
-    """Read a CSV file of joint waypoints, whose columns are told if it does not name them; see `waypoint_file`.
-
-    Raises:
-        WaypointsError: Naming the line, the column, what was found and what was expected.
-        PlanningError: If the file cannot be read.
-    """
-    if not Path(path).is_absolute():
-        raise PlanningError(Sentence("motion.file.relative", path=repr(path)))
-    try:
-        text = read_file(path, _LARGEST_FILE).decode("utf-8")
-    except OSError as error:
-        found = Sentence("motion.file.unreadable", path=str(path), problem=str(error.strerror))
-        raise PlanningError(found) from error
-    except UnicodeDecodeError as error:
-        raise PlanningError(Sentence("motion.file.no_text", path=str(path))) from error
-    except ValueError as error:  # a null character in the path
-        raise PlanningError(Sentence("motion.file.bad_path", path=repr(path), problem=str(error))) from error
-    return parse_waypoints(text, robot, columns)
 
 
 def trajectory_waypoints(msg: JointTrajectory, robot: RobotModel) -> Waypoints:
@@ -204,53 +170,57 @@ class PlannerNode:
     """ROS around a PlanningPipeline: requests by service and topic in, plans out."""
 
     def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
-        self._settings = settings
         self._robot = robot
         self._chain = Chain(self._robot)
         self._beside = neighbour_settings()
-        self._pipeline = self._make_pipeline()
-        self._plans = 0
-        self._last = "no plan asked for yet"
-        self._diagnostics = ports.diagnostics
-        # it subscribes to the other arm's topics now, to its poses only while a plan is made
-        self._space: OccupiedSpace | None = None
-        if self._beside is not None:
-            beside, refuse = self._beside, self._diagnostics.refuse
-            await_robot(beside.name)
-            other = listen_to_other_arm(self._robot.name, beside, refuse, streams=False)
-            self._space = OccupiedSpace(other, beside.name, OTHER_POSE_AGE, beside.padding)
-        self._frames = listen_to_frames(self._robot, self._settings.tf_prefix, TF_TIMEOUT, self._diagnostics.refuse)
-        self._publisher, self._outcome_publisher = ports.publishers["plan"], ports.publishers["plan_outcome"]
-        self._twin = ports.poses["twin/joint_states"]
-        self._engagement: Engagement | None = None
-        self._requests = RequestHandler(
-            self._pipeline,
-            self._diagnostics,
-            functools.partial(ports.connections, "scene"),
-            SCENE_TIMEOUT,
-            self._publish,
-            self._publish_outcome,
-            self._space,
-            self._demand_free,
-        )
-
-    def _make_pipeline(self) -> PlanningPipeline:
-        settings = self._settings
-        rng = np.random.default_rng(settings.seed)
-        ik = IkSettings(budget_s=settings.ik_budget)
-        return PlanningPipeline(
-            self._robot,
+        rng, ik = np.random.default_rng(settings.seed), IkSettings(budget_s=settings.ik_budget)
+        self._pipeline = PlanningPipeline(
+            robot,
             inverse_kinematics(self._chain, ik, rng, time.monotonic),
             settings,
-            read_self_collision(settings.self_collision, self._robot),
+            read_self_collision(settings.self_collision, robot),
             time.monotonic,
             rospy.resolve_name("scene"),
             self._occupied if self._beside is not None else None,
         )
+        self._plans = 0
+        self._last = "no plan asked for yet"
+        self._diagnostics = ports.diagnostics
+        # it subscribes to the other arm's topics now, to its poses only while a plan is made
+        self._other: OtherArm | None = None
+        if self._beside is not None:
+            await_robot(self._beside.name)
+            self._other = listen_to_other_arm(self._robot.name, self._beside, self._diagnostics.refuse, streams=False)
+        self._frames = listen_to_frames(robot, settings.tf_prefix, TF_TIMEOUT, self._diagnostics.refuse)
+        self._publisher, self._outcome_publisher = ports.publishers["plan"], ports.publishers["plan_outcome"]
+        self._twin = ports.poses["twin/joint_states"]
+        self._engagement: Engagement | None = None
+        self._connections = functools.partial(ports.connections, "scene")
+        self._requests = PlanRequests(self._await_surroundings, self._publish, self._beside_unknown)
+
+    # -- the other arm
 
     def _occupied(self) -> list[Obstacle]:
-        assert self._space is not None
-        return self._space.obstacles()
+        """Return the space that the other arm occupies, padded; if its pose is not known, this is its whole reach."""
+        assert self._other is not None and self._beside is not None
+        obstacles = self._other.occupied(OTHER_POSE_AGE)
+        if self._other.unknown:
+            rospy.logwarn("%s", self._beside_unknown())
+        return [item.padded(self._beside.padding) for item in obstacles]
+
+    def _beside_unknown(self) -> str:
+        if self._other is None or not self._other.unknown or self._beside is None:
+            return ""
+        return f"plans keep clear of the whole reach of {self._beside.name}, because {self._other.unknown}"
+
+    def _await_surroundings(self) -> None:
+        """Wait for a scene whose publisher is connected: without it, the present surroundings of the arm are not known."""
+        if self._other is not None:
+            self._other.unknown = ""
+        seen = self._pipeline.scene
+        if not self._connections():
+            self._pipeline.forget_scene(seen)
+        self._pipeline.wait_for_scene(SCENE_TIMEOUT)
 
     # -- subscriptions
 
@@ -270,146 +240,149 @@ class PlannerNode:
         """Take a verdict: a plan waits for none any more."""
         self._requests.on_verdict(msg.plan_id)
 
-    def _demand_free(self) -> None:
-        left = self._engagement
-        if left is not None:
-            raise EngagedError(left.task, left.segment, left.reason)
-
     # -- requests
 
     def on_plan_to_joints(self, request: PlanToJointsRequest) -> Outcome:
         """Plan to joint positions."""
-
-        def plan(asked: PlanRequest) -> Plan:
-            return self._pipeline.to_joints(request.start or self._present_pose(), request.goal, asked)
-
-        return self._requests.answer(plan, self._request(request))
+        asked = plan_request(request)
+        return self._answer(
+            asked, lambda: self._pipeline.to_joints(request.start or self._present_pose(), request.goal, asked)
+        )
 
     def on_plan_to_pose(self, request: PlanToPoseRequest) -> Outcome:
-        """Plan to a pose of the tool."""
+        """Plan to a pose of the tool, in a link or any frame tf knows, at the goal's stamp (0: the latest)."""
+        asked = plan_request(request)
 
-        def plan(asked: PlanRequest) -> Plan:
-            goal = self._goal_in_base(request.goal)
+        def plan() -> Plan:
+            header, pose = request.goal.header, pose_from_msg(request.goal.pose)
+            goal = product(self._frames.in_base(header.frame_id, header.stamp), pose)
             return self._pipeline.to_pose(self._present_pose(), goal, asked, request.configuration)
 
-        return self._requests.answer(plan, self._request(request))
+        return self._answer(asked, plan)
 
     def on_plan_cartesian(self, request: PlanCartesianRequest) -> Outcome:
         """Plan along a path of the tool."""
+        asked = plan_request(request)
 
-        def plan(asked: PlanRequest) -> Plan:
+        def plan() -> Plan:
             path = tool_waypoints(request.waypoints, self._frames.in_base(request.frame_id, rospy.Time(0)))
             return self._pipeline.along(self._present_pose(), path, request.speed or None, asked)
 
-        return self._requests.answer(plan, self._request(request))
+        return self._answer(asked, plan)
 
     def on_plan_from_csv(self, request: PlanFromCsvRequest) -> Outcome:
         """Plan through the waypoints of a file."""
-
-        def read() -> Callable[[PlanRequest], Plan]:
-            waypoints = read_waypoints(request.path, self._robot, request.columns)
-            return lambda asked: self._pipeline.through(self._present_pose(), waypoints, asked)
-
-        return self._requests.answer_read(read, self._request(request, request.path))
+        asked = plan_request(request, request.path)
+        return self._through(asked, lambda: read_waypoints(request.path, self._robot, request.columns))
 
     def on_plan_trajectory(self, request: PlanTrajectoryRequest) -> Outcome:
         """Plan a motion from elsewhere."""
-        asked = self._request(request, f"plan_trajectory from {caller_of(request)}")
-        return self._requests.answer_read(self._through(request.trajectory, request.retime), asked)
+        asked = plan_request(request, f"plan_trajectory from {caller_of(request)}")
+        return self._through(asked, lambda: trajectory_waypoints(request.trajectory, self._robot), request.retime)
+
+    def on_trajectory(self, msg: JointTrajectory) -> None:
+        """Plan a motion from elsewhere; what becomes of it stands in `plan_outcome`."""
+        asked = PlanRequest(asked=present(), source=f"joint_trajectory from {caller_of(msg)}")
+        self._through(asked, lambda: trajectory_waypoints(msg, self._robot))
+
+    def _through(self, asked: PlanRequest, read: Callable[[], Waypoints], retime: bool = False) -> Outcome:
+        """Read waypoints, and plan through them from where the twin stands."""
+
+        def plan() -> Callable[[], Plan]:
+            waypoints = read()
+            return lambda: self._pipeline.through(self._present_pose(), waypoints, asked, retime)
+
+        return self._answer_read(asked, plan)
 
     def on_plan_work(self, request: PlanWorkRequest) -> Outcome:
         """Plan the segments of a task as one."""
+        asked = PlanRequest(asked=present(), source=request.source or f"task {request.task}")
         changes: list[SceneChange] = []
 
-        def read() -> Callable[[PlanRequest], Plan]:
+        def read() -> Callable[[], Plan]:
             segments = work_segments(request.segments)
             changes.extend(segment.change for segment in segments)
-            return lambda asked: self._pipeline.work(self._present_pose(), request.task, segments, asked)
+            return lambda: self._pipeline.work(self._present_pose(), request.task, segments, asked)
 
-        asked = PlanRequest(str(uuid.uuid4()), present(), request.source or f"task {request.task}")
-        return self._requests.answer_read(read, asked, changes)
+        return self._answer_read(asked, read, changes)
 
     def on_plan_way_back(self, _request: TriggerRequest) -> Outcome:
         """Plan the way back out of an engaged segment."""
         left = self._engagement
+        source = f"way back out of {left.segment!r}: {left.reason}" if left is not None else "way back"
+        asked = PlanRequest(asked=present(), source=source)
 
-        def read() -> Callable[[PlanRequest], Plan]:
+        def read() -> Callable[[], Plan]:
             if left is None:
                 raise PlanningError(Sentence("motion.no_way_back"))
             path = ExecutedPath(trajectory_from_msg(left.trajectory), left.end)
             requires = tuple(from_msg(Signal, signal) for signal in left.requires)
 
-            def plan(asked: PlanRequest) -> Plan:
+            def plan() -> Plan:
                 made = self._pipeline.way_back(self._present_pose(), left.task, path, requires, asked)
                 if made.scene not in left.scenes:
-                    raise PlanningError(
-                        Sentence("motion.no_way_back_now", problem=scene_problem(made.scene, left.scenes))
-                    )
+                    problem = scene_problem(made.scene, left.scenes)
+                    raise PlanningError(Sentence("motion.no_way_back_now", problem=problem))
                 return made
 
             return plan
 
-        source = f"way back out of {left.segment!r}: {left.reason}" if left is not None else "way back"
-        asked = PlanRequest(str(uuid.uuid4()), present(), source)
-        return self._requests.answer_read(read, asked, back=True)
+        return self._answer_read(asked, read, back=True)
 
-    def on_trajectory(self, msg: JointTrajectory) -> None:
-        """Plan a motion from elsewhere; what becomes of it stands in `plan_outcome`."""
-        caller = caller_of(msg)
-        asked = PlanRequest(str(uuid.uuid4()), present(), f"joint_trajectory from {caller}")
-        self._requests.answer_read(self._through(msg), asked)
+    # -- answers
 
-    def _through(self, msg: JointTrajectory, retime: bool = False) -> Callable[[], Callable[[PlanRequest], Plan]]:
-        """Return what reads a trajectory and then makes a plan of it, from where the twin stands."""
+    def _answer(self, asked: PlanRequest, make: Callable[[], Plan]) -> Outcome:
+        return self._answer_read(asked, lambda: make)
 
-        def read() -> Callable[[PlanRequest], Plan]:
-            waypoints = trajectory_waypoints(msg, self._robot)
-            return lambda asked: self._pipeline.through(self._present_pose(), waypoints, asked, retime)
+    def _answer_read(
+        self,
+        asked: PlanRequest,
+        read: Callable[[], Callable[[], Plan]],
+        changes: Sequence[SceneChange] = (),
+        back: bool = False,
+    ) -> Outcome:
+        """Answer a request; while the arm is inside an engaged segment that it was left in, only the way back is planned."""
 
-        return read
+        def demanded() -> Callable[[], Plan]:
+            left = self._engagement
+            if left is not None and not back:
+                raise EngagedError(left.task, left.segment, left.reason)
+            return read()
 
-    def _request(self, request, source: str = "request") -> PlanRequest:
-        return plan_request(request, str(uuid.uuid4()), present(), source)
+        answer = self._requests.answer(asked, demanded, changes)
+        if not answer.success:
+            if answer.trace:
+                rospy.logerr("%s", answer.trace)
+            self._diagnostics.count(answer.failure, answer.message)
+            self._publish_outcome(asked, answer)
+        return Outcome(answer.success, answer.message, fields=vars(answer))
 
-    def _publish(self, plan: Plan, changes: Sequence[SceneChange]) -> str:
-        tool_path = np.array([self._chain.forward(q).position for q in plan.trajectory.positions])
-        message = plan_to_msg(plan, self._frames.base, tool_path, changes)
-        message.header.stamp = rospy.Time.now()
-        self._publisher.publish(message)
-        self._plans += 1
-        return _sentence(plan)
+    def _publish(self, plan: Plan | None, changes: Sequence[SceneChange], asked: PlanRequest, answer: Answer) -> None:
+        if plan is not None:
+            tool_path = np.array([self._chain.forward(q).position for q in plan.trajectory.positions])
+            message = plan_to_msg(plan, self._frames.base, tool_path, changes)
+            message.header.stamp = rospy.Time.now()
+            self._publisher.publish(message)
+            self._plans += 1
+        self._publish_outcome(asked, answer)
 
-    def _publish_outcome(self, success: bool, asked: PlanRequest, message: str, plan_id: str) -> None:
-        self._last = message if success else f"no plan: {message}"
-        (rospy.loginfo if success else rospy.logwarn)("%s", self._last)
-        outcome = PlanOutcome(success=success, source=asked.source, message=message, plan_id=plan_id)
+    def _publish_outcome(self, asked: PlanRequest, answer: Answer) -> None:
+        self._last = answer.message if answer.success else f"no plan: {answer.message}"
+        (rospy.loginfo if answer.success else rospy.logwarn)("%s", self._last)
+        outcome = PlanOutcome(
+            success=answer.success, source=asked.source, message=answer.message, plan_id=answer.plan_id
+        )
         outcome.header.stamp = rospy.Time.now()
         self._outcome_publisher.publish(outcome)
 
-    # -- inputs of requests
-
     def _present_pose(self) -> tuple[float, ...]:
         return self._twin.pose(MAX_POSE_AGE, MAX_POSE_AGE)
-
-    def _goal_in_base(self, goal: PoseStamped) -> Pose:
-        """Return ``base_T_tool`` for a goal in a link or any frame tf knows, at the goal's stamp (0: the latest)."""
-        return product(self._frames.in_base(goal.header.frame_id, goal.header.stamp), pose_from_msg(goal.pose))
 
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
         scene = self._pipeline.scene
         values = {"plans": self._plans, "repeated": self._requests.repeated, "scene": scene.hash if scene else "none"}
         return Report(OK if scene is not None else WARN, self._last, values)
-
-
-def _sentence(plan: Plan) -> str:
-    trajectory, clearance = plan.trajectory, plan.report.clearance
-    close = f"closest {clearance.distance:.3f} m at {clearance.time:.2f} s ({' to '.join(clearance.between)})"
-    return (
-        f"plan {plan.id} for {plan.source!r}: {trajectory.duration:.3f} s, {len(trajectory.times)} waypoints, made by "
-        f"{plan.planner} in {plan.planning_time:.3f} s; {close if clearance.between else 'nothing to touch'}; "
-        "waiting for review"
-    )
 
 
 INTERFACE = Interface(

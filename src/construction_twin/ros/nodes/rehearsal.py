@@ -36,8 +36,8 @@ from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.element_masses import element_masses, placed_elements, tool_mass
 from construction_twin.ros.shared.node_shell import NodeShell
-from construction_twin.ros.shared.ports import Interface, Ports, Publication, Shared, Subscription
 from construction_twin.ros.shared.physics_process import PROGRAM, Question, digest
+from construction_twin.ros.shared.ports import Interface, Ports, Publication, Shared, Subscription
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.scene_change import SceneChange

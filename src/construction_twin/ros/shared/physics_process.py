@@ -1,4 +1,4 @@
-"""Builds models and rehearses plans in a process of its own: what a simulation does there, and how long it takes, the node outlives.
+"""Builds models and rehearses plans in a process of its own: the node outlives what a simulation does there.
 
 ``python -m`` with this module's name is the process; `work.worker` carries questions and answers. Knows no ROS.
 """

@@ -7,21 +7,15 @@ import math
 import os
 
 import pytest
-import rospy
 
 from construction_twin.core.append_only import read_lines
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.monitor.comparison import Comparison
+from construction_twin.monitor.monitor import TransitionLog, transition_fields
 from construction_twin.monitor.states import SyncEvent, SyncState, Transition
-from construction_twin.ros.shared.transition_report import TransitionReport, transition_fields
 
 NAMES = ("joint_a1", "joint_a2")
 AT = 1_790_000_000_123_456_789
-
-
-class Nobody:
-    def publish(self, _message) -> None:
-        pass
 
 
 def change(number: int = 0, physical=(0.02, 0.0)) -> Transition:
@@ -32,9 +26,9 @@ def change(number: int = 0, physical=(0.02, 0.0)) -> Transition:
 
 
 def test_a_line_holds_time_states_event_reason_and_values(tmp_path):
-    report = TransitionReport(tmp_path / "log.jsonl", NAMES, Nobody())
-    report.report(change())
-    report.flush()
+    log = TransitionLog(tmp_path / "log.jsonl", NAMES)
+    log.add(change())
+    log.flush()
     assert read_lines(tmp_path / "log.jsonl") == [
         {
             "time": "2026-09-21T14:13:20.123456789Z",
@@ -60,21 +54,20 @@ def test_without_a_comparison_there_are_no_values():
 
 
 def test_a_disk_that_refuses_is_named_until_it_takes_what_was_kept(tmp_path, monkeypatch):
-    report = TransitionReport(tmp_path / "log.jsonl", NAMES, Nobody())
-    report.report(change())
+    log = TransitionLog(tmp_path / "log.jsonl", NAMES)
+    log.add(change())
 
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", full)
-        patch.setattr(rospy, "logerr_throttle", lambda *_: None)
-        report.flush()
-    assert "No space left on device" in report.problem and (tmp_path / "log.jsonl").read_text() == ""
-    report.flush()
-    assert report.problem == "" and len(read_lines(tmp_path / "log.jsonl")) == 1
+        log.flush()
+    assert "No space left on device" in log.problem and (tmp_path / "log.jsonl").read_text() == ""
+    log.flush()
+    assert log.problem == "" and len(read_lines(tmp_path / "log.jsonl")) == 1
 
 
 def test_a_file_that_cannot_be_written_is_named(tmp_path):
     with pytest.raises(ConfigurationError, match=str(tmp_path)):
-        TransitionReport(tmp_path, NAMES, Nobody())
+        TransitionLog(tmp_path, NAMES)

@@ -1,0 +1,291 @@
+"""What surrounds the gate: the session, settings at rest, the plan to ask for after a hold, and what is told of its state.
+
+Pure: `now` is an argument everywhere, in ns on the gate's clock. Angles in rad, m for prismatic joints.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from construction_twin.core.append_only import AppendOnlyFile, iso_time
+from construction_twin.core.errors import ConfigurationError, RequestRefused, TransitionLogError
+from construction_twin.core.reports import SyncReport
+from construction_twin.core.sentences import Sentence
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.monitor.gate import REPLAN, Gate
+from construction_twin.monitor.settings import Behaviour
+from construction_twin.monitor.states import SyncState, Transition
+
+#: Plans remembered besides the one that was played last.
+KEPT = 20
+#: Rate of `sync` while its state does not change [Hz]. After 0.5 s of silence the executor takes the gate for closed.
+SYNC_RATE = 50.0
+#: Longest time between two `sync` of an open gate while the command rests [ns]: five nodes read each of them.
+RESTING_SYNC = NANOSECONDS // 10
+#: Transitions shown on `/diagnostics`, the newest first.
+SHOWN = 5
+
+
+@dataclass(frozen=True)
+class ReplanGoal:
+    """Goal and pace of a plan.
+
+    Attributes:
+        goal: Shape (n,). [rad]
+        speed_scale, acceleration_scale: Largest fraction of the limits that the plan uses, at most 1; 0 for a plan that stands
+            still.
+        seen: The robot's clock when the executor was last known to play it; empty: never. A plan that a person stopped later must
+            not be taken up again.
+    """
+
+    plan_id: str
+    goal: tuple[float, ...]
+    speed_scale: float
+    acceleration_scale: float
+    seen: str = ""
+
+
+@dataclass(frozen=True)
+class Replan:
+    """A plan to ask for: from the held pose to the goal of the plan that was interrupted.
+
+    Attributes:
+        held: Shape (n,). [rad]
+        state: That the gate has closed to.
+        violation: Which hold it is of: an answer may come late, in another one.
+    """
+
+    held: tuple[float, ...]
+    wanted: ReplanGoal
+    state: str
+    violation: int
+
+
+@dataclass(frozen=True)
+class _Played:
+    """What the executor did when it was last heard: whether it played that plan, and was not told to stop or to pause."""
+
+    plan_id: str = ""
+    playing: bool = False
+    moment: str = ""
+
+
+class Monitor:
+    """The gate with what it needs to know beside setpoints and poses. Not for use from several threads at once.
+
+    Args:
+        behaviour: What the gate was given.
+        names: Joint names.
+        stopped_in: The session in which a monitor before this one was STOPPED: the gate stays so until the link tells of another
+            session.
+    """
+
+    def __init__(self, gate: Gate, behaviour: Behaviour, names: tuple[str, ...], stopped_in: str = "", now: int = 0):
+        self.gate, self._behaviour, self._names = gate, behaviour, names
+        self._session = stopped_in
+        if stopped_in:
+            gate.stay_stopped(Sentence("reason.gate.stopped_before", session=stopped_in), now)
+        self._goals: dict[str, ReplanGoal] = {}
+        self._played = _Played()
+        #: The executor's sentence while a plan is being executed, at rest or not; empty otherwise.
+        self._executing = ""
+        self._reported: tuple = ()
+        self._sync_at = 0
+
+    @property
+    def stopped_in(self) -> str:
+        """The session in which the gate is STOPPED; empty while it is not."""
+        return self._session if self.gate.state is SyncState.STOPPED else ""
+
+    def on_link(self, session: str, leads: bool, now: int) -> None:
+        """Take the link's session, and whether the arm leads; a new session restarts the gate."""
+        self.gate.mirror(leads, now)
+        if session and session != self._session:
+            if self._session:
+                self.gate.restart(Sentence("reason.gate.new_session"), now)
+            self._session = session
+
+    def configure(self, operator: str, text: str, now: int) -> str:
+        """Change settings of the gate, at rest only; return what has changed.
+
+        Raises RequestRefused.
+        """
+        try:
+            if not operator.strip():
+                raise ConfigurationError("operator", operator, Sentence("expected.gate.person"))
+            if self._executing:
+                raise ConfigurationError("the executor", self._executing, Sentence("expected.gate.no_plan"))
+            # before the text is read: whatever reading it costs, it costs at rest
+            self.gate.check_rest(now)
+            behaviour = self._behaviour.changed(text)
+            difference = self._behaviour.difference(behaviour)
+            if not difference:
+                return "nothing to change"
+            settings = behaviour.gate_settings(self.gate.settings.compares)
+            self.gate.configure(settings, f"{operator.strip()} changed {difference}", now)
+        except ConfigurationError as error:
+            raise RequestRefused(Sentence("view.refused.unchanged", problem=error.sentence)) from error
+        self._behaviour = behaviour
+        return f"changed {difference}"
+
+    # -- the re-plan
+
+    def on_plan(
+        self, plan_id: str, goal: Sequence[float], velocity_use: Sequence[float], acceleration_use: Sequence[float]
+    ) -> None:
+        """Take a plan that was offered; its use of the limits per joint, as measured by the planner."""
+        speed, acceleration = (min(1.0, max(use, default=0.0)) for use in (velocity_use, acceleration_use))
+        self._goals[plan_id] = ReplanGoal(plan_id, tuple(goal), speed, acceleration)
+        old = [known for known in self._goals if known not in (self._played.plan_id, plan_id)]
+        for known in old[: max(len(old) - KEPT, 0)]:
+            del self._goals[known]
+
+    def on_execution(self, plan_id: str, executing: str, playing: bool, moment: str) -> None:
+        """Take what the executor did at a moment.
+
+        Args:
+            executing: Its state as a word while it follows the plan, at rest or not; else empty.
+            playing: It plays that plan, and was not told to stop or to pause.
+        """
+        self._executing = executing and f"plan {plan_id} is {executing}"
+        self._played = _Played(plan_id, playing, moment)
+
+    @property
+    def interrupted(self) -> ReplanGoal | None:
+        """Goal to plan to when the gate closes now.
+
+        None when nothing plays: what a person stops or pauses is not taken up by itself, and with `auto_approve` a new plan would
+        be. Nor is a plan that stands still, whose fractions the planner would read as its defaults.
+        """
+        played = self._played
+        found = self._goals.get(played.plan_id) if played.playing else None
+        if found is None or found.speed_scale <= 0.0 or found.acceleration_scale <= 0.0:
+            return None
+        return replace(found, seen=played.moment)
+
+    def take_transitions(self) -> tuple[list[Transition], Replan | None]:
+        """Return the gate's transitions, and the plan to ask for when it has just closed.
+
+        To be called before a change can be heard: the executor then drops the plan.
+        """
+        changes = self.gate.take_transitions()
+        first, wanted = changes[0], self.interrupted
+        closed = first.source is SyncState.IN_SYNC and first.target is not SyncState.IN_SYNC
+        if not closed or self.gate.policy != REPLAN or wanted is None:
+            return changes, None
+        asks = self.gate.on_replan(Sentence("reason.gate.replan_asked", plan=wanted.plan_id), first.at)
+        changes += self.gate.take_transitions()
+        replan = Replan(self.gate.held, wanted, first.target.name, self.gate.violations)
+        return changes, replan if asks else None
+
+    def on_replan_failed(self, replan: Replan, problem: str, now: int) -> None:
+        """Take that there will be no new plan; in another hold it means nothing."""
+        if self.gate.violations == replan.violation:
+            self.gate.on_replan_failed(Sentence("reason.gate.replan_failed", problem=problem), now)
+
+    # -- what is told
+
+    def sync(self, now: int) -> SyncReport | None:
+        """Return the gate's report when it is to be told: at once in another state, else at `SYNC_RATE`, at rest less often."""
+        gate = self.gate
+        state = (gate.state, gate.reason, gate.agreed(now))
+        resting = gate.state is SyncState.IN_SYNC and gate.rests(now) and not gate.mirrored
+        pause = RESTING_SYNC if resting else round(NANOSECONDS / SYNC_RATE)
+        if state == self._reported and now - self._sync_at < pause:
+            return None
+        self._reported, self._sync_at = state, now
+        report = SyncReport(
+            state=gate.state.value,
+            text=gate.state.name,
+            reason=gate.reason,
+            agreed=state[2],
+            policy=gate.policy,
+            violations=gate.violations,
+            held_stamp=gate.held_stamp,
+        )
+        last = gate.comparison.last
+        if last is None:
+            return report
+        compared = {"error": last.error, "threshold": last.threshold, "name": self._names}
+        return replace(report, comparison=last.mode, round_trip=last.round_trip, servo_lag=last.servo_lag, **compared)
+
+    def values(self) -> dict[str, str | int]:
+        """Return what `/diagnostics` says of the gate."""
+        gate, watch = self.gate, self.gate.watch_of_servos
+        last = gate.comparison.last
+        values: dict[str, str | int] = {
+            "policy": gate.policy,
+            "comparison": last.mode if last else "none yet",
+            "servo lag [s]": f"{last.servo_lag:.6f}" if last else "nan",
+            "violations": gate.violations,
+            "refused setpoints": gate.refused,
+        }
+        if watch is None:
+            return values | {"servo model": "none: the arm is compared with the twin alone"}
+        return values | {
+            "servo model": "judges" if watch.judges else "waits until the arm has moved as commanded",
+            "compared with it": watch.judged,
+            "largest residual": f"{max(watch.largest):.6f}",
+            "lag beyond the file [ms]": ", ".join(f"{1e3 * lag:+.2f}" for lag in watch.refinement.later),
+        }
+
+
+class TransitionLog:
+    """The file of all transitions, whose stamps are in ROS time here, and the newest of them.
+
+    Attributes:
+        problem: Why the file cannot be written; empty when it can.
+
+    Raises:
+        ConfigurationError: When it cannot be opened.
+    """
+
+    def __init__(self, path: Path, names: tuple[str, ...]):
+        self.problem, self._names, self._count = "", names, 0
+        self._file = AppendOnlyFile(path, TransitionLogError, "pca_monitor")
+        self._recent: deque[Transition] = deque(maxlen=SHOWN)
+
+    def add(self, change: Transition) -> None:
+        """Keep a transition until `flush`."""
+        self._file.defer(change.at, transition_fields(change, self._names))
+        self._recent.appendleft(change)
+        self._count += 1
+
+    def flush(self) -> None:
+        """Write what is kept; waits for the disk."""
+        try:
+            self._file.flush()
+        except TransitionLogError as error:
+            self.problem = str(error)
+        else:
+            self.problem = ""
+
+    def values(self) -> dict[str, str]:
+        """Return what `/diagnostics` shows."""
+        recent = enumerate(tuple(self._recent), start=1)
+        values = {f"transition {number}": f"{iso_time(change.at)} {change}" for number, change in recent}
+        log = {"transition log": str(self._file.path), "transitions lost to the log": str(self._file.lost)}
+        return {"transitions": str(self._count)} | values | log
+
+
+def transition_fields(change: Transition, names: Sequence[str]) -> dict:
+    """Return what a line of the log holds of a transition, besides its time; `error` and `threshold` by joint [rad], [m]."""
+    last = change.comparison
+    return {
+        "from": change.source.name,
+        "to": change.target.name,
+        "event": change.event.value,
+        "reason": change.reason,
+        "error": _by_joint(names, last.error) if last else {},
+        "threshold": _by_joint(names, last.threshold) if last else {},
+        "held_stamp_ns": change.held_stamp,
+    }
+
+
+def _by_joint(names: Sequence[str], values: Sequence[float]) -> dict[str, float | None]:
+    """Return values by joint name; JSON has no word for what is no number."""
+    return {name: value if math.isfinite(value) else None for name, value in zip(names, values)}
