@@ -94,14 +94,11 @@ def planner_scene(bodies: RobotBodies, scene: Scene, self_collision: SelfCollisi
     )
 
 
-def scene_text(told: PlannerScene, name: str, beside: Iterable[PlannerObject] = ()) -> tuple[str, tuple[str, ...]]:
+def scene_text(told: PlannerScene, name: str) -> tuple[str, tuple[str, ...]]:
     """Return the objects that stand, in the text format that MoveIt's panel imports (`.scene`), and what is not in it.
 
     The format is MoveIt 1.1's, with the object's pose and subframes; poses are in the root of the URDF. It knows neither carried
     objects nor pairs that may touch.
-
-    Args:
-        beside: Of the other arm, in the root of the URDF.
 
     Returns:
         text
@@ -112,8 +109,6 @@ def scene_text(told: PlannerScene, name: str, beside: Iterable[PlannerObject] = 
     for item in told.objects:
         if not item.carried:
             _write_object(item, product(told.root_T_base, item.pose), out)
-    for item in beside:
-        _write_object(item, item.pose, out)
     print(".", file=out)
     left_out = tuple(
         Sentence("scene.told.carried", object=repr(item.name), frame=item.frame)

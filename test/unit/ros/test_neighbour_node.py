@@ -42,9 +42,7 @@ class Bench:
         monkeypatch.setattr(neighbour_node.rospy.Time, "now", staticmethod(self._now))
         monkeypatch.setattr(neighbour_node.rospy, "loginfo", lambda *_: None)
         conflict = SimpleNamespace(publish=self.did.append)
-        self.moveit: list = []
-        told = SimpleNamespace(moves=lambda: self.moveit.append("moves"), stands=lambda *seen: self.moveit.append(seen))
-        self.node = NeighbourNode(settings, self.own, self.other, self.judge, 2.9, conflict, told)
+        self.node = NeighbourNode(settings, self.own, self.other, self.judge, 2.9, conflict)
 
     def _now(self):
         self.did.append("time")
@@ -250,22 +248,3 @@ def test_without_knowing_what_it_carries_nobody_knows_how_far_it_reaches(poses):
         arm(poses, scene=Scene((foreign,), 0.0)).occupied()
     problem = caught.value.sentence.values["problem"]
     assert (problem.key, problem.values["problem"].values["found"]) == ("motion.neighbour.load", "'no_such_link'")
-
-
-def test_moveit_is_told_of_the_other_arm_where_it_stands_without_a_plan_and_is_known(bench):
-    bench.check()
-    assert bench.moveit == [(other().between(AWAY, AWAY), EMPTY.padding, STAMP)]
-    bench.moveit.clear()
-    bench.other.claim = object()
-    bench.check()
-    bench.other.claim, bench.other.unknown = None, "its pose is 3 s old"
-    bench.check()
-    bench.other.unknown, bench.own.scene = "", None
-    bench.check()
-
-    def unknown(**_):
-        raise NeighbourUnknownError("b", "its scene was not received")
-
-    bench.own.scene, bench.other.occupied = EMPTY, unknown
-    bench.check()
-    assert bench.moveit == ["moves"] * 4

@@ -5,24 +5,19 @@ from __future__ import annotations
 import io
 import sys
 
-import coal
 import genpy
 import numpy as np
-import pinocchio
 import pytest
 import rospy
 from moveit_messages import PART_MD5, PLANNING_SCENE_MD5, MoveitScene, md5_sums, message_types, modules
-from neighbour_cell import AWAY, BESIDE, STEP, TOWARDS, other
 from planning_cell import ROBOT
 from scene_samples import box_triangles, kr120, kr120_pairs, write_stl
 
 from construction_twin.kinematics.chain import Pose
-from construction_twin.ros.messages.planning_scene import MoveitTypes
+from construction_twin.ros.messages.planning_scene import MoveitTypes, PlanningScenePublisher
+from construction_twin.ros.nodes.scene import PLANNING_SCENE
 from construction_twin.ros.shared import ports
-from construction_twin.ros.shared.planning_scene import PLANNING_SCENE, OtherArmPublisher, PlanningScenePublisher
 from construction_twin.scene.collision_bodies import RobotBodies
-from construction_twin.scene.neighbour import Neighbour, Obstacle
-from construction_twin.scene.neighbour_objects import neighbour_objects
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.planner_scene import planner_scene
 
@@ -140,92 +135,6 @@ def test_objects_that_only_the_planner_knows_stay():
     for message in told(Scene((TABLE,)), Scene()):
         seen.take(message)
     assert set(seen.world) == {"theirs"}
-
-
-# -- the other arm
-
-
-def beside(*steps) -> list:
-    """Return what is published when the other arm is seen so, one check after the other; None: it moves."""
-    wire = Wire()
-    publisher = OtherArmPublisher(TYPES, kr120(), wire, 0.1)
-    for obstacles in steps:
-        if obstacles is None:
-            publisher.moves()
-        else:
-            publisher.stands(obstacles, 0.02, STAMP)
-    return wire.messages
-
-
-HERE, THERE = other().between(AWAY, AWAY), Neighbour("other", ROBOT, BESIDE, STEP).between(TOWARDS, TOWARDS)
-
-
-def test_the_other_arm_is_told_of_where_it_rests_and_only_then():
-    assert beside(HERE) == beside(HERE, THERE) == beside(HERE, None, HERE) == []
-    assert len(beside(HERE, HERE, HERE, None, HERE, HERE)) == 1
-    first, second = beside(HERE, HERE, None, THERE, THERE)
-    assert first.is_diff and not first.robot_model_name and not first.allowed_collision_matrix.entry_names
-    names = [thing.id for thing in first.world.collision_objects]
-    assert names == [thing.id for thing in second.world.collision_objects] and len(set(names)) == len(names)
-    assert {"other/link_0", "other/link_3"} <= set(names)
-    assert {thing.header.frame_id for thing in first.world.collision_objects} == {"base_link"}
-    seen = taken([*told(Scene((TABLE,))), first, second])
-    assert "table" in seen.world and seen.printed == [] and seen.matrix is not None
-
-
-def inside(item, point: np.ndarray) -> bool:
-    """Return whether a point in the root lies in an object."""
-    local = item.pose.rotation.T @ (point - item.pose.position)
-    if item.shape == "box":
-        return bool(np.all(np.abs(local) <= np.array(item.dimensions) / 2 + 1e-9))
-    if item.shape == "sphere":
-        return bool(np.linalg.norm(local) <= item.dimensions[0] + 1e-9)
-    if item.shape == "cylinder":
-        radius, length = item.dimensions
-        return bool(np.hypot(*local[:2]) <= radius + 1e-9 and abs(local[2]) <= length / 2 + 1e-9)
-    corners = item.vertices[item.triangles]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return bool(np.all(np.einsum("ij,ij->i", normals, local - corners[:, 0]) <= 1e-9))
-
-
-@pytest.mark.parametrize(
-    "geometry",
-    [coal.Box(0.4, 0.2, 0.6), coal.Sphere(0.2), coal.Cylinder(0.1, 0.5), coal.Capsule(0.1, 0.5), None],
-    ids=["box", "sphere", "cylinder", "capsule", "convex"],
-)
-def test_every_point_within_the_distance_to_keep_is_in_one_of_the_parts(geometry):
-    rng = np.random.default_rng(7)
-    if geometry is None:
-        cloud = coal.BVHModelOBBRSS()
-        cloud.beginModel(0, 40)
-        cloud.addVertices(rng.normal(size=(40, 3)) * (0.3, 0.2, 0.1))
-        cloud.endModel()
-        cloud.buildConvexHull(True, "Qt")
-        geometry = cloud.convex
-    rotation, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    place = pinocchio.SE3(rotation * np.sign(np.linalg.det(rotation)), np.array([0.3, -0.2, 1.0]))
-    margin = 0.12
-    parts = neighbour_objects([Obstacle("other/x", place, geometry, 0.01)], "base_link", margin - 0.01)
-    assert [part.name for part in parts] == ["other/x", "other/x 2", "other/x 3"][: len(parts)]
-    point_shape, near, far = coal.Sphere(1e-6), 0, 0
-    for offset in rng.uniform(-0.6, 0.6, (3000, 3)):
-        point = place.translation + offset
-        result = coal.DistanceResult()
-        at = coal.Transform3s(np.eye(3), point)
-        distance = coal.distance(
-            geometry,
-            coal.Transform3s(place.rotation, place.translation),
-            point_shape,
-            at,
-            coal.DistanceRequest(),
-            result,
-        )
-        held = any(inside(part, point) for part in parts)
-        near += distance <= margin - 1e-5
-        far += not held
-        assert held or distance > margin - 1e-5, (offset, distance)
-    # both kinds were tried
-    assert near > 50 and far > 50
 
 
 @pytest.fixture

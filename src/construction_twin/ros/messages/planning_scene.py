@@ -1,4 +1,9 @@
-"""The scene as `moveit_msgs/PlanningScene`. The package is not needed here: the message types are an argument."""
+"""The scene as `moveit_msgs/PlanningScene`. The package is not needed here: the message types are an argument.
+
+A message is a difference, and what is gone must be named, once: MoveIt complains of each object that it is to detach or remove and
+does not know. So a change that takes something away is followed by a message that says all that is there and removes nothing. That
+one stays latched, for a planner that comes later.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +16,14 @@ import genpy
 from geometry_msgs.msg import Point, Quaternion
 from geometry_msgs.msg import Pose as PoseMsg
 
+from construction_twin.robot.description import RobotModel
 from construction_twin.robot.frames import rotation_to_quaternion
-from construction_twin.scene.planner_scene import PlannerObject, PlannerScene
+from construction_twin.robot.urdf import parse_urdf
+from construction_twin.ros.transport.publisher import Sink
+from construction_twin.scene.collision_bodies import RobotBodies
+from construction_twin.scene.objects import Scene
+from construction_twin.scene.planner_scene import PlannerObject, PlannerScene, planner_scene
+from construction_twin.scene.self_collision import SelfCollision
 
 
 @dataclass(frozen=True)
@@ -30,6 +41,30 @@ class MoveitTypes:
 def moveit_types() -> MoveitTypes:
     """Return the installed types: call it only where moveit_msgs is installed."""
     return MoveitTypes(importlib.import_module("moveit_msgs.msg"), importlib.import_module("shape_msgs.msg"))
+
+
+class PlanningScenePublisher:
+    """Publishes scenes as `moveit_msgs/PlanningScene`."""
+
+    def __init__(self, types: MoveitTypes, robot: RobotModel, self_collision: SelfCollision, publisher: Sink):
+        self._types = types
+        self._bodies = RobotBodies(robot)
+        self._self_collision = self_collision
+        self._publisher = publisher
+        self._robot_name = parse_urdf(robot.urdf).name
+        self._told: set[str] = set()
+        self._carried: set[str] = set()
+
+    def publish(self, scene: Scene, stamp: genpy.Time) -> None:
+        """Publish a scene that was checked before."""
+        told = planner_scene(self._bodies, scene, self._self_collision)
+        carried = {item.name for item in told.objects if item.carried}
+        gone, put_down = self._told - set(scene.names), self._carried - carried
+        if gone or put_down:
+            change = planning_scene_message(self._types, told, self._robot_name, stamp, gone, put_down)
+            self._publisher.publish(change)
+        self._told, self._carried = set(scene.names), carried
+        self._publisher.publish(planning_scene_message(self._types, told, self._robot_name, stamp))
 
 
 def planning_scene_message(
@@ -72,19 +107,6 @@ def planning_scene_message(
     matrix.entry_values = [moveit.AllowedCollisionEntry(enabled=row.tolist()) for row in told.allowed]
     matrix.default_entry_names = list(told.fixed_links)
     matrix.default_entry_values = [True] * len(told.fixed_links)
-    return message
-
-
-def beside_message(types: MoveitTypes, objects: Iterable[PlannerObject], stamp: genpy.Time, gone: Collection[str] = ()):
-    """Return objects that stand as a difference that changes nothing else: neither the robot's state nor who is checked with whom.
-
-    Args:
-        types, stamp: As of `planning_scene_message`.
-        gone: Objects of earlier messages that are there no more.
-    """
-    message = types.moveit.PlanningScene(is_diff=True)
-    message.robot_state.is_diff = True
-    message.world.collision_objects = [_object(types, item, stamp) for item in objects] + _removed(types, gone)
     return message
 
 

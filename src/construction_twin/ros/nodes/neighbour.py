@@ -19,7 +19,6 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.conflict_verdicts import VERDICT_TIMEOUT
 from construction_twin.msg import Conflict as ConflictMsg
 from construction_twin.robot.description import RobotModel
-from construction_twin.ros.messages.planning_scene import moveit_types
 from construction_twin.ros.shared.arm_listener import (
     ARM_POSES,
     ARM_TOPICS,
@@ -33,7 +32,6 @@ from construction_twin.ros.shared.arm_listener import (
 )
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
 from construction_twin.ros.shared.node_shell import NodeShell
-from construction_twin.ros.shared.planning_scene import PLANNING_SCENE, OtherArmPublisher
 from construction_twin.ros.shared.ports import Interface, Ports, Publication
 from construction_twin.ros.transport.publisher import Sink
 
@@ -61,7 +59,6 @@ class NeighbourNode:
 
     Args:
         horizon: How far ahead a conflict is acted upon [s].
-        moveit: Is told where the other arm rests, where MoveIt's message types are installed.
     """
 
     def __init__(
@@ -72,7 +69,6 @@ class NeighbourNode:
         judge: PathJudge,
         horizon: float,
         conflict: Sink,
-        moveit: OtherArmPublisher | None = None,
     ):
         self._settings = settings
         self._own = own
@@ -81,7 +77,6 @@ class NeighbourNode:
         self._horizon = horizon
         self._publisher = conflict
         self._state = Report(WARN, "nothing to watch yet")
-        self._moveit = moveit
         self._checks, self._longest = 0, 0.0
         self._failure = ""
         self._logged: dict[str, LoggedVerdict] = {}
@@ -123,15 +118,6 @@ class NeighbourNode:
                 self._publish(waiting.id, verdict, stamp)
         self._forget(verdicts)
         self._sum_up(verdicts, others)
-        if self._moveit is not None:
-            self._tell_moveit(self._moveit, others, stamp)
-
-    def _tell_moveit(self, moveit: OtherArmPublisher, others: Others | None, stamp: rospy.Time) -> None:
-        scene = self._own.scene
-        if others is None or others.claim is not None or others.unknown or scene is None:
-            moveit.moves()
-        else:
-            moveit.stands(others.obstacles, scene.padding, stamp)
 
     def _has_begun(self, plan_id: str) -> bool:
         try:
@@ -214,15 +200,13 @@ def start(settings: NeighbourSettings, robot: RobotModel, ports: Ports) -> Neigh
     timeout = VERDICT_TIMEOUT / NANOSECONDS
     horizon = braking_horizon(robot, other.robot, OTHER_POSE_AGE, timeout, DELAY)
     judge = PathJudge(robot, settings.name, settings.watch_padding, OWN_STEP, horizon)
-    told = ports.publishers.get(PLANNING_SCENE.topic)
-    moveit = None if told is None else OtherArmPublisher(moveit_types(), robot, told, settings.padding)
     rospy.loginfo("watches %s; a conflict is acted upon at least %.2f s ahead", settings.name, horizon)
-    return NeighbourNode(settings, own, other, judge, horizon, ports.publishers["conflict"], moveit)
+    return NeighbourNode(settings, own, other, judge, horizon, ports.publishers["conflict"])
 
 
 INTERFACE = Interface(
     report=NeighbourNode.report,
-    publishes=(Publication("conflict", ConflictMsg, queue_size=10), PLANNING_SCENE),
+    publishes=(Publication("conflict", ConflictMsg, queue_size=10),),
     listeners=(*ARM_TOPICS, *ARM_POSES),
 )
 NODE = NodeShell("neighbour", NeighbourSettings, start, INTERFACE)

@@ -21,7 +21,7 @@ from construction_twin.core.sentences import Sentence, Value
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.convert import pose_from_msg
-from construction_twin.ros.messages.planning_scene import moveit_types
+from construction_twin.ros.messages.planning_scene import PlanningScenePublisher, moveit_types
 from construction_twin.ros.messages.scene_convert import object_from_msg, scene_markers, scene_to_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.frame_listener import FRAMES
@@ -29,7 +29,6 @@ from construction_twin.ros.shared.frames import listen_to_frames
 from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import ros_home
-from construction_twin.ros.shared.planning_scene import PLANNING_SCENE, PlanningScenePublisher
 from construction_twin.ros.shared.ports import (
     Every,
     Interface,
@@ -127,6 +126,9 @@ def lasting_contacts(world: CollisionWorld) -> list[LastingContact]:
 _PATIENCE = 1.0
 #: How often the present pose is checked [s].
 CHECK_PERIOD = 0.2
+#: Where MoveIt is told, if its message types are installed. For one that is busy many messages are kept: one that is dropped may be
+#: the one that took something away.
+PLANNING_SCENE = Publication("planning_scene", "moveit_msgs/PlanningScene", queue_size=50, latch=True)
 #: roslaunch's id of this run.
 _RUN = "/run_id"
 
