@@ -29,8 +29,8 @@ from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.planner import Planner, PlannerSettings, PlanRequest
 from construction_twin.planning.recheck import ROUNDING
-from construction_twin.planning.timing import minimum_duration
-from construction_twin.robot.description import read_robot_files
+from construction_twin.planning.time_scaling import RestToRest
+from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.plan import Plan
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.scene_yaml import load_scene
@@ -48,6 +48,12 @@ COLUMNS = (
     "problems", "success", "median_ms", "p95_ms", "recheck_ms", "collisions", "length", "length_ratio", "duration",
     "duration_ratio",
 )  # fmt: skip
+
+
+def minimum_duration(start: np.ndarray, goal: np.ndarray, robot: RobotModel) -> float:
+    """Return a lower bound of the duration of any motion between two poses from rest to rest [s]: of the slowest joint alone."""
+    joints = zip(np.abs(goal - start).tolist(), robot.velocity, robot.acceleration, robot.jerk)
+    return max(RestToRest.fastest(*joint).duration if joint[0] > 0.0 else 0.0 for joint in joints)
 
 
 class Bench:

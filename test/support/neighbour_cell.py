@@ -62,7 +62,7 @@ def body_points(place: Pose, q: np.ndarray) -> dict[str, np.ndarray]:
 
 def plan(start: np.ndarray, end: np.ndarray, plan_id: str = "p1", duration: float = 4.0) -> Plan:
     """Return a straight plan, checked against nothing."""
-    trajectory = time_path(np.array([start, end]), ROBOT, duration, 1.0, None, None)
+    trajectory = time_path(np.array([start, end]), ROBOT, duration=duration)
     fractions = LimitUsage(*([(0.5,) * 6] * 3))
     return Plan(
         plan_id,

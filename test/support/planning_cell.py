@@ -53,9 +53,9 @@ def solver():
     return inverse_kinematics(CHAIN, IkSettings(), np.random.default_rng(0), Clock())
 
 
-def planner(clock=None, search=None, **changes) -> Planner:
+def planner(clock=None, **changes) -> Planner:
     settings = PlannerSettings(**(QUICK | changes))
-    return Planner(ROBOT, solver(), settings, clock or Clock(), search)
+    return Planner(ROBOT, solver(), settings, clock or Clock())
 
 
 def world(*objects: SceneObject, padding: float = 0.01) -> CollisionWorld:

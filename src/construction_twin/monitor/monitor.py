@@ -210,14 +210,21 @@ class Monitor:
         last = gate.comparison.last
         if last is None:
             return report
-        compared = {"error": last.error, "threshold": last.threshold, "name": self._names}
-        return replace(report, comparison=last.mode, round_trip=last.round_trip, servo_lag=last.servo_lag, **compared)
+        return replace(
+            report,
+            comparison=last.mode,
+            round_trip=last.round_trip,
+            servo_lag=last.servo_lag,
+            name=self._names,
+            error=last.error,
+            threshold=last.threshold,
+        )
 
-    def values(self) -> dict[str, str | int]:
+    def values(self) -> dict[str, object]:
         """Return what `/diagnostics` says of the gate."""
         gate, watch = self.gate, self.gate.watch_of_servos
         last = gate.comparison.last
-        values: dict[str, str | int] = {
+        values: dict[str, object] = {
             "policy": gate.policy,
             "comparison": last.mode if last else "none yet",
             "servo lag [s]": f"{last.servo_lag:.6f}" if last else "nan",

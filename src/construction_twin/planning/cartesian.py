@@ -28,6 +28,7 @@ from construction_twin.planning.recheck import World
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.timing import WAYPOINT_SPACING, TimedCurve, time_curve
 from construction_twin.planning.tool_path import Piece, ToolPath, ToolWaypoint
+from construction_twin.planning.work_plan import joined
 from construction_twin.robot.description import JointValues
 from construction_twin.robot.trajectory import Trajectory
 
@@ -111,7 +112,7 @@ def plan_cartesian(
         made = [part.timed.trajectory for part in parts]
         bounds.check(sum(part.duration for part in made), sum(len(part.times) for part in made))
     return CartesianMotion(
-        _joined(made),
+        joined(made)[0],
         path,
         max(part.deviation_m for part in parts),
         max(part.deviation_rad for part in parts),
@@ -245,18 +246,3 @@ def _time(
         # all samples of the curve are in range, but the motion between two of them leaves it
         what = Sentence("motion.tool.leaves_range", problem=error.sentence)
         raise branch.end("joint limit", piece.begin, what, error) from error
-
-
-def _joined(parts: Sequence[Trajectory]) -> Trajectory:
-    """Join trajectories that start and end at rest, one after the other."""
-    times, positions, velocities, accelerations = [], [], [], []
-    begin = 0.0
-    for number, part in enumerate(parts):
-        kept = slice(1 if number else 0, None)  # a part begins where the one before ended
-        times.append(begin + part.times[kept])
-        positions.append(part.positions[kept])
-        velocities.append(part.velocities[kept])
-        accelerations.append(part.accelerations[kept])
-        begin += part.duration
-    arrays = (np.concatenate(values) for values in (times, positions, velocities, accelerations))
-    return Trajectory(parts[0].joint_names, *arrays)

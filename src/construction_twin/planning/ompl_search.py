@@ -9,6 +9,7 @@ improves its path until its time is over gets further on a faster machine.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from ompl import base as ob
@@ -17,12 +18,34 @@ from ompl import util as ou
 
 from construction_twin.core.motion_errors import NoPathError
 from construction_twin.planning.motion_validator import MotionValidator
-from construction_twin.planning.path_search import PathQuery
 
 #: Distance of the points between which shortcuts are tried: shorter costs more checks and gains little.
 SPACING = 0.7
 #: A shortcut that gains less than this part of the path's length is not tried.
 WORTHWHILE = 0.02
+
+
+@dataclass(frozen=True)
+class PathQuery:
+    """What a path is sought for. Joint vectors are in the order of `RobotModel.joint_names` [rad] or [m].
+
+    Attributes:
+        start: Shape (n,). Free, within the bounds.
+        goals: Each of shape (n,). At least one, the nearest first; each free and within the bounds. The path may end at any of
+            them.
+        validator: Says whether a straight edge is free; its `world` whether a pose is.
+        lower, upper: Shape (n,). Lowest and highest joint values that a path may have.
+        seed: Of everything that a search draws by chance, 1 to 2**32 - 1: the same query, with a new validator, gives the same
+            path, unless the search improves its path until the budget is over.
+    """
+
+    start: np.ndarray
+    goals: Sequence[np.ndarray]
+    validator: MotionValidator
+    lower: np.ndarray
+    upper: np.ndarray
+    seed: int
+
 
 #: Returns the first of some straight edges that is free, given their starts and ends, shape (k, n); None: none is.
 FirstFree = Callable[[np.ndarray, np.ndarray], int | None]
@@ -116,18 +139,31 @@ class _OmplValidator(ob.MotionValidator):
 
 
 class OmplSearch:
-    """One of OMPL's planners: finds a path, and shortens it. `path_search.PathSearch` says what comes in and out.
+    """One of OMPL's planners, by its name: finds a path, and shortens it.
+
+    It need not be trusted: timing, rounding of corners and the re-check of the finished motion are the `Planner`'s.
 
     Planners of the PRM family are given the first goal only: they add goals from a thread of their own, and with a check in Python
     that thread blocks for ever.
     """
 
-    def __init__(self, name: str, kind: type):
+    def __init__(self, name: str):
         self.name = name
-        self._kind = kind
+        self._kind = ompl_planners()[name]
 
     def find(self, query: PathQuery, budget: float) -> np.ndarray:
-        """Find a path from the start to one of the goals; the budget is of OMPL's own clock, shortening comes on top."""
+        """Find a path from the start to one of the goals.
+
+        Args:
+            budget: Of OMPL's own clock [s]; shortening comes on top.
+
+        Returns:
+            Shape (m, n). At least two points, none like the one before; the first is the start and the last a goal, both to the
+            last bit. The straight edges between them are free by the query's validator.
+
+        Raises:
+            NoPathError: If none was found within the budget.
+        """
         # most edges of a search are in no path: they are checked coarsely first, and the path that comes of them as asked
         check = query.validator.shortcuts
         for times in (COARSER, 1.0):

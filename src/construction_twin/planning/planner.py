@@ -7,9 +7,7 @@ is valid only for the collision world it was made in; callers compare scene hash
 from __future__ import annotations
 
 import uuid
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -17,7 +15,6 @@ import pydantic
 import yaml
 
 from construction_twin.core.clock import Clock
-from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.freshness import Moment
 from construction_twin.core.motion_errors import CollisionError, NoPathError, PlanningError
 from construction_twin.core.sentences import Sentence
@@ -26,8 +23,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import Configuration, InverseKinematics
 from construction_twin.planning.curves import parameters, with_close_corners
 from construction_twin.planning.motion_validator import CornerRounding, MotionValidator
-from construction_twin.planning.ompl_search import OmplSearch, ompl_planners
-from construction_twin.planning.path_search import PathQuery, PathSearch
+from construction_twin.planning.ompl_search import OmplSearch, PathQuery, ompl_planners
 from construction_twin.planning.recheck import recheck
 from construction_twin.planning.request_limits import PlanBounds, check_request
 from construction_twin.planning.timing import timed_path, with_midpoints
@@ -37,20 +33,6 @@ from construction_twin.robot.segments import Segment
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.robot.urdf import read_text
 from construction_twin.scene.collision_world import CollisionWorld
-
-
-def path_searches() -> dict[str, Callable[[], PathSearch]]:
-    """Return what makes each search, by the name that the planner's settings give it."""
-    return {name: partial(OmplSearch, name, kind) for name, kind in ompl_planners().items()}
-
-
-def path_search(name: str) -> PathSearch:
-    """Return a search by its name."""
-    known = path_searches()
-    if name not in known:
-        raise ConfigurationError("the planner", name, Sentence("expected.one_of", known=", ".join(known)))
-    return known[name]()
-
 
 #: How often a path is timed, each time with corners half as wide, before another path is searched.
 TIMINGS_TRIED = 3
@@ -70,7 +52,7 @@ class PlannerSettings(pydantic.BaseModel):
     """How the planner works. The values, each explained, are in config/planner.yaml; none has a second default here: `shipped`.
 
     Attributes:
-        planner: Name of a search, as in `path_searches`.
+        planner: Name of one of OMPL's.
         planning_budget: [s]
         edge_step: [m]
         speed_scale: Used by requests that give neither this nor a duration, in (0, 1].
@@ -92,8 +74,8 @@ class PlannerSettings(pydantic.BaseModel):
     @pydantic.field_validator("planner")
     @classmethod
     def _known(cls, name: str) -> str:
-        if name not in path_searches():
-            raise ValueError(Sentence("expected.one_of", known=", ".join(path_searches())))
+        if name not in ompl_planners():
+            raise ValueError(Sentence("expected.one_of", known=", ".join(ompl_planners())))
         return name
 
     @classmethod
@@ -180,9 +162,8 @@ class Planner:
     """Plans joint motions of one robot. Not for use from several threads at once.
 
     Args:
-        clock: Returns seconds from any fixed origin; measures planning time. OMPL's searches run on OMPL's own clock.
-        search: Default: the one that the settings name. With one that ends with the first path found, the same request in the same
-            world gives the same plan.
+        clock: Returns seconds from any fixed origin; measures planning time. OMPL's searches run on OMPL's own clock. With one that
+            ends with the first path found, the same request in the same world gives the same plan.
     """
 
     def __init__(
@@ -191,13 +172,12 @@ class Planner:
         solver: InverseKinematics,
         settings: PlannerSettings,
         clock: Clock,
-        search: PathSearch | None = None,
     ):
         self._robot = robot
         self._solver = solver
         self._settings = settings
         self._clock = clock
-        self._search = search or path_search(settings.planner)
+        self._search = OmplSearch(settings.planner)
 
     def plan_to_joints(
         self, start: JointValues, goal: JointValues, request: PlanRequest, world: CollisionWorld
@@ -293,7 +273,6 @@ class Planner:
                 path = self._search.find(query, left)
             except NoPathError as error:
                 raise NoPathError(self._search.name, self._clock() - began) from error
-            _demand_ends(path, query, self._search.name)
             timed = self._timed(path, request, world)
             if timed is not None:
                 return _Found(self._search.name, timed)
@@ -379,13 +358,6 @@ class Planner:
                     raise PlanningError(found) from error
                 path = with_midpoints(path)
         return None
-
-
-def _demand_ends(path: np.ndarray, query: PathQuery, search: str) -> None:
-    """Refuse a path that does not lead from the start to one of the goals: the re-check looks at what lies between."""
-    leads = len(path) >= 2 and np.array_equal(path[0], query.start)
-    if not leads or not any(np.array_equal(path[-1], goal) for goal in query.goals):
-        raise PlanningError(Sentence("motion.wrong_ends", search=search, count=len(path)))
 
 
 def _demand_free(q: np.ndarray, world: CollisionWorld, where: str) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,6 @@ from construction_twin.planning.curves import JointCurve, interpolated, monotone
 from construction_twin.planning.limit_usage import SampledUsage, check_range, sampled_usage, segment_jerks
 from construction_twin.planning.request_limits import PlanBounds, check_path, check_request, distinct
 from construction_twin.planning.time_scaling import (
-    RestToRest,
     TimeScaling,
     TimeScalingLimits,
     TimeScalingSearch,
@@ -132,20 +132,9 @@ def timed_path(
     return request.run(monotone(inside, pace), ends)
 
 
-def time_path(
-    path: np.ndarray,
-    robot: RobotModel,
-    duration: float | None = None,
-    speed_scale: float = 1.0,
-    acceleration_scale: float | None = None,
-    waypoints: int | None = None,
-    corner_fraction: float | None = None,
-    bounds: PlanBounds = PlanBounds(),
-    times: np.ndarray | None = None,
-) -> Trajectory:
-    """Return the trajectory of `timed_path`, which says what the arguments are."""
-    scales = speed_scale, acceleration_scale
-    return timed_path(path, robot, duration, *scales, waypoints, corner_fraction, bounds, times).trajectory
+def time_path(path: np.ndarray, robot: RobotModel, **asked: Any) -> Trajectory:
+    """Return the trajectory of `timed_path`, which says what is asked."""
+    return timed_path(path, robot, **asked).trajectory
 
 
 def time_curve(
@@ -177,23 +166,6 @@ def time_curve(
     fractions = VELOCITY_FRACTION * speed_scale, ACCELERATION_FRACTION * acceleration_scale
     request = _Request(robot, None, *fractions, None, bounds, spacing, CURVE_SLOWING, CURVE_ROUNDS, whole_cycles=True)
     return request.timed(curve, curve(np.array([0.0, curve.length])), top_speed)
-
-
-def minimum_duration(start: np.ndarray, goal: np.ndarray, robot: RobotModel) -> float:
-    """Return a lower bound of the duration of any motion between two poses from rest to rest, from the limits alone.
-
-    Each joint alone moves within its full velocity, acceleration and jerk limits; the slowest joint gives the bound. No motion
-    within the limits is faster; most take longer.
-
-    Args:
-        start, goal: Shape (n,)
-
-    Returns:
-        [s]; 0 where nothing moves.
-    """
-    distances = np.abs(np.asarray(goal, dtype=float) - start)
-    limits = zip(distances.tolist(), robot.velocity, robot.acceleration, robot.jerk)
-    return max(RestToRest.fastest(*joint).duration if joint[0] > 0.0 else 0.0 for joint in limits)
 
 
 def with_midpoints(path: np.ndarray) -> np.ndarray:

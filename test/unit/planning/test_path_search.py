@@ -1,4 +1,4 @@
-"""Edges, rounded corners, OMPL's search and searches of other makers: what is checked where, bounds, names, every arm."""
+"""Edges, rounded corners and OMPL's search: what is checked where, bounds, names, every arm."""
 
 from __future__ import annotations
 
@@ -11,14 +11,13 @@ from hypothesis import strategies as st
 from planning_cell import CHAIN, HOME, LEFT, QUICK, REQUEST, RIGHT, ROBOT, ROOT, WALL, planner, world
 from sentence_checks import says
 
-from construction_twin.core.motion_errors import NoPathError, PlanningError
+from construction_twin.core.motion_errors import NoPathError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.curves import rounded
 from construction_twin.planning.motion_validator import CornerRounding, MotionValidator, ShortcutCheck
-from construction_twin.planning.ompl_search import shortened
-from construction_twin.planning.path_search import PathQuery
-from construction_twin.planning.planner import Planner, PlannerSettings, path_search
+from construction_twin.planning.ompl_search import OmplSearch, PathQuery, shortened
+from construction_twin.planning.planner import Planner, PlannerSettings
 from construction_twin.robot.description import read_robot_files
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, SceneObject
@@ -158,7 +157,7 @@ def test_a_shortcut_is_free_only_if_the_whole_edge_is_and_blocked_only_by_a_cont
 def test_a_path_begins_at_the_start_and_ends_at_one_of_the_goals():
     edges = MotionValidator(world(WALL), LEVERS, 0.02)
     goals = [LEFT + np.radians([0, 0, 0, 0, 0, turn]) for turn in (0, 90, -90)]
-    path = path_search("RRTConnect").find(PathQuery(RIGHT, goals, edges, *BOUNDS, seed=3), 10.0)
+    path = OmplSearch("RRTConnect").find(PathQuery(RIGHT, goals, edges, *BOUNDS, seed=3), 10.0)
     assert path[0].tobytes() == RIGHT.tobytes()
     assert path[-1].tobytes() in [goal.tobytes() for goal in goals]
     assert all(edges.free(a, b) for a, b in zip(path, path[1:]))
@@ -183,7 +182,7 @@ def test_a_path_that_only_the_coarse_check_calls_free_is_not_returned():
     edges = Asked(Thin(), np.ones(6), 0.02)
     for seed in range(1, 31):
         query = PathQuery(np.zeros(6), [np.eye(6)[0]], edges, -2 * np.ones(6), 2 * np.ones(6), seed)
-        path = path_search("RRTConnect").find(query, 5.0)
+        path = OmplSearch("RRTConnect").find(query, 5.0)
         assert all(edges.free(a, b) for a, b in zip(path, path[1:]))
     # where long steps jump over the sheet the shortcuts mostly mend it; where they do not, the search begins anew
     assert asked.count(1.0) >= 1 and len(asked) == 30 + asked.count(1.0)
@@ -215,14 +214,14 @@ def test_the_search_stays_within_its_bounds():
     edges = MotionValidator(world(WALL), LEVERS, 0.1)
     room = np.minimum(RIGHT, LEFT) - 1.0, np.maximum(RIGHT, LEFT) + 1.0
     bounds = np.maximum(room[0], BOUNDS[0]), np.minimum(room[1], BOUNDS[1])
-    path = path_search("RRTConnect").find(PathQuery(RIGHT, [LEFT], edges, *bounds, seed=3), 10.0)
+    path = OmplSearch("RRTConnect").find(PathQuery(RIGHT, [LEFT], edges, *bounds, seed=3), 10.0)
     assert np.all((path >= bounds[0] - 1e-12) & (path <= bounds[1] + 1e-12))
 
 
 def test_a_goal_behind_contact_all_around_is_not_found():
     edges = MotionValidator(Recorder(most=0.3), LEVERS, 0.1)
     with pytest.raises(NoPathError, check=says("motion.no_path", planner="RRTConnect")):
-        path_search("RRTConnect").find(PathQuery(HOME, [HOME + np.eye(6)[0]], edges, *BOUNDS, seed=1), 0.05)
+        OmplSearch("RRTConnect").find(PathQuery(HOME, [HOME + np.eye(6)[0]], edges, *BOUNDS, seed=1), 0.05)
 
 
 @pytest.mark.parametrize(
@@ -250,41 +249,7 @@ def test_other_arms_are_planned_for_by_the_same_code(files):
         assert surroundings.all_free(plan.trajectory.sample_many(times)[0]) is None
 
 
-class OverTheTop:
-    """A search of another maker: it lifts the arm, turns, and lowers it; or does something else that it was told."""
-
-    name = "over the top"
-
-    def __init__(self, *between, ends=(None, None)):
-        self._between, self._ends = between, ends
-
-    def find(self, query, budget):
-        first, last = self._ends
-        begin = query.start if first is None else first
-        end = query.goals[0] if last is None else last
-        return np.array([begin, *self._between, end])
-
-
-LIFTED = np.radians([0, -35, -25, 0, 0, 0])
-WALLED = world(WALL)
-
-
-def test_a_search_of_another_maker_makes_plans_that_are_timed_and_checked_as_any():
-    found = planner(search=OverTheTop(RIGHT + LIFTED, LEFT + LIFTED)).plan_to_joints(RIGHT, LEFT, REQUEST, WALLED)
-    assert found.planner == "over the top"
-    times = np.arange(0.0, found.trajectory.duration, 0.004)
-    assert WALLED.all_free(found.trajectory.sample_many(times)[0]) is None
-    assert np.max(found.trajectory.positions[:, 1]) > RIGHT[1] - 1e-9 > np.min(found.trajectory.positions[:, 1])
-
-
-def test_a_path_of_it_that_touches_something_becomes_no_plan():
-    with pytest.raises(NoPathError, check=says("motion.no_path", planner="over the top")):
-        planner(search=OverTheTop(), planning_budget=0.1).plan_to_joints(RIGHT, LEFT, REQUEST, WALLED)
-
-
-@pytest.mark.parametrize("ends", [(HOME, None), (None, HOME)])
-def test_a_path_of_it_that_begins_or_ends_elsewhere_is_its_fault_and_says_so(ends):
-    with pytest.raises(PlanningError, check=says("motion.wrong_ends", search="over the top", count=4)):
-        planner(search=OverTheTop(RIGHT + LIFTED, LEFT + LIFTED, ends=ends)).plan_to_joints(
-            RIGHT, LEFT, REQUEST, WALLED
-        )
+def test_a_path_that_touches_something_becomes_no_plan(monkeypatch):
+    monkeypatch.setattr(OmplSearch, "find", lambda _, query, budget: np.array([query.start, query.goals[0]]))
+    with pytest.raises(NoPathError, check=says("motion.no_path", planner="RRTConnect")):
+        planner(planning_budget=0.1).plan_to_joints(RIGHT, LEFT, REQUEST, world(WALL))

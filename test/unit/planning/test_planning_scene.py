@@ -14,7 +14,8 @@ from sentence_checks import says
 
 from construction_twin.core.motion_errors import CollisionError, NoPathError, PlanningError
 from construction_twin.core.sentences import Sentence
-from construction_twin.planning.planner import PlanRequest, path_searches
+from construction_twin.planning.ompl_search import ompl_planners
+from construction_twin.planning.planner import PlanRequest
 from construction_twin.scene.objects import Scene, SceneObject
 
 WALLED = world(WALL)
@@ -72,7 +73,7 @@ def plan_with_growing_budget(name: str):
     return planner(planner=name, planning_budget=30.0).plan_to_joints(RIGHT, LEFT, REQUEST, WALLED)
 
 
-@pytest.mark.parametrize("name", sorted(set(path_searches()) - {"RRT"}))
+@pytest.mark.parametrize("name", sorted(set(ompl_planners()) - {"RRT"}))
 def test_every_planner_goes_round_an_obstacle(name):
     plan = plan_with_growing_budget(name)
     assert plan.planner == name

@@ -293,7 +293,7 @@ class PcaMonitorNode:
         level = ERROR if gate.state in _SERIOUS else OK if gate.state is SyncState.IN_SYNC else WARN
         limited = speed.sentence if speed.level != OK else ""
         sentence = "; ".join(filter(None, (f"{gate.state.name}: {gate.reason}", problem, limited)))
-        values = self._monitor.values() | speed.values | self._transitions.values()
+        values = {**self._monitor.values(), **speed.values, **self._transitions.values()}
         return Report(ERROR if problem else max(level, speed.level), sentence, values)
 
 

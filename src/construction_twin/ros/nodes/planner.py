@@ -93,9 +93,14 @@ def plan_request(request, source: str = "request") -> PlanRequest:
     asked = parse_moment(request.asked) if getattr(request, "asked", "") else arrived
     if asked.origin != arrived.origin or asked.at > arrived.at:
         raise PlanningError(Sentence("motion.asked.elsewhere", asked=str(asked), arrived=str(arrived)))
-    given = {name: getattr(request, name, None) or None for name in ("duration", "waypoints")}
-    scales = {name: getattr(request, name) or None for name in ("speed_scale", "acceleration_scale")}
-    return PlanRequest(asked=asked, source=request.source or source, **given, **scales)
+    return PlanRequest(
+        asked=asked,
+        source=request.source or source,
+        duration=getattr(request, "duration", None) or None,
+        speed_scale=request.speed_scale or None,
+        acceleration_scale=request.acceleration_scale or None,
+        waypoints=getattr(request, "waypoints", None) or None,
+    )
 
 
 def tool_waypoints(waypoints: Iterable, base_T_frame: Pose) -> list[ToolWaypoint]:
