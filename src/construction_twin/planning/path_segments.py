@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from scipy.interpolate import BPoly, CubicHermiteSpline
@@ -26,94 +25,39 @@ _TURNING_BACK = 0.05
 _ON_A_LINE = 1e-6
 
 
-class Segment(Protocol):
-    """What a tool path is made of."""
-
-    @property
-    def length(self) -> float:
-        """[m]"""
-
-    @property
-    def cells(self) -> int:
-        """Number of samples to start with."""
-
-    def at(self, s: np.ndarray) -> tuple[np.ndarray, Rotation]:
-        """Return positions, shape (m, 3), and rotations at places of shape (m,)."""
-
-
-class Leg(Segment, Protocol):
-    """A segment before blending, which can be cut and joined to a blend."""
-
-    def direction(self, s: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return unit tangent and angular velocity per metre, shape (3,) each."""
-
-    def curvature(self, s: float) -> np.ndarray:
-        """Return the second derivative of the position over length, shape (3,) [1/m]."""
-
-    def part(self, begin: float, end: float) -> Leg | None:
-        """Return the part from `begin` to `end`; None if its length is zero."""
-
-
 @dataclass(frozen=True, eq=False)
-class StraightLine:
-    """A straight line with a constant angular velocity.
+class Leg:
+    """A straight line, an arc or a turn on the spot, with a constant angular velocity: rotation ``exp(spin s) first``.
 
-    It runs from `origin` along the unit vector `tangent`, rotation ``exp(spin s) first``.
+    Attributes:
+        origin: Shape (3,). Where it begins [m].
+        tangent: Shape (3,). Unit vector along it there; 0: a turn on the spot, whose length only parametrises the turn.
+        bend: Shape (3,). Its curvature there, towards the centre [1/m]; 0: straight.
+        spin: Shape (3,). [rad/m]
+        length: [m]
     """
 
     origin: np.ndarray
     tangent: np.ndarray
+    bend: np.ndarray
     first: Rotation
     spin: np.ndarray
     length: float
 
     @classmethod
-    def between(cls, start: np.ndarray, goal: np.ndarray, first: Rotation, turn: np.ndarray) -> StraightLine:
+    def line(cls, start: np.ndarray, goal: np.ndarray, first: Rotation, turn: np.ndarray) -> Leg:
         """Return the line between two different points; `turn` is the rotation vector of the whole line."""
         length = float(np.linalg.norm(np.asarray(goal) - start))
-        return cls(np.array(start), (np.asarray(goal) - start) / length, first, turn / length, length)
-
-    @property
-    def cells(self) -> int:
-        """See `Segment`."""
-        return _cells(self.length, float(np.linalg.norm(self.spin)) * self.length)
-
-    def at(self, s: np.ndarray) -> tuple[np.ndarray, Rotation]:
-        """See `Segment`."""
-        return self.origin + s[:, None] * self.tangent, Rotation.from_rotvec(s[:, None] * self.spin) * self.first
-
-    def direction(self, s: float) -> tuple[np.ndarray, np.ndarray]:
-        """See `Segment`."""
-        return self.tangent, self.spin
-
-    def curvature(self, s: float) -> np.ndarray:
-        """See `Segment`."""
-        return np.zeros(3)
-
-    def part(self, begin: float, end: float) -> StraightLine | None:
-        """See `Segment`."""
-        if end - begin <= 1e-9 * self.length:
-            return None
-        origin, first = self.at(np.array([begin]))
-        return StraightLine(origin[0], self.tangent, first[0], self.spin, end - begin)
-
-
-@dataclass(frozen=True, eq=False)
-class ArcLine:
-    """A circular arc with a constant angular velocity: ``centre + radius (cos(s / radius) out + sin(s / radius) along)``."""
-
-    centre: np.ndarray
-    radius: float
-    out: np.ndarray
-    along: np.ndarray
-    first: Rotation
-    spin: np.ndarray
-    length: float
+        tangent = (np.asarray(goal) - start) / length
+        return cls(np.array(start), tangent, np.zeros(3), first, turn / length, length)
 
     @classmethod
-    def through(
-        cls, start: np.ndarray, via: np.ndarray, goal: np.ndarray, first: Rotation, turn: np.ndarray
-    ) -> ArcLine | None:
+    def on_the_spot(cls, position: np.ndarray, first: Rotation, turn: np.ndarray, length: float) -> Leg:
+        """Return the turn by a rotation vector."""
+        return cls(np.array(position), np.zeros(3), np.zeros(3), first, turn / length, length)
+
+    @classmethod
+    def arc(cls, start: np.ndarray, via: np.ndarray, goal: np.ndarray, first: Rotation, turn: np.ndarray) -> Leg | None:
         """Return the arc from `start` through `via` to `goal`; None if no circle passes through the three."""
         to_via, to_goal = np.asarray(via) - start, np.asarray(goal) - start
         normal = np.cross(to_via, to_goal)
@@ -121,76 +65,58 @@ class ArcLine:
         sizes = float(np.linalg.norm(to_via)) * float(np.linalg.norm(to_goal))
         if not area > _ON_A_LINE * sizes or np.linalg.norm(to_goal - to_via) == 0.0:
             return None
-        offset = np.cross(to_via @ to_via * to_goal - to_goal @ to_goal * to_via, normal) / (2.0 * area**2)
-        radius = float(np.linalg.norm(offset))
-        out = -offset / radius
-        along = np.cross(normal / area, out)
-        angle = math.atan2((to_goal - offset) @ along, (to_goal - offset) @ out) % (2.0 * math.pi)
+        centre = np.cross(to_via @ to_via * to_goal - to_goal @ to_goal * to_via, normal) / (2.0 * area**2)
+        radius = float(np.linalg.norm(centre))
+        tangent = np.cross(centre / radius, normal / area)
+        angle = math.atan2((to_goal - centre) @ tangent, -(to_goal - centre) @ centre / radius) % (2.0 * math.pi)
         length = radius * angle
-        return cls(np.asarray(start) + offset, radius, out, along, first, turn / length, length)
+        return cls(np.array(start), tangent, centre / radius**2, first, turn / length, length)
+
+    @property
+    def turns(self) -> bool:
+        """Whether it is a turn on the spot."""
+        return not self.tangent.any()
+
+    @property
+    def bends(self) -> bool:
+        """Whether it is an arc."""
+        return bool(self.bend.any())
 
     @property
     def cells(self) -> int:
-        """See `Segment`."""
-        angle = self.length / self.radius + float(np.linalg.norm(self.spin)) * self.length
-        return _cells(self.length, angle)
+        """Number of samples to start with."""
+        angle = float(np.linalg.norm(self.bend) + np.linalg.norm(self.spin)) * self.length
+        return _cells(0.0 if self.turns else self.length, angle)
 
     def at(self, s: np.ndarray) -> tuple[np.ndarray, Rotation]:
-        """See `Segment`."""
-        angle = (s / self.radius)[:, None]
-        positions = self.centre + self.radius * (np.cos(angle) * self.out + np.sin(angle) * self.along)
-        return positions, Rotation.from_rotvec(s[:, None] * self.spin) * self.first
+        """Return positions, shape (m, 3), and rotations at places of shape (m,)."""
+        curvature, s = float(np.linalg.norm(self.bend)), s[:, None]
+        if curvature:
+            ahead, aside = np.sin(curvature * s) / curvature, (1.0 - np.cos(curvature * s)) / curvature**2
+            positions = self.origin + ahead * self.tangent + aside * self.bend
+        else:
+            positions = self.origin + s * self.tangent
+        return positions, Rotation.from_rotvec(s * self.spin) * self.first
 
     def direction(self, s: float) -> tuple[np.ndarray, np.ndarray]:
-        """See `Segment`."""
-        angle = s / self.radius
-        return math.cos(angle) * self.along - math.sin(angle) * self.out, self.spin
+        """Return unit tangent and angular velocity per metre, shape (3,) each."""
+        curvature = float(np.linalg.norm(self.bend))
+        if not curvature:
+            return self.tangent, self.spin
+        angle = curvature * s
+        return math.cos(angle) * self.tangent + math.sin(angle) / curvature * self.bend, self.spin
 
     def curvature(self, s: float) -> np.ndarray:
-        """See `Segment`."""
-        angle = s / self.radius
-        return -(math.cos(angle) * self.out + math.sin(angle) * self.along) / self.radius
+        """Return the second derivative of the position over length, shape (3,) [1/m]."""
+        curvature = float(np.linalg.norm(self.bend))
+        return math.cos(curvature * s) * self.bend - curvature * math.sin(curvature * s) * self.tangent
 
-    def part(self, begin: float, end: float) -> ArcLine | None:
-        """See `Segment`."""
+    def part(self, begin: float, end: float) -> Leg | None:
+        """Return the part from `begin` to `end`; None if its length is zero."""
         if end - begin <= 1e-9 * self.length:
             return None
-        angle = begin / self.radius
-        out = math.cos(angle) * self.out + math.sin(angle) * self.along
-        first = self.at(np.array([begin]))[1][0]
-        return ArcLine(self.centre, self.radius, out, self.direction(begin)[0], first, self.spin, end - begin)
-
-
-@dataclass(frozen=True, eq=False)
-class Turn:
-    """A turn on the spot by the rotation vector `turn`; its length only parametrises the turn."""
-
-    position: np.ndarray
-    first: Rotation
-    turn: np.ndarray
-    length: float
-
-    @property
-    def cells(self) -> int:
-        """See `Segment`."""
-        return _cells(0.0, float(np.linalg.norm(self.turn)))
-
-    def at(self, s: np.ndarray) -> tuple[np.ndarray, Rotation]:
-        """See `Segment`."""
-        turns = Rotation.from_rotvec((s / self.length)[:, None] * self.turn)
-        return np.tile(self.position, (len(s), 1)), turns * self.first
-
-    def direction(self, s: float) -> tuple[np.ndarray, np.ndarray]:
-        """See `Segment`."""
-        return np.zeros(3), self.turn / self.length
-
-    def curvature(self, s: float) -> np.ndarray:
-        """See `Segment`."""
-        return np.zeros(3)
-
-    def part(self, begin: float, end: float) -> Turn | None:
-        """See `Segment`."""
-        return self
+        origin, first = self.at(np.array([begin]))
+        return Leg(origin[0], self.direction(begin)[0], self.curvature(begin), first[0], self.spin, end - begin)
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,14 +157,17 @@ class Blend:
 
     @property
     def cells(self) -> int:
-        """See `Segment`."""
+        """Number of samples to start with."""
         turn = float(np.linalg.norm(self.curve(1.0)[3:] - self.curve(0.0)[3:]))
         return max(_BLEND_CELLS, _cells(self.length, turn))
 
     def at(self, s: np.ndarray) -> tuple[np.ndarray, Rotation]:
-        """See `Segment`."""
+        """Return positions, shape (m, 3), and rotations at places of shape (m,)."""
         values = self.curve(np.clip(self.parameter(s), 0.0, 1.0))
         return values[:, :3], Rotation.from_rotvec(values[:, 3:]) * self.corner
+
+
+Segment = Leg | Blend
 
 
 def _cell_lengths(curve: BPoly, u: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from construction_twin.core.motion_errors import PlanningError
 from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.kinematics.chain import Pose
-from construction_twin.planning.path_segments import ArcLine, Blend, Leg, Segment, StraightLine, Turn
+from construction_twin.planning.path_segments import Blend, Leg, Segment
 
 #: Path length assigned to a turn on the spot [m/rad].
 TURN_LENGTH = 0.1
@@ -143,7 +143,9 @@ class ToolPath:
     def arcs(self) -> list[tuple[int, np.ndarray]]:
         """Return a few points of each arc, shape (m, 3) [m], with the number of the waypoint that the tool is going to."""
         places = (
-            (begin, segment) for begin, segment in zip(self._begins, self._segments) if isinstance(segment, ArcLine)
+            (begin, segment)
+            for begin, segment in zip(self._begins, self._segments)
+            if isinstance(segment, Leg) and segment.bends
         )
         along = np.linspace(0.0, 1.0, _ARC_POINTS)
         return [
@@ -166,7 +168,7 @@ class ToolPath:
         segments = self._segments[first:last]
         knots = (float(self._begins[first]), *(float(end) for end in self._ends[first:last]))
         cells = tuple(segment.cells for segment in segments)
-        return Piece(knots[0], knots[-1], isinstance(segments[0], Turn), knots, cells)
+        return Piece(knots[0], knots[-1], isinstance(segments[0], Leg) and segments[0].turns, knots, cells)
 
 
 def _legs(start: Pose, waypoints: Sequence[ToolWaypoint]) -> list[_Leg]:
@@ -194,14 +196,14 @@ def _leg(number: int, start: Pose, waypoint: ToolWaypoint) -> Leg | None:
     first = Rotation.from_matrix(start.rotation)
     turn = (Rotation.from_matrix(goal.rotation) * first.inv()).as_rotvec()
     if waypoint.via is not None:
-        arc = ArcLine.through(start.position, waypoint.via, goal.position, first, turn)
+        arc = Leg.arc(start.position, waypoint.via, goal.position, first, turn)
         if arc is None:
             raise PlanningError(Sentence("motion.waypoint.arc", waypoint=number))
         return arc
     if np.linalg.norm(goal.position - start.position) > SAME_PLACE:
-        return StraightLine.between(start.position, goal.position, first, turn)
+        return Leg.line(start.position, goal.position, first, turn)
     angle = float(np.linalg.norm(turn))
-    return Turn(np.array(goal.position), first, turn, TURN_LENGTH * angle) if angle > SAME_PLACE else None
+    return Leg.on_the_spot(goal.position, first, turn, TURN_LENGTH * angle) if angle > SAME_PLACE else None
 
 
 def _trimmed(legs: list[_Leg], waypoints: Sequence[ToolWaypoint]) -> _Trimmed:
@@ -210,7 +212,7 @@ def _trimmed(legs: list[_Leg], waypoints: Sequence[ToolWaypoint]) -> _Trimmed:
     for index in range(len(legs) - 1):
         number, leg = legs[index].waypoint, legs[index].segment
         cuts[index + 1] = waypoints[number].blend
-        if cuts[index + 1] and (isinstance(leg, Turn) or isinstance(legs[index + 1].segment, Turn)):
+        if cuts[index + 1] and (leg.turns or legs[index + 1].segment.turns):
             raise PlanningError(Sentence("motion.waypoint.turn", waypoint=number))
     for index, one in enumerate(legs):
         number, leg = one.waypoint, one.segment
@@ -239,7 +241,7 @@ def _trimmed(legs: list[_Leg], waypoints: Sequence[ToolWaypoint]) -> _Trimmed:
 
 
 def _goes_on(leg: Leg, following: Leg) -> bool:
-    if isinstance(leg, Turn) or isinstance(following, Turn):
+    if leg.turns or following.turns:
         return False
     before, after = leg.direction(leg.length), following.direction(0.0)
     return all(float(np.max(np.abs(a - b))) < SMOOTH for a, b in zip(before, after))
