@@ -18,7 +18,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.plan import Clearance
 from construction_twin.scene.collision_bodies import UNKNOWN, Body, RobotBodies, make_reliable, measured
-from construction_twin.scene.distance_bounds import STRIDE, Motion, PairBounds, PairLevers, body_levers
+from construction_twin.scene.distance_bounds import STRIDE, Motion, PairBounds, Travel, body_levers, pair_levers
 from construction_twin.scene.near_bodies import NearBodies
 from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.objects import Scene, SceneObject, product
@@ -483,7 +483,7 @@ class _Checks:
         if self._last is None or self._last[0] != key:
             some = np.append(np.arange(0, len(rows) - 1, STRIDE), len(rows) - 1)
             motion = Motion(
-                self._levers.travel(rows),
+                Travel(rows, self._levers),
                 some,
                 self._bounds.at(rows[some]),
                 lambda places, pairs: self._measure(rows, places, pairs),
@@ -492,8 +492,8 @@ class _Checks:
         return self._last[1]
 
     @cached_property
-    def _levers(self) -> PairLevers:
-        return PairLevers(self._robot, self._bodies, self._pairs)
+    def _levers(self) -> np.ndarray:
+        return pair_levers(self._robot, self._bodies, self._pairs)
 
     @cached_property
     def _bounds(self) -> PairBounds:

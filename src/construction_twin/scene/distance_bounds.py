@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,104 +27,26 @@ _EDGE = 0.1
 STRIDE = 64
 #: By so much an estimate may be too large, for rounding [m].
 _ROUNDING = 1e-9
-#: One pose stands for so many rows; the levers are larger by the way to the others. An even number.
-_GROUP = 8
-#: So many such groups are computed together.
-_TOGETHER = 1024
 #: So many stretches are divided together, those first where most is to be expected.
 _DIVIDED = 64
 
 
-class PairLevers:
-    """How far the two bodies of each pair can move relative to each other, on any motion.
+def pair_levers(robot: RobotBodies, bodies: Sequence[Body], pairs: Sequence[tuple]) -> np.ndarray:
+    """Return how far the two bodies of each pair move relative to each other at most per unit of each joint.
 
     Args:
         pairs: Their first two entries are indices into `bodies`.
+
+    Returns:
+        Shape (p, size). [m/rad], or 1 for prismatic joints; Pinocchio's order.
     """
-
-    def __init__(self, robot: RobotBodies, bodies: Sequence[Body], pairs: Sequence[tuple]):
-        model = robot.model
-        self._robot = robot
-        below = np.zeros((len(bodies), model.nq), dtype=bool)
-        for index, body in enumerate(bodies):
-            below[index, sorted(_joints_below(robot, body))] = True
-        first, second = np.array([(pair[0], pair[1]) for pair in pairs], dtype=int).reshape(-1, 2).T
-        # a joint that moves both bodies moves them together: what counts is each body with the joints that move it alone
-        sides = np.concatenate((first, second))
-        moves = below[sides] & ~below[np.concatenate((second, first))]
-        still = ~moves.any(axis=1)
-        sides[still] = 0
-        unique, columns = np.unique(np.column_stack((sides, moves)), axis=0, return_inverse=True)
-        self._columns = columns.reshape(2, -1)
-        carried = [bodies[index] for index in unique[:, 0]]
-        self._moves = unique[:, 1:].astype(bool)
-        self._largest = (body_levers(robot, carried, robot.strokes)[0] * self._moves.T).T
-        self._centres = np.array([body.placement.act(np.array(body.geometry.aabb_center)) for body in carried])
-        self._radii = np.array([body.geometry.aabb_radius for body in carried])
-        self._joints = np.array([body.joint for body in carried], dtype=int)
-        self._linear = np.zeros(model.nq, dtype=bool)
-        self._axes = np.zeros((model.nq, 3))
-        self._of_place = np.zeros(model.nq, dtype=int)
-        for joint, axis, linear in robot.joint_axes:
-            place = model.joints[joint].idx_q
-            self._axes[place], self._linear[place], self._of_place[place] = axis, linear, joint
-
-    def travel(self, rows: np.ndarray) -> Travel:
-        """Return the travel of all pairs on a motion, each joint going evenly from one row to the next.
-
-        Args:
-            rows: Shape (m, n). Joint values, Pinocchio's order.
-        """
-        groups = -(-(len(rows) - 1) // _GROUP)
-        moved = np.zeros((groups + 1, len(self._radii)))
-        for begin in range(0, groups, _TOGETHER):
-            end = min(begin + _TOGETHER, groups)
-            moved[begin + 1 : end + 1] = _GROUP * self._steps(rows[begin * _GROUP : end * _GROUP + 1])
-        return Travel(len(rows), np.cumsum(moved, axis=0, out=moved), self._columns)
-
-    def _steps(self, rows: np.ndarray) -> np.ndarray:
-        """Return how far any point of each body can move at most in any step of each group of rows, by the joints that count.
-
-        The speed of a point is that of the body's centre, by the joints together, and that of its turning about the centre. At the
-        middle of a group, with its mean step, this is computed. Elsewhere in the group a joint adds at most what its step differs
-        from the mean; and what it contributes differs by at most the way of the other joints until there: it turns with those
-        before it in the chain, and its lever changes with those after it.
-
-        Args:
-            rows: Shape (k, n). k >= 2
-
-        Returns:
-            Shape (g, b). [m]
-        """
-        groups = -(-(len(rows) - 1) // _GROUP)
-        # the last group may be short: as if it went on
-        steps = np.diff(rows, axis=0)[np.minimum(np.arange(groups * _GROUP), len(rows) - 2)].reshape(groups, _GROUP, -1)
-        sizes, mean, half = np.abs(steps), steps.mean(axis=1), _GROUP // 2
-        aside = np.maximum(sizes[:, :half].sum(axis=1), sizes[:, half:].sum(axis=1))
-        largest = sizes.max(axis=1)
-        beside = np.abs(steps - mean[:, None]).max(axis=1)
-        way = self._together(rows[np.minimum(np.arange(groups) * _GROUP + half, len(rows) - 1)], mean)
-        way += beside @ self._largest.T + (largest @ self._moves.T) * (aside @ self._largest.T)
-        # straight ways are not turned by the joints before them: each counts by itself
-        way += largest @ (self._moves & self._linear).T
-        return np.minimum(way, largest @ self._largest.T)
-
-    def _together(self, rows: np.ndarray, steps: np.ndarray) -> np.ndarray:
-        """Return how far any point of each body moves at poses, to first order, when the revolute joints that count step together.
-
-        Args:
-            rows, steps: Shape (g, n).
-
-        Returns:
-            Shape (g, b). [m]
-        """
-        rotations, positions = self._robot.joint_places(rows)
-        centres = np.einsum("gbij,bj->gbi", rotations[:, self._joints], self._centres) + positions[:, self._joints]
-        turns = (rotations[:, self._of_place] @ self._axes[:, :, None])[..., 0] * (steps * ~self._linear)[..., None]
-        # a joint turns the body about an axis through the joint: it moves the origin by this
-        shifts = _cross(positions[:, self._of_place], turns)
-        turn, shift = self._moves @ turns, self._moves @ shifts
-        return _lengths(shift + _cross(turn, centres)) + self._radii * _lengths(turn)
+    below = np.zeros((len(bodies), robot.model.nq), dtype=bool)
+    for index, body in enumerate(bodies):
+        below[index, sorted(_joints_below(robot, body))] = True
+    first, second = np.array([(pair[0], pair[1]) for pair in pairs], dtype=int).reshape(-1, 2).T
+    levers = body_levers(robot, bodies, robot.strokes)[0].T
+    # a joint that moves both bodies moves them together: what counts is each body with the joints that move it alone
+    return levers[first] * (below[first] & ~below[second]) + levers[second] * (below[second] & ~below[first])
 
 
 class PairBounds:
@@ -181,20 +102,17 @@ class PairBounds:
         return np.sqrt((outside * outside).sum(axis=0)) + inside - self._radii[balls] - _ROUNDING
 
 
-@dataclass(frozen=True, eq=False)
 class Travel:
     """For each pair, an upper bound of the relative motion of its bodies from the first row on.
 
-    Attributes:
-        rows: Number of rows of the motion.
-        moved: Shape (g + 1, b). How far a point of each body has been carried after each group of rows, by the joints that count
-            for a pair [m]; evenly within a group.
-        columns: Shape (2, p). For both bodies of each pair their place in `moved`.
+    Args:
+        rows: Shape (m, n). Joint values, Pinocchio's order; each joint goes evenly from one row to the next.
+        levers: Shape (p, n). As of `pair_levers`.
     """
 
-    rows: int
-    moved: np.ndarray
-    columns: np.ndarray
+    def __init__(self, rows: np.ndarray, levers: np.ndarray):
+        self._way, self._levers = np.zeros_like(rows), levers
+        np.cumsum(np.abs(np.diff(rows, axis=0)), axis=0, out=self._way[1:])
 
     def at(self, places: np.ndarray, pairs: np.ndarray) -> np.ndarray:
         """Return the travel of some pairs, each up to a place [m], shape (k,).
@@ -202,20 +120,9 @@ class Travel:
         Args:
             places, pairs: Shape (k,).
         """
-        groups = places / _GROUP
-        group, columns = groups.astype(int), self.columns[:, pairs]
-        low, high = self.moved[group, columns], self.moved[np.minimum(group + 1, len(self.moved) - 1), columns]
-        return (low + (groups - group) * (high - low)).sum(axis=0)
-
-
-def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the cross products along the last axis; `numpy.cross` takes several times as long for few vectors."""
-    (a, b, c), (d, e, f) = np.moveaxis(first, -1, 0), np.moveaxis(second, -1, 0)
-    return np.stack((b * f - c * e, c * d - a * f, a * e - b * d), axis=-1)
-
-
-def _lengths(vectors: np.ndarray) -> np.ndarray:
-    return np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
+        row = places.astype(int)
+        low, high = self._way[row], self._way[np.minimum(row + 1, len(self._way) - 1)]
+        return np.einsum("kn,kn->k", low + (places - row)[:, None] * (high - low), self._levers[pairs])
 
 
 def body_levers(robot: RobotBodies, bodies: Sequence[Body], strokes: np.ndarray) -> tuple[np.ndarray, list[float]]:
