@@ -18,7 +18,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.plan import Clearance
 from construction_twin.scene.collision_bodies import UNKNOWN, Body, RobotBodies, make_reliable, measured
-from construction_twin.scene.distance_bounds import STRIDE, Motion, PairBounds, Travel, body_levers, pair_levers
+from construction_twin.scene.distance_bounds import Motion, Travel, body_levers, pair_levers
 from construction_twin.scene.near_bodies import NearBodies
 from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.objects import Scene, SceneObject, product
@@ -481,11 +481,10 @@ class _Checks:
         """Return a motion's bounds; the last one is kept, because it is asked for its contacts, then for its clearance."""
         key = rows.tobytes()
         if self._last is None or self._last[0] != key:
-            some = np.append(np.arange(0, len(rows) - 1, STRIDE), len(rows) - 1)
             motion = Motion(
                 Travel(rows, self._levers),
-                some,
-                self._bounds.at(rows[some]),
+                len(rows) - 1,
+                len(self._pairs),
                 lambda places, pairs: self._measure(rows, places, pairs),
             )
             self._last = key, motion
@@ -494,10 +493,6 @@ class _Checks:
     @cached_property
     def _levers(self) -> np.ndarray:
         return pair_levers(self._robot, self._bodies, self._pairs)
-
-    @cached_property
-    def _bounds(self) -> PairBounds:
-        return PairBounds(self._robot, self._bodies, self._pairs)
 
     def _measure(self, rows: np.ndarray, places: np.ndarray, pairs: np.ndarray) -> np.ndarray:
         """Return the distances of some pairs, each at a place on a motion [m]."""

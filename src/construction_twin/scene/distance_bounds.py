@@ -23,10 +23,6 @@ ACCURACY, ACCURACY_PART = 1e-4, 0.01
 RESOLUTION = 2e-5
 #: A stretch between two rows is divided no nearer to its ends than this part of it.
 _EDGE = 0.1
-#: In every so many rows the distances of all pairs are estimated before the search begins.
-STRIDE = 64
-#: By so much an estimate may be too large, for rounding [m].
-_ROUNDING = 1e-9
 #: So many stretches are divided together, those first where most is to be expected.
 _DIVIDED = 64
 
@@ -47,59 +43,6 @@ def pair_levers(robot: RobotBodies, bodies: Sequence[Body], pairs: Sequence[tupl
     levers = body_levers(robot, bodies, robot.strokes)[0].T
     # a joint that moves both bodies moves them together: what counts is each body with the joints that move it alone
     return levers[first] * (below[first] & ~below[second]) + levers[second] * (below[second] & ~below[first])
-
-
-class PairBounds:
-    """How near the two bodies of each pair can be at poses, from a ball around one and a box around the other.
-
-    Args:
-        pairs: Their first two entries are indices into `bodies`.
-    """
-
-    def __init__(self, robot: RobotBodies, bodies: Sequence[Body], pairs: Sequence[tuple]):
-        self._robot = robot
-        for body in bodies:
-            body.geometry.computeLocalAABB()
-        self._joints = np.array([body.joint for body in bodies], dtype=int)
-        self._centres = np.array([body.placement.act(np.array(body.geometry.aabb_center)) for body in bodies])
-        self._turns = np.array([body.placement.rotation for body in bodies])
-        self._radii = np.array([body.geometry.aabb_radius for body in bodies])
-        boxes = [body.geometry.aabb_local for body in bodies]
-        # a coordinate in each row
-        self._halves = np.array([0.5 * (np.array(box.max_) - np.array(box.min_)) for box in boxes]).T
-        self._first, self._second = np.array([(pair[0], pair[1]) for pair in pairs], dtype=int).reshape(-1, 2).T
-
-    def at(self, rows: np.ndarray) -> np.ndarray:
-        """Return a lower bound of the distance of each pair at poses, negative where they may be in each other.
-
-        Args:
-            rows: Shape (m, n). Joint values, Pinocchio's order.
-
-        Returns:
-            Shape (m, p). [m]
-        """
-        rotations, positions = self._robot.joint_places(rows)
-        turns = rotations[:, self._joints]
-        centres = np.einsum("mbij,bj->mbi", turns, self._centres) + positions[:, self._joints]
-        # the coordinates come first: so numpy goes through all pairs at once, not through three numbers at a time
-        apart = np.ascontiguousarray(np.moveaxis(centres[:, self._first] - centres[:, self._second], -1, 0))
-        axes = np.ascontiguousarray(np.moveaxis(turns @ self._turns, (-2, -1), (0, 1)))
-        return np.maximum(
-            self._gap(apart, axes, self._first, self._second), self._gap(apart, axes, self._second, self._first)
-        )
-
-    def _gap(self, apart: np.ndarray, axes: np.ndarray, balls: np.ndarray, boxes: np.ndarray) -> np.ndarray:
-        """Return how far the balls around some bodies are from the boxes around others, shape (m, p) [m].
-
-        Args:
-            apart: Shape (3, m, p). From centre to centre.
-            axes: Shape (3, 3, m, b). The coordinates of the axes of each body's box.
-            balls, boxes: Shape (p,). Which bodies.
-        """
-        beyond = np.abs((apart[:, None] * axes[..., boxes]).sum(axis=0)) - self._halves[:, None, boxes]
-        inside = np.minimum(beyond.max(axis=0), 0.0)
-        outside = np.maximum(beyond, 0.0)
-        return np.sqrt((outside * outside).sum(axis=0)) + inside - self._radii[balls] - _ROUNDING
 
 
 class Travel:
@@ -168,27 +111,19 @@ class Motion:
     A place on it is a number of rows: 3.5 is half way from row 3 to row 4. What was measured for one question serves the next.
 
     Args:
-        rows: Shape (r,). Some rows, ascending, from the first to the last one.
-        least: Shape (r, p). Lower bounds of the distances of all pairs in these rows [m]; p >= 1.
+        last: The last row.
+        pairs: How many there are, at least one.
         measure: Returns the distances of some pairs, each at a place [m]: ``measure(places, pairs)``, arrays of shape (k,).
     """
 
-    def __init__(
-        self,
-        travel: Travel,
-        rows: np.ndarray,
-        least: np.ndarray,
-        measure: Callable[[np.ndarray, np.ndarray], np.ndarray],
-    ):
-        self._travel, self._measure = travel, measure
-        self._count = least.shape[1]
-        if len(rows) == 1:
-            rows, least = np.repeat(rows, 2), np.repeat(least, 2, axis=0)
-        pairs = np.tile(np.arange(self._count), len(rows))
-        moved = travel.at(np.repeat(rows, self._count).astype(float), pairs).reshape(least.shape)
-        self._gaps = _Gaps(rows, least, moved)
+    def __init__(self, travel: Travel, last: int, pairs: int, measure: Callable[[np.ndarray, np.ndarray], np.ndarray]):
+        self._travel, self._measure, self._count = travel, measure, pairs
         # all that was measured
-        self._places, self._pairs, self._distances = np.empty(0), np.empty(0, dtype=int), np.empty(0)
+        self._pairs = np.tile(np.arange(pairs), 2)
+        self._places = np.repeat([0.0, float(last)], pairs)
+        self._distances = measure(self._places, self._pairs)
+        moved = travel.at(self._places, self._pairs).reshape(2, pairs)
+        self._gaps = _Gaps(float(last), self._distances.reshape(2, pairs), moved)
 
     def smallest(self, without: Sequence[int] = ()) -> tuple[float, int]:
         """Find the smallest distance of all pairs anywhere on the motion.
@@ -199,17 +134,16 @@ class Motion:
         """
         wanted = np.ones(self._count, dtype=bool)
         wanted[list(without)] = False
-        closest, below, gaps = None, math.inf, self._gaps
+        gaps = self._gaps
         while True:
             measured = np.flatnonzero(wanted[self._pairs])
-            if len(measured):
-                closest = int(measured[np.argmin(self._distances[measured])])
-                best = float(self._distances[closest])
-                below = best - max(ACCURACY, ACCURACY_PART * best)
+            closest = int(measured[np.argmin(self._distances[measured])])
+            best = float(self._distances[closest])
+            below = best - max(ACCURACY, ACCURACY_PART * best)
             chosen = np.flatnonzero((gaps.bounds < below) & wanted[gaps.pairs])
-            if closest is not None and not len(chosen):
+            if not len(chosen):
                 return float(self._places[closest]), int(self._pairs[closest])
-            self._divide(_first_of(chosen, gaps.bounds[chosen], 1 if closest is None else _DIVIDED))
+            self._divide(_first_of(chosen, gaps.bounds[chosen], _DIVIDED))
 
     def first_contact(
         self, margins: np.ndarray, touches: Callable[[float, int], bool]
@@ -264,33 +198,27 @@ class Motion:
 
 
 #: What a stretch is, one row each of a table.
-_LOW, _HIGH, _AT_LOW, _AT_HIGH, _KNOWN_LOW, _KNOWN_HIGH, _MOVED_LOW, _MOVED_HIGH, _BOUND = range(9)
+_LOW, _HIGH, _AT_LOW, _AT_HIGH, _MOVED_LOW, _MOVED_HIGH, _BOUND = range(7)
 
 
 class _Gaps:
-    """Stretches of a motion between two places, each of one pair.
+    """Stretches of a motion between two places, each of one pair, at first one of each from 0 to the last row.
 
-    At both ends a lower bound of the distance is kept, and whether it is the distance itself, measured; and the travel of the pair
-    up to there. Between the ends the distance is nowhere smaller than half of what is left of both when the travel between them is
-    taken off.
+    At both ends a lower bound of the distance is kept, and the travel of the pair up to there. Between the ends the distance is
+    nowhere smaller than half of what is left of both when the travel between them is taken off.
 
     Args:
-        rows: Shape (r,). The ends of the first stretches, of every pair.
-        least, moved: Shape (r, p). Lower bounds of the distances there, and the travel [m].
+        distances, moved: Shape (2, p). At the first and the last row [m].
     """
 
-    def __init__(self, rows: np.ndarray, least: np.ndarray, moved: np.ndarray):
-        stretches, pairs = len(rows) - 1, least.shape[1]
-        self._count = stretches * pairs
-        self._pairs = np.empty(2 * self._count, dtype=int)
-        self._pairs[: self._count] = np.tile(np.arange(pairs), stretches)
-        self._table = np.empty((9, 2 * self._count))
-        table = self._table[:, : self._count]
-        table[_LOW], table[_HIGH] = np.repeat(rows[:-1], pairs), np.repeat(rows[1:], pairs)
-        table[_AT_LOW], table[_AT_HIGH] = least[:-1].ravel(), least[1:].ravel()
-        table[_KNOWN_LOW] = table[_KNOWN_HIGH] = 0.0
-        table[_MOVED_LOW], table[_MOVED_HIGH] = moved[:-1].ravel(), moved[1:].ravel()
-        table[_BOUND] = _bounds(table)
+    def __init__(self, last: float, distances: np.ndarray, moved: np.ndarray):
+        self._count = distances.shape[1]
+        self._pairs = np.arange(self._count)
+        self._table = np.empty((7, self._count))
+        self._table[_LOW], self._table[_HIGH] = 0.0, last
+        self._table[_AT_LOW], self._table[_AT_HIGH] = distances
+        self._table[_MOVED_LOW], self._table[_MOVED_HIGH] = moved
+        self._table[_BOUND] = _bounds(self._table)
 
     @property
     def pairs(self) -> np.ndarray:
@@ -313,15 +241,13 @@ class _Gaps:
         return self._table[_BOUND, : self._count]
 
     def divisible(self, which: np.ndarray) -> np.ndarray:
-        """Return whether the bodies move on some stretches, or something is not yet measured at one of their ends."""
-        gap = self._table[:, which]
-        return (gap[_MOVED_HIGH] - gap[_MOVED_LOW] > RESOLUTION) | (gap[_KNOWN_LOW] + gap[_KNOWN_HIGH] < 2.0)
+        """Return whether the bodies move on some stretches."""
+        return self._table[_MOVED_HIGH, which] - self._table[_MOVED_LOW, which] > RESOLUTION
 
     def middles(self, which: np.ndarray) -> np.ndarray:
-        """Return where to measure in some stretches, shape (k,).
+        """Return where to measure in some stretches, shape (k,): about where the bounds from both ends meet.
 
-        At the end that is not yet measured, if the other one is. Else about where the bounds from both ends meet: in a row as long
-        as there is one in between, then between two.
+        In a row as long as there is one in between, then between two.
         """
         gap = self._table[:, which]
         lows, highs, at_lows, at_highs = gap[:4]
@@ -330,19 +256,14 @@ class _Gaps:
         part = np.clip(0.5 + 0.5 * (at_lows - at_highs) / ways, _EDGE, 1.0 - _EDGE)
         places = lows + part * (highs - lows)
         first, last = np.floor(lows) + 1.0, np.ceil(highs) - 1.0
-        places = np.where(first <= last, np.clip(np.round(places), first, last), places)
-        one = gap[_KNOWN_LOW] - gap[_KNOWN_HIGH]
-        return np.where(one > 0.0, highs, np.where(one < 0.0, lows, places))
+        return np.where(first <= last, np.clip(np.round(places), first, last), places)
 
     def divide(self, which: np.ndarray, places: np.ndarray, distances: np.ndarray, moved: np.ndarray) -> None:
         """Put two parts in the place of some stretches, given what was measured where they meet."""
         first = self._table[:, which]
         second = first.copy()
-        first[_HIGH], first[_AT_HIGH], first[_KNOWN_HIGH], first[_MOVED_HIGH] = places, distances, 1.0, moved
-        second[_LOW], second[_AT_LOW], second[_KNOWN_LOW], second[_MOVED_LOW] = places, distances, 1.0, moved
-        # measured at an end: the part without length has both its ends there, and nothing is left to measure in it
-        first[_KNOWN_LOW][places == first[_LOW]] = 1.0
-        second[_KNOWN_HIGH][places == second[_HIGH]] = 1.0
+        first[_HIGH], first[_AT_HIGH], first[_MOVED_HIGH] = places, distances, moved
+        second[_LOW], second[_AT_LOW], second[_MOVED_LOW] = places, distances, moved
         # an end is no nearer than this, either
         np.maximum(first[_AT_LOW], distances - (moved - first[_MOVED_LOW]), out=first[_AT_LOW])
         np.maximum(second[_AT_HIGH], distances - (second[_MOVED_HIGH] - moved), out=second[_AT_HIGH])
@@ -350,7 +271,7 @@ class _Gaps:
         more = self._count + len(which)
         if more > len(self._pairs):
             self._pairs = np.concatenate((self._pairs, np.empty(more, dtype=int)))
-            self._table = np.concatenate((self._table, np.empty((9, more))), axis=1)
+            self._table = np.concatenate((self._table, np.empty((7, more))), axis=1)
         self._table[:, which] = first
         self._table[:, self._count : more] = second
         self._pairs[self._count : more] = self._pairs[which]

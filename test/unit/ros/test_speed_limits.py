@@ -45,8 +45,8 @@ class Bench:
         patch(module, "now_ns", lambda: round(self.now * NANOSECONDS))
         patch(module, "present", lambda: Moment(BOOT, round(self.now * NANOSECONDS)))
         # what it records of its gate is another file, of which one process has one
-        record = SimpleNamespace(report=lambda _: None, flush=lambda: None, problem="", values=dict)
-        patch(pca_monitor, "TransitionReport", lambda *_: record)
+        record = SimpleNamespace(add=lambda _: None, flush=lambda: None, problem="", values=dict)
+        patch(pca_monitor, "TransitionLog", lambda *_: record)
         self.restart()
 
     def restart(self):
