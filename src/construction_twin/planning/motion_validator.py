@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 
@@ -21,8 +21,6 @@ CORNERS_TIGHTENED = 24
 #: Where a path's edges are known to be free, the rounding of a corner is checked over this part of its width: further out it misses
 #: the polyline by less than a fifteenth of what it misses the corner.
 BESIDE = 0.6
-#: A point that is no further from an edge than this, in any joint, is on it [rad] or [m].
-ON_EDGE = 1e-9
 
 
 class MotionValidator:
@@ -39,14 +37,6 @@ class MotionValidator:
         self._levers, self._step = levers, step
         self._states_per_unit = levers / step
 
-    @cached_property
-    def shortcuts(self) -> ShortcutCheck:
-        """The same check, for the edges that are tried while a path is shortened.
-
-        It remembers what it was asked: where the same path must come of the same question, each question has a new validator.
-        """
-        return ShortcutCheck(self)
-
     def coarser(self, times: float) -> MotionValidator:
         """Return a check of motions in the same world whose step is so many times as long."""
         return MotionValidator(self.world, self._levers, times * self._step)
@@ -58,6 +48,10 @@ class MotionValidator:
             start, end: Shape (n,). [rad] or [m]
         """
         return self.world.all_free(self.states(start, end)) is None
+
+    def first_free(self, starts: np.ndarray, ends: np.ndarray) -> int | None:
+        """Return the first of some edges, shape (k, n), that is free, as `free` says it of one; None: none is."""
+        return next((row for row, edge in enumerate(zip(starts, ends)) if self.free(*edge)), None)
 
     def states(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         """Return the states that `free` checks, in its order, shape (m, n): `end` is the first."""
@@ -90,85 +84,6 @@ def _middle_first(count: int) -> np.ndarray:
     fractions = np.array(order)[:, None] / count
     fractions.flags.writeable = False
     return fractions
-
-
-class ShortcutCheck:
-    """Whether straight edges between a few points are free, to the step of a `MotionValidator`, for many that resemble each other.
-
-    What was found of an edge and of its end is kept, and a part of a free edge is free. What one edge touches, the next one may
-    touch, too: the point of it that is closest to the last contact is checked first, and the other states only if that one is free.
-    """
-
-    def __init__(self, validator: MotionValidator):
-        self._validator = validator
-        self._edges: dict[tuple[bytes, bytes], bool] = {}
-        self._points: dict[bytes, bool] = {}
-        # start and end of each edge whose states were found free
-        self._free: list[tuple[np.ndarray, np.ndarray]] = []
-        self._contact: np.ndarray | None = None
-
-    def free(self, start: np.ndarray, end: np.ndarray) -> bool:
-        """Return whether nothing touches between `start`, which is not checked, and `end`, which is.
-
-        Args:
-            start, end: Shape (n,). [rad] or [m]
-        """
-        known = self._edges.get((start.tobytes(), end.tobytes()))
-        if known is not None:
-            return known
-        if any(_lies_on(start, *edge) and _lies_on(end, *edge) for edge in self._free):
-            return self._end_free(end.tobytes(), end)
-        return self.first_free(np.array([start]), np.array([end])) is not None
-
-    def first_free(self, starts: np.ndarray, ends: np.ndarray) -> int | None:
-        """Return the first of some edges that is free, as `free` says it of one; None: none is.
-
-        Args:
-            starts, ends: Shape (k, n). [rad] or [m]
-        """
-        world, ways = self._validator.world, ends - starts
-        squares = np.maximum(np.einsum("kn,kn->k", ways, ways), 1e-300)
-        besides = self._besides(starts, ways, squares)
-        for index in range(len(starts)):
-            edge = starts[index].tobytes(), ends[index].tobytes()
-            found = self._edges.get(edge)
-            if found is None:
-                found = self._end_free(edge[1], ends[index])
-                if found and besides is not None:
-                    found = world.is_free(besides[index])
-                if found:
-                    states = self._validator.states(starts[index], ends[index])[1:]
-                    row = world.all_free(states)
-                    if row is not None:
-                        found, self._contact = False, states[row]
-                        besides = self._besides(starts, ways, squares)
-                    elif len(states):
-                        # an edge of one state has no part that is worth it, one of no length has none
-                        self._free.append((starts[index], ends[index]))
-                self._edges[edge] = found
-            if found:
-                return index
-        return None
-
-    def _end_free(self, point: bytes, end: np.ndarray) -> bool:
-        found = self._points.get(point)
-        if found is None:
-            found = self._points[point] = self._validator.world.is_free(end)
-        return found
-
-    def _besides(self, starts: np.ndarray, ways: np.ndarray, squares: np.ndarray) -> np.ndarray | None:
-        """Return the point of each edge that is closest to the last contact, shape (k, n); None without one."""
-        if self._contact is None:
-            return None
-        parts = np.einsum("kn,kn->k", self._contact - starts, ways) / squares
-        return starts + np.minimum(np.maximum(parts, 0.0), 1.0)[:, None] * ways
-
-
-def _lies_on(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> bool:
-    """Return whether a point is on a straight edge, but for rounding."""
-    way, beyond = end - start, point - start
-    part = min(max(float(beyond @ way) / float(way @ way), 0.0), 1.0)
-    return float(np.abs(beyond - part * way).max()) <= ON_EDGE
 
 
 class CornerRounding:

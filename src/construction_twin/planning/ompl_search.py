@@ -165,11 +165,10 @@ class OmplSearch:
             NoPathError: If none was found within the budget.
         """
         # most edges of a search are in no path: they are checked coarsely first, and the path that comes of them as asked
-        check = query.validator.shortcuts
         for times in (COARSER, 1.0):
             points = self._search(query, query.validator.coarser(times), budget)
-            path = shortened(points, check.first_free)
-            if times == 1.0 or all(check.free(*edge) for edge in zip(path, path[1:])):
+            path = shortened(points, query.validator.first_free)
+            if times == 1.0 or all(query.validator.free(*edge) for edge in zip(path, path[1:])):
                 break
         return path
 

@@ -15,7 +15,7 @@ from construction_twin.core.motion_errors import NoPathError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.curves import rounded
-from construction_twin.planning.motion_validator import CornerRounding, MotionValidator, ShortcutCheck
+from construction_twin.planning.motion_validator import CornerRounding, MotionValidator
 from construction_twin.planning.ompl_search import OmplSearch, PathQuery, shortened
 from construction_twin.planning.planner import Planner, PlannerSettings
 from construction_twin.robot.description import read_robot_files
@@ -130,28 +130,6 @@ def test_a_path_that_touches_by_itself_is_given_up():
     assert rounding.tightened(path) is None
     assert rounding.tightened(path[:2]) is None
     np.testing.assert_array_equal(rounding.tightened(-path[:2]), -path[:2])
-
-
-@given(st.lists(st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6), min_size=2, max_size=6))
-def test_a_shortcut_is_free_only_if_the_whole_edge_is_and_blocked_only_by_a_contact(points):
-    points = np.array([*points, points[0]])
-    edges = MotionValidator(Recorder(most=0.5), np.ones(6), 0.1)
-    check = ShortcutCheck(edges)
-    for start in points:
-        for end in points:
-            if not np.array_equal(start, end):
-                found = check.free(start, end)
-                assert found == check.free(start, end)
-                assert edges.free(start, end) if found else max(start[0], end[0]) > 0.5
-    same = check.free(points[0], points[-1])
-    assert same == (points[0][0] <= 0.5)
-    # of many edges the first free one, whatever was asked before
-    starts, ends = points[:-1], points[1:]
-    differ = np.any(starts != ends, axis=1)
-    free = [check.free(start, end) for start, end in zip(starts[differ], ends[differ])]
-    for asked in (check, ShortcutCheck(edges)):
-        found = asked.first_free(starts[differ], ends[differ])
-        assert found == (free.index(True) if True in free else None)
 
 
 def test_a_path_begins_at_the_start_and_ends_at_one_of_the_goals():
