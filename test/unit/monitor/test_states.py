@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from construction_twin.core.state_table import cells, conditions
+from construction_twin.core.state_table import conditions
 from construction_twin.monitor.states import (
-    HELD_STATES,
-    ROWS,
     TABLE,
     Action,
     Guard,
@@ -62,36 +60,8 @@ class TestTable:
         leaving = {row.event for row in TABLE if row.state is SyncState.STOPPED is not row.target}
         assert leaving == {SyncEvent.NEW_SESSION}
 
-    def test_every_state_goes_back_to_waiting_with_a_new_session_and_forgets(self):
-        for state in SyncState:
-            (row,) = ROWS[state, SyncEvent.NEW_SESSION]
-            assert (row.target, row.action, row.guard) == (SyncState.WAITING, Action.FORGET, Guard.ALWAYS)
-
     def test_only_opening_leads_to_in_sync(self):
         assert {row.event for row in TABLE if row.target is SyncState.IN_SYNC is not row.state} == {SyncEvent.OPENED}
-
-    def test_what_closes_the_gate_holds_and_only_silence_is_not_counted(self):
-        closing = {
-            row.event: row.action for row in TABLE if row.state is SyncState.IN_SYNC and row.target in HELD_STATES
-        }
-        silence = {event for event, action in closing.items() if action is Action.HOLD}
-        assert silence == {SyncEvent.FEEDBACK_STALE, SyncEvent.SETPOINT_STALE}
-        assert set(closing.values()) == {Action.HOLD, Action.HOLD_AND_COUNT}
-
-    def test_other_settings_change_no_state_and_are_taken_only_where_nothing_holds(self):
-        taken = {row.state: row.target for row in TABLE if row.event is SyncEvent.CONFIGURED}
-        assert taken == {state: state for state in set(SyncState) - set(HELD_STATES)}
-
-    def test_a_gate_that_holds_can_be_given_up(self):
-        assert {row.state for row in TABLE if row.event is SyncEvent.GAVE_UP} == set(HELD_STATES)
-
-    def test_a_refused_setpoint_is_not_planned_around(self):
-        assert ROWS[SyncState.FAULT, SyncEvent.REPLAN_ASKED] == ()
-
-    def test_is_told_in_words(self):
-        told = cells(TABLE)
-        assert ("REPLANNING", "pose_differs", Guard.UNCOUNTED.value, Action.COUNT.value, "") in told
-        assert ("WAITING", "opened", "", "", "IN_SYNC") in told and len(told) == len(TABLE)
 
     def test_values_are_those_of_the_message(self):
         assert [(state.name, state.value) for state in SyncState] == [
