@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ from construction_twin.robot.frames import quaternion_to_rotation
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, SceneObject
-from construction_twin.scene.planner_scene import PlannerObject, PlannerScene, planner_scene, scene_text
+from construction_twin.scene.planner_scene import PlannerScene, planner_scene, scene_text
 
 TURNED = (0.0, 0.0, math.sin(0.3), math.cos(0.3))
 WALL = SceneObject("wall", "box", (0.2, 2.0, 1.5), (2.0, 0.5, 0.75), TURNED, padding=0.01, fixed=True)
@@ -173,19 +172,3 @@ def test_it_is_the_scene_of_a_world_that_was_checked():
     with pytest.raises(type(ours.value)) as theirs:
         told(wrong)
     assert str(ours.value) == str(theirs.value)
-
-
-def test_parts_of_the_other_arm_stand_in_the_text_where_they_are_in_the_root():
-    raised = replace(told(Scene((WALL,))), root_T_base=Pose(np.array([0.0, 0.0, 0.5]), np.eye(3)))
-    part = PlannerObject(
-        "other/link_1", "sphere", (0.3,), np.empty((0, 3)), np.empty((0, 3), dtype=int), "world",
-        Pose(np.array([1.0, 2.0, 3.0]), np.eye(3)), False, (),
-    )  # fmt: skip
-    wall, sphere = read(scene_text(raised, "x", [part])[0])[1].values()
-    assert "other/link_1" in read(scene_text(raised, "x", [part])[0])[1]
-    assert (
-        sphere
-        == read(scene_text(replace(raised, root_T_base=Pose(np.zeros(3), np.eye(3))), "x", [part])[0])[1][
-            "other/link_1"
-        ]
-    )
