@@ -25,11 +25,10 @@ import numpy as np
 import yaml
 
 from construction_twin.kinematics.chain import Pose
-from construction_twin.ros.commands.work_check_pool import Arm, Setup, check_all
+from construction_twin.robot.description import read_robot_files
+from construction_twin.ros.commands.work_check import SEED, Checked, check_all
 from construction_twin.work.building import BuildingModel, Element, Task
-from construction_twin.work.element_bodies import element_shapes
 from construction_twin.work.ifc.reading import read_building
-from construction_twin.work.schedule import Schedule
 
 ROOT = Path(__file__).resolve().parents[1]
 COUNTS = (10, 50, 200)
@@ -38,12 +37,6 @@ SAMPLES = ("timber_panel", "brick_wall")
 COURSE = 10
 #: Over the wall: there is room for bricks below it, and none for tool and hand.
 LID = {"shape": "box", "size": [3.2, 0.9, 0.1], "position": [0.0, 1.5575, 0.95], "fixed": True}
-ARM = Arm(
-    ROOT / "urdf/kr120_track.urdf.xacro",
-    ROOT / "config/kr120_track.yaml",
-    ROOT / "config/kr120_track_self_collision.yaml",
-    ROOT / "config/planner.yaml",
-)
 
 
 def sample(name: str) -> BuildingModel:
@@ -95,13 +88,17 @@ def under_a_lid(folder: Path) -> Path:
     return path
 
 
-def setup(model: BuildingModel, where: Path, folder: Path) -> Setup:
-    """Return what a check needs, with the defaults of the command; mesh files go to `folder`."""
-    jobs = Schedule.of(model).jobs
-    shapes, failures = element_shapes([model.element(job.element) for job in jobs], folder)
-    for failure in failures.values():
-        raise failure
-    return Setup(ARM, where, model, {name: shape.objects for name, shape in shapes.items()}, jobs)
+def check(model: BuildingModel, where: Path, folder: str, processes: int) -> Checked:
+    """Check a model with the track, as the command does."""
+    return check_all(
+        processes,
+        model=model,
+        cell=str(where),
+        robot=read_robot_files(ROOT / "urdf/kr120_track.urdf.xacro", ROOT / "config/kr120_track.yaml"),
+        self_collision=str(ROOT / "config/kr120_track_self_collision.yaml"),
+        planner={**yaml.safe_load((ROOT / "config/planner.yaml").read_text(encoding="utf-8")), "seed": SEED},
+        cache=folder,
+    )
 
 
 def main() -> None:
@@ -119,7 +116,7 @@ def main() -> None:
     }
     for count in options.counts:
         with tempfile.TemporaryDirectory() as folder:
-            checked = check_all(setup(wall(count), refilled(Path(folder)), Path(folder)), options.processes)
+            checked = check(wall(count), refilled(Path(folder)), folder, options.processes)
         possible = sum(task.possible for task in checked.tasks)
         figures["check"][str(count)] = {
             "s": round(checked.seconds, 2), "rss_mb": round(checked.rss_mb, 1), "possible": possible,
@@ -127,7 +124,7 @@ def main() -> None:
         print(f"check.{count}: {figures['check'][str(count)]}", flush=True)
     for name in SAMPLES:
         with tempfile.TemporaryDirectory() as folder:
-            checked = check_all(setup(sample(name), cell(name), Path(folder)), 1)
+            checked = check(sample(name), cell(name), folder, 1)
         done = [task for task in checked.tasks if task.possible]
         figures["samples"][name] = {
             "success": len(done) / len(checked.tasks),
@@ -138,7 +135,7 @@ def main() -> None:
             if not task.possible:
                 print(f"  {task.name}: {task.stage}: {task.reason}", flush=True)
     with tempfile.TemporaryDirectory() as folder:
-        checked = check_all(setup(sample("brick_wall"), under_a_lid(Path(folder)), Path(folder)), 1)
+        checked = check(sample("brick_wall"), under_a_lid(Path(folder)), folder, 1)
     refused = [task.planning for task in checked.tasks if not task.possible]
     figures["impossible"] = {
         "refused": len(refused) / len(checked.tasks),

@@ -1,30 +1,25 @@
 """Whether the arm can do each task of a building model, before anything starts.
 
-In: a layout, the jobs of its schedule, a robot. Out: one `CheckedTask` per job. Each is planned in the scene that its turn finds if
-everything before it stands as designed, from the arm's home pose: so each can be checked on its own.
-SI; time and randomness are arguments; knows no process and no file.
+Each is planned in the scene that its turn finds if everything before it stands as designed, from the arm's home pose: so each can
+be checked on its own. SI; time is an argument.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.kinematics.chain import Chain
-from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
-from construction_twin.planning.planner import PlannerSettings
 from construction_twin.robot.description import RobotModel
 from construction_twin.scene.objects import Scene, product
-from construction_twin.scene.self_collision import SelfCollision
 from construction_twin.work.jobs import TaskMotions, WorkJob
 from construction_twin.work.process import process_of
 from construction_twin.work.recipe import DEFAULT
-from construction_twin.work.schedule import Job
+from construction_twin.work.schedule import Schedule
 from construction_twin.work.site import pose_of
 from construction_twin.work.site_scene import Layout, WorkState
 from construction_twin.work.task_planner import TaskPlanner
@@ -72,41 +67,36 @@ class Checker:
     """Plans every job of a schedule on its own. Not for use from several threads at once.
 
     Args:
-        clock: Returns seconds from any fixed origin.
-        removals: What people take down: gone for the jobs that wait for it, an obstacle for all others.
+        unplannable: Why an element can never be planned, by GlobalId.
     """
 
     def __init__(
         self,
         robot: RobotModel,
-        self_collision: SelfCollision,
-        settings: PlannerSettings,
+        planner: TaskPlanner,
         layout: Layout,
-        jobs: Sequence[Job],
+        schedule: Schedule,
+        unplannable: Mapping[str, str],
         clock: Callable[[], float],
-        rng: np.random.Generator,
-        removals: Sequence[Job] = (),
     ):
-        self._robot, self._layout, self._clock = robot, layout, clock
-        self._jobs, self._removals = tuple(jobs), tuple(removals)
+        self._robot, self._planner, self._layout, self._clock = robot, planner, layout, clock
+        self._schedule, self._unplannable = schedule, unplannable
+        self._jobs = schedule.jobs
         self._chain = Chain(robot)
-        solver = inverse_kinematics(self._chain, IkSettings(), rng, clock)
-        site = layout.site
-        self._tool0_T_tcp = pose_of(site.tool.tool.tool0_T_tcp)
-        self._planner = TaskPlanner(robot, solver, settings, self_collision, site.tool, site.recipes, clock)
+        self._tool0_T_tcp = pose_of(layout.site.tool.tool.tool0_T_tcp)
 
     def check(self, number: int) -> CheckedTask:
         """Return what was found for one job of the schedule, by its number from 0."""
         job = self._jobs[number]
         element = self._layout.building.element(job.element)
         began = self._clock()
+        remarks = self._schedule.remarks.get(job.id, ())
         found = CheckedTask(
-            number, job.id, job.name, job.element, element.name, element.ifc_class, False, process=job.process
-        )
-        if element.doubt:
-            return replace(found, reason=Sentence("work.body.doubtful", doubt=element.doubt))
-        if job.element not in self._layout.order:
-            return replace(found, reason="the element has no geometry")
+            number, job.id, job.name, job.element, element.name, element.ifc_class, False, remarks=remarks,
+            process=job.process,
+        )  # fmt: skip
+        if job.element in self._unplannable:
+            return replace(found, reason=self._unplannable[job.element])
         scene, place = self._turn(number)
         try:
             plan = self._planner.plan(place, self._robot.home, scene)
@@ -119,12 +109,11 @@ class Checker:
 
     def _before(self, number: int) -> set[str]:
         """Return the elements that a job waits for, at first or second hand."""
-        jobs = {job.id: job for job in (*self._jobs, *self._removals)}
         open_jobs, elements = [self._jobs[number]], set()
         while open_jobs:
             for wait in open_jobs.pop().after:
-                other = jobs.get(wait.job)
-                if other is not None and other.element not in elements:
+                other = self._schedule.job(wait.job)
+                if other.element not in elements:
                     elements.add(other.element)
                     open_jobs.append(other)
         return elements
@@ -132,7 +121,7 @@ class Checker:
     def _turn(self, number: int) -> tuple[Scene, WorkJob]:
         """Return scene and job when everything before it stands, of what has geometry."""
         before = [job.element for job in self._jobs[:number] if job.element in self._layout.order]
-        gone = frozenset(job.element for job in self._removals) & self._before(number)
+        gone = frozenset(job.element for job in self._schedule.removals) & self._before(number)
         scene = self._layout.scene(WorkState({one: self._layout.base_T_goal(one) for one in before}, gone))
         return scene, self._layout.job_for(self._jobs[number].element, scene, self._jobs[number].id)
 

@@ -10,13 +10,12 @@ import numpy as np
 
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import PlacementError
-from construction_twin.kinematics.chain import Chain, Pose
-from construction_twin.robot.description import RobotModel
+from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.objects import SceneObject, product
 from construction_twin.work.building import BuildingModel, Element
 from construction_twin.work.element_bodies import box_of, element_shapes
 from construction_twin.work.names import first_few
-from construction_twin.work.site import Site, inverse, pose_of
+from construction_twin.work.site import Site, inverse
 
 
 def check_placement(model: BuildingModel, model_T_base: Pose, reach: float, base: str = "") -> tuple[str, ...]:
@@ -93,23 +92,22 @@ class Standing:
     notes: tuple[str, ...]
 
 
-def standing(building: BuildingModel, made: Collection[str], site: Site, robot: RobotModel, folder: Path) -> Standing:
+def standing(building: BuildingModel, made: Collection[str], site: Site, reach: float, folder: Path) -> Standing:
     """Return what stands of a model within reach of the arm and what it carries.
 
     Args:
+        reach: As of `check_placement`.
         made: GlobalIds of the elements that tasks make; these, what they are parts of, and the element that stands for the base are
             not among what stands.
         folder: For mesh files, see `element_bodies.element_shapes`.
     """
-    chain, tool = Chain(robot), pose_of(site.tool.tool.tool0_T_tcp)
-    reach = chain.reach + float(np.linalg.norm(chain.shoulder)) + float(np.linalg.norm(tool.position)) + _CARRIED
     base_T_model = inverse(site.model_T_base(building))
     near = []
     for element in standing_elements(building, made, site):
         pose = product(base_T_model, element.model_T_element)
         points = np.concatenate([body.vertices for body in element.bodies]) @ pose.rotation.T + pose.position
         nearest = np.maximum(np.maximum(points.min(axis=0), -points.max(axis=0)), 0.0)
-        if not np.linalg.norm(nearest) > reach:
+        if not np.linalg.norm(nearest) > reach + _CARRIED:
             near.append(element)
     shapes, failures = element_shapes(near, folder)
     notes = tuple(

@@ -1,20 +1,23 @@
-"""Processes that read models and plan tasks for another one, so that neither a broken file nor a long search holds it up.
+"""Processes that work for another one, so that neither a broken file nor a long search holds it up.
 
-``python -m construction_twin.work.worker`` is the work node's, started by `Worker`; both sides speak pickles over the process's own
-pipes, which nobody else can write to. It runs behind everything else on the machine: whatever has a cycle to keep comes first. It
-ends when its parent does, however that ends: after the question that it answers.
+``python -m construction_twin.work.worker_functions`` is the work node's. It is given one end of a pipe, which nobody else can write
+to; both sides speak pickles. It runs behind everything else on the machine: whatever has a cycle to keep comes first. It ends when
+its parent does, however that ends: after the question that it answers.
 """
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import pickle
+import resource
 import subprocess
 import sys
 import threading
 import traceback
 from collections.abc import Callable, Mapping
-from typing import Any, BinaryIO
+from multiprocessing.connection import Connection
+from typing import Any
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.sentences import Sentence
@@ -22,7 +25,6 @@ from construction_twin.core.work_errors import WorkError
 
 #: Added to the process's nice value.
 NICE = 10
-_LENGTH = 8
 #: What a function, its answer, or the reading of it can raise and nobody foresaw; what is none of these ends the process.
 UNFORESEEN = (
     ArithmeticError, AssertionError, AttributeError, EOFError, ImportError, LookupError, MemoryError, OSError, RuntimeError,
@@ -30,7 +32,6 @@ UNFORESEEN = (
 )  # fmt: skip
 #: A process whose pipe has closed is given so long to end [s].
 _ENDING = 5.0
-_PROTOCOL = pickle.HIGHEST_PROTOCOL
 
 
 class WorkerError(WorkError):
@@ -48,10 +49,11 @@ class WorkerError(WorkError):
 class Worker:
     """The process, as its parent sees it. One question at a time; started at the first one, and again after it has ended."""
 
-    def __init__(self, program: tuple[str, ...] = (sys.executable, "-m", "construction_twin.work.worker")):
+    def __init__(self, program: tuple[str, ...] = (sys.executable, "-m", "construction_twin.work.worker_functions")):
         self._program = program
         self._busy = threading.Lock()
         self._process: subprocess.Popen | None = None
+        self._pipe: Connection | None = None
         self._first: tuple[str, dict[str, Any]] | None = None
 
     def ask_first(self, name: str, **arguments: Any) -> Any:
@@ -62,7 +64,7 @@ class Worker:
         return answer
 
     def ask(self, name: str, **arguments: Any) -> Any:
-        """Have a function of `FUNCTIONS` called there; return its result.
+        """Have a function called there; return its result.
 
         Raises WorkerError.
         """
@@ -71,7 +73,8 @@ class Worker:
                 answer = self._answer(name, arguments)
             except (OSError, EOFError) as error:
                 code = self._end(_ENDING)
-                raise WorkerError("", Sentence("work.ended", how=_how(code))) from error
+                how = f"signal {-code}" if code < 0 else f"exit code {code}"
+                raise WorkerError("", Sentence("work.ended", how=how)) from error
         if "failure" in answer:
             raise WorkerError(*answer["failure"])
         return answer["result"]
@@ -93,12 +96,21 @@ class Worker:
         questions = [(name, arguments)]
         if self._process is None or self._process.poll() is not None:
             self._end()
-            self._process = subprocess.Popen(self._program, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+            self._pipe, theirs = multiprocessing.Pipe()
+            with theirs:
+                end = theirs.fileno()
+                self._process = subprocess.Popen([*self._program, str(end)], stdin=subprocess.DEVNULL, pass_fds=[end])
             questions = [*([self._first] if self._first is not None else []), *questions]
+        assert self._pipe is not None
         answer: dict[str, Any] = {}
         for question in questions:
-            _write(self._process.stdin, pickle.dumps(question, _PROTOCOL))
-            answer = _understood(_read(self._process.stdout))
+            self._pipe.send(question)
+            received = self._pipe.recv_bytes()
+            try:
+                answer = dict(pickle.loads(received))
+            except UNFORESEEN as error:
+                # what cannot be read here is a failure as any other, and the process goes on
+                answer = {"failure": _unforeseen(error)}
             if "failure" in answer:
                 break
         return answer
@@ -112,48 +124,37 @@ class Worker:
             process.wait(patience)
         except subprocess.TimeoutExpired:
             process.kill()
-        for pipe in (process.stdin, process.stdout):
-            if pipe is not None:
-                try:
-                    pipe.close()
-                except BrokenPipeError:
-                    continue  # what was not sent is not needed any more
+        if self._pipe is not None:
+            self._pipe.close()
         return process.wait()
 
 
-def serve(questions: BinaryIO, answers: BinaryIO, functions: Mapping[str, Callable]) -> None:
-    """Answer until there are no more questions."""
-    while True:
-        try:
-            question = _read(questions)
-        except EOFError:
-            return
-        _write(answers, _answer(question, functions))
+def serve_parent(functions: Mapping[str, Callable]) -> None:
+    """Answer the parent, at the pipe that the program's last argument names, until it closes that or ends."""
+    os.nice(NICE)
+    with Connection(int(sys.argv[-1])) as pipe:
+        while True:
+            try:
+                pipe.send_bytes(_answered(pipe.recv_bytes(), functions))
+            except (EOFError, ConnectionError):
+                return  # nobody is there any more to be told
 
 
-def _answer(question: bytes, functions: Mapping[str, Callable]) -> bytes:
+def _answered(question: bytes, functions: Mapping[str, Callable]) -> bytes:
     """Return the answer to a question: what the function returns, or kind and sentence of its error.
 
     It is made of built-in types, so that it can be read by a process to which this module is not `__main__`.
     """
     try:
         name, arguments = pickle.loads(question)
-        return pickle.dumps({"result": functions[name](**arguments)}, _PROTOCOL)
+        return pickle.dumps({"result": functions[name](**arguments)})
     except ConstructionTwinError as error:
         failure = type(error).__name__, error.sentence
     except UNFORESEEN as error:
         # what nobody foresaw must be an answer, too; the trace goes to the node's log
         traceback.print_exc()
         failure = _unforeseen(error)
-    return pickle.dumps({"failure": failure}, _PROTOCOL)
-
-
-def _understood(answer: bytes) -> dict[str, Any]:
-    """Return an answer; one that cannot be read here is a failure as any other, and the process goes on."""
-    try:
-        return dict(pickle.loads(answer))
-    except UNFORESEEN as error:
-        return {"failure": _unforeseen(error)}
+    return pickle.dumps({"failure": failure})
 
 
 def _unforeseen(error: Exception) -> tuple[str, str]:
@@ -161,44 +162,6 @@ def _unforeseen(error: Exception) -> tuple[str, str]:
     return kind, Sentence("work.unforeseen", kind=kind, problem=str(error))
 
 
-def _write(pipe: Any, data: bytes) -> None:
-    pipe.write(len(data).to_bytes(_LENGTH, "big") + data)
-    pipe.flush()
-
-
-def _read(pipe: Any) -> bytes:
-    header = pipe.read(_LENGTH)
-    if len(header) < _LENGTH:
-        raise EOFError
-    length = int.from_bytes(header, "big")
-    data = pipe.read(length)
-    if len(data) < length:
-        raise EOFError
-    return bytes(data)
-
-
-def _how(code: int) -> str:
-    return f"signal {-code}" if code < 0 else f"exit code {code}"
-
-
-def serve_parent(functions: Mapping[str, Callable]) -> None:
-    """Serve the parent until it closes its pipe, or ends."""
-    # whatever a library prints must not get between the answers
-    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
-    os.nice(NICE)
-    try:
-        serve(sys.stdin.buffer, answers, functions)
-    except BrokenPipeError:
-        return  # nobody is there any more to be told
-
-
-def main() -> None:
-    """Serve the work node."""
-    from construction_twin.work.worker_functions import FUNCTIONS
-
-    serve_parent(FUNCTIONS)
-
-
-if __name__ == "__main__":
-    main()
+def rss_mb() -> float:
+    """Return the largest resident memory of this process [MB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0

@@ -1,11 +1,12 @@
-"""What the work node's worker does, in a process of its own: read a model in its cell, and plan its tasks. See `worker`."""
+"""What a process of the work does: read a model in its cell, plan its tasks for the node, and check them. See `worker`."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from construction_twin.scene.objects import Scene
 from construction_twin.scene.self_collision import read_self_collision
 from construction_twin.work.building import BuildingModel, Element
 from construction_twin.work.built import pose_of_tuple
+from construction_twin.work.check import CheckedTask, Checker
 from construction_twin.work.contacts import tool_objects
 from construction_twin.work.element_bodies import element_shapes, element_triangles
 from construction_twin.work.ifc.reading import read_building
@@ -34,6 +36,7 @@ from construction_twin.work.site_scene import Layout
 from construction_twin.work.standing import check_placement, standing
 from construction_twin.work.task_board import ElementFacts, Prepared, Scheduled
 from construction_twin.work.task_planner import TaskPlanner
+from construction_twin.work.worker import rss_mb, serve_parent
 
 #: By how much bodies may be larger than their element without being told [m].
 _TOLD = 0.0005
@@ -45,19 +48,30 @@ class _Session:
 
     layout: Layout
     planner: TaskPlanner
-    robot: RobotModel
+    checker: Checker
 
 
-#: Filled by `prepare`; the process serves one node.
+#: Filled by `prepare`; the process serves one parent.
 _SESSIONS: list[_Session] = []
 
 
 def prepare(
-    model: str, cell: str, robot: RobotModel, self_collision: str, planner: Mapping[str, Any], cache: str
+    model: str | BuildingModel,
+    cell: str,
+    robot: RobotModel,
+    self_collision: str,
+    planner: Mapping[str, Any],
+    cache: str,
 ) -> Prepared:
-    """Read a model and its cell."""
+    """Read a model and its cell.
+
+    Args:
+        model: Path of the IFC file, or what was read of it.
+        planner: The planner node's settings.
+        cache: Folder for what was read, and for bodies.
+    """
     site = read_site(cell)
-    building = read_building(model, Path(cache) / "models")
+    building = read_building(model, Path(cache) / "models") if isinstance(model, str) else model
     proposed = not building.tasks
     if proposed:
         building = propose(building).applied(building)
@@ -72,7 +86,7 @@ def prepare(
     sure = [element for element in order if not building.element(element).doubt]
     shapes, failures = element_shapes(map(building.element, sure), Path(cache) / "bodies")
     pieces = {element: shape.objects for element, shape in shapes.items()}
-    stands = standing(building, pieces, site, robot, Path(cache) / "bodies")
+    stands = standing(building, pieces, site, reach, Path(cache) / "bodies")
     schedule.notes = tuple(map(building.called, schedule.notes))
     schedule.remarks = {job: tuple(map(building.called, said)) for job, said in schedule.remarks.items()}
     # one element without usable body does not stop the others
@@ -107,7 +121,8 @@ def prepare(
     tasks = TaskPlanner(
         robot, solver, PlannerSettings.model_validate(known), links, site.tool, site.recipes, time.monotonic
     )
-    _SESSIONS[:] = [_Session(layout, tasks, robot)]
+    unplannable = {element: building.called(why) for element, why in unplannable.items()}
+    _SESSIONS[:] = [_Session(layout, tasks, Checker(robot, tasks, layout, schedule, unplannable, time.monotonic))]
     return Prepared(
         model=Path(building.file).name,
         digest=building.digest,
@@ -119,7 +134,7 @@ def prepare(
         tool=site.tool.tool,
         tool_objects=tool_objects(site.tool, robot.tip_link),
         notes=tuple(map(building.called, notes)),
-        unplannable={element: building.called(why) for element, why in unplannable.items()},
+        unplannable=unplannable,
         standing=layout.standing,
         scheduled=_scheduled(building, schedule),
         comes_after=layout.comes_after,
@@ -172,5 +187,10 @@ def plan(task: str, element: str, start: tuple[float, ...], scene: Scene, held: 
         raise TaskPlanningError(error.task, reason, error.stage, error.method) from error
 
 
-#: What the parent may ask for.
-FUNCTIONS: dict[str, Callable[..., Any]] = {"prepare": prepare, "plan": plan}
+def check(number: int) -> tuple[CheckedTask, int, float]:
+    """Return what was found for one job of the schedule, by its number from 0; this process, and its memory [MB]."""
+    return _SESSIONS[0].checker.check(number), os.getpid(), rss_mb()
+
+
+if __name__ == "__main__":
+    serve_parent({"prepare": prepare, "plan": plan, "check": check})

@@ -30,7 +30,7 @@ from work_samples import (
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import LedgerError
-from construction_twin.planning.planner import PlannerSettings, PlanRequest
+from construction_twin.planning.planner import PlanRequest
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.work_plan import plan_work
 from construction_twin.review.record import Fate
@@ -39,8 +39,8 @@ from construction_twin.scene.objects import product
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.work import process
 from construction_twin.work.check import Checker
-from construction_twin.work.check_report import cell_picture, row
-from construction_twin.work.following import GripReading, after_restart, question
+from construction_twin.work.following import after_restart
+from construction_twin.work.heard import GripReading
 from construction_twin.work.ledger import Ledger
 from construction_twin.work.racks import StockPlan
 from construction_twin.work.recipes import read_recipes
@@ -120,12 +120,9 @@ def test_whoever_checks_it_for_review_takes_it(plan, work):
 
 
 def test_the_check_before_the_work_plans_it_too(work):
-    settings = PlannerSettings(**{name: PLANNER[name] for name in PlannerSettings.model_fields})
-    jobs = [Job("T1", "T1", "Probe brick", "brick0", (), (), "touch")]
-    checker = Checker(robot(), pairs(), settings, work, jobs, lambda: 0.0, np.random.default_rng(0))
-    found = checker.check(0)
+    schedule = Schedule((Job("T1", "T1", "Probe brick", "brick0", (), (), "touch"),), (), ())
+    found = Checker(robot(), planner(work.site.recipes), work, schedule, {}, lambda: 0.0).check(0)
     assert found.possible and found.grip == "point 50 0 71 mm" and found.track is not None and found.path
-    assert row(found)[3] == "point 50 0 71 mm" and cell_picture((found,), work).startswith(b"\x89PNG")
 
 
 # -- its ledger
@@ -196,7 +193,7 @@ def test_an_open_grip_says_nothing_of_what_was_done(tmp_path):
     begun = offered.then(Entry("begun", "T", "E", plan="p"))
     for memory in (offered, begun):
         (entry,) = after_restart(memory, Fate("p", None), GripReading(True, False))
-        assert entry.event == "unknown" and question(memory.then(entry), "stud").key == "work.question.done"
+        assert entry.event == "unknown" and memory.then(entry).question("stud").key == "work.question.done"
 
 
 def test_what_is_placed_is_not_done_before_it_was_let_go():
@@ -220,7 +217,7 @@ def test_another_model_asks_whether_it_was_done_and_leaves_nothing_behind_where_
     again = ledger(tmp_path / "l", "b" * 64)
     memory = again.book.tasks["T"]
     assert memory.possible_answers() == ("done", "not_done")
-    assert question(memory, "stud").values["known"].key == "work.known.stays.done"
+    assert memory.question("stud").values["known"].key == "work.known.stays.done"
     again.close()
     times = count(1_800_000_000_000_000_000)
     other = Ledger(tmp_path / "l", {"U": ()}, "c" * 64, lambda: next(times), "/cell.yaml")

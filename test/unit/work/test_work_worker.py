@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import sys
 import textwrap
 
@@ -10,13 +9,13 @@ import pytest
 from chain_samples import ROBOT, ROOT
 from ifc_models import IfcModel
 
-from construction_twin.core.errors import ConfigurationError
-from construction_twin.work.worker import Worker, WorkerError, serve
+from construction_twin.work.worker import Worker, WorkerError
 
-#: The module as it is started, with other functions in the place of those that read and plan.
+#: A process with functions of its own.
 PROGRAM = """
-    import runpy, sys, threading, types
+    import sys, threading, types
     from construction_twin.core.errors import ConfigurationError
+    from construction_twin.work.worker import serve_parent
 
     told = []
 
@@ -46,10 +45,7 @@ PROGRAM = """
     def end():
         sys.exit(3)
 
-    tasks = types.ModuleType("construction_twin.work.worker_functions")
-    tasks.FUNCTIONS = {name: one for name, one in globals().items() if isinstance(one, types.FunctionType)}
-    sys.modules[tasks.__name__] = tasks
-    runpy.run_module("construction_twin.work.worker", run_name="__main__", alter_sys=True)
+    serve_parent({name: one for name, one in globals().items() if isinstance(one, types.FunctionType)})
 """
 
 
@@ -125,13 +121,3 @@ def cyclic(tmp_path):
         "model": str(model.save(tmp_path / "cycle.ifc")), "cell": cell, "robot": ROBOT, "self_collision": "",
         "planner": {}, "cache": str(tmp_path / "cache"),
     }  # fmt: skip
-
-
-def test_half_a_question_is_the_end_of_questions():
-    answers = io.BytesIO()
-    serve(io.BytesIO(b"\x00\x00"), answers, {})
-    assert answers.getvalue() == b""
-
-
-def test_errors_carry_their_sentence():
-    assert "expected 4" in str(ConfigurationError("file", 3, "4"))

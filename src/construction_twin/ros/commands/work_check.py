@@ -7,15 +7,23 @@ not be checked, after one sentence on standard error.
 from __future__ import annotations
 
 import argparse
+import io
+import json
 import os
 import sys
 import tempfile
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal
+from queue import SimpleQueue
+from typing import Any, Literal
 
 import numpy as np
+import yaml
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -26,35 +34,17 @@ from construction_twin.core.extras import check_extras
 from construction_twin.core.files import check_writable, write_whole
 from construction_twin.core.sentences import Sentence
 from construction_twin.evaluation.tables import table_console
-from construction_twin.kinematics.chain import Chain
-from construction_twin.robot.description import RobotModel
+from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.commands.evaluate import package_file
-from construction_twin.ros.commands.work_check_pool import Arm, Checked, Setup, check_all
-from construction_twin.scene.objects import SceneObject
-from construction_twin.work.building import BuildingModel
-from construction_twin.work.check_report import as_json, cell_picture, row, why
-from construction_twin.work.ifc.reading import read_building
-from construction_twin.work.proposed_schedule import propose
-from construction_twin.work.schedule import Job, Schedule
-from construction_twin.work.site import Site, pose_of, read_site
-from construction_twin.work.standing import check_placement
-from construction_twin.work.worker import WorkerError
+from construction_twin.work.check import CheckedTask
+from construction_twin.work.site import read_site
+from construction_twin.work.task_board import Prepared
+from construction_twin.work.worker import Worker, WorkerError, rss_mb
 
-#: By how much bodies may be larger than their element without being told [m].
-_TOLD = 0.0005
+#: Of every planning.
+SEED = 1
 #: What the exit codes mean.
 ALL, SOME, NOT_CHECKED = 0, 1, 2
-
-
-@dataclass(frozen=True, eq=False)
-class _Work:
-    """A model with its order and cell, ready to be checked."""
-
-    building: BuildingModel
-    site: Site
-    schedule: Schedule
-    jobs: tuple[Job, ...]
-    notes: tuple[str, ...]
 
 
 def main(arguments: list[str]) -> int:
@@ -69,30 +59,21 @@ def main(arguments: list[str]) -> int:
     try:
         check_extras("work")
         check_writable(directory)
-        arm = _arm(options)
-        robot = arm.robot()
-        work = _work(options, robot)
         with tempfile.TemporaryDirectory(prefix="work_check_") as folder:
-            pieces, inexact = _pieces(work, Path(folder))
-            # needs the packages of `check_extras`
-            from construction_twin.work.standing import standing
-
-            # what is doubted, or has no usable body, stands as an obstacle
-            stands = standing(work.building, pieces, work.site, robot, Path(folder))
-            notes = tuple(map(work.building.called, (*work.notes, *inexact, *stands.notes)))
+            checked = _check(options, folder, console)
+            prepared = checked.prepared
+            notes = [*prepared.notes, *prepared.schedule.notes]
+            if prepared.schedule.proposed:
+                notes.insert(0, Sentence("work.order.proposed"))
             for note in notes:
                 console.print(note, markup=False, soft_wrap=True)
-            setup = Setup(
-                arm, options.cell, work.building, pieces, work.jobs, robot=options.robot, standing=stands.pieces,
-                removals=work.schedule.removals,
-            )  # fmt: skip
-            checked = _remarked(_check(setup, options.processes, console), work)
             about = {
-                "model": work.building.file, "digest": work.building.digest, "cell": str(options.cell), "robot": robot.name,
-                "proposed": work.schedule.proposed, "seconds": checked.seconds, "rss_mb": checked.rss_mb, "notes": notes,
+                "model": prepared.model, "digest": prepared.digest, "cell": prepared.cell,
+                "proposed": prepared.schedule.proposed, "seconds": checked.seconds, "rss_mb": checked.rss_mb, "notes": notes,
             }  # fmt: skip
-            picture = cell_picture(checked.tasks, setup.layout(robot))
-            contents: dict[str, str | bytes] = {"check.json": as_json(about, checked.tasks), "check.png": picture}
+            contents: dict[str, str | bytes] = {
+                "check.json": as_json(about, checked.tasks), "check.png": cell_picture(checked.tasks, prepared),
+            }  # fmt: skip
             for name, content in contents.items():
                 write_whole(directory / name, content)
     except (ConstructionTwinError, OSError) as error:
@@ -104,59 +85,89 @@ def main(arguments: list[str]) -> int:
     return ALL if all(task.possible for task in checked.tasks) else SOME
 
 
-def _work(options: argparse.Namespace, robot: RobotModel) -> _Work:
-    building = read_building(options.model)
-    site = read_site(options.cell)
-    missing = proposed = not building.tasks
-    if proposed:
-        building = propose(building).applied(building)
-    schedule = Schedule.of(building, proposed, site.recipes.process)
-    proposed = schedule.proposed
-    base = site.base(building).id if site.file.base_element else ""
-    tool = pose_of(site.tool.tool.tool0_T_tcp)
-    chain = Chain(robot)
-    reach = chain.reach + float(np.linalg.norm(chain.shoulder)) + float(np.linalg.norm(tool.position))
-    notes = [*building.notes, *schedule.notes, *check_placement(building, site.model_T_base(building), reach, base)]
-    if proposed:
-        notes.insert(
-            0,
-            Sentence("work.order.proposed_all" if missing else "work.order.proposed_some"),
-        )
-    return _Work(building, site, schedule, schedule.jobs, tuple(notes))
+@dataclass(frozen=True)
+class Checked:
+    """What was found.
+
+    Attributes:
+        tasks: In the order of the schedule.
+        rss_mb: Largest resident memory of all processes together [MB]; what they share is counted in each.
+    """
+
+    prepared: Prepared
+    tasks: tuple[CheckedTask, ...]
+    seconds: float
+    rss_mb: float
 
 
-def _pieces(work: _Work, folder: Path) -> tuple[dict[str, tuple[SceneObject, ...]], tuple[str, ...]]:
-    """Return the bodies of the elements that are placed, of those that have any, and what is not exact or missing."""
-    # needs the packages of `check_extras`
-    from construction_twin.work.element_bodies import element_shapes
+def check_all(
+    processes: int, done: Callable[[int, int], None] = lambda *_: None, robot_name: str = "", **given: Any
+) -> Checked:
+    """Check every job of a model, each in one of several processes.
 
-    elements = map(work.building.element, dict.fromkeys(job.element for job in work.jobs))
-    sure = [element for element in elements if element.bodies and not element.doubt]
-    shapes, failures = element_shapes(sure, folder)
-    notes = [failure.sentence for failure in failures.values()]
-    notes += [
-        Sentence(
-            "work.body.larger_checked",
-            element=name,
-            excess=1e3 * shape.excess,
-        )
-        for name, shape in shapes.items()
-        if shape.excess > _TOLD
-    ]
-    return {name: shape.objects for name, shape in shapes.items()}, tuple(notes)
+    Args:
+        done: Called as results come with how many there are, and how many there will be.
+        robot_name: Only jobs that this robot may do are checked; empty: all. The others' elements are placed in their turn, too.
+        given: What `worker_functions.prepare` takes.
+
+    Raises:
+        WorkerError: If the model cannot be checked; with an empty `kind` if a process was ended, by want of memory for instance.
+    """
+    began = time.monotonic()
+    workers = [Worker() for _ in range(processes)]
+    idle: SimpleQueue[Worker] = SimpleQueue()
+    found: dict[int, CheckedTask] = {}
+    memory: dict[int, float] = {}
+
+    def check(number: int) -> tuple[CheckedTask, int, float]:
+        worker = idle.get()
+        try:
+            return worker.ask("check", number=number)
+        finally:
+            idle.put(worker)
+
+    with ThreadPoolExecutor(processes) as threads:
+        try:
+            # the others find in the cache what the first has read
+            prepared: Prepared = workers[0].ask("prepare", **given)
+            list(threads.map(lambda worker: worker.ask("prepare", **given), workers[1:]))
+            for worker in workers:
+                idle.put(worker)
+            jobs = enumerate(prepared.schedule.jobs)
+            numbers = [n for n, job in jobs if not robot_name or not job.robots or robot_name in job.robots]
+            done(0, len(numbers))
+            for future in as_completed([threads.submit(check, number) for number in numbers]):
+                task, process, rss = future.result()
+                found[task.number], memory[process] = task, rss
+                done(len(found), len(numbers))
+        finally:
+            threads.shutdown(wait=False, cancel_futures=True)
+            for worker in workers:
+                worker.close()
+    tasks = tuple(found[number] for number in sorted(found))
+    return Checked(prepared, tasks, time.monotonic() - began, rss_mb() + sum(memory.values()))
 
 
-def _check(setup: Setup, processes: int, console: Console) -> Checked:
+def _check(options: argparse.Namespace, folder: str, console: Console) -> Checked:
+    kind = ("kr120_track", "kr120_track") if options.track else ("kr120r2500", "kr120")
+    xacro = options.robot_xacro or package_file(f"urdf/{kind[0]}.urdf.xacro")
+    config = options.robot_config or package_file(f"config/{kind[1]}.yaml")
     columns = (TextColumn("checking"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, auto_refresh=False) as progress:
-        bar = progress.add_task("check", total=len(setup.numbers))
+        bar = progress.add_task("check", total=None)
         progress.refresh()
-        return check_all(setup, processes, lambda _: progress.update(bar, advance=1, refresh=True))
-
-
-def _remarked(checked: Checked, work: _Work) -> Checked:
-    remarks = {job: tuple(map(work.building.called, said)) for job, said in work.schedule.remarks.items()}
-    return replace(checked, tasks=tuple(replace(task, remarks=remarks.get(task.job, ())) for task in checked.tasks))
+        return check_all(
+            options.processes,
+            lambda done, whole: progress.update(bar, completed=done, total=whole, refresh=True),
+            options.robot,
+            model=str(options.model),
+            cell=str(options.cell),
+            robot=read_robot_files(xacro, config, options.robot_xacro_args),
+            self_collision=str(options.self_collision or package_file(f"config/{kind[1]}_self_collision.yaml")),
+            # the same model and cell give the same findings
+            planner={**yaml.safe_load(package_file("config/planner.yaml").read_text(encoding="utf-8")), "seed": SEED},
+            cache=folder,
+        )
 
 
 #: Headings of the table in the terminal; whether the column holds words; its greatest width, 0: what is left of the terminal.
@@ -178,12 +189,12 @@ def _print(console: Console, checked: Checked, files: Iterable[Path]) -> None:
             justify: Literal["left", "right"] = "left" if words else "right"
             table.add_column(heading, justify=justify, no_wrap=True, overflow="ellipsis", max_width=most or widest)
     for task in checked.tasks:
-        table.add_row(*row(task)[: len(table.columns)], style="" if task.possible else "red")
+        table.add_row(*_row(task)[: len(table.columns)], style="" if task.possible else "red")
     console.print(table)
     for task in checked.tasks:
         about = f"{task.number + 1} {task.name} ({task.element_name or task.element})"
         if not task.possible:
-            console.print(f"{about}: {why(task)}", markup=False, soft_wrap=True)
+            console.print(f"{about}: {_why(task)}", markup=False, soft_wrap=True)
         for remark in task.remarks:
             console.print(f"{about}, note: {remark}", markup=False, soft_wrap=True)
     count = sum(task.possible for task in checked.tasks)
@@ -194,15 +205,66 @@ def _print(console: Console, checked: Checked, files: Iterable[Path]) -> None:
         console.print(str(file), markup=False, soft_wrap=True)
 
 
-def _arm(options: argparse.Namespace) -> Arm:
-    kind = ("kr120_track", "kr120_track") if options.track else ("kr120r2500", "kr120")
-    return Arm(
-        options.robot_xacro or package_file(f"urdf/{kind[0]}.urdf.xacro"),
-        options.robot_config or package_file(f"config/{kind[1]}.yaml"),
-        options.self_collision or package_file(f"config/{kind[1]}_self_collision.yaml"),
-        package_file("config/planner.yaml"),
-        options.robot_xacro_args,
+_POSSIBLE, _NOT, _STOCK, _PATH = "#2c8a4b", "#d9541e", "#8a8f98", "#3465a4"
+_SQUARE = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+
+
+def _row(task: CheckedTask) -> tuple[str, ...]:
+    """Return a task's cells: number, name, possible, grip, track [m], clearance [mm], time [s], at what it fails."""
+    return (
+        str(task.number + 1),
+        task.name,
+        "yes" if task.possible else "no",
+        task.grip,
+        "" if task.track is None else f"{task.track:.2f}",
+        "" if task.clearance is None else f"{1e3 * task.clearance:.0f}",
+        "" if task.duration is None else f"{task.duration:.1f}",
+        "" if task.possible else task.stage or task.reason[:30],
     )
+
+
+def _why(task: CheckedTask) -> str:
+    """Return why a task is not possible; empty: it is possible."""
+    return f"{task.stage}: {task.reason}" if task.stage else task.reason
+
+
+def as_json(about: Mapping[str, object], tasks: Sequence[CheckedTask]) -> str:
+    """Return the findings as JSON: what they are about, `tasks` and `possible` (how many), and `checked`, one object per task."""
+    content = {**about, "tasks": len(tasks), "possible": sum(task.possible for task in tasks)}
+    return json.dumps({**content, "checked": [asdict(task) for task in tasks]}, indent=1, allow_nan=False) + "\n"
+
+
+def cell_picture(tasks: Sequence[CheckedTask], prepared: Prepared) -> bytes:
+    """Return a PNG of the cell from above: base, stock, places, and the tool's paths."""
+    figure = Figure(figsize=(9, 7), dpi=100)
+    axes = figure.add_subplot()
+    for item in read_site(prepared.cell).scene.objects:
+        if item.shape == "box" and max(item.size[:2]) < 8.0:
+            corners = np.array([(sx * item.size[0], sy * item.size[1], 0.0) for sx, sy in _SQUARE]) / 2.0
+            seen = corners @ item.pose.rotation.T + item.pose.position
+            axes.fill(seen[:, 0], seen[:, 1], facecolor="#0001", edgecolor="#0004")
+            axes.annotate(item.name, (item.position[0], item.position[1]), color="#0008", ha="center")
+    for task in tasks:
+        if not prepared.elements[task.element].bodies:
+            continue
+        colour = _POSSIBLE if task.possible else _NOT
+        slot, goal = prepared.stock.slots.get(task.element), prepared.elements[task.element].base_T_goal
+        if slot is not None:
+            axes.plot(*slot.base_T_element.position[:2], ".", color=_STOCK)
+        axes.plot(*goal.position[:2], ".", color=colour)
+        if task.path:
+            path = np.array(task.path)
+            axes.plot(path[:, 0], path[:, 1], color=_PATH, linewidth=0.4, alpha=0.5)
+    axes.plot(0.0, 0.0, "k^")
+    axes.annotate(" base", (0.0, 0.0))
+    axes.set_aspect("equal")
+    axes.set_xlabel("x in the base, m")
+    axes.set_ylabel("y in the base, m")
+    axes.set_title("grey: stock, green: can be placed, red: cannot, blue: paths of the tool")
+    FigureCanvasAgg(figure)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", bbox_inches="tight")
+    return buffer.getvalue()
 
 
 def _processes(text: str) -> int:
