@@ -80,10 +80,8 @@ def same(first: BuildingModel, second: BuildingModel) -> bool:
 
 
 def test_another_process_reads_the_same_and_the_cache_gives_it_again(path, tmp_path, monkeypatch):
-    steps = []
-    found = read_building(path, tmp_path / "cache", progress=lambda *step: steps.append(step))
+    found = read_building(path, tmp_path / "cache")
     assert same(found, read_ifc(path, 1 << 24))
-    assert steps[0][0] == "open" and steps[-1] == ("elements", 5, 5) and ("geometry", 4, 4) in steps
     (kept,) = (tmp_path / "cache").iterdir()
     assert found.digest in kept.name
     # the file under another name, and no process that could read it
@@ -199,18 +197,13 @@ def child(monkeypatch, program):
     monkeypatch.setattr(subprocess, "Popen", other)
 
 
-SAY = "import os, sys, signal; pipe = 1; "
+SAY = "import os, sys, signal; said = open(sys.argv[3] + '.error', 'w'); "
 ENDS = {
-    "killed": (SAY + "os.kill(os.getpid(), 9)", r"signal 9 \(SIGKILL\) before it began"),
-    "crashed": (
-        SAY + 'os.write(pipe, b\'{"progress": ["geometry", 3, 7]}\\n\'); os.kill(os.getpid(), signal.SIGSEGV)',
-        r"signal 11 \(SIGSEGV\) after 3 of 7 in step 'geometry'",
-    ),
+    "killed": (SAY + "os.kill(os.getpid(), 9)", r"signal 9 \(SIGKILL\)"),
     "silent": (SAY, "code 0 and no result"),
-    "nonsense": (SAY + "os.write(pipe, b'hello\\n'); signal.pause()", "signal 9"),
-    "endless line": (SAY + "\nwhile True: os.write(pipe, b'x' * 4096)", "no result|signal"),
-    "message of no kind": (SAY + "os.write(pipe, b'{\"ok\": [1, 2, 3]}\\n'); signal.pause()", "signal 9"),
-    "error without its parts": (SAY + "os.write(pipe, b'{\"error\": [1]}\\n'); signal.pause()", "signal 9"),
+    "nonsense": (SAY + "said.write('hello')", "no result"),
+    "endless": (SAY + "said.write('x' * 10**6)", "no result"),
+    "error without its parts": (SAY + "said.write('[1]')", "no result"),
     "liar": (SAY + "open(sys.argv[3], 'wb').write(b'PK')", "what the reading process wrote: found BadZipFile"),
     "raised": ("raise RuntimeError", "code 1 and no result"),
 }

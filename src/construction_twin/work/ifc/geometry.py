@@ -7,7 +7,7 @@ sure of.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import ifcopenshell
@@ -84,7 +84,6 @@ def shapes(
     openings: Mapping[int, Sequence[tuple[ifcopenshell.entity_instance, bool]]],
     unit: float,
     notes: Notes,
-    progress: Callable[[int, int], None],
 ) -> Iterator[Shape]:
     """Make the bodies of products; one of which nothing is made has none, and is doubted.
 
@@ -99,7 +98,6 @@ def shapes(
     for representation in cuts.values():
         items.check(representation)
     holes = {made.id: made for made in _made(file, name, cuts)}
-    progress(0, len(bodies))
     missing = dict(bodies)
     for made in _made(file, name, bodies):
         representation = bodies[made.id]
@@ -112,7 +110,6 @@ def shapes(
         except Misread:
             # told as what is missing
             pass
-        progress(len(bodies) - len(missing), len(bodies))
     for number, representation in missing.items():
         # one of lines alone has nothing to touch
         if any(_has_surface(part) for part in file.traverse(representation)):

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -123,9 +122,6 @@ def note_unread(file: ifcopenshell.file, name: str, elements: dict[str, Element]
             notes.add(Sentence("ifc.note.no_body"), element.name or element.id, element.id)
 
 
-#: Takes what is being done, how much of it is done, and how much there is.
-Progress = Callable[[str, int, int], None]
-
 #: Elements of a file.
 MOST_ELEMENTS = 100_000
 #: Products with geometry that nothing can touch: holes, rooms, drawings, loads.
@@ -155,10 +151,9 @@ class _Found:
     doubts: Doubts
 
 
-def read_ifc(path: str | Path, most_bytes: int, progress: Progress = lambda *_: None) -> BuildingModel:
+def read_ifc(path: str | Path, most_bytes: int) -> BuildingModel:
     """Read a file."""
     name = Path(path).name
-    progress("open", 0, 1)
     contents = _contents(path, name, most_bytes)
     digest = hashlib.sha256(contents).hexdigest()
     notes = Notes()
@@ -177,11 +172,10 @@ def read_ifc(path: str | Path, most_bytes: int, progress: Progress = lambda *_: 
     # its units are not the model's, and the kernel reads those of one context only
     for library in () if file.schema == "IFC2X3" else file.by_type("IfcProjectLibrary"):
         file.remove(library)
-    progress("open", 1, 1)
     found = _Found(name, read_units(file, name, notes), read_relations(file, name), notes, doubts)
     _note_map(file, found)
     _note_origin(file, found)
-    elements, ids = _elements(file, found, progress)
+    elements, ids = _elements(file, found)
     note_unread(file, name, elements, notes)
     given, groups = _given(elements), Groups(found.relations, ids, notes)
     tasks, sequences = read_tasks(file, name, groups, given, found.units, notes)
@@ -282,7 +276,7 @@ def _note_origin(file: ifcopenshell.file, found: _Found) -> None:
             found.notes.add(Sentence("ifc.note.origin_turned" if turned else "ifc.note.origin", shift=shift))
 
 
-def _elements(file: ifcopenshell.file, found: _Found, progress: Progress) -> tuple[dict[str, Element], dict[int, str]]:
+def _elements(file: ifcopenshell.file, found: _Found) -> tuple[dict[str, Element], dict[int, str]]:
     products = _products(file, found)
     placements = Placements(found.name, found.units.length)
     ids: dict[int, str] = {}
@@ -310,26 +304,17 @@ def _elements(file: ifcopenshell.file, found: _Found, progress: Progress) -> tup
         ]
         for product in products
     }
-    made = {
-        shape.id: shape
-        for shape in shapes(
-            file, found.name, bodies, openings, found.units.length, found.notes,
-            lambda done, total: progress("geometry", done, total),
-        )
-    }  # fmt: skip
+    made = {shape.id: shape for shape in shapes(file, found.name, bodies, openings, found.units.length, found.notes)}
     _take_kernel_log(found)
     for number, shape in made.items():
         if not shape.doubt and number in found.doubts.shapes:
             made[number] = shape.doubted(found.doubts.shapes[number], bounds(bodies[number]) * found.units.length)
     elements = {}
-    for count, product in enumerate(products):
-        if count % 100 == 0:
-            progress("elements", count, len(products))
+    for product in products:
         with Where(found.name, product):
             element = _element(product, ids, matrices[product.id()], made.get(product.id()), found)
         if element is not None:
             elements[element.id] = element
-    progress("elements", len(products), len(products))
     if found.doubts.everything:
         elements = {one: replace(each, doubt=each.doubt or found.doubts.everything) for one, each in elements.items()}
     for one, element in elements.items():

@@ -13,8 +13,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,13 +24,10 @@ from construction_twin.work.building import BuildingModel
 from construction_twin.work.ifc.model_file import VERSION, load
 from construction_twin.work.ifc.step_text import check_form
 
-#: Takes what is being done (`open`, `geometry`, `elements`), how much of it is done, and how much there is.
-Progress = Callable[[str, int, int], None]
-
 #: Folder that holds this package, for the process that reads.
 _SOURCES = str(Path(__file__).resolve().parents[3])
-#: Longest line that a reading process may send [bytes].
-_LINE = 65536
+#: Most that is read of what a reading process says is wrong [bytes].
+_LONGEST = 4096
 
 
 @dataclass(frozen=True)
@@ -55,7 +50,6 @@ def read_building(
     path: str | Path,
     cache: str | Path | None = None,
     bounds: Bounds | None = None,
-    progress: Progress = lambda *_: None,
 ) -> BuildingModel:
     """Read an IFC file.
 
@@ -70,7 +64,7 @@ def read_building(
     digest = _digest(path, bounds)
     if cache is None:
         with tempfile.TemporaryDirectory() as folder:
-            return _read(path, digest, Path(folder) / "model.npz", bounds, progress)
+            return _read(path, digest, Path(folder) / "model.npz", bounds)
     kept = Path(cache) / f"{digest}-{VERSION}.npz"
     if kept.exists():
         try:
@@ -82,7 +76,7 @@ def read_building(
         kept.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=kept.parent) as folder:
             written = Path(folder) / "model.npz"
-            model = _read(path, digest, written, bounds, progress)
+            model = _read(path, digest, written, bounds)
             os.replace(written, kept)
     except OSError as error:
         raise ConfigurationError(str(kept.parent), error.strerror or str(error), Sentence("ifc.cache")) from error
@@ -100,84 +94,59 @@ def _digest(path: Path, bounds: Bounds) -> str:
     return hashlib.sha256(contents).hexdigest()
 
 
-def _read(path: Path, digest: str, output: Path, bounds: Bounds, progress: Progress) -> BuildingModel:
+def _read(path: Path, digest: str, output: Path, bounds: Bounds) -> BuildingModel:
     if importlib.util.find_spec("ifcopenshell") is None:
         raise ConfigurationError("ifcopenshell", None, Sentence("expected.extras.installed", group="work"))
-    _run(path, digest, output, bounds, progress)
+    _run(path, digest, output, bounds)
     try:
         return load(output, path.name, digest)
     except OSError as error:
         raise BuildingError(path.name, Sentence("ifc.written"), str(error), Sentence("ifc.whole_model")) from error
 
 
-def _run(path: Path, digest: str, output: Path, bounds: Bounds, progress: Progress) -> None:
+def _run(path: Path, digest: str, output: Path, bounds: Bounds) -> None:
     """Let another process read, and return when it has written the model."""
-    late = threading.Event()
-    error: list[str] | None = None
-    where: str = Sentence("ifc.found.before")
-    with _start(path, digest, output, bounds) as process:
-
-        def stop() -> None:
-            late.set()
-            process.kill()
-
-        timer = threading.Timer(bounds.wall, stop)
-        timer.start()
-        try:
-            assert process.stdout is not None
-            while line := process.stdout.readline(_LINE):
-                if (message := _message(line)) is None:
-                    error = None
-                    process.kill()
-                    break
-                if message[0] == "error":
-                    error = message[1:]
-                    continue
-                what, done, whole = message[1], int(message[2]), int(message[3])
-                where = Sentence("ifc.found.after", done=done, whole=whole, step=repr(what))
-                progress(what, done, whole)
-            code = process.wait()
-        finally:
-            timer.cancel()
-            process.kill()
-    if error is not None:
-        # texts cross the pipe; what they say is found in them again
-        raise BuildingError(path.name, *(understood(text) or text for text in error))
-    if code != 0 or late.is_set() or not output.exists():
-        found = Sentence("building.ended", how=_how_it_ended(code, late.is_set(), bounds), where=where)
-        raise BuildingError(path.name, Sentence("ifc.process"), found, Sentence("ifc.within_bounds"))
-
-
-def _message(line: bytes) -> list[str] | None:
-    """Return what a line of the reading process says: ``error`` or ``progress`` and three texts; None: it is no message."""
+    given = (path.absolute(), digest, output.absolute(), bounds.file_bytes, bounds.memory_bytes, int(bounds.cpu))
+    paths = [_SOURCES, *filter(None, [os.environ.get("PYTHONPATH")])]
+    code: int | None = None
     try:
-        ((kind, values),) = json.loads(line).items()
-        first, second, third = map(str, values)
-        if kind == "progress":
-            return [kind, first[:40], str(int(second)), str(int(third))]
-        return [kind, first[:500], second[:500], third[:500]] if kind == "error" else None
-    except (ValueError, TypeError, AttributeError, RecursionError):
+        code = subprocess.run(
+            [sys.executable, "-m", f"{__package__}.child", *map(str, given)],
+            # one thread: more would be counted as memory each
+            env=os.environ
+            | {"PYTHONPATH": os.pathsep.join(paths), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            timeout=bounds.wall,
+            check=False,
+        ).returncode
+    except subprocess.TimeoutExpired:
+        pass  # no code
+    error = _error(Path(f"{output}.error"))
+    if error is not None:
+        # texts cross the file; what they say is found in them again
+        raise BuildingError(path.name, *(understood(text) or text for text in error))
+    if code != 0 or not output.exists():
+        how = _how_it_ended(code, bounds)
+        raise BuildingError(path.name, Sentence("ifc.process"), how, Sentence("ifc.within_bounds"))
+
+
+def _error(path: Path) -> tuple[str, str, str] | None:
+    """Return what the reading process says is wrong: what, found, expected; None: nothing that can be read."""
+    try:
+        with path.open("rb") as file:
+            what, found, expected = (str(value)[:500] for value in json.loads(file.read(_LONGEST)))
+        return what, found, expected
+    except (OSError, ValueError, TypeError, RecursionError):
         return None
 
 
-def _how_it_ended(code: int, late: bool, bounds: Bounds) -> str:
-    if late:
+def _how_it_ended(code: int | None, bounds: Bounds) -> str:
+    if code is None:
         return Sentence("ifc.found.wall", seconds=bounds.wall)
     if code == -signal.SIGXCPU:
         return Sentence("ifc.found.cpu", seconds=bounds.cpu)
     if code < 0:
         return Sentence("ifc.found.signal", number=-code, name=signal.Signals(-code).name)
     return Sentence("ifc.found.code", code=code)
-
-
-def _start(path: Path, digest: str, output: Path, bounds: Bounds) -> subprocess.Popen[bytes]:
-    given = (path.absolute(), digest, output.absolute(), bounds.file_bytes, bounds.memory_bytes, int(bounds.cpu))
-    paths = [_SOURCES, *filter(None, [os.environ.get("PYTHONPATH")])]
-    return subprocess.Popen(
-        [sys.executable, "-m", f"{__package__}.child", *map(str, given)],
-        # one thread: more would be counted as memory each
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(paths), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-    )
