@@ -1,14 +1,15 @@
 """An element of a building as objects of the scene: few convex pieces that hold all of it and reach little beyond. Metres.
 
-Each body is tried in this order: the prism that it is, divided exactly by its profile; one convex hull; divided exactly by planes
-of its own faces; coacd; its surface with a margin. The first that holds the body and reaches no further beyond it than the bound is
-taken. Mesh files are named by their contents, results by what they were made from.
+Each body is tried in this order: one convex hull; divided exactly by planes of its own faces; coacd; its surface with a margin. The
+first that holds the body and reaches no further beyond it than the bound is taken. Mesh files are named by their contents, results
+by what they were made from.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -31,92 +32,9 @@ from construction_twin.scene.solids import hull_solid, mesh_of, parts, solid, we
 from construction_twin.scene.triangle_mesh import hull_mesh
 from construction_twin.work.building import Body, Element
 from construction_twin.work.convex_decomposition import decomposed
-from construction_twin.work.convex_polygons import convex_polygons
-
-#: Distance within which a corner lies in a plane [m].
-_ON = 1e-6
-#: Directions of each kind that are tried to see whether a body is a prism.
-_PRISM_DIRECTIONS = 4
-
-
-def prism(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, shapely.Geometry, float] | None:
-    """Return what a body is if all its sides are parallel to one direction and its two ends lie across it: a wall with its windows.
-
-    Args:
-        vertices: Shape (v, 3). [m]
-        triangles: Shape (t, 3), integers
-
-    Returns:
-        element_T_profile: Shape (4, 4). Its z axis is the direction, its origin lies in the lower end.
-        profile: In the x, y plane.
-        depth: [m]
-    """
-    vertices, triangles = welded(vertices, triangles)
-    first, second, third = (vertices[triangles[:, corner]] for corner in range(3))
-    normals = np.cross(second - first, third - first)
-    areas = np.linalg.norm(normals, axis=1)
-    real = areas > 1e-12 * max(float(areas.max(initial=0.0)), 1e-12)
-    normals = normals[real] / areas[real, None]
-    faces, areas = triangles[real], areas[real]
-    for axis in _axes(normals, areas):
-        same = np.abs(normals @ axis)
-        caps = same > 1.0 - 1e-9
-        if not (caps | (same < 1e-6)).all():
-            continue
-        heights = vertices @ axis
-        low, high = float(heights.min()), float(heights.max())
-        if not ((heights - low <= _ON) | (high - heights <= _ON)).all():
-            continue
-        frame = np.eye(4)
-        frame[:3, :3] = across(axis)
-        frame[:3, 3] = axis * low
-        flat = (vertices - frame[:3, 3]) @ frame[:3, :3]
-        ends = []
-        for level in (low, high):
-            mine = faces[caps][np.abs(heights[faces[caps]] - level).max(axis=1) <= _ON]
-            corners = flat[mine][:, :, :2]
-            ends.append(shapely.union_all(shapely.polygons(corners)) if len(corners) else shapely.Polygon())
-        if shapely.symmetric_difference(*ends).area > _ON * (ends[0].length + _ON) or not ends[0].area > 0:
-            continue
-        sides = float(areas[~caps].sum()) / 2.0
-        if abs(sides - ends[0].length * (high - low)) > 1e-6 * sides:
-            # a side is missing, or there twice
-            continue
-        return frame, ends[0], high - low
-    return None
-
-
-def _axes(normals: np.ndarray, areas: np.ndarray) -> list[np.ndarray]:
-    """Return directions along which a body may be a prism: of many triangles, of much area, and across two large faces."""
-    keys = np.round(normals, 6) + 0.0
-    keys[(keys < 0).sum(axis=1) > (keys > 0).sum(axis=1)] *= -1.0
-    _, first, group, count = np.unique(keys + 0.0, axis=0, return_index=True, return_inverse=True, return_counts=True)
-    area = np.round(np.bincount(group.reshape(-1), areas), 9)
-    by_count, by_area = np.argsort(-count, kind="stable"), np.argsort(-area, kind="stable")
-    wanted = [normals[first[number]] for number in (*by_count[:_PRISM_DIRECTIONS], *by_area[:_PRISM_DIRECTIONS])]
-    for other in by_area[1:]:
-        between = np.cross(normals[first[by_area[0]]], normals[first[other]])
-        if np.linalg.norm(between) > 0.1:
-            wanted.append(between / np.linalg.norm(between))
-            break
-    axes: list[np.ndarray] = []
-    for axis in wanted:
-        if all(abs(axis @ one) < 1.0 - 1e-9 for one in axes):
-            largest = int(np.argmax(np.round(np.abs(axis), 9)))
-            axes.append(axis if axis[largest] > 0 else -axis)
-    return axes
-
-
-def across(axis: np.ndarray) -> np.ndarray:
-    """Return a rotation whose z axis is a unit vector; its x axis is as near as possible to an axis of the frame."""
-    start = np.eye(3)[int(np.argmin(np.round(np.abs(axis), 9)))]
-    x = start - (start @ axis) * axis
-    x /= np.linalg.norm(x)
-    return np.column_stack([x, np.cross(axis, x), axis])
-
 
 #: Changes when the same body would give other pieces.
-_VERSION = 3
+_VERSION = 4
 #: Triangles beyond which a body is not divided.
 _MOST_DIVIDED = 20_000
 #: Triangles beyond which a body is not divided by planes of its faces: they are those of curved faces.
@@ -124,7 +42,7 @@ _MOST_CUT = 2000
 #: Largest file of a result [bytes].
 _LARGEST = 8 * 2**20
 #: Ways whose pieces have no overlaps and, together, the volume of the body.
-_EXACT = ("profile", "cut")
+_EXACT = ("cut",)
 _CUBE = np.array([(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 #: A box around something flat is as thick [m].
 _FLAT = 0.001
@@ -138,7 +56,7 @@ class BodySettings:
 
     Attributes:
         bound: How far a piece may reach beyond the body [m].
-        pieces: Most pieces of one body that is no prism; a prism may have four times as many.
+        pieces: Most pieces of one body; of one that is divided exactly four times as many.
         seconds: Longest time of one decomposition of a curved body [s].
         margin: Padding of a body that remains a surface [m].
     """
@@ -156,7 +74,7 @@ class ElementShape:
     Attributes:
         objects: ``<GlobalId>/0``, ``<GlobalId>/1``, ...; poses in the element's frame, `link` empty.
         excess: How far they reach beyond the element, at most, where measured [m]; of a surface its margin.
-        ways: How each body was made: ``profile``, ``hull``, ``cut``, ``coacd``, ``surface``.
+        ways: How each body was made: ``hull``, ``cut``, ``coacd``, ``surface``.
     """
 
     element: str
@@ -255,6 +173,9 @@ def _made(body: Body, folder: Path, settings: BodySettings) -> tuple[str, float,
     if len(triangles) > MOST_TRIANGLES:
         raise WorkError(Sentence("work.body.size", count=len(triangles), most=MOST_TRIANGLES))
     closed = solid(vertices, triangles)
+    if closed is None and len(triangles) <= _MOST_DIVIDED:
+        corners, faces = welded(vertices, triangles)
+        closed = solid(corners, _wound(faces))
     why: list[str] = []
     for way, pieces in _candidates(body, closed, settings):
         problem, reach = _judged(vertices, triangles, closed, pieces, settings.bound, way in _EXACT)
@@ -271,9 +192,6 @@ def _made(body: Body, folder: Path, settings: BodySettings) -> tuple[str, float,
 
 def _candidates(body: Body, closed: manifold3d.Manifold | None, settings: BodySettings):
     """Give ways to divide a body, the best first, each when it is asked for."""
-    pieces = _profile_pieces(body, 4 * settings.pieces)
-    if pieces:
-        yield "profile", pieces
     vertices = np.asarray(body.vertices, dtype=float)
     if closed is None or len(body.triangles) > _MOST_DIVIDED:
         yield from _one_hull(vertices)
@@ -282,7 +200,7 @@ def _candidates(body: Body, closed: manifold3d.Manifold | None, settings: BodySe
     hulls = [mesh_of(part)[0] for part in separate]
     if len(hulls) <= settings.pieces:
         yield "hull", hulls
-    cut = convex_cells(closed, settings.pieces) if len(body.triangles) <= _MOST_CUT else None
+    cut = convex_cells(closed, 4 * settings.pieces) if len(body.triangles) <= _MOST_CUT else None
     if cut is not None:
         yield "cut", cut
     for concavity in (settings.bound, 0.4 * settings.bound):
@@ -300,26 +218,25 @@ def _one_hull(vertices: np.ndarray):
     yield "hull", [hull.points[hull.vertices]]
 
 
-def _profile_pieces(body: Body, most: int) -> list[np.ndarray] | None:
-    """Return the corners of the convex prisms that a prism consists of; None if the body is none, or of too many."""
-    known = prism(np.asarray(body.vertices, dtype=float), np.asarray(body.triangles))
-    if known is None:
-        return None
-    frame, profile, depth = known
-    pieces = []
-    for part in shapely.get_parts(profile):
-        for polygon in convex_polygons(*_rings(part)):
-            flat = np.column_stack([polygon, np.zeros(len(polygon))])
-            pieces.append(np.concatenate([flat, flat + (0.0, 0.0, depth)]) @ frame[:3, :3].T + frame[:3, 3])
-    return pieces if len(pieces) <= most else None
-
-
-def _rings(part: shapely.Polygon) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-    # without the corners that the triangles of the end left on straight edges
-    exterior, *interiors = (
-        np.array(shapely.simplify(line, 1e-9).coords)[:-1] for line in (part.exterior, *part.interiors)
-    )
-    return exterior, tuple(interiors)
+def _wound(triangles: np.ndarray) -> np.ndarray:
+    """Return triangles wound as their neighbours are: a file can have the sides of a hole turned inside out."""
+    sides: dict[tuple[int, int], list[tuple[int, bool]]] = defaultdict(list)
+    edges = [[(a, b), (b, c), (c, a)] for a, b, c in triangles.tolist()]
+    for number, around in enumerate(edges):
+        for start, end in around:
+            sides[min(start, end), max(start, end)].append((number, start < end))
+    turned: dict[int, bool] = {}
+    for first in range(len(edges)):
+        left = [first] if turned.setdefault(first, False) is False else []
+        while left:
+            at = left.pop()
+            for start, end in edges[at]:
+                for other, sense in sides[min(start, end), max(start, end)]:
+                    if other not in turned:
+                        turned[other] = turned[at] ^ (sense == (start < end))
+                        left.append(other)
+    wrong = np.array([turned[number] for number in range(len(edges))], dtype=bool)
+    return np.where(wrong[:, None], triangles[:, ::-1], triangles)
 
 
 def _judged(
@@ -338,8 +255,8 @@ def _judged(
     if outside:
         return Sentence("work.body.outside", distance=outside * 1e3), 0.0
     if closed is None:
-        # of what has no inside only a hull that is the body itself, or its exact prisms, are known to reach no further
-        if exact or _is_closed_hull(vertices, triangles, pieces):
+        # of what has no inside only a hull that is the body itself is known to reach no further
+        if _is_closed_hull(vertices, triangles, pieces):
             return "", 0.0
         return Sentence("work.body.open"), 0.0
     reach = 0.0 if exact else excess(closed, pieces)

@@ -23,19 +23,19 @@ from construction_twin.work.element_bodies import BodySettings, ElementShape, el
 M = manifold3d.Manifold
 HERE = Pose(np.zeros(3), np.eye(3))
 HOLLOW = {
-    "tube": (lambda: M.cube((0.1, 0.1, 2.0), True) - M.cube((0.08, 0.08, 3.0), True), 4, "profile"),
+    "tube": (lambda: M.cube((0.1, 0.1, 2.0), True) - M.cube((0.08, 0.08, 3.0), True), 4, "cut"),
     "closed box": (lambda: M.cube((2.0, 2.0, 2.0), True) - M.cube((1.8, 1.8, 1.8), True), 6, "cut"),
     "room with a door": (
         lambda: M.cube((5.0, 4.0, 3.0), True) - M.cube((4.8, 3.8, 2.8), True) - M.cube((1.0, 1.0, 2.0)).translate((2.0, 0.0, -1.4)),
         12, "cut",
     ),
-    "U": (lambda: M.cube((1.0, 0.2, 1.0), True) - M.cube((0.8, 1.0, 0.9), True).translate((0.0, 0.0, 0.1)), 3, "profile"),
-    "wall with a window": (lambda: M.cube((5.0, 0.2, 3.0)) - M.cube((1.0, 0.2, 1.0)).translate((1.0, 0.0, 1.0)), 4, "profile"),
-    "pipe": (lambda: M.cylinder(2.0, 0.1, 0.1, 24) - M.cylinder(2.0, 0.08, 0.08, 24), 24, "profile"),
+    "U": (lambda: M.cube((1.0, 0.2, 1.0), True) - M.cube((0.8, 1.0, 0.9), True).translate((0.0, 0.0, 0.1)), 3, "cut"),
+    "wall with a window": (lambda: M.cube((5.0, 0.2, 3.0)) - M.cube((1.0, 0.2, 1.0)).translate((1.0, 0.0, 1.0)), 4, "cut"),
+    "pipe": (lambda: M.cylinder(2.0, 0.1, 0.1, 24) - M.cylinder(2.0, 0.08, 0.08, 24), 24, "cut"),
     "hall": (lambda: M.cube((30.0, 20.0, 8.0), True) - M.cube((29.6, 19.6, 7.6), True), 6, "cut"),
     "notched rafter, turned": (
         lambda: (M.cube((3.0, 0.08, 0.2)) - M.cube((0.1, 0.08, 0.05)).translate((0.5, 0.0, 0.0))).rotate((10, 20, 30)),
-        3, "profile",
+        3, "cut",
     ),
 }  # fmt: skip
 
@@ -167,6 +167,6 @@ def test_blocks_with_random_notches_are_divided_exactly(seed, cuts, tmp_path_fac
         solid = solid - M.cube(tuple(rng.uniform(0.1, 0.6, 3)), True).translate(tuple(rng.uniform(-0.6, 0.6, 3)))
     solid = solid.rotate(tuple(rng.uniform(-180, 180, 3)))
     shape = element_shape(element(body_of(solid)), tmp_path_factory.mktemp("bodies"))
-    assert set(shape.ways) <= {"profile", "hull", "cut"} and shape.excess <= 0.005
+    assert set(shape.ways) <= {"hull", "cut"} and shape.excess <= 0.005
     pieces = Pieces(shape.objects)
     assert pieces.contain(points_on(*mesh_of(solid)), 2e-6).all()
