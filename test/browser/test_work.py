@@ -12,7 +12,8 @@ from playwright.sync_api import Locator, expect
 from scripted_robot import ScriptedRobot
 
 from construction_twin.kinematics.chain import Pose
-from construction_twin.work.glb import ShownElement, glb
+from construction_twin.work.glb import glb
+from construction_twin.work.task_board import ElementFacts
 
 #: Of `view` [s]: software draws each.
 SLOW = 0.2
@@ -32,11 +33,12 @@ def box(size: float) -> np.ndarray:
 
 def building() -> bytes:
     """Return a ring of cubes on the floor around the arm, and a task's element each."""
-    elements = []
+    elements = {}
     for number in range(COUNT):
         angle = 2 * np.pi * number / COUNT
         place = np.array([1.7 * np.cos(angle), 1.7 * np.sin(angle), 0.2])
-        elements.append(ShownElement(f"beam-{number + 1}", f"Beam {number + 1}", box(0.35), Pose(place, np.eye(3))))
+        facts = ElementFacts(f"Beam {number + 1}", (), Pose(place, np.eye(3)), box(0.35))
+        elements[f"beam-{number + 1}"] = facts
     return glb(elements, HASH)
 
 

@@ -25,6 +25,8 @@ from plan_samples import make_report
 from std_srvs.srv import TriggerResponse
 from unplugged import ask, over_the_wire
 
+from construction_twin.core.errors import RequestRefused
+from construction_twin.core.freshness import Moment
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.planning.work_segment import WorkSegment
@@ -35,9 +37,10 @@ from construction_twin.robot.segments import Segment, Signal, Switch
 from construction_twin.ros.messages.convert import plan_to_msg, work_segment_from_msg
 from construction_twin.ros.messages.scene_convert import object_from_msg, scene_to_msg
 from construction_twin.ros.nodes import work as module
-from construction_twin.ros.shared.work_listener import WorkListener
 from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.scene.scene_change import SceneChange
+from construction_twin.work import session
+from construction_twin.work.heard import Heard
 from construction_twin.work.ledger import read_entries
 from construction_twin.work.racks import Slot, StockPlan
 from construction_twin.work.schedule import Job, Schedule
@@ -115,7 +118,7 @@ class Bench:
         self.tasks: list = []
         self._plans = 0
         monkeypatch.setenv("ROS_HOME", str(folder))
-        monkeypatch.setattr(module, "SCENE_TIME", 0.05)
+        monkeypatch.setattr(session, "SCENE_TIME", 0.05)
         monkeypatch.setattr(rospy.Time, "now", lambda: rospy.Time(7))
         for level in ("loginfo", "logwarn", "logerr"):
             monkeypatch.setattr(rospy, level, lambda *_: None)
@@ -128,20 +131,20 @@ class Bench:
             folder="work", arm="mock", service_timeout=1.0, listen_time=0.02, retry_time=0.01,
         ).model_copy(update=files)  # fmt: skip
         refuse = self.refuse
-        self.heard = WorkListener(self.publishers.__getitem__, lambda: False, self.review_file, refuse)
+        self.heard = Heard(self.publishers.__getitem__, lambda: False, self.review_file)
         self.node = module.WorkNode(
             settings,
             ROBOT,
             {},
             worker or SimpleNamespace(ask_first=lambda *_, **__: prepared(), ask=self._planned),
             self.heard,
-            module.Inputs(lambda: HOME, lambda: self.arm_pose(), lambda *_: None),
-            module.Outputs(
+            module.Outlets(
+                lambda: HOME,
+                lambda: self.arm_pose(),
+                lambda *_: None,
+                self._call,
                 SimpleNamespace(publish=lambda message: self.tasks.append(over_the_wire(message))),
                 SimpleNamespace(publish=lambda _: None),
-                self._edit_scene,
-                self._plan_work,
-                self._plan_way_back,
             ),
             SimpleNamespace(refuse=refuse, count=refuse),
         )
@@ -163,7 +166,7 @@ class Bench:
     @property
     def board(self) -> TaskBoard:
         """The node's board of tasks."""
-        return self.node.board
+        return self.node.session.board
 
     def run(self, times: int = 8) -> Bench:
         """Let the node do what follows from all it has heard, and try again what does not work."""
@@ -173,16 +176,21 @@ class Bench:
 
     # -- what the node hears
 
+    def hear(self, topic: str, message) -> None:
+        """Publish a message on one of the topics that the node hears."""
+        (one,) = (one for one in module.INTERFACE.hears if one.topic == topic)
+        one.handler(self.node, over_the_wire(message))
+
     def show(self, scene: Scene | None = None) -> None:
         """Publish the scene, or another one from now on."""
         self.scene = scene or self.scene
-        self.heard.on_scene(over_the_wire(scene_to_msg(self.scene, rospy.Time(6), "base_link")))
+        self.hear("scene", scene_to_msg(self.scene, rospy.Time(6), "base_link"))
 
     def execution(self, state: int, segment: int = -1, **fields) -> None:
         """Publish what the executor does; `plan_id` is the offered plan's while it plays."""
         if state not in (Execution.IDLE, Execution.WAITING):
             fields.setdefault("plan_id", self.plan.id)
-        self.heard.on_execution(over_the_wire(Execution(state=state, segment=segment, **fields)))
+        self.hear("execution", Execution(state=state, segment=segment, **fields))
 
     def tool(self, closed: bool, commanded: bool | None = None) -> None:
         """Publish what the tool reads; `commanded` is what its output reads, by default the same as its input."""
@@ -190,19 +198,19 @@ class Bench:
         said = ToolState(
             known=True, outputs=["vacuum"], output_values=[output], inputs=["vacuum_reached"], input_values=[closed]
         )
-        self.heard.on_tool(over_the_wire(said))
+        self.hear("tool", said)
 
     def left_engaged(self, segment: str, *scenes: str) -> None:
         """Publish where the arm was left engaged, and in which scenes it may go back."""
         message = Engagement(
             engaged=True, plan_id=self.plan.id, task=TASK, segment=segment, reason="a person", scenes=scenes
         )
-        self.heard.on_engagement(over_the_wire(message))
+        self.hear("engagement", message)
 
     def verdict(self, approved: bool, plan_id: str = "", reason: str = "") -> None:
         """Publish a person's verdict on the offered plan, or on another."""
         message = Review(plan_id=plan_id or self.plan.id, approved=approved, reviewer="Ada", reason=reason)
-        self.heard.on_review(over_the_wire(message))
+        self.hear("review", message)
 
     # -- what the executor keeps
 
@@ -282,24 +290,27 @@ class Bench:
     def _planned(self, *_, **__) -> SimpleNamespace:
         return SimpleNamespace(method="top", segments=segments(), tool0_T_element=HELD)
 
-    def _edit_scene(self, request) -> tuple[str, EditSceneResponse | None]:
-        request = over_the_wire(request)
-        self._note("edit_scene")
+    def _call(self, name: str, kind, **fields):
+        self._note(name)
+        answer = over_the_wire(getattr(self, f"_{name}")(over_the_wire(kind._request_class(**fields))))
+        if not answer.success:
+            raise RequestRefused(answer.message)
+        return answer
+
+    def _edit_scene(self, request) -> EditSceneResponse:
         try:
             if self.scene_refuses:
                 raise SceneError("the scene", self.scene_refuses, "another one")
             wanted = SceneChange(tuple(map(object_from_msg, request.put)), tuple(request.remove))
             scene = wanted.between(self.scene, request.before, request.after)
         except SceneError as error:
-            return "", EditSceneResponse(False, str(error), self.scene.hash)
+            return EditSceneResponse(False, str(error), self.scene.hash)
         self.show(scene)
-        return "", EditSceneResponse(True, "changed", scene.hash)
+        return EditSceneResponse(True, "changed", scene.hash)
 
-    def _plan_work(self, request) -> tuple[str, PlanWorkResponse | None]:
-        request = over_the_wire(request)
-        self._note("plan_work")
+    def _plan_work(self, request) -> PlanWorkResponse:
         if self.planner_dies == "before":
-            return "the planner does not answer", None
+            raise session.NoAnswer("the planner does not answer")
         work = [work_segment_from_msg(segment) for segment in request.segments]
         scene, end, parts = self.scene, 0.0, []
         for each in work:
@@ -311,28 +322,27 @@ class Bench:
         if self.planner_dies == "node":
             raise Killed
         if self.planner_dies == "after":
-            return "the planner does not answer", None
+            raise session.NoAnswer("the planner does not answer")
         plan = self.plan
-        return "", PlanWorkResponse(True, "planned", plan.id, plan.hash, plan.trajectory.duration)
+        return PlanWorkResponse(True, "planned", plan.id, plan.hash, plan.trajectory.duration)
 
-    def _plan_way_back(self, _) -> tuple[str, TriggerResponse | None]:
-        self._note("plan_way_back")
+    def _plan_way_back(self, _) -> TriggerResponse:
         motion, here = reach(AT_STOCK, HOME, 1.0, 9), self.scene.hash
         back = Segment("way back", motion.duration, True, (), (), here, here)
         work = self.plan
         self._publish_plan(motion, "way back", TASK, (back,), (SceneChange(),))
         self.plan = work
-        return "", TriggerResponse(True, "the way back waits")
+        return TriggerResponse(True, "the way back waits")
 
     def _publish_plan(self, motion, source: str, task: str, parts: tuple[Segment, ...], changes) -> None:
         self._plans += 1
         self.plan = Plan(
-            f"p{self._plans}", content_hash(motion, task, parts), source, "work", parts[0].scene, 7, 0.0, motion,
-            make_report(len(ROBOT.joint_names)), task=task, segments=parts,
+            f"p{self._plans}", content_hash(motion, task, parts), source, "work", parts[0].scene, Moment("c0ffee00", 7), 0.0,
+            motion, make_report(len(ROBOT.joint_names)), task=task, segments=parts,
         )  # fmt: skip
         self._published = plan_to_msg(self.plan, "base_link", np.zeros((0, 3)), changes)
         self.publish_plan()
 
     def publish_plan(self) -> None:
         """Publish the plan that was published last, as a latched topic does for a node that comes later."""
-        self.heard.on_plan(over_the_wire(self._published))
+        self.hear("plan", self._published)

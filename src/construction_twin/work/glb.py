@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Mapping
 
 import numpy as np
 
-from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rotation_to_quaternion
+from construction_twin.work.task_board import ElementFacts
 
 _MAGIC, _JSON, _BINARY = b"glTF", b"JSON", b"BIN\0"
 _FLOAT, _UNSIGNED = 5126, 5125
@@ -22,22 +21,8 @@ _VERTICES, _INDICES = 34962, 34963
 _UPRIGHT = [-0.7071067811865476, 0.0, 0.0, 0.7071067811865476]
 
 
-@dataclass(frozen=True, eq=False)
-class ShownElement:
-    """An element of the file.
-
-    Attributes:
-        triangles: Shape (t, 3, 3). Corners in the element's frame [m].
-    """
-
-    id: str
-    name: str
-    triangles: np.ndarray
-    base_T_element: Pose
-
-
-def glb(elements: Iterable[ShownElement], model_hash: str) -> bytes:
-    """Return the file; elements without triangles are left out."""
+def glb(elements: Mapping[str, ElementFacts], model_hash: str) -> bytes:
+    """Return the file of elements by GlobalId; those without triangles are left out."""
     nodes: list[dict] = []
     meshes: list[dict] = []
     accessors: list[dict] = []
@@ -52,7 +37,7 @@ def glb(elements: Iterable[ShownElement], model_hash: str) -> bytes:
         accessors.append(described | bounds)
         return len(accessors) - 1
 
-    for element in elements:
+    for name, element in elements.items():
         corners = np.asarray(element.triangles, dtype=np.float32).reshape(-1, 3)
         if not len(corners):
             continue
@@ -61,14 +46,14 @@ def glb(elements: Iterable[ShownElement], model_hash: str) -> bytes:
         position = put(np.ascontiguousarray(vertices, "<f4"), _FLOAT, "VEC3", _VERTICES, min=low, max=high)
         order = put(indices.reshape(-1).astype("<u4"), _UNSIGNED, "SCALAR", _INDICES)
         meshes.append({"primitives": [{"attributes": {"POSITION": position}, "indices": order, "material": 0}]})
-        pose = element.base_T_element
+        pose = element.base_T_goal
         nodes.append(
             {
-                "name": element.id,
+                "name": name,
                 "mesh": len(meshes) - 1,
                 "translation": [float(value) for value in pose.position],
                 "rotation": [float(value) for value in rotation_to_quaternion(pose.rotation)],
-                "extras": {"element": element.id, "label": element.name},
+                "extras": {"element": name, "label": element.name},
             }
         )
     root = {"name": "base_link", "rotation": _UPRIGHT}

@@ -10,7 +10,7 @@ import hashlib
 import json
 import math
 import shlex
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -25,7 +25,6 @@ from construction_twin.scene.objects import SceneObject
 from construction_twin.work.book import Book, Present, placed_elsewhere
 from construction_twin.work.built import Deviation, at, deviation, objects_of, placed_at, pose_of_tuple, pose_tuple
 from construction_twin.work.convex_bodies import Pieces
-from construction_twin.work.following import GripReading, known_of, question
 from construction_twin.work.ledger import Ledger, body_digest, replay
 from construction_twin.work.names import labels, named
 from construction_twin.work.racks import StockPlan
@@ -149,7 +148,7 @@ class Appearance:
     """An element as people see it.
 
     Attributes:
-        word: ``todo``, ``next``, ``stock``, ``carried``, ``placed``, ``off`` or ``skipped``, as in `views.work_markers`.
+        word: ``todo``, ``next``, ``stock``, ``carried``, ``placed``, ``off`` or ``skipped``, as in `ros.messages.work_markers`.
         pose: In the base_link, or in the tip link where it is carried.
     """
 
@@ -306,20 +305,23 @@ class TaskBoard:
             )
         return ""
 
-    def left_closed(self, grip: GripReading) -> str:
+    def left_closed(self, commanded: Collection[str]) -> str:
         """Return what a person does about a grip that is commanded to hold while nothing counts as held; empty: nothing.
 
         So it is after a grip that was not confirmed, when the element was said to lie in its stock. The next approach would suck
         it too early, and no plan opens a grip that holds nothing.
+
+        Args:
+            commanded: The tool's outputs that command its grip to hold.
         """
         book = self.book
         doubtful = book.in_state(TaskState.ASKS, TaskState.PLANNED, *UNDER_WAY)
-        if not grip.commanded or doubtful or book.in_grip:
+        if not commanded or doubtful or book.in_grip:
             return ""
-        names = ", ".join(grip.commanded)
+        names = ", ".join(commanded)
         values = ", ".join(
             f"{name} {'on' if self.prepared.tool.release.set[name] else 'off'}"
-            for name in grip.commanded
+            for name in commanded
             if name in self.prepared.tool.release.set
         )
         return Sentence("work.left_closed", names=names, values=values or names)
@@ -727,9 +729,9 @@ class TaskBoard:
     def _question(self, task: str) -> str:
         memory = self.book.tasks[task]
         if task in self.book.after or memory.state is not TaskState.ASKS:
-            return question(memory, self._element(task).name)
+            return memory.question(self._element(task).name)
         first = self._answers(task)[0]
-        return Sentence(f"work.question.{first}", element=self._element(task).name, known=known_of(memory))
+        return Sentence(f"work.question.{first}", element=self._element(task).name, known=memory.known)
 
     def _answers(self, task: str) -> tuple[str, ...]:
         """Return what can be answered to a task's question; of what has no task any more, whether it stands."""

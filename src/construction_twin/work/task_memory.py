@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from construction_twin.core.sentences import Sentence
+from construction_twin.core.sentences import Sentence, has
 from construction_twin.core.state_table import row_of
 from construction_twin.core.work_errors import WorkError
 from construction_twin.work.process import MODULES, process_of
@@ -211,6 +211,25 @@ class TaskMemory:
         if self.before in (TaskState.PLANNED, TaskState.WORKING, TaskState.GRIPPING) and not self.in_grip:
             return ("in_stock", "in_grip", "gone")
         return ANSWERS
+
+    def question(self, element_name: str) -> str:
+        """Return what a person is asked; empty: nothing."""
+        if self.state is not TaskState.ASKS:
+            return ""
+        return Sentence(f"work.question.{'done' if self.stays else 'where'}", element=element_name, known=self.known)
+
+    @property
+    def known(self) -> str:
+        """What is known last of a task that asks: of where its element is, or of what was done with it."""
+        if self.source and not self.stays:
+            return Sentence("work.known.elsewhere", ledger=self.source)
+        before = self.before
+        if before in (TaskState.WAITING, TaskState.READY) and not self.stays:
+            # the state says as little of an element that waits as of one that is ready; unless another task has placed it
+            before = TaskState.DONE if self.placed else TaskState.WAITING
+        key = f"work.known.{'stays.' if self.stays else ''}{before.value}"
+        # where there are no words for a state, its own
+        return Sentence(key) if has(key) else before.value
 
     @property
     def touched(self) -> bool:

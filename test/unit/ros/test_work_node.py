@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from construction_twin.msg import Engagement, Execution, Plan, Scene, SceneObject, Segment
 from construction_twin.srv import WorkDecideRequest
-from executor_bench import ROOT
+from executor_bench import ROBOT, ROOT
 from ifc_models import IfcModel
 from sentence_checks import key_of
 from work_bench import (
@@ -229,7 +229,7 @@ class TestEngaged:
         bench.left_engaged("grip", after(bench, GRIP))
         bench.run()
         assert "fence" in bench.tasks[-1].reason
-        bench.heard.on_engagement(Engagement())
+        bench.hear("engagement", Engagement())
         bench.execution(Execution.IDLE, plan_id=bench.plan.id, outcome="stopped")
         bench.run()
         assert not bench.tasks[-1].engaged and key_of(bench.tasks[-1].reason) == "work.asks_first"
@@ -485,10 +485,14 @@ def answered(answer: str) -> WorkDecideRequest:
 def test_messages_that_cannot_be_read_are_refused_and_change_nothing(bench):
     bench.ready()
     scene = bench.heard.scene
-    bench.heard.on_scene(Scene(objects=[SceneObject(name="a", shape="cube")]))
-    bench.heard.on_plan(Plan(id="p", segments=[Segment(put=[SceneObject(name="a", shape="cube")])]))
+    bench.hear("scene", Scene(objects=[SceneObject(name="a", shape="cube")]))
+    bench.hear("plan", Plan(id="p", segments=[Segment(put=[SceneObject(name="a", shape="cube")])]))
     assert [reason for reason, _ in bench.refused] == ["scene", "plan"]
     assert bench.heard.scene is scene and bench.heard.plan is None
+
+
+def test_a_ledger_belongs_to_robot_and_site_whatever_the_models_file_is_called(bench):
+    assert bench.ready().board.ledger.path.name == f"{ROBOT.name}_cell.jsonl"
 
 
 def test_before_the_model_is_read_the_node_says_so(bench):

@@ -11,7 +11,8 @@ import pytest
 
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import quaternion_to_rotation
-from construction_twin.work.glb import ShownElement, glb
+from construction_twin.work.glb import glb
+from construction_twin.work.task_board import ElementFacts
 
 TRIANGLES = np.array(
     [[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0], [0, 1, 0]]], dtype=float
@@ -19,8 +20,9 @@ TRIANGLES = np.array(
 QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
-def element(name: str, x: float = 0.0, triangles=TRIANGLES) -> ShownElement:
-    return ShownElement(name, f"Stud {name}", triangles, Pose(np.array([x, 2.0, 3.0]), QUARTER))
+def elements(triangles=TRIANGLES, **places: float) -> dict[str, ElementFacts]:
+    poses = {name: Pose(np.array([x, 2.0, 3.0]), QUARTER) for name, x in places.items()}
+    return {name: ElementFacts(f"Stud {name}", (), pose, triangles) for name, pose in poses.items()}
 
 
 def chunks(contents: bytes) -> tuple[dict, bytes]:
@@ -45,7 +47,7 @@ def array(document: dict, binary: bytes, number: int) -> np.ndarray:
 
 
 def test_each_element_is_a_node_with_its_triangles_where_the_model_has_it():
-    document, binary = chunks(glb([element("2O2Fr$t4X7Zf8NOew3FLOH"), element("b", 5.0)], "h"))
+    document, binary = chunks(glb(elements(**{"2O2Fr$t4X7Zf8NOew3FLOH": 0.0, "b": 5.0}), "h"))
     assert document["buffers"] == [{"byteLength": len(binary)}]
     root, first, second = document["nodes"]
     assert document["scenes"] == [{"nodes": [0]}] and root["children"] == [1, 2]
@@ -62,15 +64,15 @@ def test_each_element_is_a_node_with_its_triangles_where_the_model_has_it():
 
 
 def test_what_is_up_in_the_base_is_up_in_gltf():
-    document, _ = chunks(glb([element("a")], "h"))
+    document, _ = chunks(glb(elements(a=0.0), "h"))
     upright = quaternion_to_rotation(document["nodes"][0]["rotation"])
     np.testing.assert_allclose(upright @ [0.0, 0.0, 1.0], [0.0, 1.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(upright @ [1.0, 0.0, 0.0], [1.0, 0.0, 0.0], atol=1e-12)
 
 
-@pytest.mark.parametrize("elements", [[], [element("flat", triangles=np.empty((0, 3, 3)))]])
-def test_a_model_without_geometry_is_an_empty_scene(elements):
-    document, binary = chunks(glb(elements, "5ce9e0"))
+@pytest.mark.parametrize("shown", [{}, elements(np.empty((0, 3, 3)), flat=0.0)])
+def test_a_model_without_geometry_is_an_empty_scene(shown):
+    document, binary = chunks(glb(shown, "5ce9e0"))
     assert document["asset"]["extras"] == {"model_hash": "5ce9e0"}
     assert binary == b"" and len(document["nodes"]) == 1 and "meshes" not in document
     assert math.isclose(sum(value**2 for value in document["nodes"][0]["rotation"]), 1.0)

@@ -154,7 +154,7 @@ def work(tmp_path):
     model.properties(touch, "CTwin_RobotTask", Recipe="probe")
     place, other = model.task("place first", [bricks[0]]), model.task("place second", [bricks[1]])
     site(tmp_path, {"recipes": str(recipes_file(tmp_path, match={"elements": ["none"]}))})
-    made = worker_functions.FUNCTIONS["prepare"](
+    made = worker_functions.prepare(
         model=str(model.save(tmp_path / "m.ifc")), cell=str(tmp_path / "cell.yaml"), robot=robot(),
         self_collision=str(ROOT / "config/kr120_track_self_collision.yaml"), planner={**PLANNER, "seed": 1}, cache=str(tmp_path),
     )  # fmt: skip
@@ -178,7 +178,7 @@ def test_an_element_is_placed_then_touched_where_it_stands_and_each_is_in_the_le
         return Scene((*surroundings.objects, *wanted.values()), surroundings.padding)
 
     def planned(task: str):
-        plan = worker_functions.FUNCTIONS["plan"](task=task, element=element_id, start=robot().home, scene=scene())
+        plan = worker_functions.plan(task=task, element=element_id, start=robot().home, scene=scene())
         held = () if plan.tool0_T_element is None else pose_tuple(plan.tool0_T_element)
         process = "" if (name := made.schedule.job(task).process) == "place" else name
         board.ledger.add(Entry("offered", task, element_id, offer="o", grip=plan.method, pose=held, process=process))

@@ -13,7 +13,6 @@ from sentence_checks import says
 from construction_twin.core.work_errors import LedgerError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.tool import read_tool
-from construction_twin.ros.nodes.work import ledger_path
 from construction_twin.scene.objects import SceneObject
 from construction_twin.work.built import pose_tuple
 from construction_twin.work.ledger import Ledger, read_entries
@@ -386,10 +385,6 @@ def test_the_body_is_on_the_disk_before_the_line_that_names_it(tmp_path):
 
 
 # -- another ledger of the folder
-
-
-def test_a_ledger_belongs_to_robot_and_site_whatever_the_models_file_is_called():
-    assert ledger_path(Path("/f"), "kr120", "/a/deck.yaml") == Path("/f/kr120_deck.jsonl")
 
 
 def test_the_same_ids_in_another_ledger_are_asked_about_once(two_placed):

@@ -17,14 +17,12 @@ from construction_twin.scene.scene_change import SceneChange
 from construction_twin.work.following import (
     FINISHED,
     Followed,
-    GripReading,
     after_restart,
     follow,
-    followed,
+    followed_plan,
     followed_unseen,
-    grip_of,
-    question,
 )
+from construction_twin.work.heard import GripReading, grip_of
 from construction_twin.work.ledger import Ledger
 from construction_twin.work.task_memory import Entry, TaskMemory
 from construction_twin.work.task_states import PLANNABLE, SETTLED, TaskState
@@ -171,7 +169,7 @@ def test_a_kill_after_any_line_with_everything_else_gone_too(tmp_path, lines, gr
         # it was not carried away from its stock: that is certain only if the grip is surely open
         assert state is (TaskState.READY if grip is OPEN else TaskState.ASKS)
     if state is TaskState.ASKS:
-        assert question(again.memory, "stud 3").key == "work.question.where"
+        assert again.memory.question("stud 3").key == "work.question.where"
         assert set(again.memory.possible_answers()) >= {"in_stock", "gone"}
 
 
@@ -319,7 +317,7 @@ CLOSE, OPEN_IT = (
     ],
 )
 def test_where_a_plan_grips_and_lets_go(ends, in_grip, found):
-    plan = followed("p1", TaskMemory("stud", in_grip=in_grip), *zip(*ends), work_samples.tool().tool)
+    plan = followed_plan("p1", TaskMemory("stud", in_grip=in_grip), *zip(*ends), work_samples.tool().tool)
     assert plan == Followed("p1", *found)
 
 

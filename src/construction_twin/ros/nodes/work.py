@@ -2,41 +2,45 @@
 
 Services `work/plan`, `work/decide`, `work/measured`; latched topics `work/tasks`, `work/markers`. Listens to `execution`,
 `engagement`, `plan`, `review`, `scene`, `tool`, the poses of twin and arm, and tf. Calls `plan_work`, `plan_way_back` and
-`edit_scene`.
-
-Nothing moves without a person's approval, as of every plan. What is written in the ledger is on the disk before the scene changes;
-without the changed scene the executor does not go on: killed at any instant, it comes back with what is true, or asks.
+`edit_scene`. What follows from all that, `work/session.py` says; here it is ROS's.
 """
 
 from __future__ import annotations
 
 import functools
 import math
-import threading
 import time
-import uuid
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import pydantic
 import rospy
 from geometry_msgs.msg import TransformStamped
-from std_srvs.srv import Trigger, TriggerRequest
+from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, PayloadError, RequestRefused
 from construction_twin.core.extras import check_extras
-from construction_twin.core.motion_errors import FrameError
+from construction_twin.core.motion_errors import FrameError, SceneError, TrajectoryError
+from construction_twin.core.reports import EngagementReport, ExecutionReport
 from construction_twin.core.sentences import Sentence
-from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.kinematics.chain import Pose
 from construction_twin.msg import Engagement, Execution, Plan, Review, Scene, ToolState, WorkTasks
+from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import RobotModel
-from construction_twin.ros.messages.convert import pose_from_msg, pose_from_transform_msg, work_segment_to_msg
-from construction_twin.ros.messages.records import to_msg
-from construction_twin.ros.messages.scene_convert import tf_frame
-from construction_twin.ros.messages.work_marker_convert import work_marker_array
+from construction_twin.ros.messages.convert import (
+    change_from_msg,
+    plan_from_msg,
+    pose_from_msg,
+    pose_from_transform_msg,
+    work_segment_to_msg,
+)
+from construction_twin.ros.messages.records import from_msg, to_msg
+from construction_twin.ros.messages.scene_convert import object_to_msg, scene_from_msg, tf_frame
+from construction_twin.ros.messages.tool import tool_report_from_msg
+from construction_twin.ros.messages.work_markers import work_markers
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.frame_listener import FRAMES
 from construction_twin.ros.shared.frames import listen_to_frames
@@ -55,16 +59,12 @@ from construction_twin.ros.shared.ports import (
     has_arm,
 )
 from construction_twin.ros.shared.private_files import PrivateFiles
-from construction_twin.ros.shared.work_follower import WorkFollower
-from construction_twin.ros.shared.work_listener import WorkListener
-from construction_twin.ros.shared.work_scene import SCENE_TIME, Call, WorkScene
 from construction_twin.ros.transport.publisher import Sink
 from construction_twin.scene.objects import product
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.srv import (
     EditScene,
     PlanWork,
-    PlanWorkRequest,
     WorkDecide,
     WorkDecideRequest,
     WorkMeasured,
@@ -72,22 +72,20 @@ from construction_twin.srv import (
     WorkPlanTask,
     WorkPlanTaskRequest,
 )
-from construction_twin.views.work_markers import DrawnElement, work_picture
-from construction_twin.work.built import change, pose_tuple
-from construction_twin.work.glb import ShownElement, glb
-from construction_twin.work.jobs import TaskMotions
-from construction_twin.work.ledger import Ledger
-from construction_twin.work.recipe import DEFAULT
+from construction_twin.work.glb import glb
+from construction_twin.work.heard import Heard, KnownPlan, Verdict
+from construction_twin.work.session import Neighbours, NoAnswer, UnderReview, WorkSession
 from construction_twin.work.site import read_site
-from construction_twin.work.task_board import Prepared, TaskBoard, WorkRefused
-from construction_twin.work.task_memory import Entry
+from construction_twin.work.task_board import Prepared, WorkRefused
 from construction_twin.work.task_states import TaskState
-from construction_twin.work.worker import Worker, WorkerError
+from construction_twin.work.worker import Worker
 
 #: The executor's record of verdicts.
 RECORD = "executor/review_file"
 #: Oldest pose of twin and arm that counts as the present one, and longest wait for one [s].
 MAX_POSE_AGE = 0.5
+#: What is told of a measured element that was refused.
+NOT_MEASURED = {"deviation_mm": math.nan, "deviation_deg": math.nan}
 
 
 class Settings(pydantic.BaseModel):
@@ -121,61 +119,32 @@ class Settings(pydantic.BaseModel):
 
 
 @dataclass(frozen=True)
-class Inputs:
-    """What the node asks for when it needs it.
+class Outlets:
+    """What the node asks, and where it publishes.
 
     Attributes:
         twin_pose, arm_pose: Return the present joint positions [rad], [m]; raise PoseUnknownError or PayloadError.
         transform: Takes a frame (a link, or a tf frame) and a stamp; returns where it is in the base frame; raises FrameError.
+        call: Takes name, kind and fields of a service; returns its answer; raises NoAnswer, or RequestRefused where it is a no.
     """
 
     twin_pose: Callable[[], tuple[float, ...]]
     arm_pose: Callable[[], tuple[float, ...]]
     transform: Callable[[str, rospy.Time], TransformStamped]
-
-
-@dataclass(frozen=True)
-class Outputs:
-    """Where the node publishes, and whom it calls.
-
-    Attributes:
-        edit_scene, plan_work, plan_way_back: Services; each returns why there is no answer, and the answer.
-    """
-
+    call: Callable[..., Any]
     tasks: Sink
     markers: Sink
-    edit_scene: Call
-    plan_work: Call
-    plan_way_back: Call
-
-
-#: What is told of a measured element that was refused.
-NOT_MEASURED = {"deviation_mm": math.nan, "deviation_deg": math.nan}
-
-
-@dataclass(frozen=True, eq=False)
-class _Opened:
-    """What works on a model that was read.
-
-    Attributes:
-        follower: Writes into the ledger what follows from what was heard.
-        scene: Has the collision scene changed after that.
-    """
-
-    board: TaskBoard
-    follower: WorkFollower
-    scene: WorkScene
 
 
 class WorkNode:
-    """Answers people, has tasks planned, and does what follows from what was heard; `start` gives it topics and services.
+    """A `WorkSession` in ROS; `start` gives it topics and services.
 
     Args:
         planner: The planner node's settings, with which tasks are planned.
         worker: The process that reads models and plans.
 
     Attributes:
-        heard: What the topics say.
+        session: None: the model is being read, or it, or the record of its work, cannot be used.
     """
 
     def __init__(
@@ -184,28 +153,23 @@ class WorkNode:
         robot: RobotModel,
         planner: Mapping[str, object],
         worker: Worker,
-        heard: WorkListener,
-        inputs: Inputs,
-        outputs: Outputs,
+        heard: Heard,
+        outlets: Outlets,
         diagnostics: NodeDiagnostics,
     ):
         self._settings = settings
         self._robot = robot
         self._planner = planner
-        self._base_frame = tf_frame(settings.tf_prefix, robot.base_link)
         self._worker = worker
-        self._planning = threading.Lock()
         self.heard = heard
-        self._inputs, self._outputs = inputs, outputs
+        self._outlets = outlets
         self._diagnostics = diagnostics
-        #: Guards board and ledger; never held while somebody else is waited for who may wait for it.
-        self._lock = threading.RLock()
-        self._work: _Opened | None = None
+        self.session: WorkSession | None = None
         #: Why there is no work, and whether there will be none any more.
         self._problem: str = Sentence("work.reading")
         self._broken = False
         self._told: WorkTasks | None = None
-        self._drawn: frozenset[str] = frozenset()
+        self._drawn: set[str] = set()
         self._publish()
 
     def run(self) -> None:
@@ -219,33 +183,14 @@ class WorkNode:
         # without news, too: what did not work before is tried again
         if self.heard.wait_for_news(self._settings.retry_time):
             self._publish()
-        if self._work is None:
+        if self.session is None:
             return
         try:
-            self._catch_up(self._work)
+            self.session.catch_up()
+            self._publish()
         except ConstructionTwinError as error:
             # of the ledger: nothing is done without it, and the executor waits for the scene in vain
             self._fail(str(error))
-
-    def _catch_up(self, work: _Opened) -> None:
-        # one report for both: the scene may change only after what was written of it
-        report = self.heard.execution
-        with self._lock:
-            work.follower.catch_up(report)
-            idle = not work.board.book.busy
-        work.scene.change_as_planned(report)
-        engaged = self.heard.engaged
-        if not engaged:
-            work.scene.unblock()
-        if (idle or engaged) and not self.heard.playing and self._planning.acquire(blocking=False):
-            try:
-                if engaged:
-                    work.scene.make_for_way_back()
-                elif self.heard.executor_said:
-                    work.scene.tidy()
-            finally:
-                self._planning.release()
-        self._publish()
 
     # -- the start
 
@@ -257,216 +202,78 @@ class WorkNode:
             self._fail(str(error))
 
     def _load(self) -> None:
-        settings = self._settings
-        files = PrivateFiles(ros_home() / settings.private, self._robot.name) if settings.private else None
+        settings, robot = self._settings, self._robot
+        files = PrivateFiles(ros_home() / settings.private, robot.name) if settings.private else None
         if files is not None:
             files.drop_building()
-        began = time.monotonic()
+        began, folder = time.monotonic(), ros_home() / settings.folder
         prepared: Prepared = self._worker.ask_first(
             "prepare",
             model=settings.model,
             cell=settings.cell,
-            robot=self._robot,
+            robot=robot,
             self_collision=settings.self_collision,
             planner=self._planner,
-            cache=str(ros_home() / settings.folder),
+            cache=str(folder),
         )
         if rospy.is_shutdown():
             return
-        path = ledger_path(ros_home() / settings.folder, self._robot.name, prepared.cell)
-        ledger = Ledger(
-            path, prepared.after, prepared.digest, time.time_ns, str(Path(prepared.cell).resolve()),
-            prepared.schedule.placing, prepared.standing_elements, self._robot.name, prepared.present,
-        )  # fmt: skip
-        board = TaskBoard(prepared, ledger, self._robot.name, self._robot.tip_link)
-        board.look_around()
-        rospy.loginfo(
-            "%s: %d tasks, %d lines in %s; read in %.1f s",
-            prepared.model, len(prepared.schedule.jobs), ledger.lines, path, time.monotonic() - began,
-        )  # fmt: skip
-        for note in board.notes:
-            rospy.loginfo("%s", note)
+        rospy.loginfo("the model was read in %.1f s", time.monotonic() - began)
         if files is not None:
             self._show_building(prepared, files)
-        heard, refuse = self.heard, self._diagnostics.refuse
-        follower = WorkFollower(board, heard, Chain(self._robot), self._inputs.arm_pose, refuse)
-        scene = WorkScene(board, self._lock, heard, follower, self._outputs.edit_scene, refuse)
-        self._work = _Opened(board, follower, scene)
-        # nothing is tidied before it is known whether the arm was left engaged
-        heard.wait_for(lambda: heard.execution is not None and not heard.unsaid, min(1.0, settings.listen_time))
-        self._recall(self._work)
+        neighbours = Neighbours(
+            self._outlets.twin_pose,
+            self._outlets.arm_pose,
+            functools.partial(self._worker.ask, "plan"),
+            self._plan_work,
+            lambda: self._outlets.call("plan_way_back", Trigger).message,
+            self._edit_scene,
+            self._diagnostics.refuse,
+            functools.partial(rospy.loginfo, "%s"),
+        )
+        self.session = WorkSession.open(prepared, folder, robot, self.heard, neighbours, time.time_ns)
+        self.session.recall(settings.listen_time)
 
     def _show_building(self, prepared: Prepared, files: PrivateFiles) -> None:
         """Write the model where a console serves it; without it everything else goes on."""
-        placed = {job.element for job in prepared.schedule.jobs}
-        shown = [
-            ShownElement(key, facts.name, facts.triangles, facts.base_T_goal)
-            for key, facts in prepared.elements.items()
-            if key in placed
-        ]
+        placed = {job.element: prepared.elements[job.element] for job in prepared.schedule.jobs}
         try:
-            files.write_building(glb(shown, prepared.digest))
+            files.write_building(glb(placed, prepared.digest))
         except ConstructionTwinError as error:
             self._diagnostics.refuse("building", str(error))
 
-    def _recall(self, work: _Opened) -> None:
-        """Find out what became of a plan that the ledger has as offered or under way."""
-        if not work.board.book.busy:
-            return
-        heard = self.heard
-        # latched messages come within a moment of the connection; the executor may only now be starting
-        heard.wait_for(lambda: heard.execution is not None and heard.tool_said, self._settings.listen_time)
-        heard.wait_for(lambda: heard.plan is not None and not heard.unsaid, min(1.0, self._settings.listen_time))
-        with self._lock:
-            work.follower.follow(heard.execution)
-            work.follower.settle()
+    def _plan_work(self, task: str, source: str, segments: Sequence[WorkSegment]) -> UnderReview:
+        messages = [work_segment_to_msg(segment) for segment in segments]
+        answer = self._outlets.call("plan_work", PlanWork, task=task, source=source, segments=messages)
+        return UnderReview(answer.message, task, answer.plan_id, answer.plan_hash, answer.duration)
+
+    def _edit_scene(self, before: str, change: SceneChange, after: str) -> str:
+        put = list(map(object_to_msg, change.put))
+        fields = {"before": before, "put": put, "remove": list(change.remove), "after": after}
+        return str(self._outlets.call("edit_scene", EditScene, **fields).hash)
 
     # -- services
 
-    @property
-    def board(self) -> TaskBoard:
-        """The tasks of the building that is open; WorkRefused, with the problem, where none is."""
-        return self._opened().board
-
-    def _opened(self) -> _Opened:
-        if self._work is None:
+    def _opened(self) -> WorkSession:
+        if self.session is None:
             raise WorkRefused(self._problem)
-        return self._work
+        return self.session
 
     def on_plan_task(self, request: WorkPlanTaskRequest) -> Outcome:
         """Have a task planned, or while the arm is engaged the way back."""
-        if not self._planning.acquire(timeout=self._settings.service_timeout):
-            raise WorkRefused(Sentence("work.busy"))
-        try:
-            return self._plan_task(request.task)
-        finally:
-            self._planning.release()
-            self.heard.announce()
-
-    def _plan_task(self, asked: str) -> Outcome:
-        heard = self.heard
-        if problem := self._left_closed():
-            raise WorkRefused(problem)
-        if heard.engaged:
-            heard.wait_for(lambda: not heard.unsaid, SCENE_TIME)
-        if heard.engaged:
-            return self._plan_way_back(asked)
-        task, work = self._allowed(asked)
-        board = work.board
-        work.scene.tidy()
-        with self._lock:
-            # while the scene was made right, somebody may have said something else
-            self._allowed(task)
-            memory = board.book.tasks[task]
-            held = memory.tool0_T_element if memory.state is TaskState.CARRIED else ()
-            scene = heard.scene
-            wanted, alone = board.wanted_scene()
-        if scene is None:
-            raise WorkRefused(Sentence("work.scene_unknown"))
-        if change(scene, wanted, alone) != SceneChange():
-            raise WorkRefused(Sentence("work.scene_wrong"))
-        start = self._inputs.twin_pose()
-        began = time.monotonic()
-        try:
-            plan: TaskMotions = self._worker.ask(
-                "plan", task=task, element=board.element_of(task), start=start, scene=scene, held=held
-            )
-        except WorkerError as error:
-            board.failures[task] = board.called(error.sentence)
-            raise WorkRefused(board.failures[task]) from error
-        board.failures.pop(task, None)
-        rospy.loginfo("%s: planned with %s in %.2f s", board.title(task), plan.method, time.monotonic() - began)
-        return self._offer(task, plan, work)
-
-    def _left_closed(self) -> str:
-        with self._lock:
-            work = self._opened()
-            return work.board.left_closed(work.follower.grip())
-
-    def _allowed(self, asked: str) -> tuple[str, _Opened]:
-        with self._lock:
-            work = self._opened()
-            now = time.time_ns()
-            task = asked or work.board.next(now)
-            obstacle = work.board.obstacle(task, now) if task else work.board.summary(now)
-            if obstacle:
-                raise WorkRefused(obstacle)
-            return task, work
-
-    def _offer(self, task: str, plan: TaskMotions, work: _Opened) -> Outcome:
-        """Have the planner check a plan and put it under review; the ledger knows of it before."""
-        board, offer = work.board, uuid.uuid4().hex[:12]
-        title, process = board.title(task), board.prepared.schedule.job(task).process
-        held = () if plan.tool0_T_element is None else pose_tuple(plan.tool0_T_element)
-        named = "" if process == DEFAULT else process
-        with self._lock:
-            self._allowed(task)
-            board.add(Entry("offered", task, offer=offer, grip=plan.method, pose=held, process=named))
-        segments = [work_segment_to_msg(segment) for segment in plan.segments]
-        how = f"{named}, {plan.method}" if named else plan.method
-        request = PlanWorkRequest(task=task, source=f"{title} by {how}, offer {offer}", segments=segments)
-        problem, answer = self._outputs.plan_work(request)
-        with self._lock:
-            memory = board.book.tasks[task]
-            unnamed = memory.state is TaskState.PLANNED and not memory.plan
-            if answer is None or not answer.success:
-                if answer is not None:
-                    problem = answer.message
-                    board.add(Entry("dropped", task, offer=offer, reason=problem))
-                elif unnamed:
-                    work.follower.settle_offer(task, offer)
-                board.failures[task] = problem
-                raise WorkRefused(problem)
-            if unnamed:
-                board.add(Entry("planned", task, plan=answer.plan_id, offer=offer))
-        sentence = Sentence("work.plan", task=title, plan=answer.plan_id, duration=answer.duration, method=plan.method)
-        return _under_review(sentence, task, answer.plan_id, answer.plan_hash, answer.duration)
-
-    def _plan_way_back(self, asked: str) -> Outcome:
-        heard = self.heard
-        if problem := self._opened().scene.make_for_way_back():
-            raise WorkRefused(Sentence("work.back.not_yet", problem=problem))
-        before = heard.plan.message.id if heard.plan is not None else ""
-        problem, answer = self._outputs.plan_way_back(TriggerRequest())
-        if answer is None or not answer.success:
-            raise WorkRefused(Sentence("work.back.refused", problem=problem or answer.message))
-        heard.wait_for(lambda: heard.plan is not None and heard.plan.message.id != before, SCENE_TIME)
-        known = heard.plan
-        if known is None or known.message.id == before:
-            raise WorkRefused(Sentence("work.back.unpublished"))
-        plan = known.message
-        sentence = Sentence("work.back.planned", answer=answer.message)
-        return _under_review(sentence, asked, plan.id, plan.hash, plan.duration)
+        fields = asdict(self._opened().plan(request.task, self._settings.service_timeout))
+        return Outcome(True, fields.pop("message"), fields=fields)
 
     def on_decide(self, request: WorkDecideRequest) -> str:
         """Take what a person decides of a task or the schedule."""
-        with self._lock:
-            sentence = self._decided(self.board, request)
-            problem = self._left_closed() if request.decision == "answer" else ""
-            if problem:
-                sentence = Sentence("executor.both", first=sentence, second=problem)
-        rospy.loginfo("%s (%s)", sentence, request.person)
-        self.heard.announce()
-        return sentence
-
-    @staticmethod
-    def _decided(board: TaskBoard, request: WorkDecideRequest) -> str:
-        if request.decision == "accept_schedule":
-            return board.accept(request.person, request.reason)
-        if request.decision == "answer_all":
-            return board.answer_all(request.answer, request.person, request.reason)
-        if request.decision == "answer":
-            return board.answer(request.task, request.answer, request.person, request.reason, request.question)
-        if request.decision in DECISIONS:
-            return DECISIONS[request.decision](board, request.task, request.person, request.reason)
-        raise WorkRefused(Sentence("work.decision", decision=repr(request.decision)))
+        return self._opened().decide(
+            request.decision, request.task, request.answer, request.person, request.reason, request.question
+        )
 
     def on_measured(self, request: WorkMeasuredRequest) -> Outcome:
         """Take where a person has measured an element."""
         pose = self._pose_in_base(request)
-        with self._lock:
-            found = self.board.measured(request.element, pose, request.person, request.reason)
-        self.heard.announce()
+        found = self._opened().measured(request.element, pose, request.person, request.reason)
         distance, angle = found.distance * 1e3, math.degrees(found.angle)
         sentence = Sentence("work.measured", element=request.element, distance=distance, angle=angle)
         return Outcome(True, sentence, fields={"deviation_mm": distance, "deviation_deg": angle})
@@ -474,67 +281,66 @@ class WorkNode:
     def _pose_in_base(self, request: WorkMeasuredRequest) -> Pose:
         pose = pose_from_msg(request.pose.pose)
         frame = request.pose.header.frame_id
-        if frame in ("", self._base_frame):
+        if frame in ("", tf_frame(self._settings.tf_prefix, self._robot.base_link)):
             return pose
         try:
-            transform = self._inputs.transform(frame, request.pose.header.stamp)
+            transform = self._outlets.transform(frame, request.pose.header.stamp)
         except FrameError as error:
             raise WorkRefused(str(error)) from error
         return product(pose_from_transform_msg(transform.transform), pose)
+
+    def take(self, topic: str, read: Callable[[Any], Any], message: Any) -> None:
+        """Hand on what a message says; one that cannot be read is refused."""
+        try:
+            said = read(message)
+        except (SceneError, TrajectoryError, PayloadError) as error:
+            self._diagnostics.refuse(topic, str(error))
+            return
+        self.heard.take(said)
 
     # -- reports
 
     def _fail(self, sentence: str) -> None:
         """Go on without the work: its record or its model cannot be used."""
         rospy.logerr("%s", sentence)
-        with self._lock:
-            self._problem, self._work, self._broken = sentence, None, True
+        self._problem, self.session, self._broken = sentence, None, True
         self._publish()
 
     def _publish(self) -> None:
-        with self._lock:
-            work, message = self._work, self._message()
+        session = self.session
+        if session is None:
+            engaged = self.heard.execution is not None and self.heard.execution.engaged
+            message = WorkTasks(
+                model=Path(self._settings.model).name, engaged=engaged, reading=not self._broken, reason=self._problem
+            )
+        else:
+            message = to_msg(session.report(), WorkTasks)
         if self._told is not None:
             message.header.stamp = self._told.header.stamp
-            if message == self._told or repr(message) == repr(self._told):
+            # of numbers that are not known, only their text is the same
+            if repr(message) == repr(self._told):
                 return
         message.header.stamp = rospy.Time.now()
         self._told = message
-        self._outputs.tasks.publish(message)
-        if work is not None:
-            self._draw(work.board)
+        self._outlets.tasks.publish(message)
+        if session is not None:
+            self._draw(session)
 
-    def _draw(self, board: TaskBoard) -> None:
-        with self._lock:
-            shown = board.appearances(time.time_ns())
-        drawn = []
-        for one in shown:
-            key = f"{one.element} stock" if one.word == "stock" else f"{one.element} {one.word == 'carried'}"
-            link = self._robot.tip_link if one.word == "carried" else ""
-            triangles = board.prepared.elements[one.element].triangles
-            drawn.append(DrawnElement(key, one.name, triangles, one.pose, one.word, link))
-        picture = work_picture(drawn, self._drawn)
-        self._drawn = picture.keys
-        self._outputs.markers.publish(work_marker_array(picture, self._robot.base_link, self._settings.tf_prefix))
-
-    def _message(self) -> WorkTasks:
-        engaged = self.heard.execution is not None and self.heard.execution.engaged
-        if self._work is None:
-            model, reading = Path(self._settings.model).name, not self._broken
-            return WorkTasks(model=model, engaged=engaged, reading=reading, reason=self._problem)
-        report = self._work.board.report(time.time_ns())
-        if engaged:
-            blocked = self._work.scene.blocked
-            reason = Sentence("work.back.blocked", problem=blocked) if blocked else Sentence("work.back.only")
-            report = replace(report, engaged=True, reason=reason)
-        return to_msg(report, WorkTasks)
+    def _draw(self, session: WorkSession) -> None:
+        prefix, robot = self._settings.tf_prefix, self._robot
+        triangles = {name: facts.triangles for name, facts in session.board.prepared.elements.items()}
+        base, tip = tf_frame(prefix, robot.base_link), tf_frame(prefix, robot.tip_link)
+        markers = work_markers(session.appearances(), triangles, base, tip, self._drawn)
+        self._drawn = {marker.ns for marker in markers if marker.action == marker.ADD}
+        self._outlets.markers.publish(MarkerArray(markers))
 
     def report(self) -> Report:
         """Return the state of the work for `/diagnostics`."""
-        with self._lock:
-            if self._work is None:
-                return Report(ERROR if self._broken else WARN, self._problem)
-            board = self._work.board
+        session = self.session
+        if session is None:
+            return Report(ERROR if self._broken else WARN, self._problem)
+        with session.lock:
+            board = session.board
             values: dict[str, object] = {state.value: len(board.book.in_state(state)) for state in TaskState}
             values["lines of the ledger"] = board.ledger.lines
             values["notes on the model"] = len(board.notes)
@@ -542,28 +348,17 @@ class WorkNode:
             return Report(WARN if asks else OK, board.summary(time.time_ns()), values)
 
 
-#: What a person says of a task, without more than a reason.
-DECISIONS = {"skip": TaskBoard.skip, "redo": TaskBoard.redo, "removed": TaskBoard.removed}
-
-
-def _under_review(sentence: str, task: str, plan_id: str, plan_hash: str, duration: float) -> Outcome:
-    fields = {"task": task, "plan_id": plan_id, "plan_hash": plan_hash, "duration": duration}
-    return Outcome(True, sentence, fields=fields)
-
-
-def ledger_path(folder: Path, robot: str, cell: str) -> Path:
-    """Return the file of a ledger: one for each robot and site, by the name of its cell file, whatever is built there."""
-    return folder / f"{robot}_{Path(cell).stem}.jsonl"
-
-
-def _call(name: str, kind: type, timeout: float, request: Any) -> tuple[str, Any]:
-    """Call a service; return why there is no answer within a time [s], and the answer."""
+def _call(timeout: float, name: str, kind: type, **fields: object) -> Any:
+    """Call a service; see `Outlets.call`. It must be there within a time [s]."""
     service = rospy.resolve_name(name)
     try:
         rospy.wait_for_service(service, timeout)
-        return "", rospy.ServiceProxy(service, kind)(request)
+        answer = rospy.ServiceProxy(service, kind)(**fields)
     except (rospy.ROSException, rospy.ServiceException) as error:
-        return Sentence("work.silent", service=service, problem=str(error)), None
+        raise NoAnswer(Sentence("work.silent", service=service, problem=str(error))) from error
+    if not answer.success:
+        raise RequestRefused(answer.message)
+    return answer
 
 
 def start(settings: Settings, robot: RobotModel, ports: Ports) -> WorkNode:
@@ -572,10 +367,6 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> WorkNode:
     twin = ports.poses["twin/joint_states"]
     # without a physical arm the twin's pose counts as measured
     arm = ports.poses.get("physical/joint_states", twin)
-    timeout = settings.service_timeout
-    frames = listen_to_frames(robot, settings.tf_prefix, timeout, refuse)
-    # what became of a plan is read there after a restart
-    review_file = robot_file(ports.parameters[RECORD], robot.name)
     worker = Worker()
     rospy.on_shutdown(worker.close)
     return WorkNode(
@@ -583,26 +374,22 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> WorkNode:
         robot,
         ports.parameters["planner"],
         worker,
-        WorkListener(ports.connections, rospy.is_shutdown, review_file, refuse),
-        Inputs(
+        # what became of a plan is read in the record after a restart
+        Heard(ports.connections, rospy.is_shutdown, robot_file(ports.parameters[RECORD], robot.name)),
+        Outlets(
             functools.partial(twin.pose, MAX_POSE_AGE, MAX_POSE_AGE),
             functools.partial(arm.pose, MAX_POSE_AGE, MAX_POSE_AGE),
-            frames.transform,
-        ),
-        Outputs(
+            listen_to_frames(robot, settings.tf_prefix, settings.service_timeout, refuse).transform,
+            functools.partial(_call, settings.service_timeout),
             ports.publishers["work/tasks"],
             ports.publishers["work/markers"],
-            functools.partial(_call, "edit_scene", EditScene, timeout),
-            functools.partial(_call, "plan_work", PlanWork, timeout),
-            functools.partial(_call, "plan_way_back", Trigger, timeout),
         ),
         ports.diagnostics,
     )
 
 
-def _heard(handler: Callable[[WorkListener, Any], object]) -> Callable[[WorkNode, Any], object]:
-    """Return a handler of the node, which gives its message to the listener."""
-    return lambda node, message: handler(node.heard, message)
+def _hears(topic: str, kind: type, read: Callable[[Any], Any], queue_size: int) -> Subscription:
+    return Subscription(topic, kind, lambda node, message: node.take(topic, read, message), queue_size=queue_size)
 
 
 INTERFACE = Interface(
@@ -614,12 +401,12 @@ INTERFACE = Interface(
     ),
     reads=(NewestPose("twin/joint_states"), NewestPose("physical/joint_states", when=has_arm)),
     hears=(
-        Subscription("engagement", Engagement, _heard(WorkListener.on_engagement), queue_size=5),
-        Subscription("execution", Execution, _heard(WorkListener.on_execution), queue_size=50),
-        Subscription("plan", Plan, _heard(WorkListener.on_plan), queue_size=5),
-        Subscription("review", Review, _heard(WorkListener.on_review), queue_size=20),
-        Subscription("scene", Scene, _heard(WorkListener.on_scene), queue_size=2),
-        Subscription("tool", ToolState, _heard(WorkListener.on_tool), queue_size=5),
+        _hears("engagement", Engagement, functools.partial(from_msg, EngagementReport), 5),
+        _hears("execution", Execution, functools.partial(from_msg, ExecutionReport), 50),
+        _hears("plan", Plan, lambda plan: KnownPlan(plan_from_msg(plan), (*map(change_from_msg, plan.segments),)), 5),
+        _hears("review", Review, functools.partial(from_msg, Verdict), 20),
+        _hears("scene", Scene, scene_from_msg, 2),
+        _hears("tool", ToolState, tool_report_from_msg, 5),
     ),
     listeners=FRAMES,
     serves=(

@@ -1,33 +1,26 @@
-"""What the work node has heard: of the executor, its plans and verdicts, the scene and the tool. Decides and writes nothing."""
+"""What the work has heard: of the executor, its plans and verdicts, the scene and the tool. Decides and writes nothing."""
 
 from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
-from construction_twin.core.motion_errors import SceneError
-from construction_twin.core.reports import EngagementReport, ExecutionReport
-from construction_twin.msg import Engagement, Execution, Plan, Review, ToolState
-from construction_twin.msg import Scene as SceneMsg
+from construction_twin.core.reports import EngagementReport, ExecutionReport, ToolReport
 from construction_twin.review.record import Fate, read_fate
-from construction_twin.robot.segments import Segment
+from construction_twin.robot.plan import Plan
 from construction_twin.robot.tool import Tool
-from construction_twin.ros.messages.convert import change_from_msg
-from construction_twin.ros.messages.records import from_msg
-from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.work.following import GripReading, grip_of
 
 #: Verdicts that are remembered.
 _KEPT = 100
 #: Work plans and scenes that are remembered for an arm that is left engaged.
 _KEPT_PLANS, _KEPT_SCENES = 4, 12
+_Kept = TypeVar("_Kept")
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,118 +28,108 @@ class KnownPlan:
     """A plan that was published.
 
     Attributes:
-        segments: Of a work plan.
-        changes: What each of them does to the scene.
+        changes: What each of its segments does to the scene.
     """
 
-    message: Plan
-    segments: tuple[Segment, ...]
+    plan: Plan
     changes: tuple[SceneChange, ...]
 
 
-class WorkListener:
-    """Takes the messages of the topics, from rospy's threads; `start` of the node subscribes to them.
+@dataclass(frozen=True)
+class Verdict:
+    """A person's verdict on a plan, as the executor recorded it."""
+
+    plan_id: str
+    approved: bool
+    reviewer: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class GripReading:
+    """What the tool says of its grip.
+
+    Attributes:
+        closed: An output commands it to hold, or an input says that it does; meaningless where it is not known.
+        commanded: The outputs that command it to hold, as they read back; empty where it is not known.
+    """
+
+    known: bool
+    closed: bool
+    commanded: tuple[str, ...] = ()
+
+    @property
+    def surely_open(self) -> bool:
+        """Whether nothing can be held."""
+        return self.known and not self.closed
+
+
+def grip_of(tool: Tool, outputs: Mapping[str, bool], inputs: Mapping[str, bool]) -> GripReading:
+    """Return what a tool's outputs and inputs, read back, say of its grip."""
+    asked = tuple(name for name, value in tool.grip.set.items() if outputs.get(name) == value)
+    holds = any(inputs.get(name) == value for name, value in tool.grip.confirm.items())
+    return GripReading(True, bool(asked) or holds, asked)
+
+
+class Heard:
+    """Keeps what was heard, from any thread.
 
     Args:
         publishers: Takes ``execution``, ``plan`` or ``tool``; returns how many nodes that are heard publish it now.
         ends: Returns whether this process is to end: nothing is waited for then.
         review_file: The executor's record of verdicts.
-        refuse: Counts a refused message; takes reason and sentence.
 
     Attributes:
         plan: The one that was published last.
         engagement: None: the executor has not said yet whether the arm is engaged.
     """
 
-    def __init__(
-        self,
-        publishers: Callable[[str], int],
-        ends: Callable[[], bool],
-        review_file: Path,
-        refuse: Callable[[str, str], None],
-    ):
+    def __init__(self, publishers: Callable[[str], int], ends: Callable[[], bool], review_file: Path):
         self._publishers, self._ends = publishers, ends
         self._review_file = review_file
-        self._refuse = refuse
-        self._heard = threading.Condition()
+        self._changed = threading.Condition()
         self._news: queue.SimpleQueue[None] = queue.SimpleQueue()
         self.execution: ExecutionReport | None = None
         self.plan: KnownPlan | None = None
         self.engagement: EngagementReport | None = None
         self.scene: Scene | None = None
-        self.tool: ToolState | None = None
+        self.tool: ToolReport | None = None
         #: The planner that published the plan is still there, and gives it to an executor that starts anew.
         self._plan_offered = False
-        #: The last verdicts, by plan.
-        self._verdicts: dict[str, Review] = {}
-        #: Scenes by hash, and work plans by id, the newest last: of them an engaged arm's scene is made.
+        #: By plan, by hash, and by plan; the newest last. Of scenes and plans an engaged arm's scene is made.
+        self._verdicts: dict[str, Verdict] = {}
         self._scenes: dict[str, Scene] = {}
         self._work_plans: dict[str, KnownPlan] = {}
 
-    # -- messages
-
-    def on_execution(self, message: Execution) -> None:
-        """Take what the executor does."""
-        with self._news_comes():
-            self.execution = from_msg(ExecutionReport, message)
-
-    def on_plan(self, message: Plan) -> None:
-        """Take a plan; one whose segments cannot be read is refused."""
-        try:
-            changes = tuple(map(change_from_msg, message.segments))
-        except SceneError as error:
-            self._refuse("plan", str(error))
-            return
-        segments = tuple(from_msg(Segment, segment) for segment in message.segments)
-        plan = KnownPlan(message, segments, changes)
-        with self._news_comes():
-            self.plan, self._plan_offered = plan, True
-            # a way back changes nothing, and may be planned again and again
-            if any(segment.scene != segment.scene_after for segment in segments):
-                _keep(self._work_plans, message.id, plan, _KEPT_PLANS)
-
-    def on_engagement(self, message: Engagement) -> None:
-        """Take whether, and where, the arm was left engaged."""
-        with self._news_comes():
-            self.engagement = from_msg(EngagementReport, message)
-
-    def on_review(self, message: Review) -> None:
-        """Take a verdict."""
-        with self._news_comes():
-            _keep(self._verdicts, message.plan_id, message, _KEPT)
-
-    def on_tool(self, message: ToolState) -> None:
-        """Take what the tool's outputs and inputs read."""
-        with self._news_comes():
-            self.tool = message
-
-    def on_scene(self, message: SceneMsg) -> None:
-        """Take the scene; one that cannot be read is refused."""
-        try:
-            scene = scene_from_msg(message)
-        except SceneError as error:
-            self._refuse("scene", str(error))
-            return
-        with self._news_comes():
-            self.scene = scene
-            _keep(self._scenes, scene.hash, scene, _KEPT_SCENES)
-
-    @contextmanager
-    def _news_comes(self) -> Iterator[None]:
-        """Let what is heard be changed while nobody reads it, then wake whoever waits for it."""
-        with self._heard:
-            yield
-            self._heard.notify_all()
+    def take(self, said: ExecutionReport | EngagementReport | ToolReport | KnownPlan | Verdict | Scene) -> None:
+        """Store what was heard, and wake whoever waits for it."""
+        with self._changed:
+            match said:
+                case ExecutionReport():
+                    self.execution = said
+                case EngagementReport():
+                    self.engagement = said
+                case ToolReport():
+                    self.tool = said
+                case Verdict():
+                    _keep(self._verdicts, said.plan_id, said, _KEPT)
+                case Scene():
+                    self.scene = said
+                    _keep(self._scenes, said.hash, said, _KEPT_SCENES)
+                case KnownPlan():
+                    self.plan, self._plan_offered = said, True
+                    # a way back changes nothing, and may be planned again and again
+                    if any(segment.scene != segment.scene_after for segment in said.plan.segments):
+                        _keep(self._work_plans, said.plan.id, said, _KEPT_PLANS)
+            self._changed.notify_all()
         self.announce()
-
-    # -- waiting
 
     def announce(self) -> None:
         """Let whoever waits for news know that there are some."""
         self._news.put(None)
 
     def wait_for_news(self, seconds: float) -> bool:
-        """Return whether there was news within a time [s], one piece for each message and `announce`."""
+        """Return whether there was news within a time [s], one piece for each that was taken and each `announce`."""
         try:
             self._news.get(timeout=seconds)
         except queue.Empty:
@@ -156,10 +139,10 @@ class WorkListener:
     def wait_for(self, condition: Callable[[], object], seconds: float) -> bool:
         """Return whether a condition on what was heard holds, or the process is to end, within a time [s].
 
-        The condition must wait for nobody: no message is taken while it is computed.
+        The condition must wait for nobody: nothing is taken while it is computed.
         """
-        with self._heard:
-            return bool(self._heard.wait_for(lambda: condition() or self._ends(), seconds))
+        with self._changed:
+            return bool(self._changed.wait_for(lambda: condition() or self._ends(), seconds))
 
     # -- the executor
 
@@ -196,10 +179,10 @@ class WorkListener:
 
     def scenes(self) -> list[Scene]:
         """Return the scenes seen last, the newest first."""
-        with self._heard:
+        with self._changed:
             return list(reversed(self._scenes.values()))
 
-    def review(self, plan_id: str) -> Review | None:
+    def verdict(self, plan_id: str) -> Verdict | None:
         """Return the verdict on a plan as the topic told it; None: it told none."""
         return self._verdicts.get(plan_id)
 
@@ -210,8 +193,7 @@ class WorkListener:
             plan_id: Empty: the plan is known by the offer alone.
             offer: Part of the plan's source; empty: its id must fit.
         """
-        known = self.plan
-        plan = known.message if known is not None else None
+        plan = self.plan.plan if self.plan is not None else None
         if plan is not None and (plan.id == plan_id or (offer and offer in plan.source)):
             if plan.id not in self._verdicts and self._publishers("plan"):
                 return Fate(plan.id, False, under_review=True)
@@ -227,7 +209,7 @@ class WorkListener:
             self._plan_offered = False
         # an executor that is still there has the plan, whatever became of the planner
         gone = not self._plan_offered and not self._publishers("execution")
-        if not (gone and self.plan is not None and self.plan.message.id == plan_id):
+        if not (gone and self.plan is not None and self.plan.plan.id == plan_id):
             return False
         self.plan = None
         return True
@@ -244,10 +226,10 @@ class WorkListener:
         said = self.tool
         if said is None or not said.known or not self._publishers("tool"):
             return GripReading(False, False)
-        return grip_of(tool, dict(zip(said.outputs, said.output_values)), dict(zip(said.inputs, said.input_values)))
+        return grip_of(tool, said.outputs, said.inputs)
 
 
-def _keep(kept: dict[str, Any], key: str, value: object, most: int) -> None:
+def _keep(kept: dict[str, _Kept], key: str, value: _Kept, most: int) -> None:
     """Remember a value as the newest, and forget the oldest above a number."""
     kept.pop(key, None)
     kept[key] = value
