@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 import signal
 import socket
 import subprocess
@@ -10,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -133,10 +135,12 @@ def spread_ms(latencies: Sequence[int]) -> dict:
     return {name: round(float(value), 4) for name, value in zip(names, values)}
 
 
-def environment() -> dict:
-    """Return what the figures depend on."""
+def environment(packages: Sequence[str] = ()) -> dict:
+    """Return what the figures depend on, with the versions of some packages."""
     cpu = [line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("model name")]
     return {
+        "system": platform.platform(),
+        "packages": {name: version(name) for name in packages},
         "cpu": cpu[0].partition(": ")[2] if cpu else "unknown",
         "cores": os.cpu_count(),
         "kernel": os.uname().release,

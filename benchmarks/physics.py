@@ -15,18 +15,16 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import platform
 import subprocess
 import sys
 import time
 from collections.abc import Callable
-from importlib.metadata import version
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pinocchio
+from link_world import environment
 
 from construction_twin.core.units import CYCLE
 from construction_twin.physics.arm import Servo, SimulatedArm
@@ -175,20 +173,6 @@ def rounded(value: float) -> float:
     return float(f"{value:.3g}")
 
 
-def environment() -> dict:
-    """Return what the figures depend on: processor, system, versions."""
-    path = Path("/proc/cpuinfo")
-    lines = path.read_text().splitlines() if path.is_file() else []
-    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return {
-        "cpu": models[0] if models else platform.processor() or platform.machine(),
-        "cores": os.cpu_count(),
-        "system": platform.platform(),
-        "python": platform.python_version(),
-        "packages": {name: version(name) for name in PACKAGES},
-    }
-
-
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(
@@ -219,7 +203,7 @@ def main() -> None:
     for name in ("gravity_rel_error", "inverse_dynamics_rel_rms"):
         print(f"{name:<32} {figures[name]:>10}")
     options.output.parent.mkdir(parents=True, exist_ok=True)
-    options.output.write_text(json.dumps(figures | {"environment": environment()}, indent=2) + "\n")
+    options.output.write_text(json.dumps(figures | {"environment": environment(PACKAGES)}, indent=2) + "\n")
     print(f"written to {options.output}")
 
 

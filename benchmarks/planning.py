@@ -14,15 +14,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import platform
 import sys
 import time
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 import yaml
+from link_world import environment
 
 from construction_twin.core.motion_errors import NoPathError
 from construction_twin.kinematics.chain import Chain
@@ -167,23 +165,6 @@ def rounded(value: float) -> float:
     return float(f"{value:.4g}")
 
 
-def environment() -> dict:
-    """Return what the figures depend on: processor, system, versions."""
-    models = [line.partition(":")[2].strip() for line in _cpuinfo() if line.startswith("model name")]
-    return {
-        "cpu": models[0] if models else platform.processor() or platform.machine(),
-        "cores": os.cpu_count(),
-        "system": platform.platform(),
-        "python": platform.python_version(),
-        "packages": {name: version(name) for name in PACKAGES},
-    }
-
-
-def _cpuinfo() -> list[str]:
-    path = Path("/proc/cpuinfo")
-    return path.read_text().splitlines() if path.is_file() else []
-
-
 def table_row(name: str, values: dict) -> str:
     """Return a line of the printed table."""
     return f"{name:>10}" + "".join(f"{values[column]:>16}" for column in COLUMNS)
@@ -206,7 +187,7 @@ def main() -> None:
         figures[name] = bench.measure(name, options.problems, options.runs)
         print(table_row(name, figures[name]), flush=True)
     options.output.parent.mkdir(parents=True, exist_ok=True)
-    options.output.write_text(json.dumps(figures | {"environment": environment()}, indent=2) + "\n")
+    options.output.write_text(json.dumps(figures | {"environment": environment(PACKAGES)}, indent=2) + "\n")
     print(f"written to {options.output}")
 
 
