@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.interpolate import BPoly, PPoly
 
 from construction_twin.core.clock import MONOTONIC, Clock
 from construction_twin.core.motion_errors import (
@@ -26,11 +27,12 @@ from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import InverseKinematics, inverse_kinematics
 from construction_twin.planning.cartesian import plan_cartesian
+from construction_twin.planning.curves import JointCurve
 from construction_twin.planning.limit_usage import SAME_POINT, sampled_usage
 from construction_twin.planning.planner import Planner, PlannerSettings, PlanRequest
-from construction_twin.planning.recheck import ROUNDING, recheck
+from construction_twin.planning.recheck import recheck
 from construction_twin.planning.request_limits import distinct
-from construction_twin.planning.timing import TimedPath, time_path
+from construction_twin.planning.timing import TimedPath, time_curve, time_path
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.planning.waypoints import Waypoints, asked_path, plan_waypoints, time_asked
 from construction_twin.planning.work_plan import joined, plan_work
@@ -39,7 +41,7 @@ from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.executed_path import LARGEST_ENTRY, WAY_BACK_TOLERANCE, ExecutedPath
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.segments import Signal
-from construction_twin.robot.trajectory import Trajectory, whole_nanoseconds
+from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.objects import Scene
@@ -49,10 +51,8 @@ from construction_twin.scene.self_collision import SelfCollision, sample_self_co
 WAY_BACK = "way back"
 #: Pace of the way back, as a fraction of the pace of the way there; where it goes straight to the path, of the velocity limits.
 PACE, ENTRY_SPEED = 0.25, 0.05
-#: From rest to that pace [s]; doubled until the limits hold, at most so often.
-RAMP, DOUBLINGS = 0.5, 8
-#: Spacing of the waypoints while the pace rises [s], and the least distance of two [s].
-SPACING, CLOSEST = 0.01, 1e-4
+#: Spacing of the waypoints, and the least distance of two along the way there [s].
+SPACING, CLOSEST = 0.02, 1e-4
 
 
 def way_back(path: ExecutedPath, present: JointValues, robot: RobotModel) -> Trajectory:
@@ -60,10 +60,7 @@ def way_back(path: ExecutedPath, present: JointValues, robot: RobotModel) -> Tra
 
     Args:
         present: Length n. The arm's pose. Beside the path by more than a quarter of `WAY_BACK_TOLERANCE`, it goes straight to the
-            nearest point of it first, and rests there.
-
-    Returns:
-        Begins where the arm is, to that quarter.
+            nearest point of it first, and rests there; by less, it begins at that point.
 
     Raises:
         PlanningError: If the arm is too far from the path, or at its beginning already, or the path cannot be gone back within the
@@ -90,58 +87,15 @@ def way_back(path: ExecutedPath, present: JointValues, robot: RobotModel) -> Tra
 
 
 def _reversed(trajectory: Trajectory, begin: float, robot: RobotModel) -> Trajectory:
-    """Return the motion from rest at a time along a trajectory back to its beginning, at `PACE`."""
-    ramp = RAMP
-    for _ in range(DOUBLINGS):
-        back = _at_pace(trajectory, begin, ramp)
-        usage = sampled_usage(back, robot)
-        if max(np.max(usage.velocity), np.max(usage.acceleration), np.max(usage.jerk)) <= 1.0 + ROUNDING:
-            return back
-        ramp *= 2.0
-    raise PlanningError(Sentence("motion.back.too_fast", seconds=ramp / 2))
-
-
-def _at_pace(trajectory: Trajectory, begin: float, ramp: float) -> Trajectory:
-    """Return the way back with a pace that rises over `ramp` [s] and then stays.
-
-    The pace stays to the end: where the executed path begins, it rests. A waypoint is set wherever the executed path has one: so
-    the quintics between waypoints are those of that path where the pace is constant, and closely so where it rises.
-    """
-    gone = _Ramp(ramp)
-    knots = trajectory.times[trajectory.times < begin]
-    times = np.concatenate((np.arange(0.0, min(ramp, float(gone.when(begin))), SPACING), gone.when(begin - knots)))
-    times = whole_nanoseconds(np.unique(times))
-    # what lies too close before a waypoint is left out, never the end
-    kept = np.append(np.diff(times) > CLOSEST, True)
-    kept[0] = True
-    times = times[kept]
-    s, sd, sdd = gone.states(times)
-    q, qd, qdd, _ = trajectory.sample_many(np.clip(begin - s, 0.0, None))
-    velocities, accelerations = -qd * sd[:, None], qdd * sd[:, None] ** 2 - qd * sdd[:, None]
-    q[0], q[-1] = trajectory.sample(begin)[0], trajectory.positions[0]
-    velocities[[0, -1]] = accelerations[[0, -1]] = 0.0
-    return Trajectory(trajectory.joint_names, times, q, velocities, accelerations)
-
-
-class _Ramp:
-    """How far along the path the way back has come [s of the path] at a time: from rest, smooth up to the jerk, then at `PACE`."""
-
-    def __init__(self, ramp: float):
-        self._ramp = ramp
-        self._table = np.linspace(0.0, ramp, 2001)
-        self._reached = self.states(self._table)[0]
-
-    def states(self, times) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the way, its rate and the rate's rate at some times [s]."""
-        x = np.clip(np.asarray(times) / self._ramp, 0.0, 1.0)
-        way = PACE * self._ramp * x**4 * (2.5 - 3.0 * x + x**2) + PACE * np.clip(times - self._ramp, 0.0, None)
-        rate = PACE * x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
-        return way, rate, PACE * 30.0 * x**2 * (1.0 - x) ** 2 / self._ramp
-
-    def when(self, way) -> np.ndarray:
-        """Return when so much of the way is gone [s]."""
-        rest = np.clip(np.asarray(way) - self._reached[-1], 0.0, None) / PACE
-        return np.interp(way, self._reached, self._table) + rest
+    """Return the motion from rest at a time along a trajectory back to its beginning, at `PACE` at most."""
+    times = np.append(trajectory.times[trajectory.times < begin - CLOSEST], begin)[::-1]
+    q, qd, qdd, _ = trajectory.sample_many(times)
+    pieces = BPoly.from_derivatives(begin - times, np.stack((q, -qd, qdd), axis=1))
+    curve = JointCurve(PPoly.from_bernstein_basis(pieces))
+    motion = time_curve(curve, robot, top_speed=PACE, spacing=SPACING).trajectory
+    positions = motion.positions.copy()
+    positions[[0, -1]] = q[0], trajectory.positions[0]
+    return replace(motion, positions=positions)
 
 
 class PlanningPipeline:

@@ -67,16 +67,7 @@ class ExecutedPath:
 
 
 def nearest_on_lines(starts: np.ndarray, ends: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return where on straight lines a pose is nearest, and how far that is.
-
-    Args:
-        starts, ends: Shape (k, n)
-        pose: Shape (n,)
-
-    Returns:
-        fractions: Shape (k,). 0 at the start, 1 at the end.
-        distances: Shape (k,). Largest over the joints.
-    """
+    """Return where on lines, shape (k, n), a pose, shape (n,), is nearest: 0 at the start, 1 at the end; and its distances."""
     way = ends - starts
     square = (way * way).sum(axis=1)
     along = ((pose - starts) * way).sum(axis=1)
