@@ -14,6 +14,7 @@ from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.execution.approval import Approval
 from construction_twin.execution.boundary import ToolOrder
+from construction_twin.execution.engagement import Engagement
 from construction_twin.execution.executor import Executor, ExecutorState
 from construction_twin.monitor.gate import SyncState
 from construction_twin.robot.description import read_robot_files
@@ -171,19 +172,19 @@ class Bench:
     it has to.
     """
 
-    def __init__(self):
+    def __init__(self, left: Engagement | None = None):
         self.tool: Gripper | None = None
         self.edits = self.writes = True
         self._told: ToolReport | None = None
-        self.executor = Executor(ROBOT)
+        self.executor = Executor(ROBOT, left)
+        #: What tells the age of verdicts [ns]; it stands still unless a test moves it.
+        self.clock = NANOSECONDS
         self.executor.on_scene(SCENE)
         self.records = []
         self.record = self.records.append
         self.approval = Approval(
             self.executor, lambda record: self.record(record), nullcontext(), lambda: self.present()
         )
-        #: What tells the age of verdicts [ns]; it stands still unless a test moves it.
-        self.clock = NANOSECONDS
         self.stamp = 1000 * CYCLE_NS
         self.twin = ROBOT.home
         self.passing = True
@@ -219,7 +220,7 @@ class Bench:
             self.tool.cycle(self.stamp)
             self.tell()
         if self.writes:
-            executor.engagement.on_written(executor.engagement.present)
+            executor.engagement.written = executor.engagement.present
         if self.edits and work is not None and work.wants_scene and self.state is ExecutorState.AT_BOUNDARY:
             executor.on_scene(work.expected_scene)
 
@@ -285,7 +286,7 @@ class Bench:
         self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str = "", seen: Moment | None = None
     ) -> str:
         """Give a verdict; return the sentence."""
-        return self.approval.review(plan_id, plan_hash, approve, reviewer, reason, seen).sentence
+        return self.approval.review(plan_id, plan_hash, approve, reviewer, reason, seen).answer
 
     def approve(self, plan: Plan) -> str:
         """Put a plan under review and approve it."""

@@ -6,19 +6,22 @@ import json
 import threading
 from types import SimpleNamespace
 
+import numpy as np
 import rospy
 from construction_twin.msg import Link, Scene, Sync
 from construction_twin.srv import ActAsSeenRequest, ReviewPlanRequest
 from executor_bench import ROBOT, SCENE, make_plan
+from unplugged import ask
 
+from construction_twin.core.errors import ProtocolError
 from construction_twin.core.freshness import Moment
-from construction_twin.core.speed_limit import SpeedLimit as SpeedLimitState
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
-from construction_twin.execution.executor import Executor
 from construction_twin.review.record import ReviewLog
+from construction_twin.ros.messages.convert import plan_to_msg
 from construction_twin.ros.nodes import executor as module
-from construction_twin.ros.shared.engagement_file import EngagementFile
 from construction_twin.ros.transport.joint_stream import to_time
+
+GIVEN = {"speed_limit_deadline": 0.5, "speed_limit_silent": 0.1, "speed_limit_required": False}
 
 
 class SlowLog(ReviewLog):
@@ -41,7 +44,6 @@ class World:
         self.said: list[tuple[str, object]] = []
         self.logged: list[tuple[str, str]] = []
         self.refused: list[tuple[str, str]] = []
-        self.counted: list[tuple[str, str]] = []
         self.cycles = 0
         patch = monkeypatch.setattr
         patch(module, "now_ns", lambda: self.wall)
@@ -54,24 +56,47 @@ class World:
         patch(rospy.Time, "now", lambda: to_time(self.wall))
         for level in ("loginfo", "logwarn", "logerr"):
             patch(rospy, level, self.logger(level))
-        self.executor, self.limit = Executor(ROBOT), SpeedLimitState(0.5, 0.1, False)
-        self.executor.on_link(False, "no report of the link yet")
-        self.log = SlowLog(tmp_path / "reviews.jsonl", lambda: self.wall)
-        self.node = module.ExecutorNode(
-            ROBOT,
-            self.executor,
-            self.limit,
-            self.log,
-            module.Outputs(
-                *map(
-                    self.topic,
-                    ("next/joint_states", "execution", "approval_obstacle", "review", "tool_command", "engagement"),
-                )
-            ),
-            EngagementFile(tmp_path / "engagement.json", ROBOT.joint_names),
-            SimpleNamespace(
-                refuse=lambda *said: self.refused.append(said), count=lambda *said: self.counted.append(said)
-            ),
+        patch(rospy, "on_shutdown", lambda hook: None)
+        patch(module, "ReviewLog", SlowLog)
+        self.settings = {"arm": "mock", "review_file": str(tmp_path / "reviews.jsonl")} | GIVEN
+        self.open()
+
+    def open(self, **settings) -> None:
+        """Start the node, with other settings than before."""
+        self.settings |= settings
+        ports = SimpleNamespace(
+            publishers={each.topic: self.topic(each.topic) for each in module.INTERFACE.publishes},
+            connections=lambda topic: 1,
+            diagnostics=SimpleNamespace(refuse=self.refuse),
+        )
+        self.node = module.ExecutorNode(module.Settings(**self.settings), ROBOT, ports)
+        self.executor, self.log = self.node.executor, self.node._log
+        self.logged.clear()
+
+    def refuse(self, *said: str) -> None:
+        """Count what is refused."""
+        self.refused.append(said)
+
+    def hear(self, topic: str, message) -> None:
+        """Let a message come in, as `Subscriber` hands it on."""
+        (heard,) = (each for each in module.INTERFACE.hears if each.topic == topic)
+        try:
+            heard.handler(self.node, message)
+        except ProtocolError as error:
+            self.refuse(error.reason, str(error))
+
+    def ask(self, service: str, request=None):
+        """Return the answer of a service."""
+        return ask(module.NODE, self.node, service, request, self.refuse)
+
+    def offer(self, plan) -> None:
+        """Let a plan come in."""
+        self.hear("plan", plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
+
+    def review(self, plan, approve: bool = True, reviewer: str = "Ada", reason: str = "", moment: str = ""):
+        """Give a verdict; return the answer."""
+        return self.ask(
+            "review_plan", ReviewPlanRequest(plan.id, plan.hash, approve, reviewer, reason, False, "", moment)
         )
 
     def logger(self, level: str):
@@ -115,7 +140,7 @@ class World:
     def playing(self) -> World:
         """Play a plan."""
         plan = self.waiting()
-        assert self.node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, "", "")).success
+        assert self.review(plan).success
         return self.run(50)
 
     def shown(self, age: float = 0.0) -> str:
@@ -124,14 +149,11 @@ class World:
 
     def from_screen(self, plan, moment: str, approve: bool = True):
         """Give a verdict as console_node does; return the answer."""
-        request = ReviewPlanRequest(
-            plan_id=plan.id, plan_hash=plan.hash, approve=approve, reviewer="kr120-reviewer-ada", moment=moment
-        )
-        return self.node.on_review(request)
+        return self.review(plan, approve, "kr120-reviewer-ada", moment=moment)
 
     def resume_from_screen(self, moment: str):
         """Resume as console_node does; return the answer."""
-        return self.node.on_act_as_seen(ActAsSeenRequest("resume", "ada", moment))
+        return self.ask("~act_as_seen", ActAsSeenRequest("resume", "ada", moment))
 
     def slow_disk(self, seconds: float, wall: float | None = None) -> None:
         """Let every record take so long, while the wall clock goes on by `wall` [s] in its place."""

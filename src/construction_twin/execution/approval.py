@@ -1,5 +1,7 @@
-"""How a verdict is taken. An approval is examined, recorded, and only then carried out; a rejection is carried out at once, and its
-record follows: no disk stands before a person's no. Pure; recording and the clock are arguments.
+"""What needs a fresh word of a person: an approval, a resume, the release of an engaged arm. Pure; record and clock are arguments.
+
+An approval, or a release, is examined, recorded, and only then carried out; a rejection is carried out at once, and its record
+follows: no disk stands before a person's no.
 
 An approval is void `core.freshness.LIFETIME` after the moment that its screen had shown, or after it was called where no screen
 says one: it is looked at when it comes, after its record was written, and until the plan begins to move. A plan whose approval is
@@ -11,14 +13,16 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from construction_twin.core.errors import ExpiredError, RecordError, ReviewError
+from construction_twin.core.errors import ExecutionError, ExpiredError, RecordError, ReviewError
 from construction_twin.core.freshness import LIFETIME, Moment, staleness
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
+from construction_twin.execution.engagement import check_way_back
 from construction_twin.execution.executor import Executor
 from construction_twin.review.plan_under_review import APPROVED, REFUSED, REJECTED, Ending, Verdict, prove_hash
+from construction_twin.review.record import Release
 from construction_twin.robot.plan import Plan
 
 #: Reviewer of a plan that was approved without a person, because of a launch argument.
@@ -49,22 +53,14 @@ class WithoutPerson:
         return ""
 
 
-@dataclass(frozen=True)
-class Taken:
-    """A verdict that was carried out: an approval after its record, a rejection before it."""
-
-    verdict: Verdict
-    sentence: str
-
-
 class Approval:
     """The only way to start an execution: an approval is carried out only after it was recorded.
 
     Recording waits for a disk, so it happens outside of the lock that the executor's loop takes every 4 ms.
 
     Args:
-        record: Called with each approval before it is carried out, with one that is refused, and with the Ending of an execution
-            that could then not begin; raises RecordError when it cannot be kept. A rejection's record is the caller's.
+        record: Called with each approval and release before it is carried out, with one that is refused, and with the Ending of an
+            execution that could then not begin; raises RecordError when it cannot be kept. A rejection's record is the caller's.
         lock: Held around every use of the executor.
         clock: Returns the present moment.
     """
@@ -72,7 +68,7 @@ class Approval:
     def __init__(
         self,
         executor: Executor,
-        record: Callable[[Verdict | Ending], None],
+        record: Callable[[Verdict | Ending | Release], None],
         lock: AbstractContextManager,
         clock: Callable[[], Moment],
     ):
@@ -80,10 +76,34 @@ class Approval:
         self._record = record
         self._lock = lock
         self._clock = clock
+        self._started = clock()
         # one verdict after the other: the record must keep the order in which verdicts took effect
         self._one_verdict_at_a_time = threading.RLock()
         # of the plan that waits, for `approve_by_itself`: its id, and when it was seen first [ns]
         self._waiting, self._waits_since = "", 0
+
+    def offer(self, plan: Plan) -> None:
+        """Put a plan under review; tell of one that cannot be that it is withdrawn: displays that show it as waiting take it away.
+
+        Raises:
+            ReviewError: When it cannot be reviewed.
+        """
+        try:
+            if plan.asked.origin != self._started.origin:
+                raise ReviewError(Sentence("executor.plan_elsewhere", plan=plan.id))
+            if plan.asked.at < self._started.at:
+                raise ReviewError(Sentence("executor.plan_older", plan=plan.id))
+            with self._lock:
+                left = self._executor.engagement.left
+            if left is not None:
+                # outside of the lock: it takes many cycles' time
+                check_way_back(plan, left)
+            with self._lock:
+                self._executor.offer(plan, left)
+        except ReviewError as error:
+            with self._lock:
+                self._executor.tell_withdrawn(plan, error.sentence)
+            raise
 
     def review(
         self,
@@ -94,8 +114,8 @@ class Approval:
         reason: str = "",
         seen: Moment | None = None,
         override: str | None = None,
-    ) -> Taken:
-        """Carry out a verdict: an approval after it was recorded, a rejection at once.
+    ) -> Verdict:
+        """Carry out a verdict and return it: an approval after it was recorded, a rejection at once.
 
         Args:
             seen: The newest that the reviewer's screen had received; without one this call counts.
@@ -113,13 +133,17 @@ class Approval:
             with self._lock:
                 verdict = self._examine(plan_id, plan_hash, False, reviewer, reason)
                 self._executor.reject(verdict)
-            return Taken(verdict, Sentence("review.rejected", plan=plan_id, reviewer=reviewer))
+            return verdict
         # before the verdicts that are waited for
         moment = self._clock() if seen is None else seen
         with self._one_verdict_at_a_time:
             try:
-                self._demand_fresh(moment)
-                self._prove(plan_id)
+                self._demand_fresh(moment, "approval")
+                with self._lock:
+                    plan = self._executor.under_review.plan
+                if plan is not None and plan.id == plan_id:
+                    # once, outside of the lock: a plan cannot change, so that it holds when it is carried out
+                    prove_hash(plan)
                 with self._lock:
                     verdict = self._examine(plan_id, plan_hash, True, reviewer, reason, override)
             except ReviewError as error:
@@ -128,7 +152,8 @@ class Approval:
             self._record(verdict)
             try:
                 with self._lock:
-                    return Taken(verdict, self._begin_approved(verdict, moment))
+                    self._begin_approved(verdict, moment)
+                return verdict
             except ReviewError as error:
                 # something happened while it was written down: the record is corrected
                 if verdict.plan is not None:
@@ -136,7 +161,7 @@ class Approval:
                     self._record(Ending(verdict.plan, "dropped", reason))
                 raise
 
-    def approve_by_itself(self, now: int, which: WithoutPerson = WithoutPerson(every=True)) -> Taken | None:
+    def approve_by_itself(self, now: int, which: WithoutPerson = WithoutPerson(every=True)) -> Verdict | None:
         """Approve the waiting plan as soon as it may start; withdraw it when it may not. None: there is nothing to do yet.
 
         Args:
@@ -160,10 +185,49 @@ class Approval:
             return self.review(plan.id, plan.hash, True, AUTO_APPROVE, reason)
         except ReviewError as error:
             with self._lock:
-                self._withdraw(plan.id, Sentence("review.not_by_itself", reason=error.sentence))
+                review = self._executor.under_review
+                if review.plan is not None and review.plan.id == plan.id:
+                    reason = Sentence("review.not_by_itself", reason=error.sentence)
+                    self._executor.tell_withdrawn(review.clear(), reason)
             if isinstance(error, RecordError):
                 raise
             return None
+
+    def resume(self, seen: Moment | None = None) -> str:
+        """Go on after a pause; return one sentence.
+
+        Args:
+            seen: What the person's screen had shown; it is of after the newest pause or stop. None: the person is at this computer.
+        """
+        with self._lock:
+            if seen is None:
+                return self._executor.resume()
+            may_wait = self._demand_fresh(seen, "resume")
+            if seen.at <= self._executor.rested:
+                raise ExpiredError(Sentence("executor.void.resume_since"))
+            return self._executor.resume(may_wait)
+
+    def release(self, person: str, reason: str) -> str:
+        """End an engagement in the name of a person who has freed the arm, after it was recorded; return one sentence."""
+        if not person or not reason:
+            raise ExecutionError(Sentence("executor.release.nameless"))
+        with self._lock:
+            left = self._executor.check_release()
+        release = Release(person, reason, left.plan_id, left.task, left.segment)
+        asked = self._clock()
+        self._record(release)
+        try:
+            self._demand_fresh(asked, "release")
+            with self._lock:
+                if self._executor.check_release() is not left:
+                    raise ExecutionError(Sentence("executor.release.another"))
+                self._executor.engagement.end()
+        except (ExecutionError, ExpiredError) as error:
+            # something happened while it was written down: the record is corrected
+            self._record(replace(release, refused=str(error)))
+            raise
+        where = {"segment": repr(left.segment), "plan": left.plan_id}
+        return Sentence("executor.release.done", **where, person=person, reason=reason)
 
     def _examine(
         self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str, override: str | None = None
@@ -191,36 +255,21 @@ class Approval:
         if not reason.strip():
             raise ReviewError(Sentence("review.rehearsal.unreasoned", plan=plan.id))
 
-    def _demand_fresh(self, moment: Moment) -> int:
-        """Return how long an approval may still wait for motion [ns]; ExpiredError when that is over."""
+    def _demand_fresh(self, moment: Moment, word: str) -> int:
+        """Return how long a person's word may still wait for motion [ns]; ExpiredError when that is over."""
         now = self._clock()
         if problem := staleness(moment, now):
-            raise ExpiredError(Sentence("executor.void.approval", problem=problem))
+            raise ExpiredError(Sentence(f"executor.void.{word}", problem=problem))
         return LIFETIME - (now.at - moment.at)
 
-    def _begin_approved(self, verdict: Verdict, moment: Moment) -> str:
-        """Begin what an approval that was recorded is for, if it still may; return a sentence."""
-        left = self._demand_fresh(moment)
+    def _begin_approved(self, verdict: Verdict, moment: Moment) -> None:
+        """Begin what an approval that was recorded is for, if it still may."""
+        left = self._demand_fresh(moment, "approval")
         known = verdict.rehearsal
         override = known.hash if known is not None and known.overridden else None
         self._examine(verdict.plan_id, verdict.plan_hash, True, verdict.reviewer, verdict.reason, override)
         plan = self._executor.under_review.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
-        who = {"reviewer": verdict.reviewer}
-        self._executor.begin(plan, Sentence("executor.approved", **who), left)
-        return Sentence("review.approved", plan=plan.id, seconds=plan.trajectory.duration, **who)
-
-    def _withdraw(self, plan_id: str, reason: str) -> None:
-        """Take a plan out of review, if it is still there."""
-        executor = self._executor
-        if executor.under_review.plan is not None and executor.under_review.plan.id == plan_id:
-            executor.tell_withdrawn(executor.under_review.clear(), reason)
-
-    def _prove(self, plan_id: str) -> None:
-        """Prove the named plan's hash once, outside of the lock: a plan cannot change, so that it holds when it is carried out."""
-        with self._lock:
-            plan = self._executor.under_review.plan
-        if plan is not None and plan.id == plan_id:
-            prove_hash(plan)
+        self._executor.begin(plan, Sentence("executor.approved", reviewer=verdict.reviewer), left)
 
     def _refuse(self, plan_id: str, plan_hash: str, reviewer: str, reason: str) -> None:
         with self._lock:

@@ -1,7 +1,6 @@
 """Engaged: an arm that was left inside an engaged segment may only go back along the path that it has executed.
 
-Pure. What must be on the disk before the arm moves, and whether it is, stands in `EngagementKeeper`; who writes it tells it so.
-Angles in rad, times in s.
+What must be on the disk before the arm moves, and whether it is, stands in `EngagementKeeper`. Angles in rad, times in s.
 """
 
 from __future__ import annotations
@@ -9,11 +8,14 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
-from construction_twin.core.errors import ConfigurationError, ReviewError
+from construction_twin.core.errors import ConfigurationError, ExecutionError, ReviewError, problem_of
+from construction_twin.core.files import read_file, write_whole
 from construction_twin.core.motion_errors import TrajectoryError
 from construction_twin.core.reports import ToolReport
 from construction_twin.core.sentences import Sentence
@@ -24,10 +26,14 @@ from construction_twin.robot.segments import Segment, Signal
 from construction_twin.robot.trajectory import Trajectory
 
 #: Of the file's format.
-VERSION = 2
+VERSION = 3
+#: Fields of an engagement that are texts.
+WORDS = ("plan_id", "task", "segment", "reason")
+#: Largest file [bytes]: a path of some minutes.
+MOST = 64 * 2**20
 Signals = tuple[Signal, ...]
-#: What the inputs may read, and for each the hash of its scene.
-Holding = tuple[tuple[Signals, ...], tuple[str, ...]]
+#: What the tool's inputs may read, and the hash of the scene that belongs to it: only there is known what hangs on the tool.
+Holding = tuple[tuple[Signals, str], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +44,6 @@ class Engagement:
         path: From the beginning of the engaged segments that follow each other without one that is not engaged.
         holding: What the tool's inputs read while the arm is there: one of these, in the order of time. They differ where a switch
             may have fired; then none is empty, as an empty one would hold whatever is gripped.
-        scenes: For each of them the hash of the scene that belongs to it: only there is known what hangs on the tool.
         reason: Why the plan ended inside; empty while it is executed.
     """
 
@@ -46,17 +51,16 @@ class Engagement:
     task: str
     segment: str
     path: ExecutedPath
-    holding: tuple[Signals, ...]
-    scenes: tuple[str, ...]
+    holding: Holding
     reason: str = ""
 
     def requires(self, tool: ToolReport) -> Signals:
         """Return what a way back must require: the last that holds now; the first while none does."""
-        return next((signals for signals in reversed(self.holding) if not tool.problem(signals)), self.holding[0])
+        return next((one for one, _ in reversed(self.holding) if not tool.problem(one)), self.holding[0][0])
 
     def scenes_of(self, requires: Signals) -> tuple[str, ...]:
         """Return the hashes of the scenes in which a way back may require this."""
-        return tuple(scene for signals, scene in zip(self.holding, self.scenes) if set(signals) == set(requires))
+        return tuple(scene for signals, scene in self.holding if set(signals) == set(requires))
 
 
 def engagement_of(plan: Plan, number: int) -> Engagement:
@@ -66,58 +70,57 @@ def engagement_of(plan: Plan, number: int) -> Engagement:
     while first > 0 and plan.segments[first - 1].engaged:
         first -= 1
     begin = plan.segments[first - 1].end if first > 0 else 0.0
-    part = part_of(plan.trajectory, begin, segment.end)
-    return Engagement(plan.id, plan.task, segment.name, ExecutedPath(part, part.duration), *holding_of(segment))
-
-
-def left_inside(engagement: Engagement, end: float, holding: Holding, reason: str) -> Engagement:
-    """Return an engagement in which the arm was left: `end` is the time along its path [s], the rest as in `Engagement`."""
-    path = ExecutedPath(engagement.path.trajectory, min(end, engagement.path.trajectory.duration))
-    return replace(engagement, path=path, holding=holding[0], scenes=holding[1], reason=reason)
-
-
-def part_of(trajectory: Trajectory, begin: float, end: float) -> Trajectory:
-    """Return the part of a trajectory between two of its waypoints, by their times [s]."""
-    times = trajectory.times
-    first, last = (int(abs(times - time).argmin()) for time in (begin, end))
-    rows = slice(first, last + 1)
-    names, kept = trajectory.joint_names, (trajectory.positions, trajectory.velocities, trajectory.accelerations)
-    return Trajectory(names, times[rows] - times[first], *(values[rows] for values in kept))
+    whole = plan.trajectory
+    rows = slice(*(int(abs(whole.times - time).argmin()) + last for time, last in ((begin, 0), (segment.end, 1))))
+    columns = (whole.positions, whole.velocities, whole.accelerations)
+    times = whole.times[rows] - whole.times[rows][0]
+    part = Trajectory(whole.joint_names, times, *(column[rows] for column in columns))
+    return Engagement(plan.id, plan.task, segment.name, ExecutedPath(part, part.duration), holding_of(segment))
 
 
 def holding_of(segment: Segment) -> Holding:
     """Return what the tool's inputs may read inside of a segment or at its end, and the scenes that belong to that."""
-    after = tuple(signal for switch in segment.switches for signal in switch.confirm)
     if not segment.switches:
-        scenes = tuple(dict.fromkeys((segment.scene, segment.scene_after)))
-        return (segment.requires,) * len(scenes), scenes
-    if not segment.requires:
-        return (after,), (segment.scene_after,)
-    return (segment.requires, after), (segment.scene, segment.scene_after)
+        return tuple((segment.requires, scene) for scene in dict.fromkeys((segment.scene, segment.scene_after)))
+    after = tuple(signal for switch in segment.switches for signal in switch.confirm)
+    before = ((segment.requires, segment.scene),) if segment.requires else ()
+    return *before, (after, segment.scene_after)
 
 
 class EngagementKeeper:
     """Which engagement there is, and which of it is on the disk.
 
+    Args:
+        found: What the disk says at the start: the executor before this one ended inside.
+
     Attributes:
         present: What must be on the disk. A segment that is engaged is entered only when it is.
         engaged: Whether the arm was left inside of it, so that only the way back may be played.
+        written: What is on the disk.
     """
 
-    def __init__(self):
-        self.present: Engagement | None = None
-        self.engaged = False
-        self._written: Engagement | None = None
-        self._unseen = False
+    def __init__(self, found: Engagement | None = None):
+        self.present = self.written = found
+        self.engaged = self._unseen = found is not None
+
+    @property
+    def left(self) -> Engagement | None:
+        """Where the arm was left; None: it is not engaged."""
+        return self.present if self.engaged else None
 
     @property
     def settled(self) -> bool:
         """Whether the disk says what is so."""
-        return self._written is self.present
+        return self.written is self.present
 
-    def expect(self, engagement: Engagement | None) -> None:
-        """Take the engagement that the arm is about to enter; None: it is about to leave one, or there is none."""
-        self.present = engagement
+    def settle(self, lock: AbstractContextManager, file: Path) -> None:
+        """Have the disk say what is so; not under the lock, which it holds to look. Raises ExecutionError."""
+        with lock:
+            present, settled = self.present, self.settled
+        if not settled:
+            write_engagement(file, present)
+            with lock:
+                self.written = present
 
     def leave_inside(self, engagement: Engagement) -> None:
         """The arm was left inside."""
@@ -127,82 +130,74 @@ class EngagementKeeper:
         """The arm is out, or was freed."""
         self.present, self.engaged = None, False
 
-    def found(self, engagement: Engagement) -> None:
-        """Take what the disk says at the start: the executor before this one ended inside."""
-        self._written = engagement
-        self._unseen = True
-        self.leave_inside(engagement)
-
     def see(self, pose: Sequence[float]) -> None:
         """Take the arm's pose at the start, shape (n,): an arm at the beginning of the path is not inside."""
         if not self._unseen or self.present is None:
             return
         self._unseen = False
-        entry = self.present.path.entry(np.asarray(pose, dtype=np.float64))
-        begin = self.present.path.trajectory.positions[0]
-        near = np.abs(self.present.path.trajectory.sample(entry.time)[0] - begin).max() <= WAY_BACK_TOLERANCE
+        path = self.present.path
+        entry = path.entry(np.asarray(pose, dtype=np.float64))
+        away = np.abs(path.trajectory.sample(entry.time)[0] - path.trajectory.positions[0]).max()
         # a path that comes by there again has its last passage later
-        if entry.distance <= WAY_BACK_TOLERANCE and near and entry.time <= 0.5 * self.present.path.end:
+        if max(entry.distance, away) <= WAY_BACK_TOLERANCE and entry.time <= 0.5 * path.end:
             self.end()
 
-    def on_written(self, engagement: Engagement | None) -> None:
-        """Take what is on the disk now."""
-        self._written = engagement
+
+# -- the file, there as long as the arm is inside an engaged segment
 
 
-# -- the file
+def write_engagement(path: Path, engagement: Engagement | None) -> None:
+    """Write an engagement as one JSON object, a waypoint per line; None: remove the file.
 
-
-def to_text(engagement: Engagement) -> str:
-    """Return the file of an engagement: one JSON object, a waypoint per line.
-
-    Written row by row in Python: one call that encodes everything would hold up the other threads for longer than a cycle.
+    Row by row in Python: one call that encodes everything would hold up the other threads for longer than a cycle.
     """
-    trajectory = engagement.path.trajectory
-    fields = {
-        "version": VERSION,
-        "plan": engagement.plan_id,
-        "task": engagement.task,
-        "segment": engagement.segment,
-        "reason": engagement.reason,
-        "end": engagement.path.end,
-        "holding": [[[signal.name, signal.value] for signal in signals] for signals in engagement.holding],
-        "scenes": list(engagement.scenes),
-        "joints": list(trajectory.joint_names),
-    }
-    columns = zip(trajectory.times, trajectory.positions, trajectory.velocities, trajectory.accelerations)
-    rows = [
-        json.dumps([float(time), position.tolist(), velocity.tolist(), acceleration.tolist()], allow_nan=False)
-        for time, position, velocity, acceleration in columns
-    ]
-    return json.dumps(fields, allow_nan=False)[:-1] + ', "waypoints": [\n' + ",\n".join(rows) + "\n]}\n"
-
-
-def from_text(where: str, text: str, joint_names: Sequence[str]) -> Engagement:
-    """Return the engagement that a file tells of.
-
-    Raises:
-        ConfigurationError: When it is not one of this version and robot: then nobody knows whether the arm is engaged, and a person
-            decides.
-    """
-    expected = Sentence("expected.engagement")
     try:
-        fields = json.loads(text)
+        if engagement is None:
+            path.unlink(missing_ok=True)
+            return
+        trajectory = engagement.path.trajectory
+        fields = {
+            "version": VERSION,
+            **{name: getattr(engagement, name) for name in WORDS},
+            "end": engagement.path.end,
+            "holding": [
+                [[[signal.name, signal.value] for signal in signals], scene] for signals, scene in engagement.holding
+            ],
+            "joints": list(trajectory.joint_names),
+        }
+        columns = zip(trajectory.times, trajectory.positions, trajectory.velocities, trajectory.accelerations)
+        rows = [json.dumps([float(time), *(values.tolist() for values in row)]) for time, *row in columns]
+        write_whole(path, json.dumps(fields)[:-1] + ', "waypoints": [\n' + ",\n".join(rows) + "\n]}\n")
+    except OSError as error:
+        failed = {"path": str(path), "problem": error.strerror or str(error)}
+        raise ExecutionError(Sentence("executor.engagement_not_written", **failed)) from error
+
+
+def read_engagement(path: Path, joint_names: Sequence[str]) -> Engagement | None:
+    """Return what the file says; None without one. Of a ConfigurationError nobody knows whether the arm is engaged."""
+    try:
+        fields = json.loads(read_file(path, MOST))
         if fields["version"] != VERSION or fields["joints"] != list(joint_names):
             raise ValueError(f"version {fields['version']}, joints {fields['joints']}")
         columns = (np.array(column, dtype=np.float64) for column in zip(*fields["waypoints"], strict=True))
         trajectory = Trajectory(tuple(joint_names), *columns)
-        holding = tuple(tuple(Signal(str(n), bool(v)) for n, v in signals) for signals in fields["holding"])
-        scenes = tuple(map(str, fields["scenes"]))
-        end = float(fields["end"])
-        if not holding or len(scenes) != len(holding) or not 0.0 <= end <= trajectory.duration:
-            raise ValueError(f"end {end}, {len(holding)} states of the tool, {len(scenes)} scenes")
-        words = [fields[name] for name in ("plan", "task", "segment", "reason")]
-        if not all(isinstance(word, str) for word in words):
-            raise ValueError(f"plan, task, segment and reason {words}")
-    except (ValueError, KeyError, TypeError, TrajectoryError) as error:
-        raise ConfigurationError(where, f"{type(error).__name__}: {error}", expected) from error
-    return Engagement(words[0], words[1], words[2], ExecutedPath(trajectory, end), holding, scenes, words[3])
+        holding = tuple(
+            (tuple(Signal(str(name), bool(value)) for name, value in signals), str(scene))
+            for signals, scene in fields["holding"]
+        )
+        end, words = float(fields["end"]), {name: fields[name] for name in WORDS}
+        if not holding or not 0.0 <= end <= trajectory.duration:
+            raise ValueError(f"end {end}, {len(holding)} states of the tool")
+        if not all(isinstance(word, str) for word in words.values()):
+            raise ValueError(str(words))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, TypeError, TrajectoryError) as error:
+        problem = f"{type(error).__name__}: {problem_of(error)}"
+        raise ConfigurationError(str(path), problem, Sentence("expected.engagement")) from error
+    left = Engagement(path=ExecutedPath(trajectory, end), holding=holding, **words)
+    # one that was only expected
+    return left if left.reason else replace(left, reason="the executor ended before the plan did")
 
 
 def check_way_back(plan: Plan, engagement: Engagement) -> None:
@@ -212,7 +207,16 @@ def check_way_back(plan: Plan, engagement: Engagement) -> None:
     It may start up to `LARGEST_ENTRY` beside the path, where a hold or the gateway has brought the arm to rest, and goes to it
     straight.
     """
-    _check_segment(plan, engagement)
+    where = {"segment": repr(engagement.segment), "left": engagement.plan_id}
+    segment = plan.segments[0] if len(plan.segments) == 1 else None
+    if segment is None or segment.switches or segment.scene_after != segment.scene:
+        raise ReviewError(Sentence("review.back.another", plan=plan.id, **where))
+    if all(set(segment.requires) != set(signals) for signals, _ in engagement.holding):
+        found = ", ".join(f"{signal.name}={signal.value}" for signal in segment.requires) or "nothing"
+        raise ReviewError(Sentence("review.back.tool", plan=plan.id, found=found, **where))
+    scenes = engagement.scenes_of(segment.requires)
+    if plan.scene not in scenes:
+        raise ReviewError(Sentence("review.back.refused", plan=plan.id, problem=scene_problem(plan.scene, scenes)))
     trajectory, path = plan.trajectory, engagement.path
     start = trajectory.positions[0]
     entry = path.entry(start)
@@ -226,19 +230,6 @@ def check_way_back(plan: Plan, engagement: Engagement) -> None:
     off = follow(way, trajectory.sample_many(times)[0])
     if off is not None:
         raise ReviewError(Sentence("review.back.leaves", plan=plan.id, time=float(times[off])))
-
-
-def _check_segment(plan: Plan, engagement: Engagement) -> None:
-    where = {"segment": repr(engagement.segment), "left": engagement.plan_id}
-    segment = plan.segments[0] if len(plan.segments) == 1 else None
-    if segment is None or segment.switches or segment.scene_after != segment.scene:
-        raise ReviewError(Sentence("review.back.another", plan=plan.id, **where))
-    if all(set(segment.requires) != set(signals) for signals in engagement.holding):
-        found = ", ".join(f"{signal.name}={signal.value}" for signal in segment.requires) or "nothing"
-        raise ReviewError(Sentence("review.back.tool", plan=plan.id, found=found, **where))
-    scenes = engagement.scenes_of(segment.requires)
-    if plan.scene not in scenes:
-        raise ReviewError(Sentence("review.back.refused", plan=plan.id, problem=scene_problem(plan.scene, scenes)))
 
 
 def scene_problem(scene: str, scenes: Sequence[str]) -> str:
@@ -263,20 +254,15 @@ def follow(way: np.ndarray, poses: np.ndarray) -> int | None:
     for number, pose in enumerate(poses):
         reach = float(np.abs(pose - before).max()) + 2.0 * WAY_BACK_TOLERANCE
         while True:
-            nearest, distance = _ahead(way[corner], way[corner + 1], fraction, pose)
-            if distance <= WAY_BACK_TOLERANCE:
+            start, end = way[corner], way[corner + 1]
+            # not before the place of the pose before
+            nearest = max(float(nearest_on_lines(start[None], end[None], pose)[0][0]), fraction)
+            if np.abs(start + nearest * (end - start) - pose).max() <= WAY_BACK_TOLERANCE:
                 fraction = nearest
                 break
-            if corner == last or float(np.abs(way[corner + 1] - pose).max()) > reach:
+            if corner == last or float(np.abs(end - pose).max()) > reach:
                 return number
             corner, fraction = corner + 1, 0.0
         before = pose
     rest = np.abs(way[corner + 1 :] - poses[-1]).max() if corner + 1 < len(way) else 0.0
     return None if rest <= 2.0 * WAY_BACK_TOLERANCE else len(poses) - 1
-
-
-def _ahead(start: np.ndarray, end: np.ndarray, fraction: float, pose: np.ndarray) -> tuple[float, float]:
-    """Return where on a line, not before `fraction`, a pose is nearest, and how far that is."""
-    fractions, _ = nearest_on_lines(start[None], end[None], pose)
-    nearest = max(float(fractions[0]), fraction)
-    return nearest, float(np.abs(start + nearest * (end - start) - pose).max())

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from construction_twin.core.errors import ExecutionError, ReviewError
 from construction_twin.core.freshness import LIFETIME
 from construction_twin.core.limits import outside_tolerance
-from construction_twin.core.reports import ToolReport
+from construction_twin.core.reports import ExecutionReport, ToolReport
 from construction_twin.core.sentences import Quantity, Sentence, Value, replaced
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.state_table import Machine, Occasion, conditions
@@ -21,8 +21,7 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.execution.engagement import Engagement, EngagementKeeper
-from construction_twin.execution.play_rate import PlayRate
-from construction_twin.execution.playback import START_TOLERANCE, Playback, StopForecaster, distance_along
+from construction_twin.execution.playback import START_TOLERANCE, Playback, PlayRate, StopForecaster, distance_along
 from construction_twin.execution.rehearsal_check import RehearsalCheck
 from construction_twin.execution.segment_run import SegmentRun, awaited, lacks
 from construction_twin.execution.states import (
@@ -44,6 +43,8 @@ from construction_twin.robot.plan import Plan
 _BY_GATE = (ExecutorEvent.GATE_HOLDS, ExecutorEvent.GATE_ENDS)
 #: States in which a plan begins, or goes on, without another word of a person.
 _MAY_BEGIN = (ExecutorState.PLAYING, ExecutorState.HELD, ExecutorState.AT_BOUNDARY)
+#: States in which a person's act is under way.
+_BRAKING = (ExecutorState.STOPPING, ExecutorState.PAUSING)
 _OLDEST = LIFETIME / NANOSECONDS
 #: The twin's pose counts as known this long after its last message [ns].
 TWIN_TIMEOUT = NANOSECONDS // 2
@@ -71,10 +72,14 @@ def check_start_pose(plan: Plan, pose: tuple[float, ...], robot: RobotModel) -> 
 class Executor:
     """Plays approved plans as theta_next.
 
+    Args:
+        left: Where the executor before this one has left the arm engaged, if it has.
+
     Attributes:
         lag: How long the arm trails the setpoints, as far as is known [s]; set by `trail`.
         neighbour: Says whether another arm blocks the path of a plan; by default there is none.
         rehearsal: Says whether a plan has passed its rehearsal; by default none is required.
+        rested: Moment of the newest stop or pause [ns of the robot's clock]; -1: none.
         limit: How fast plans are played; set by `limit_rate`.
         engagement: Whether the arm was left inside an engaged segment, and what of it must be on the disk.
         tool: What is known of the tool; set by `on_tool`.
@@ -83,7 +88,7 @@ class Executor:
         side_effects: Runs what tells of a stop, a pause or a rejection: it can fail none of them.
     """
 
-    def __init__(self, robot: RobotModel):
+    def __init__(self, robot: RobotModel, left: Engagement | None = None):
         self._robot = robot
         self.side_effects = SideEffects()
         self.lag = 0.0
@@ -105,8 +110,10 @@ class Executor:
         #: Until then the approval, or a resume, of a plan counts that has not begun to move [ns].
         self._begin_by = 0
         self._paused = False
+        self._acted, self.rested = False, -1
+        self._session = ""
         self.limit = PlayRate()
-        self.engagement = EngagementKeeper()
+        self.engagement = EngagementKeeper(left)
         self.tool = ToolReport()
         self.segment_run: SegmentRun | None = None
         self._orders: list[ToolOrder] = []
@@ -186,8 +193,16 @@ class Executor:
             reason = Sentence("executor.gate_holds", state=state.name)
             self._on(ExecutorEvent.GATE_ENDS if ends else ExecutorEvent.GATE_HOLDS, reason)
 
-    def on_link(self, armed: bool, reason: str) -> None:
-        """Take the link's state; without a physical arm there is none. While the arm is not armed nothing is played."""
+    def on_link(self, armed: bool, reason: str, session: str = "", now: int = 0) -> None:
+        """Take the link's state; without a physical arm there is none. While the arm is not armed nothing is played.
+
+        Args:
+            session: The command session; a new one ends what is executed, as `restart`.
+        """
+        if session and session != self._session:
+            if self._session:
+                self.restart(Sentence("reason.gate.new_session"), now)
+            self._session = session
         self._unarmed = "" if armed else reason
         if not armed:
             self._on(ExecutorEvent.DISARMED, Sentence("executor.disarmed", reason=reason))
@@ -238,7 +253,8 @@ class Executor:
 
     def restart(self, reason: str, now: int) -> None:
         """Drop everything, plans asked for until `now` [ns] too, and wait for twin and arm to agree again."""
-        self.limit.forget()
+        # of a new session's arm nothing is known yet
+        self.limit.waits = False
         self.tell_withdrawn(self.under_review.void(now), reason)
         while self.state is not ExecutorState.WAITING:
             self._on(ExecutorEvent.NEW_SESSION, reason)
@@ -260,36 +276,30 @@ class Executor:
         Raises:
             ReviewError: When it cannot be reviewed.
         """
-        present = self.engagement.present
-        if self.engagement.engaged and present is not way_back:
+        left = self.engagement.left
+        if left is not None and left is not way_back:
             raise ReviewError(Sentence("executor.start.engaged", plan=plan.id, reason=self.engaged()))
         self.tell_withdrawn(self.under_review.offer(plan), Sentence("executor.replaced", plan=plan.id))
         self._way_back = None if way_back is None else (plan.id, way_back)
 
     def engaged(self) -> str:
-        """Return where the arm was left and what to do, as a sentence; only for an arm that is engaged."""
-        present = self.engagement.present
-        assert present is not None  # an arm that is engaged is so somewhere
-        left = {"segment": repr(present.segment), "plan": present.plan_id}
-        return Sentence("executor.engaged", **left, reason=present.reason)
+        """Return where the arm was left and what to do, as a sentence; "" where it is not engaged."""
+        left = self.engagement.left
+        if left is None:
+            return ""
+        return Sentence("executor.engaged", segment=repr(left.segment), plan=left.plan_id, reason=left.reason)
 
     def _is_way_back(self, plan: Plan) -> bool:
         return self.engagement.engaged and self._way_back == (plan.id, self.engagement.present)
 
-    def release(self, left: Engagement) -> None:
-        """End an engagement: a person has freed the arm, and that was recorded."""
-        if self.check_release() is not left:
-            raise ExecutionError(Sentence("executor.release.another"))
-        self.engagement.end()
-
     def check_release(self) -> Engagement:
-        """Return the engagement that could be ended now."""
-        present = self.engagement.present
-        if not self.engagement.engaged or present is None:
+        """Return the engagement that could be ended now, by a person who has freed the arm."""
+        left = self.engagement.left
+        if left is None:
             raise ExecutionError(Sentence("executor.release.nothing"))
         if self.state in ACTIVE:
             raise ExecutionError(self._answer("executor.release.active", state=self.state.name))
-        return present
+        return left
 
     def rehearsal_problem(self, plan: Plan) -> str:
         """Return why its rehearsal is against approving a plan; empty: it is not. The way back of an engaged arm needs none."""
@@ -312,9 +322,8 @@ class Executor:
             problem = self.engaged()
         if not problem and plan.segments:
             problem = lacks(self.tool, plan) or self.tool.problem(plan.segments[0].requires)
-            present = self.engagement.present
-            if not problem and self._is_way_back(plan) and present is not None:
-                if set(plan.segments[0].requires) != set(present.requires(self.tool)):
+            if not problem and self._way_back is not None and self._is_way_back(plan):
+                if set(plan.segments[0].requires) != set(self._way_back[1].requires(self.tool)):
                     problem = Sentence("executor.start.tool_changed")
         if problem:
             raise ReviewError(Sentence("executor.start.refused", plan=plan.id, reason=problem))
@@ -350,6 +359,7 @@ class Executor:
 
         Its record is the caller's.
         """
+        self._acted = True
         self.under_review.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
         self._events.append(verdict)
 
@@ -372,6 +382,47 @@ class Executor:
         events, self._events = self._events, []
         return events
 
+    def take_act(self) -> bool:
+        """Return whether a person's stop, pause or rejection is to be told of: since the last call, or while the arm brakes."""
+        acted, self._acted = self._acted, self._acted and self.state in _BRAKING
+        return acted
+
+    # -- reports
+
+    def news(self) -> tuple:
+        """Return what of `report` is worth a new one when it changes: first what is worth a line in a log, too."""
+        work, active = self.segment_run, self.state in ACTIVE
+        where = work and (work.number, active and work.at_boundary, active and work.expected_scene)
+        # a limit that follows a sensor changes all the time: a hundredth is worth a report
+        limit = round(self.limit.fraction, 2)
+        logged = self.state, self.cause, self.limit.standing
+        return logged, self.reason, self.plan_start, self.outcome, self.steady, limit, where, self.engagement.engaged
+
+    def report(self, stamp: int, moment: str) -> ExecutionReport:
+        """Return what it does now, by the time `stamp` [ns] and the robot's clock."""
+        plan, work, active = self.plan, self.segment_run, self.state in ACTIVE
+        segment = work.segment if work is not None else None
+        expected = work.expected_scene if work is not None and active else ""
+        return ExecutionReport(
+            state=self.state.value,
+            text=self.state.name,
+            reason=self.reason,
+            plan_id=plan.id if plan is not None else "",
+            outcome=self.outcome,
+            plan_start=self.plan_start,
+            duration=plan.trajectory.duration if plan is not None else 0.0,
+            rate=self.rate,
+            speed_limit=self.limit.fraction,
+            segment=work.number if work is not None else -1,
+            segment_name=segment.name if segment is not None else "",
+            at_boundary=work is not None and active and work.at_boundary,
+            wants_scene=bool(expected),
+            engaged=self.engagement.engaged,
+            expected_scene=expected,
+            stamp=stamp,
+            moment=moment,
+        )
+
     # -- while a plan is played
 
     def stop(self, now: int) -> str:
@@ -379,6 +430,7 @@ class Executor:
 
         Plans asked for until `now` [ns] are void, so that nothing that a person stopped is taken up again by itself.
         """
+        self._acted, self.rested = True, now
         reason = Sentence("executor.stop_asked")
         waiting = self.under_review.void(now)
         is_active = self.state in ACTIVE
@@ -386,14 +438,16 @@ class Executor:
         self.side_effects.run("the verdict on a waiting plan", self.tell_withdrawn, waiting, reason)
         return sentence
 
-    def stop_plan(self, plan_id: str, reason: str) -> str:
+    def stop_plan(self, plan_id: str, reason: str, now: int) -> str:
         """Brake one plan along its path as `stop` does, and leave the plans alone that wait; return one sentence."""
+        self._acted = True
         if self.state not in ACTIVE:
             present = {"state": self.state.name, "reason": self.reason}
             raise ExecutionError(Sentence("executor.stop.idle", plan=repr(plan_id), **present))
         if self._played.plan.id != plan_id:
             present = {"present": self._played.plan.id}
             raise ExecutionError(Sentence("executor.stop.another", plan=repr(plan_id), **present))
+        self.rested = now
         return self._stop(reason)
 
     def _stop(self, reason: str) -> str:
@@ -421,6 +475,7 @@ class Executor:
         """Brake along the path smoothly and rest on it. Plans asked for until `now` [ns] and not here are void."""
         if not ROWS[self.state, ExecutorEvent.PAUSE]:
             raise ExecutionError(Sentence("executor.pause.nothing", state=self.state.name, reason=self.reason))
+        self._acted, self.rested = True, now
         before = self.state
         if before in (ExecutorState.PLAYING, ExecutorState.AT_BOUNDARY):
             self.under_review.void_coming(now)

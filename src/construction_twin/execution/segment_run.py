@@ -5,18 +5,13 @@ Pure. Stamps in ns, `now` in ns on the monotonic clock, times in s.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from construction_twin.core.reports import ToolReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.boundary import Boundary, BoundaryEvent, ToolOrder
-from construction_twin.execution.engagement import (
-    Engagement,
-    EngagementKeeper,
-    Holding,
-    engagement_of,
-    holding_of,
-    left_inside,
-)
+from construction_twin.execution.engagement import Engagement, EngagementKeeper, Holding, engagement_of, holding_of
 from construction_twin.execution.states import ExecutorEvent
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.segments import Segment
@@ -193,8 +188,7 @@ class SegmentRun:
         if self._recording_since is None:
             self._recording_since = now
             engaged = following is not None and following.engaged
-            self._coming = engagement_of(self.plan, self.number + 1) if engaged else None
-            self._keeper.expect(self._coming)
+            self._keeper.present = self._coming = engagement_of(self.plan, self.number + 1) if engaged else None
         return self._keeper.settled
 
     # -- the end
@@ -206,16 +200,17 @@ class SegmentRun:
         if self.way_back:
             if finished:
                 self._keeper.end()
-        elif finished or self._engagement is None or elapsed <= self._begin():
+            return self.take_orders()
+        left, inside = self._engagement, 0.0
+        if left is not None:
+            # its path begins with the first of the engaged segments
+            inside = elapsed - (self.plan.segments[self.number].end - left.path.trajectory.duration)
+        if finished or left is None or inside <= 0.0:
             self._keeper.end()
         else:
-            self._keeper.leave_inside(left_inside(self._engagement, elapsed - self._begin(), self._held_with(), reason))
+            path = replace(left.path, end=min(inside, left.path.trajectory.duration))
+            self._keeper.leave_inside(replace(left, path=path, holding=self._held_with(), reason=reason))
         return self.take_orders()
-
-    def _begin(self) -> float:
-        """Return the time along the plan at which the present engagement's path begins [s]."""
-        assert self._engagement is not None and self.segment is not None  # the caller has seen to that
-        return self.segment.end - self._engagement.path.trajectory.duration
 
     def _held_with(self) -> Holding:
         """Return what the tool's inputs may read where the plan has ended, in the order of time, and the scene of each."""
@@ -224,7 +219,7 @@ class SegmentRun:
         if not segment.switches:
             return holding_of(segment)
         if not self.at_boundary or not boundary.may_have_switched:
-            return (segment.requires,), (segment.scene,)
+            return ((segment.requires, segment.scene),)
         if boundary.confirmed:
-            return (boundary.confirmation,), (segment.scene_after,)
+            return ((boundary.confirmation, segment.scene_after),)
         return holding_of(segment)

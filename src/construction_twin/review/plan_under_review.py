@@ -58,6 +58,14 @@ class Verdict:
         """True when it starts an execution."""
         return self.verdict == APPROVED
 
+    @property
+    def answer(self) -> Sentence:
+        """What its reviewer is told, once it was carried out."""
+        if self.plan is None or not self.approved:
+            return Sentence("review.rejected", plan=self.plan_id, reviewer=self.reviewer)
+        seconds = self.plan.trajectory.duration
+        return Sentence("review.approved", plan=self.plan_id, seconds=seconds, reviewer=self.reviewer)
+
 
 @dataclass(frozen=True)
 class Ending:

@@ -102,6 +102,12 @@ class ReviewLog:
             self.close()
             raise
 
+    def on_responsible(self, responsibility: Responsibility | None) -> None:
+        """Take who is responsible, and keep a record of it where that is news."""
+        before, self.responsibility = self.responsibility, responsibility
+        if responsibility is not None and responsibility != before:
+            self.defer(responsibility)
+
     def defer(self, record: Record) -> None:
         """Keep a record for the next `flush`, with the present time; does not touch the disk."""
         self.file.defer(self._clock(), _fields(record, self.responsibility))

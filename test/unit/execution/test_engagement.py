@@ -21,7 +21,6 @@ from executor_bench import (
     motion_back,
     plan_back,
     reach,
-    within_acceleration,
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -33,15 +32,12 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.execution.engagement import (
     Engagement,
-    EngagementKeeper,
     check_way_back,
     engagement_of,
     follow,
-    from_text,
-    left_inside,
-    to_text,
+    read_engagement,
+    write_engagement,
 )
-from construction_twin.execution.executor import ExecutorState
 from construction_twin.execution.rehearsal_check import RehearsalCheck
 from construction_twin.monitor.gate import SyncState
 from construction_twin.robot.executed_path import LARGEST_ENTRY, WAY_BACK_TOLERANCE, ExecutedPath
@@ -83,7 +79,7 @@ class TestLeft:
         left = stopped_in(bench, 2)
         keeper = bench.executor.engagement
         assert keeper.engaged and (left.plan_id, left.task, left.segment) == ("w", "t1", "lift")
-        assert left.holding == (GRIPPED,)
+        assert left.holding == ((GRIPPED, LATER[0]),)
         assert "in segment 2 ('lift') the rest is dropped" in left.reason
         # from the beginning of `approach`, the first of the engaged segments that follow each other
         np.testing.assert_allclose(left.path.trajectory.positions[0], pose_at(0.3), atol=1e-12)
@@ -98,7 +94,7 @@ class TestLeft:
         bench.run_to_end_of(1)
         bench.executor.stop(bench.stamp)
         keeper = bench.executor.engagement
-        assert keeper.engaged and keeper.present.holding == (FREE,)
+        assert keeper.engaged and keeper.present.holding == ((FREE, SCENE),)
 
     def test_while_nobody_knows_whether_it_has_fired(self, bench):
         bench.approve(make_work_plan())
@@ -106,17 +102,9 @@ class TestLeft:
         bench.run(3)
         bench.executor.stop(bench.stamp)
         left = bench.executor.engagement.present
-        assert left.holding == (FREE, GRIPPED)
+        assert left.holding == ((FREE, SCENE), (GRIPPED, LATER[0]))
         assert left.requires(ToolReport(True, "t", {}, {"gripped": True})) == GRIPPED
         assert left.requires(ToolReport()) == FREE
-
-    def test_after_it_was_confirmed(self, bench):
-        bench.edits = False
-        bench.approve(make_work_plan())
-        bench.run_to_end_of(1)
-        bench.run(100)
-        bench.executor.stop(bench.stamp)
-        assert bench.executor.engagement.present.holding == (GRIPPED,)
 
     def test_at_the_end_of_the_last_engaged_segment_when_the_next_cannot_begin(self, bench):
         plan = make_work_plan(segment_3={"requires": FREE})
@@ -148,18 +136,6 @@ class TestLeft:
         keeper = bench.executor.engagement
         assert keeper.engaged and (keeper.present.plan_id, keeper.present.segment) == ("w", "lift")
 
-    def test_the_disk_knows_before_the_segment_begins(self, bench):
-        bench.writes = False
-        bench.approve(make_work_plan())
-        bench.run_to_end_of(0)
-        bench.run(50)
-        keeper = bench.executor.engagement
-        assert keeper.present.segment == "approach" and not keeper.settled and not keeper.engaged
-        np.testing.assert_allclose(bench.twin, pose_at(0.3), atol=1e-12)
-        keeper.on_written(keeper.present)
-        bench.run(30)
-        assert bench.executor.segment_run.number == 1 and bench.state is ExecutorState.PLAYING
-
 
 def pose_at(share: float) -> np.ndarray:
     return between(0.0, share).positions[-1]
@@ -189,19 +165,6 @@ class TestEngaged:
             ),
         ):
             bench.review(plan.id, plan.hash, True, "Ada")
-
-    def test_the_way_back_leads_out(self, bench):
-        stopped_in(bench, 2)
-        plan = way_back(bench)
-        offer_back(bench, plan)
-        bench.review(plan.id, plan.hash, True, "Ada")
-        assert bench.executor.engagement.engaged
-        bench.run_until_idle()
-        assert bench.executor.outcome == "finished" and not bench.executor.engagement.engaged
-        assert bench.executor.engagement.present is None and within_acceleration(bench.outputs)
-        np.testing.assert_allclose(bench.twin, pose_at(0.3), atol=1e-9)
-        bench.run(3)
-        bench.executor.offer(make_plan("other", reach(bench.twin, ROBOT.home), LATER[0], bench.stamp))
 
     def test_a_required_rehearsal_never_blocks_it(self, bench):
         stopped_in(bench, 2)
@@ -256,32 +219,18 @@ class TestEngaged:
         bench.executor.restart("new command session", bench.stamp)
         assert bench.executor.engagement.engaged
 
-    def test_a_person_frees_the_arm(self, bench):
+    def test_a_person_frees_no_other_engagement_than_was_looked_at(self, bench):
         left = stopped_in(bench, 2)
-        bench.executor.release(left)
-        assert not bench.executor.engagement.engaged
-        with pytest.raises(ExecutionError, check=says("executor.release.nothing")):
-            bench.executor.release(left)
-
-    def test_but_not_while_it_moves(self, bench):
-        left = stopped_in(bench, 2)
-        plan = way_back(bench)
-        offer_back(bench, plan)
-        bench.review(plan.id, plan.hash, True, "Ada")
-        bench.run(20)
-        with pytest.raises(ExecutionError, check=says("executor.release.active", plan="back", state="PLAYING")):
-            bench.executor.release(left)
-
-    def test_nor_from_another_engagement_than_was_looked_at(self, bench):
-        left = stopped_in(bench, 2)
+        bench.record = lambda record: (
+            bench.records.append(record) or bench.executor.engagement.leave_inside(replace(left))
+        )
         with pytest.raises(ExecutionError, check=says("executor.release.another")):
-            bench.executor.release(replace(left))
+            bench.approval.release("Ada", "by hand")
+        assert [record.refused == "" for record in bench.records[-2:]] == [True, False]
 
-    def test_an_executor_that_is_started_again_is_still_engaged(self, bench):
-        left = stopped_in(bench, 2)
-        text = to_text(left)
-        other = Bench()
-        other.executor.engagement.found(from_text("file", text, ROBOT.joint_names))
+    def test_an_executor_that_is_started_again_is_still_engaged(self, bench, tmp_path):
+        write_engagement(tmp_path / "file", stopped_in(bench, 2))
+        other = Bench(read_engagement(tmp_path / "file", ROBOT.joint_names))
         other.twin = bench.twin
         other.executor.on_scene(LATER[0])
         other.with_tool().ready()
@@ -297,18 +246,17 @@ class TestEngaged:
     @pytest.mark.parametrize("share, engaged", [(0.0, False), (0.02, True), (1.0, True)])
     def test_a_restarted_one_is_not_when_the_arm_never_left_the_beginning(self, share, engaged):
         motion = between(0.3, 0.4)
-        left = Engagement("w", "t", "s", ExecutedPath(motion, motion.duration), (FREE,), (SCENE,), "killed")
+        left = Engagement("w", "t", "s", ExecutedPath(motion, motion.duration), ((FREE, SCENE),), "killed")
         assert self.restarted(left, pose_at(0.3 + share * 0.1)) is engaged
 
     def test_but_is_when_its_path_comes_by_there_again(self):
         motion = between(0.3, 0.4, 0.3)
-        left = Engagement("w", "t", "s", ExecutedPath(motion, motion.duration), (FREE,), (SCENE,), "killed")
+        left = Engagement("w", "t", "s", ExecutedPath(motion, motion.duration), ((FREE, SCENE),), "killed")
         assert self.restarted(left, pose_at(0.3))
 
     def restarted(self, left: Engagement, pose) -> bool:
-        bench = Bench()
+        bench = Bench(left)
         bench.writes = False
-        bench.executor.engagement.found(left)
         bench.twin = tuple(pose)
         bench.ready()
         return bench.executor.engagement.engaged
@@ -336,7 +284,7 @@ class TestWayBack:
         bench.run(100)
         bench.executor.stop(bench.stamp)
         left = bench.executor.engagement.present
-        assert (left.holding, left.scenes) == ((GRIPPED,), (LATER[0],))
+        assert left.holding == ((GRIPPED, LATER[0]),)
         motion = motion_back(left.path, left.path.end)
         refused = self.refused(plan_back(motion, GRIPPED, SCENE), left)
         assert f"the scene must become {LATER[0]} first" in refused and "release_engagement" in refused
@@ -348,7 +296,6 @@ class TestWayBack:
         bench.run(3)
         bench.executor.stop(bench.stamp)
         left = bench.executor.engagement.present
-        assert left.scenes == (SCENE, LATER[0])
         motion = motion_back(left.path, left.path.end)
         for requires, scene, other in ((FREE, SCENE, LATER[0]), (GRIPPED, LATER[0], SCENE)):
             check_way_back(plan_back(motion, requires, scene), left)
@@ -360,7 +307,7 @@ class TestWayBack:
         bench.run_until_idle()
         left = bench.executor.engagement.present
         assert "has fired, but was not confirmed" in bench.executor.reason
-        assert (left.holding, left.scenes) == ((GRIPPED,), (LATER[0],))
+        assert left.holding == ((GRIPPED, LATER[0]),)
 
     def test_not_to_a_place_before_its_end(self, bench):
         left = self.left(bench)
@@ -369,7 +316,7 @@ class TestWayBack:
 
     def test_not_forward(self):
         motion = between(0.0, 0.5)
-        left = Engagement("w", "t", "s", ExecutedPath(motion, motion.duration), ((),), (SCENE,))
+        left = Engagement("w", "t", "s", ExecutedPath(motion, motion.duration), (((), SCENE),))
         assert "leaves the executed path" in self.refused(plan_back(motion), left)
 
     def test_not_straight_across(self, bench):
@@ -419,7 +366,7 @@ class TestWayBack:
         poses = np.array(ROBOT.home) + np.cumsum(rng.uniform(-0.2, 0.2, (4, 6)), axis=0)
         path = ExecutedPath(smooth(poses), 0.0)
         path = ExecutedPath(path.trajectory, share * path.trajectory.duration)
-        left = Engagement("w", "t", "s", path, ((),), (SCENE,))
+        left = Engagement("w", "t", "s", path, (((), SCENE),))
         plan = plan_back(motion_back(path, path.entry(path.points()[-1]).time, pace=pace))
         check_way_back(plan, left)
         motion = plan.trajectory
@@ -479,59 +426,50 @@ class TestExecutedPath:
 
 
 class TestFile:
-    def test_comes_back_as_it_was(self):
-        plan = make_work_plan()
-        given_ = left_inside(
-            engagement_of(plan, 2), 0.9 + CYCLE / 3, ((GRIPPED, FREE), (SCENE, LATER[0])), "stop requested"
-        )
-        found = from_text("file", to_text(given_), ROBOT.joint_names)
-        assert found.path.trajectory.content_hash() == given_.path.trajectory.content_hash()
-        names = ("plan_id", "task", "segment", "holding", "scenes", "reason")
-        assert [getattr(found, name) for name in names] == [getattr(given_, name) for name in names]
-        assert found.path.end == given_.path.end
+    def test_comes_back_as_it_was(self, tmp_path):
+        inside = engagement_of(make_work_plan(), 1)
+        left = replace(inside, path=replace(inside.path, end=0.5 + CYCLE / 3), reason="stop requested")
+        write_engagement(tmp_path / "file", left)
+        found = read_engagement(tmp_path / "file", ROBOT.joint_names)
+        assert found.path.trajectory.content_hash() == left.path.trajectory.content_hash()
+        names = ("plan_id", "task", "segment", "holding", "reason")
+        assert [getattr(found, name) for name in names] == [getattr(left, name) for name in names]
+        assert found.path.end == left.path.end
+        write_engagement(tmp_path / "file", None)
+        assert read_engagement(tmp_path / "file", ROBOT.joint_names) is None
 
     def test_of_a_segment_that_is_entered_holds_both_states_of_the_tool(self):
-        assert engagement_of(make_work_plan(), 1).holding == (FREE, GRIPPED)
-        assert engagement_of(make_work_plan(), 2).holding == (GRIPPED,)
+        assert engagement_of(make_work_plan(), 1).holding == ((FREE, SCENE), (GRIPPED, LATER[0]))
+        assert engagement_of(make_work_plan(), 2).holding == ((GRIPPED, LATER[0]),)
 
     @pytest.mark.parametrize(
         "spoil",
         [
             lambda fields: fields.update(version=1),
-            lambda fields: fields.update(scenes=[]),
             lambda fields: fields.update(joints=["a"]),
             lambda fields: fields.update(end=-1.0),
             lambda fields: fields.update(end="x"),
             lambda fields: fields.update(holding=[]),
-            lambda fields: fields.update(plan=7),
+            lambda fields: fields.update(plan_id=7),
             lambda fields: fields.pop("waypoints"),
             lambda fields: fields["waypoints"][0].pop(),
             lambda fields: fields["waypoints"].clear(),
         ],
     )
-    def test_another_file_is_refused_in_one_sentence(self, spoil):
-        fields = json.loads(to_text(engagement_of(make_work_plan(), 1)))
+    def test_another_file_is_refused_in_one_sentence(self, tmp_path, spoil):
+        write_engagement(tmp_path / "file", engagement_of(make_work_plan(), 1))
+        fields = json.loads((tmp_path / "file").read_text())
         spoil(fields)
+        self.refuses(tmp_path / "file", json.dumps(fields).encode())
+
+    @pytest.mark.parametrize("content", [b"", b"{", b"[]", b"null", b"7", b"\xff"])
+    def test_so_is_what_is_no_such_object(self, tmp_path, content):
+        self.refuses(tmp_path / "file", content)
+
+    def refuses(self, file, content: bytes) -> None:
+        file.write_bytes(content)
         with pytest.raises(ConfigurationError, match="look at the arm, free it"):
-            from_text("file", json.dumps(fields), ROBOT.joint_names)
-
-    @pytest.mark.parametrize("text", ["", "{", "[]", "null", "7"])
-    def test_so_is_what_is_no_such_object(self, text):
-        with pytest.raises(ConfigurationError, match="file"):
-            from_text("file", text, ROBOT.joint_names)
-
-
-def test_a_keeper_is_settled_when_the_disk_says_what_is_so():
-    keeper, engagement = EngagementKeeper(), engagement_of(make_work_plan(), 1)
-    assert keeper.settled
-    keeper.expect(engagement)
-    assert not keeper.settled and not keeper.engaged
-    keeper.on_written(engagement)
-    assert keeper.settled
-    keeper.end()
-    assert not keeper.settled
-    keeper.on_written(None)
-    assert keeper.settled
+            read_engagement(file, ROBOT.joint_names)
 
 
 def test_the_scene_of_the_stop_is_that_of_the_segment(bench):

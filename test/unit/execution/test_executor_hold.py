@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from executor_bench import ACCELERATION, GOAL, ROBOT, Bench, make_plan, reach, within_acceleration
+from executor_bench import ACCELERATION, GOAL, ROBOT, Bench, make_plan, within_acceleration
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from sentence_checks import says
@@ -248,31 +248,6 @@ class TestEnds:
         assert bench.twin == held_at and bench.state is IDLE
         with pytest.raises(ReviewError, check=says("review.decided")):
             bench.approve(make_plan())
-
-    @pytest.mark.parametrize("state", [SyncState.STOPPED, SyncState.FAULT, SyncState.WAITING, SyncState.REPLANNING])
-    def test_such_states_end_a_plan_that_plays(self, bench, state):
-        bench.play(make_plan(), 200)
-        bench.executor.on_sync(state, False, "resume", bench.held_stamp)
-        assert (bench.state, bench.executor.outcome) == (IDLE, "held")
-
-    def test_a_held_plan_keeps_others_from_starting(self, bench):
-        hold(bench)
-        bench.executor.on_sync(SyncState.HOLDING, True, "resume", bench.held_stamp)
-        with pytest.raises(ReviewError, check=says("executor.start.state", state="HELD")):
-            bench.approve(make_plan("q", reach(start=bench.twin)))
-
-    def test_a_process_that_was_not_run_for_a_while_stays_held(self, bench):
-        last = hold(bench)
-        bench.executor.stall("not run for 0.1 s")
-        assert bench.state is HELD and bench.step() == last
-
-    def test_a_stop_that_is_held_has_stopped(self, bench):
-        bench.play(make_plan(), 200)
-        bench.executor.stop(bench.stamp)
-        bench.run(3)
-        bench.close()
-        bench.run(5)
-        assert (bench.state, bench.executor.outcome) == (IDLE, "stopped")
 
 
 class TestPaused:

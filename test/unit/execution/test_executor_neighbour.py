@@ -42,7 +42,7 @@ class Beside(Bench):
         return self
 
     def approve(self) -> str:
-        return self.approval.review(self.plan.id, self.plan.hash, True, "tester").sentence
+        return self.approval.review(self.plan.id, self.plan.hash, True, "tester").answer
 
     def ending(self) -> Ending:
         return next(event for event in self.executor.take_events() if isinstance(event, Ending))

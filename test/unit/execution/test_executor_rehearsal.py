@@ -117,7 +117,7 @@ class TestRequired:
         bench.executor.offer(passed)
         bench.executor.rehearsal.on_report(report_of(passed))
         taken = bench.approval.approve_by_itself(bench.stamp)
-        assert taken is not None and taken.verdict.reviewer == AUTO_APPROVE
+        assert taken is not None and taken.reviewer == AUTO_APPROVE
 
 
 class TestOverride:

@@ -613,13 +613,6 @@ class TestBeforeTheFirstSegment:
         bench.run_into(1)
 
 
-def test_what_ends_a_plan_at_a_boundary_before_its_first_setpoint(bench):
-    bench.approve(make_work_plan())
-    bench.executor.stop(bench.stamp)
-    assert (bench.state, bench.executor.outcome) == (ExecutorState.IDLE, "stopped")
-    assert set(bench.run(100)) == {ROBOT.home} and not bench.executor.engagement.engaged
-
-
 EVENTS = {
     "step": lambda bench: bench.run(7),
     "pause": lambda bench: call(lambda: bench.executor.pause(bench.stamp)),

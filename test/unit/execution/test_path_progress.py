@@ -93,23 +93,6 @@ def test_at_rest_means_at_rest():
     assert not progress.at_rest
 
 
-@settings(max_examples=60, deadline=None)
-@given(
-    st.integers(0, 2**32),
-    st.integers(2, 5),
-    st.sampled_from([0.02, 0.2, 0.6]),
-    st.lists(st.tuples(GOALS, st.integers(1, 200)), max_size=8),
-)
-def test_a_planned_motion_stays_inside_the_acceleration_limits_whatever_the_rates(seed, points, span, changes):
-    motion = planned(seed, points, span, speed_scale=0.8)
-    progress, outputs = start(motion)
-    for rate, cycles in changes:
-        play(progress, outputs, [rate] * cycles)
-    play_to_the_end(progress, outputs)
-    assert fractions(outputs)[0] <= 1.0 + 1e-9
-    assert outputs[-1] == tuple(motion.positions[-1])
-
-
 @pytest.mark.parametrize("speed_scale, bound", [(0.3, 2.0), (0.6, 2.5), (1.0, 6.0)])
 def test_pauses_and_resumes_of_planned_motions_are_gentle(speed_scale, bound):
     """Shares of the jerk limits; braking hard, which jumps to the acceleration limit, takes more than ten times them."""
@@ -196,14 +179,3 @@ def test_a_pause_does_not_wait_for_the_end_of_a_ramp_up(cycles):
     assert len(outputs) - before <= 150 and not progress.finished
     play_to_the_end(progress, outputs)
     assert fractions(outputs)[0] <= 1.0 + 1e-9
-
-
-def test_braking_ends_a_ramp_and_can_be_taken_up_again():
-    motion = planned(3, 3, 0.6)
-    progress, outputs = start(motion)
-    play(progress, outputs, [1.0] * int(0.3 * motion.duration / CYCLE))
-    play(progress, outputs, [0.5] * 5)
-    while not progress.at_rest:
-        outputs.append(progress.brake())
-    play_to_the_end(progress, outputs)
-    assert fractions(outputs)[0] <= 1.0 + 1e-9 and outputs[-1] == tuple(motion.positions[-1])

@@ -154,7 +154,7 @@ def test_what_stands_in_the_way_back_now_is_not_driven_into():
 @pytest.mark.parametrize("end", [0.3, FIRST.duration, 2.5, PATH.duration])
 def test_the_executor_takes_it_for_the_way_back(end, beside):
     held = (Signal("held", True),)
-    engagement = Engagement("p0", "task-1", "carry", ExecutedPath(PATH, end), (held,), (EMPTY,), "stopped")
+    engagement = Engagement("p0", "task-1", "carry", ExecutedPath(PATH, end), ((held, EMPTY),), "stopped")
     present = PATH.sample(end)[0] + beside * BESIDE
     plan = pipeline(Scene(padding=0.01)).way_back(present, "task-1", engagement.path, held, REQUEST)
     check_way_back(plan, engagement)
@@ -162,7 +162,7 @@ def test_the_executor_takes_it_for_the_way_back(end, beside):
 
 def test_the_executor_takes_no_short_cut_for_the_way_back():
     held = (Signal("held", True),)
-    engagement = Engagement("p0", "task-1", "carry", ExecutedPath(PATH, PATH.duration), (held,), (EMPTY,), "stopped")
+    engagement = Engagement("p0", "task-1", "carry", ExecutedPath(PATH, PATH.duration), ((held, EMPTY),), "stopped")
     made = pipeline(Scene(padding=0.01))
     short = WorkSegment("way back", time_path(np.array([PATH.positions[-1], HOME]), ROBOT), True, held)
     with pytest.raises(ReviewError, check=says("review.back.leaves")):

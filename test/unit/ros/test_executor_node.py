@@ -24,11 +24,10 @@ from construction_twin.msg import (
 from construction_twin.srv import (
     ActAsSeenRequest,
     ReleaseEngagementRequest,
-    ReviewPlanRequest,
     StopPlanRequest,
 )
 from executor_bench import ROBOT, SCENE, Gripper, make_plan, make_work_plan, motion_back, plan_back, reach
-from executor_world import World, records
+from executor_world import GIVEN, World, records
 
 from construction_twin.core.freshness import Moment
 from construction_twin.core.sentences import Sentence
@@ -37,7 +36,6 @@ from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.robot.segments import Switch
-from construction_twin.ros.messages.convert import plan_to_msg
 from construction_twin.ros.nodes import executor as module
 from construction_twin.ros.shared.deferred_log import KEPT, DeferredLog
 from construction_twin.ros.shared.diagnostics import ERROR
@@ -63,7 +61,7 @@ def test_a_verdict_on_the_other_arm_counts_by_its_stamp(world, monkeypatch, age,
     world.executor.neighbour = watch
     message = Conflict(plan_id="p1", conflict=False, reason="its path is free")
     message.header.stamp = to_time(world.wall) - rospy.Duration(age)
-    world.node.on_conflict(message)
+    world.hear("conflict", message)
     assert [reason for reason, _ in world.refused] == ["conflict_age"] * refused
     np.testing.assert_allclose(taken[0] / 1e9, age, atol=1e-8)
 
@@ -78,7 +76,7 @@ def test_who_has_armed_a_bare_plc_is_recorded_once_and_with_the_verdict(world, t
     world.run(5)
     plan = make_plan(asked_ns=world.booted)
     world.executor.offer(plan)
-    assert node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, "", "")).success
+    assert world.review(plan).success
     armed, verdict = records(tmp_path)[:2]
     assert (armed["record"], armed["responsible"], armed["not_checked"]) == (
         "responsibility",
@@ -89,14 +87,14 @@ def test_who_has_armed_a_bare_plc_is_recorded_once_and_with_the_verdict(world, t
     # armed anew, in another session, is another record; not armed is none
     node.on_link(Link(state=Link.NEEDS_RESET, session="s", gateway_kind="plc", not_checked=bare["not_checked"]))
     node.on_link(Link(state=Link.ARMED, session="t", **bare))
-    node.do_background_work(True)
+    node.do_background_work()
     assert [line["session"] for line in records(tmp_path) if line["record"] == "responsibility"] == ["s", "t"]
 
 
 def test_who_has_asked_for_a_session_or_set_the_speed_limit_is_recorded(world, tmp_path):
-    world.node.on_session_request(SessionRequest(verb="reset", person="ada", lifts="stop 3"))
-    world.node.on_speed_change(SpeedChange(person="dora", limit=0.6, before=0.3, whose="bob"))
-    world.node.do_background_work(True)
+    world.hear("session_request", SessionRequest(verb="reset", person="ada", lifts="stop 3"))
+    world.hear("speed_change", SpeedChange(person="dora", limit=0.6, before=0.3, whose="bob"))
+    world.node.do_background_work()
     session, speed = records(tmp_path)
     assert (session["record"], session["verb"], session["person"], session["lifts"]) == (
         "session",
@@ -115,7 +113,7 @@ def test_who_has_asked_for_a_session_or_set_the_speed_limit_is_recorded(world, t
 
 def test_why_the_plan_under_review_could_not_be_approved_is_told_as_soon_as_it_is_so(world):
     world.waiting()
-    world.node.do_background_work(True)
+    world.node.do_background_work()
     world.run(1)
 
     def told() -> str:
@@ -123,7 +121,7 @@ def test_why_the_plan_under_review_could_not_be_approved_is_told_as_soon_as_it_i
 
     assert told() == ""
     world.node.on_link(Link(state=Link.RESYNC, text="RESYNC", session="s", reason="the arm moves"))
-    world.node.do_background_work(True)
+    world.node.do_background_work()
     world.run(1)
     link = Sentence("executor.link", state="RESYNC", reason="the arm moves")
     assert told() == Sentence("executor.start.unarmed", reason=link)
@@ -132,10 +130,10 @@ def test_why_the_plan_under_review_could_not_be_approved_is_told_as_soon_as_it_i
 class TestCycle:
     def test_writes_no_log_the_background_does(self, world):
         world.playing()
-        world.node.on_stop(None)
+        world.ask("stop")
         world.run(100)
         assert world.logged == []
-        world.node.do_background_work(True)
+        world.node.do_background_work()
         lines = [line for _, line in world.logged]
         assert "PLAYING: approved by Ada" in lines and any(line.startswith("stop: braking plan p") for line in lines)
         assert lines.index("PLAYING: approved by Ada") < lines.index("STOPPING: stop requested")
@@ -150,12 +148,12 @@ class TestCycle:
 
     def test_a_limit_that_follows_a_sensor_fills_no_log(self, world):
         world.playing()
-        world.node.do_background_work(True)
+        world.node.do_background_work()
         world.logged.clear()
         for k in range(20):
             world.node.on_limit(limit(0.5 + 0.01 * k))
             world.run(2)
-        world.node.do_background_work(True)
+        world.node.do_background_work()
         assert [line for _, line in world.logged] == ["speed limit 0.5 by /sensor: somebody is near"]
         assert world.executor.reason.startswith("approved by Ada; at 69% of the planned speed: speed limit 0.69")
 
@@ -163,7 +161,7 @@ class TestCycle:
 def stop_plan(world, plan_id: str):
     request = StopPlanRequest(plan_id=plan_id)
     request._connection_header = {"callerid": "/client"}
-    return world.node.on_stop_plan(request)
+    return world.ask("stop_plan", request)
 
 
 def test_a_stop_of_one_plan_names_who_asked_for_it_and_no_other_is_stopped(world):
@@ -186,7 +184,7 @@ class TestClocks:
         world.run(10)
         world.wall -= 10 * NANOSECONDS
         world.run(130)
-        assert world.limit.limit == 0.1 and "silent" in world.limit.reason
+        assert world.executor.limit.fraction == 0.1 and "silent" in world.executor.limit.reason
 
     def test_nor_a_monitor_that_is_silent(self, world):
         world.playing()
@@ -206,38 +204,30 @@ class TestPlansThatAreTurnedDown:
     """Whoever shows a plan as waiting must hear that nobody can approve it."""
 
     def offered(self, world, plan) -> list[tuple[str, bool, str]]:
-        message = plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3)))
         world.said.clear()
-        world.node.on_plan(message)
+        world.offer(plan)
         world.run(1)
         return [(m[0].plan_id, m[0].approved, m[0].reason) for name, m in world.said if name == "review"]
 
-    def test_one_that_was_asked_for_before_a_stop(self, world):
-        asked = world.playing().booted - CYCLE_NS
-        world.node.on_stop(None)
-        world.run(100)
-        ((plan_id, approved, reason),) = self.offered(world, make_plan("late", asked_ns=asked))
-        assert (plan_id, approved) == ("late", False) and "before the last stop" in reason
-
     @pytest.mark.parametrize("step", [-0.05, -1.0, -10.0, -29.0, -60.0, -600.0, 10.0])
-    @pytest.mark.parametrize("stop", ["on_stop", "on_pause"])
+    @pytest.mark.parametrize("stop", ["stop", "pause"])
     def test_one_that_was_asked_for_before_a_stop_on_a_clock_that_was_set_since(self, world, step, stop):
         asked = world.playing().booted - CYCLE_NS
-        world.node.do_background_work(True)
+        world.node.do_background_work()
         world.wall += round(step * NANOSECONDS)
         world.run(10)
-        getattr(world.node, stop)(None)
+        world.ask(stop)
         world.run(150)
         # a stop voids, a pause also
         said = self.offered(world, make_plan("late", asked_ns=asked))
         assert [(plan_id, approved) for plan_id, approved, _ in said if plan_id == "late"] == [("late", False)]
 
-    @pytest.mark.parametrize("stop", ["on_stop", "on_pause"])
+    @pytest.mark.parametrize("stop", ["stop", "pause"])
     def test_none_that_was_asked_for_after_a_stop_on_a_clock_that_was_ahead(self, world, stop):
         world.playing()
         world.wall += 3600 * NANOSECONDS
         world.run(5)
-        getattr(world.node, stop)(None)
+        world.ask(stop)
         world.wall -= 3600 * NANOSECONDS
         world.run(150)
         assert self.offered(world, make_plan("new", asked_ns=world.booted)) == []
@@ -262,7 +252,7 @@ def test_a_verdict_on_another_content_than_the_plan_s_is_refused(world, approve)
     plan = world.waiting()
     seen = SimpleNamespace(id=plan.id, hash="0" * 64)
     for answer in (
-        world.node.on_review(ReviewPlanRequest(seen.id, seen.hash, approve, "Ada", "", False, "", "")),
+        world.review(seen, approve),
         world.from_screen(seen, world.shown(), approve),
     ):
         assert not answer.success and plan.hash in answer.message
@@ -274,24 +264,24 @@ def test_nobody_reviews_under_the_names_that_the_executor_writes(world, reviewer
     world.playing()
     plan = make_plan("q", asked_ns=world.booted)
     world.executor.offer(plan)
-    answer = world.node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, reviewer, "", False, "", ""))
+    answer = world.review(plan, False, reviewer)
     assert not answer.success and "the name of a person" in answer.message
-    assert world.node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, "Ada", "", False, "", "")).success
+    assert world.review(plan, False).success
 
 
 def test_every_request_of_a_person_that_is_turned_down_is_counted_beside_its_answer(world):
-    node, plan = world.node, world.waiting()
-    assert node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, "Ada", "", False, "", "")).success
+    _node, plan = world.node, world.waiting()
+    assert world.review(plan, False).success
     answers = [
-        node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, "", "")),
-        node.on_pause(None),
-        node.on_resume(None),
+        world.review(plan),
+        world.ask("pause"),
+        world.ask("resume"),
         world.resume_from_screen(world.shown()),
-        node.on_stop_plan(StopPlanRequest("of another one")),
-        node.on_release(ReleaseEngagementRequest("Ada", "by hand")),
+        world.ask("stop_plan", StopPlanRequest("of another one")),
+        world.ask("release_engagement", ReleaseEngagementRequest("Ada", "by hand")),
     ]
     assert not any(answer.success for answer in answers)
-    assert world.counted == [
+    assert world.refused == [
         (name, answer.message)
         for name, answer in zip(("review", "pause", "resume", "resume", "stop_plan", "release_engagement"), answers)
     ]
@@ -299,11 +289,6 @@ def test_every_request_of_a_person_that_is_turned_down_is_counted_beside_its_ans
 
 class TestAge:
     """What a person at a screen starts is void 3 s after what the screen had shown, and the person is told."""
-
-    def test_a_verdict_of_now_starts_the_plan(self, world):
-        plan = world.waiting()
-        answer = world.from_screen(plan, world.shown(0.04))
-        assert answer.success and not answer.expired and world.refused == []
 
     @pytest.mark.parametrize("age", [3.1, 6.0, 120.0, -1.0])
     def test_a_verdict_that_lay_on_its_way_or_is_of_no_view_is_refused_counted_and_recorded(self, world, tmp_path, age):
@@ -325,7 +310,7 @@ class TestAge:
             answer = world.from_screen(plan, world.shown())
             assert answer.expired
         else:
-            answer = world.node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, "", ""))
+            answer = world.review(plan)
         assert not answer.success and "too old: it is of 120.0 s ago" in answer.message
         world.run(50)
         assert world.executor.plan is None and world.executor.under_review.plan is plan
@@ -350,14 +335,17 @@ class TestAge:
         assert world.from_screen(world.waiting(), moment, approve=False).success
 
     def test_a_resume_counts_as_an_approval_does(self, world):
-        node = world.playing().node
-        node.on_pause(None)
+        world.playing()
+        world.ask("pause")
         while world.executor.state is not ExecutorState.PAUSED:
             world.run(5)
         for age, expired in ((3.1, True), (6.0, True), (-1.0, True)):
             answer = world.resume_from_screen(world.shown(age))
             assert not answer.success and answer.expired is expired and "look again" in answer.message
-        answers = [world.resume_from_screen(""), node.on_act_as_seen(ActAsSeenRequest("reset", "ada", world.shown()))]
+        answers = [
+            world.resume_from_screen(""),
+            world.ask("~act_as_seen", ActAsSeenRequest("reset", "ada", world.shown())),
+        ]
         assert [(answer.success, answer.expired) for answer in answers] == [(False, False)] * 2
         assert [reason for reason, _ in world.refused] == ["too_old"] * 3 + ["moment", "act"]
         assert world.run(50).executor.state is ExecutorState.PAUSED
@@ -368,15 +356,15 @@ class TestAge:
 
     @pytest.mark.parametrize("before", ["PLAYING", "PAUSING", "PAUSED"])
     def test_a_resume_that_is_older_than_a_pause_does_not_undo_it(self, world, before):
-        node = world.playing().node
+        world.playing()
         if before != "PLAYING":
-            assert node.on_pause(None).success
+            assert world.ask("pause").success
             world.run(1 if before == "PAUSING" else 100)
         assert world.executor.state is ExecutorState[before]
         # one person presses resume, and it hangs in the network; another one presses pause, and is answered
         pressed = world.shown()
         world.booted += NANOSECONDS // 2
-        assert node.on_pause(None).success
+        assert world.ask("pause").success
         world.run(100)
         answer = world.resume_from_screen(pressed)
         assert not answer.success and answer.expired and "paused or stopped since" in answer.message
@@ -392,7 +380,7 @@ class TestAge:
         node.on_limit(limit(0.0))
         assert world.from_screen(plan, world.shown()).success
         world.run(5)
-        assert node.on_pause(None).success
+        assert world.ask("pause").success
         world.run(5)
         world.booted += 3 * NANOSECONDS
         assert world.resume_from_screen(world.shown(age)).success
@@ -406,20 +394,20 @@ class TestAge:
         assert (world.executor.rate > 0.0) is begins
 
     def test_a_pause_whose_moment_cannot_be_read_is_carried_out_and_no_screen_undoes_it(self, world, monkeypatch):
-        node = world.playing().node
+        world.playing()
         with monkeypatch.context() as broken:
             broken.setattr(module, "present", lambda: 1 // 0)
-            assert node.on_pause(None).success
+            assert world.ask("pause").success
         world.run(100)
         assert not world.resume_from_screen(world.shown()).success
-        assert world.executor.state is ExecutorState.PAUSED and node.on_resume(None).success
+        assert world.executor.state is ExecutorState.PAUSED and world.ask("resume").success
 
     def test_a_stop_a_pause_and_the_resume_of_this_graph_need_no_moment(self, world):
-        node = world.playing().node
-        assert node.on_pause(None).success
+        world.playing()
+        assert world.ask("pause").success
         while world.executor.state is not ExecutorState.PAUSED:
             world.run(5)
-        assert node.on_resume(None).success and node.on_stop(None).success
+        assert world.ask("resume").success and world.ask("stop").success
 
 
 def test_a_full_log_forgets_the_oldest_lines():
@@ -444,7 +432,7 @@ def test_an_approval_without_a_reason_is_no_warning(world, monkeypatch):
     monkeypatch.setattr(rospy, "logwarn", lambda *words: warned.append(words[0] % words[1:]))
     monkeypatch.setattr(rospy, "loginfo", lambda *words: told.append(words[0] % words[1:]))
     world.playing()
-    assert world.node.on_pause(None).success
+    assert world.ask("pause").success
     world.node.write_records()
     assert warned == []
     assert [line for line in told if line.endswith(" approved by Ada")] and [
@@ -452,20 +440,13 @@ def test_an_approval_without_a_reason_is_no_warning(world, monkeypatch):
     ]
 
 
-GIVEN = {
-    "review_file": "r.jsonl",
-    "speed_limit_deadline": 0.5,
-    "speed_limit_silent": 0.1,
-    "speed_limit_required": False,
-}
-
-
 def test_no_client_is_trusted_with_a_real_arm():
-    trusted = GIVEN | {"auto_approve_sources": ["/move_group"]}
+    given = GIVEN | {"review_file": "r.jsonl"}
+    trusted = given | {"auto_approve_sources": ["/move_group"]}
     assert module.Settings(arm="mock", **trusted).auto_approve_sources == ("/move_group",)
     with pytest.raises(pydantic.ValidationError, match="the name of a client proves nothing, a person has to approve"):
         module.Settings(arm="real", **trusted)
-    assert module.Settings(arm="real", **GIVEN).auto_approve_sources == ()
+    assert module.Settings(arm="real", **given).auto_approve_sources == ()
 
 
 @pytest.mark.parametrize(
@@ -476,21 +457,16 @@ def test_no_client_is_trusted_with_a_real_arm():
         ({"rehearsal": "advise"}, [Link.ARMED], ""),
     ],
 )
-def test_at_the_start_the_arm_is_not_armed_and_a_rehearsal_is_required_as_was_set(
-    world, monkeypatch, tmp_path, settings, links, missing
-):
-    monkeypatch.setattr(rospy, "on_shutdown", lambda hook: None)
-    topics = {each.topic: world.topic(each.topic) for each in module.INTERFACE.publishes}
-    counts = SimpleNamespace(refuse=lambda *said: None, count=lambda *said: None)
-    given = module.Settings(arm="mock", **GIVEN | {"review_file": str(tmp_path / "own.jsonl")} | settings)
-    node = world.node = module.start(given, ROBOT, SimpleNamespace(publishers=topics, diagnostics=counts))
+def test_at_the_start_the_arm_is_not_armed_and_a_rehearsal_is_required_as_was_set(world, settings, links, missing):
+    world.log.close()
+    world.open(**settings)
     for state in links:
-        node.on_link(Link(state=state, session="s"))
-    node.on_scene(Scene(hash=SCENE))
+        world.node.on_link(Link(state=state, session="s"))
+    world.node.on_scene(Scene(hash=SCENE))
     world.run(5)
     plan = make_plan(asked_ns=world.booted)
-    node.on_plan(plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
-    answer = node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, "", ""))
+    world.offer(plan)
+    answer = world.review(plan)
     assert answer.success is not bool(missing) and missing in answer.message
 
 
@@ -555,8 +531,8 @@ class WorkWorld(World):
         self.node.on_scene(Scene(hash=SCENE))
         self.run(5)
         plan = plan or make_work_plan(asked_ns=self.booted)
-        self.node.on_plan(plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
-        answer = self.node.on_review(ReviewPlanRequest(plan.id, plan.hash, True, "Ada", "", False, "", ""))
+        self.offer(plan)
+        answer = self.review(plan)
         assert answer.success, answer.message
         return self
 
@@ -572,8 +548,16 @@ class WorkWorld(World):
         """Stop in the engaged segment in which the element is lifted."""
         self.approved().until(lambda: self.executor.segment_run is not None and self.executor.segment_run.number == 2)
         self.run(60)
-        self.node.on_stop(None)
+        self.ask("stop")
         return self.until(lambda: self.executor.state is ExecutorState.IDLE)
+
+    def goes_back(self) -> None:
+        """Approve the way back."""
+        left = self.executor.engagement.present
+        pose = [message[1] for name, message in self.said if name == "next/joint_states"][-1]
+        motion = motion_back(left.path, left.path.entry(pose).time)
+        self.offer(plan_back(motion, left.requires(self.executor.tool), "5ce1e", asked_ns=self.booted + NANOSECONDS))
+        assert self.review(self.executor.under_review.plan).success
 
 
 def ordered(command: ToolCommand) -> ToolOrder:
@@ -621,12 +605,12 @@ class TestWorkPlan:
         assert verdict["trajectory"] == plan.hash != plan.trajectory.content_hash()
 
     def test_a_report_that_makes_no_sense_is_refused_and_counted(self, work):
-        work.node.on_tool(ToolState(known=True, inputs=["gripped"]))
-        work.node.on_tool(ToolState(known=True, switch_ids=["a"], switch_states=[9], switch_reasons=[""]))
+        work.hear("tool", ToolState(known=True, inputs=["gripped"]))
+        work.hear("tool", ToolState(known=True, switch_ids=["a"], switch_states=[9], switch_reasons=[""]))
         assert [reason for reason, _ in work.refused] == ["tool", "tool"] and not work.executor.tool.known
 
     def test_in_an_engaged_segment_the_disk_knows_it_and_outside_not(self, work, tmp_path):
-        file = tmp_path / "engagement.json"
+        file = tmp_path / "reviews_engagement.json"
         work.approved().until(lambda: work.executor.segment_run is not None and work.executor.segment_run.number == 0)
         assert not file.exists()
         work.until(lambda: work.executor.segment_run.number == 1)
@@ -648,19 +632,14 @@ class TestEngaged:
         work.left_in_lift()
         pose = [message[1] for name, message in work.said if name == "next/joint_states"][-1]
         plan = make_plan("other", reach(pose, ROBOT.home), "5ce1e", work.booted + NANOSECONDS)
-        work.node.on_plan(plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
+        work.offer(plan)
         assert work.executor.under_review.plan is None and "is not the way back" in work.refused[-1][1]
 
     def test_the_way_back_leads_out_and_the_file_goes(self, work, tmp_path):
         work.left_in_lift().run(3)
-        left = work.executor.engagement.present
-        pose = [message[1] for name, message in work.said if name == "next/joint_states"][-1]
-        motion = motion_back(left.path, left.path.entry(pose).time)
-        plan = plan_back(motion, left.requires(work.executor.tool), "5ce1e", asked_ns=work.booted + NANOSECONDS)
-        work.node.on_plan(plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
-        assert work.node.on_review(ReviewPlanRequest("back", plan.hash, True, "Ada", "", False, "", "")).success
+        work.goes_back()
         work.until(lambda: work.executor.outcome == "finished").run(3)
-        assert not (tmp_path / "engagement.json").exists() and not work.messages("engagement")[-1].engaged
+        assert not (tmp_path / "reviews_engagement.json").exists() and not work.messages("engagement")[-1].engaged
 
     def test_survives_a_kill(self, work, monkeypatch, tmp_path):
         work.approved().until(lambda: work.executor.segment_run is not None and work.executor.segment_run.number == 2)
@@ -677,9 +656,9 @@ class TestEngaged:
     def test_is_released_in_a_person_s_name_and_recorded(self, work, tmp_path):
         work.left_in_lift()
         for person, reason in (("", "by hand"), ("Ada", " ")):
-            answer = work.node.on_release(ReleaseEngagementRequest(person=person, reason=reason))
+            answer = work.ask("release_engagement", ReleaseEngagementRequest(person=person, reason=reason))
             assert not answer.success and "needs the name of a person" in answer.message
-        answer = work.node.on_release(ReleaseEngagementRequest(person="Ada", reason="jogged free in T1"))
+        answer = work.ask("release_engagement", ReleaseEngagementRequest(person="Ada", reason="jogged free in T1"))
         assert answer.success and not work.executor.engagement.engaged
         work.run(3)
         (line,) = [line for line in records(tmp_path) if line["record"] == "release"]
@@ -689,37 +668,32 @@ class TestEngaged:
             "lift",
             "",
         )
-        assert not (tmp_path / "engagement.json").exists() and not work.messages("engagement")[-1].engaged
-        again = work.node.on_release(ReleaseEngagementRequest(person="Ada", reason="again"))
+        assert not (tmp_path / "reviews_engagement.json").exists() and not work.messages("engagement")[-1].engaged
+        again = work.ask("release_engagement", ReleaseEngagementRequest(person="Ada", reason="again"))
         assert not again.success and "not engaged" in again.message
 
     def test_is_not_released_by_a_word_that_the_disk_kept_for_long(self, work, tmp_path):
         work.left_in_lift()
         work.slow_disk(120.0)
-        answer = work.node.on_release(ReleaseEngagementRequest(person="Ada", reason="jogged free in T1"))
+        answer = work.ask("release_engagement", ReleaseEngagementRequest(person="Ada", reason="jogged free in T1"))
         assert not answer.success and "too old" in answer.message and work.executor.engagement.engaged
         kept, corrected = (line for line in records(tmp_path) if line["record"] == "release")
         assert kept["refused"] == "" and "too old" in corrected["refused"]
 
     def test_is_not_released_while_the_arm_moves(self, work, tmp_path):
         work.left_in_lift().run(3)
-        left = work.executor.engagement.present
-        pose = [message[1] for name, message in work.said if name == "next/joint_states"][-1]
-        motion = motion_back(left.path, left.path.entry(pose).time)
-        plan = plan_back(motion, left.requires(work.executor.tool), "5ce1e", asked_ns=work.booted + NANOSECONDS)
-        work.node.on_plan(plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
-        assert work.node.on_review(ReviewPlanRequest("back", plan.hash, True, "Ada", "", False, "", "")).success
+        work.goes_back()
         work.run(20)
-        answer = work.node.on_release(ReleaseEngagementRequest(person="Ada", reason="by hand"))
+        answer = work.ask("release_engagement", ReleaseEngagementRequest(person="Ada", reason="by hand"))
         assert not answer.success and "release the arm when it is at rest" in answer.message
         assert [line for line in records(tmp_path) if line["record"] == "release"] == []
 
     def test_a_disk_that_fails_is_said_and_keeps_the_arm_out(self, work, tmp_path):
-        (tmp_path / "engagement.json").mkdir()
+        (tmp_path / "reviews_engagement.json").mkdir()
         work.approved().until(
             lambda: work.executor.state is ExecutorState.AT_BOUNDARY and work.executor.segment_run.number == 0
         )
         work.run(100)
         assert work.executor.state is ExecutorState.AT_BOUNDARY and work.executor.segment_run.number == 0
         report = work.node.report()
-        assert report.level == ERROR and str(tmp_path / "engagement.json") in report.sentence
+        assert report.level == ERROR and str(tmp_path / "reviews_engagement.json") in report.sentence

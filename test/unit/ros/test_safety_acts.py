@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import rospy
-from construction_twin.srv import ReviewPlanRequest, StopPlanRequest
+from construction_twin.srv import StopPlanRequest
 from executor_bench import make_plan
 from executor_world import World, records
 
@@ -45,17 +45,16 @@ def world(monkeypatch, tmp_path):
 
 def act(world: World, which: str):
     """Have an act carried out while a plan is played, or for a rejection while one waits; return the answer."""
-    node = world.node
     if which == "stop":
-        return node.on_stop(None)
+        return world.ask("stop")
     if which == "pause":
-        return node.on_pause(None)
+        return world.ask("pause")
     if which == "stop_plan":
         request = StopPlanRequest(plan_id="p")
         request._connection_header = {"callerid": "/client"}
-        return node.on_stop_plan(request)
+        return world.ask("stop_plan", request)
     plan = world.executor.under_review.plan
-    return node.on_review(ReviewPlanRequest(plan.id, plan.hash, False, "Ada", "too close to the wall", False, "", ""))
+    return world.review(plan, False, reason="too close to the wall")
 
 
 def prepared(world: World, which: str) -> World:
@@ -100,8 +99,8 @@ HELPERS = {
     "the log's queue": (DeferredLog, "add", ACTS),
     "the log": (rospy, "logwarn", ("stop", "stop_plan")),
     "the log of a pause": (rospy, "loginfo", ("pause",)),
-    "the topic's message": (module, "Execution", ("stop", "stop_plan", "pause")),
-    "the verdict's message": (module, "Review", ("reject",)),
+    "the topic's message": (module.msg, "Execution", ("stop", "stop_plan", "pause")),
+    "the verdict's message": (module.msg, "Review", ("reject",)),
 }
 
 
@@ -114,10 +113,10 @@ def test_with_a_helper_that_fails_as_nobody_foresaw(world, monkeypatch, which, h
         assert act(world, which).success
         is_carried_out(world, which)
         world.run(1)
-        world.node.do_background_work(True)
+        world.node.do_background_work()
     # counted, said, and shown
     assert sum(world.node.side_effects.counts().values()) > 0
-    world.node.do_background_work(True)
+    world.node.do_background_work()
     assert any("Unforeseen" in line and "Traceback" in line for _, line in world.logged) or place is rospy
     report = world.node.report()
     assert report.level == WARN and "nobody foresaw this" in report.sentence
@@ -148,9 +147,9 @@ def test_with_a_full_disk_the_record_comes_later(world, monkeypatch, tmp_path, w
         full.setattr(ReviewLog, "append", full_disk)
         assert act(world, which).success
         is_carried_out(world, which)
-        world.run(1).node.do_background_work(True)
+        world.run(1).node.do_background_work()
         assert "no space left on device" in world.node.report().sentence
-    world.node.do_background_work(True)
+    world.node.do_background_work()
     written = [line.get("outcome", line.get("verdict")) for line in records(tmp_path)]
     assert (
         written
@@ -166,7 +165,7 @@ def test_with_a_full_disk_the_record_comes_later(world, monkeypatch, tmp_path, w
 def test_a_rejection_is_on_record_and_told(world, tmp_path):
     prepared(world, "reject")
     assert act(world, "reject").message == "plan q rejected by Ada"
-    world.run(1).node.do_background_work(True)
+    world.run(1).node.do_background_work()
     assert [(line["verdict"], line["plan"], line["reason"]) for line in records(tmp_path)[1:]] == [
         ("rejected", "q", "too close to the wall")
     ]
@@ -186,7 +185,7 @@ def test_a_rejection_that_was_answered_is_on_record_once_although_the_node_ends_
 
 def test_what_fails_when_nobody_has_asked_for_anything_still_ends_the_node(world, monkeypatch):
     world.playing()
-    monkeypatch.setattr(module, "ExecutionFields", fail)
+    monkeypatch.setattr(library.Executor, "news", fail)
     with pytest.raises(Unforeseen):
         world.run(1)
 
@@ -194,7 +193,7 @@ def test_what_fails_when_nobody_has_asked_for_anything_still_ends_the_node(world
 @pytest.mark.parametrize("which", ["stop", "stop_plan", "pause"])
 def test_and_of_what_goes_on_failing_not_before_the_arm_is_at_rest(world, monkeypatch, which):
     prepared(world, which)
-    monkeypatch.setattr(module, "ExecutionFields", fail)
+    monkeypatch.setattr(library.Executor, "news", fail)
     assert act(world, which).success
     begin = len(setpoints(world))
     with pytest.raises(Unforeseen):

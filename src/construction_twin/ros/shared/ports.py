@@ -17,7 +17,8 @@ from typing import Any, TypeVar
 import rospy
 from sensor_msgs.msg import JointState
 
-from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.errors import ConstructionTwinError, ExpiredError, ProtocolError
+from construction_twin.core.freshness import TOO_OLD
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.diagnostics import WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.node import Service
@@ -174,6 +175,11 @@ def _nothing(_node: Any, _request: Any) -> Mapping[str, object]:
     return {}
 
 
+def _counted_as(error: ConstructionTwinError) -> str:
+    """Return as what an error is counted by itself; "": as what its service says."""
+    return TOO_OLD if isinstance(error, ExpiredError) else error.reason if isinstance(error, ProtocolError) else ""
+
+
 @dataclass(frozen=True)
 class Served:
     """A service: its answer has `success`, `message` and what else its kind has.
@@ -181,7 +187,7 @@ class Served:
     Attributes:
         handler: Takes node and request; returns what became of it, or only the sentence where it was done. A typed error that it
             raises is a refusal.
-        reason: As what a refusal is counted; "": as its type.
+        reason: As what a refusal is counted that has no reason of its own; "": as its type.
         refused: Takes node and request; returns further fields of a refusal.
     """
 
@@ -196,8 +202,8 @@ class Served:
         try:
             done = self.handler(node, request)
         except ConstructionTwinError as error:
-            refuse(self.reason or type(error).__name__, str(error))
-            done = Outcome(False, str(error), fields=self.refused(node, request))
+            refuse(_counted_as(error) or self.reason or type(error).__name__, str(error))
+            done = Outcome(False, str(error), isinstance(error, ExpiredError), self.refused(node, request))
         return (Outcome(True, done) if isinstance(done, str) else done).response(self.kind)
 
 

@@ -227,19 +227,14 @@ class JointSubscriber:
         self._names = names
         self._pause = pause
         self._callback = callback
-        self._refused = refused
         message = PoseMessage(kind, names).received
         self._subscriber = Subscriber(topic, message, self._take, refused, queue_size, tcp_nodelay=True)
 
     def _take(self, message) -> None:
-        try:
-            # of another subscriber of this process, which was first, it has the class
-            content = getattr(message, "content", None) or self._read(message)
-            if not all(map(math.isfinite, content[1])):
-                raise _not_finite(content[1])
-        except PayloadError as error:
-            self._refused(error.reason, str(error))
-            return
+        # of another subscriber of this process, which was first, it has the class
+        content = getattr(message, "content", None) or self._read(message)
+        if not all(map(math.isfinite, content[1])):
+            raise _not_finite(content[1])
         self._callback(*content)
         if self._pause:
             # rospy reads on when this returns

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import rospy
 
-from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.errors import ConfigurationError, ProtocolError
 from construction_twin.core.sentences import Sentence
 
 #: The node that publishes a stream, by its name in the robot's namespace. The parameter `publishers` there names others. A topic
@@ -92,8 +92,10 @@ class Subscriber:
     """As `rospy.Subscriber`, for one publisher.
 
     Args:
-        callback: Takes the message. An exception that leaves it goes to `threading.excepthook`; rospy would log it and go on.
-        refused: Called as ``refused(reason, sentence)`` for a message from another node than `publisher_of` the topic.
+        callback: Takes the message. An exception that leaves it and is no ProtocolError goes to `threading.excepthook`; rospy would
+            log it and go on.
+        refused: Called as ``refused(reason, sentence)`` for a message from another node than `publisher_of` the topic, and for a
+            ProtocolError of the callback.
         queue_size: Messages kept for a callback that is busy; of more the oldest are dropped.
 
     Attributes:
@@ -142,5 +144,7 @@ class Subscriber:
                 caller = caller_of(message) or "a node without a name"
                 sentence = f"message from {caller}; only {self.publisher} may publish {self.resolved_name}"
                 self._refused(PUBLISHER, sentence)
+        except ProtocolError as error:
+            self._refused(error.reason, str(error))
         except Exception:  # noqa: BLE001
             hand_on_error()
