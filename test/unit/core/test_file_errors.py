@@ -6,7 +6,6 @@ import errno
 import os
 
 import pytest
-from sentence_checks import says
 
 from construction_twin.core.errors import ConfigurationError, FileError, problem_of, spoken
 
@@ -16,19 +15,19 @@ def failing(number: int, *names: str) -> OSError:
 
 
 @pytest.mark.parametrize(
-    ("number", "key"),
+    ("number", "words"),
     [
-        (errno.ENOENT, "missing"),
-        (errno.ENOTDIR, "missing"),
-        (errno.EISDIR, "folder"),
-        (errno.EACCES, "denied"),
-        (errno.EROFS, "denied"),
-        (errno.ENOSPC, "full"),
+        (errno.ENOENT, "a.csv is not there; check the name"),
+        (errno.ENOTDIR, "a.csv is not there; check the name"),
+        (errno.EISDIR, "a.csv is a folder; name a file"),
+        (errno.EACCES, "a.csv may not be used by this user"),
+        (errno.EROFS, "a.csv may not be used by this user"),
+        (errno.ENOSPC, "there is no space left for a.csv"),
     ],
 )
-def test_each_problem_has_its_sentence_and_the_file_s_name(number, key):
+def test_each_problem_has_its_sentence_and_the_file_s_name(number, words):
     error = FileError("a.csv", failing(number, "a.csv"))
-    assert says(f"view.file.{key}", path="a.csv")(error) and error.path == "a.csv"
+    assert words in str(error) and error.path == "a.csv"
     assert spoken(failing(number, "a.csv")) == str(error) and "Errno" not in str(error)
 
 
@@ -51,7 +50,7 @@ def test_a_file_that_is_no_text_says_where(tmp_path):
     (tmp_path / "a.csv").write_bytes(b"12\xff")
     with pytest.raises(UnicodeDecodeError) as caught:
         (tmp_path / "a.csv").read_text(encoding="utf-8")
-    assert says("view.file.no_text", path="a.csv", position=2)(FileError("a.csv", caught.value))
+    assert "a.csv is no text in UTF-8 from byte 2 on" in str(FileError("a.csv", caught.value))
 
 
 def test_the_content_of_a_wrong_file_is_cut_off_before_what_is_said_of_it():

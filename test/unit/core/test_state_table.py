@@ -87,8 +87,8 @@ def test_an_action_may_say_itself_why_the_next_state_is_entered():
 
 
 def test_an_event_that_no_row_takes_is_refused_in_a_sentence():
-    refused = machine(refusal="gateway.in_state").on(Event.WAIT, Occasion())
-    assert refused == Sentence("gateway.in_state", state="REST", reason="just built")
+    refused = machine(refusal="gateway is {state}: {reason}").on(Event.WAIT, Occasion())
+    assert refused == Sentence("gateway is {state}: {reason}", state="REST", reason="just built")
     only = Machine(by_cause(TABLE[:1]), Number.REST, "", {Guard.ALLOWED: lambda occasion: "no key"}, HONKS)
     assert only.on(Event.GO, Occasion()) == "no key" and only.state is Number.REST
 

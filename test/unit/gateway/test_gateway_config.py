@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 import yaml
-from sentence_checks import expects
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.gateway.config import GatewayConfig, load_config, parse_config
@@ -85,7 +84,7 @@ def test_values_without_meaning_are_refused_by_name(changes, where):
 
 def test_a_file_edited_by_hand_is_refused_and_says_so():
     text = edited(lambda document: document["motion"].update(velocity=[9.0, 9.0]))
-    with pytest.raises(ConfigurationError, check=expects("expected.gateway_file.hash")):
+    with pytest.raises(ConfigurationError, match="; the file was edited, export it again"):
         parse_config(text, "arm.json")
 
 
@@ -148,7 +147,7 @@ def test_timeout_is_counted_in_cycles_as_the_controller_does(robot, settings):
 
 @pytest.mark.parametrize("cycle", [8, "4", 4.0, None])
 def test_a_cycle_that_rsi_does_not_have_is_refused(robot, settings, cycle):
-    with pytest.raises(ConfigurationError, check=expects("expected.cycle_why", "cycle", cycles="4 or 12")):
+    with pytest.raises(ConfigurationError, match="cycle.*4 or 12 ms:"):
         gateway_config(robot, settings | {"cycle": cycle})
 
 
@@ -190,5 +189,5 @@ def test_a_linear_joint_is_exported_with_its_axis():
 @pytest.mark.parametrize("linear, upper", [(True, 100.0), (False, math.radians(1000.0))])
 def test_a_range_that_the_joint_string_cannot_carry_is_refused(robot, settings, linear, upper):
     wide = dataclasses.replace(robot, linear=(linear, *robot.linear[1:]), upper=(upper, *robot.upper[1:]))
-    with pytest.raises(ConfigurationError, check=expects("expected.wire_range", "upper limits of kr120")):
+    with pytest.raises(ConfigurationError, match=r"upper limits of kr120.*a range the wire can carry \("):
         gateway_config(wide, settings)

@@ -203,7 +203,7 @@ def test_a_track_follows_its_stream_in_metres_against_a_controller_that_counts_o
 def test_the_status_says_why_a_session_began_and_how_far_ipoc_jumped(change, said, jump):
     cell = Cell()
     cell.cycle(3)
-    assert Sentence("gateway.began.first") in cell.gateway.reason
+    assert Sentence("the first telegram after silence") in cell.gateway.reason
     if change is other_source:
         cell.now += NANOSECONDS // 5
     change(cell)

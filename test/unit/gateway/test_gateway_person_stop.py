@@ -23,7 +23,7 @@ def test_it_says_who_it_was():
     press(cell)
     status = cell.gateway.status()
     assert status["reason"] == Sentence(
-        "gateway.brake.stop", reason=Sentence("gateway.asked.account", account="arm-stopper-bob")
+        "stop: {reason}", reason=Sentence("asked for by account {account}", account="arm-stopper-bob")
     )
     assert (status["stop"]["cause"], status["stop"]["by"]) == ("stop", "arm-stopper-bob")
     assert (status["fault"], status["session"], status["counters"]["stops_stop"]) == (True, "", 1)

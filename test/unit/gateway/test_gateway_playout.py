@@ -99,7 +99,7 @@ def test_a_hole_that_is_too_long_is_told_as_silence_and_teaches_nothing_about_th
     cell = following(cycles=300, playout_delay=delay)
     hole(cell, BRIDGED + 1)
     assert cell.gateway.reason == Sentence(
-        "gateway.brake.silence", reason=Sentence("gateway.stream.hole", seconds=0.104)
+        "silence: {reason}", reason=Sentence("{seconds:.3f} s of the stream are missing", seconds=0.104)
     )
     resume(cell)
     assert cell.gateway.status()["playout"]["delay_ms"] == 1000 * delay

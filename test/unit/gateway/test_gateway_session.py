@@ -268,7 +268,7 @@ def test_without_a_controller_nothing_arms_and_nothing_resets():
 
 def test_arming_twice_for_the_same_session_is_no_fault_and_for_another_is_refused():
     cell = following()
-    assert cell.arm() == (True, Sentence("gateway.arm.already"))
+    assert cell.arm() == (True, Sentence("already armed for this session"))
     assert not cell.arm("s2")[0]
     assert (cell.state, cell.gateway.session) == (State.FOLLOWING, "s1")
 

@@ -48,7 +48,7 @@ def test_what_predicts_or_counts_a_stop_cannot_fail_it(monkeypatch, owner, name,
         before = arm.measured
         with monkeypatch.context() as broken:
             broken.setattr(owner, name, fail)
-            assert stop(arm, way) == (True, Sentence("gateway.is", state="braking"))
+            assert stop(arm, way) == (True, Sentence("gateway is {state}", state="braking"))
             arm.cycle(400)
         assert arm.state is State.HOLDING and arm.gateway.fault and arm.measured != before
         status = arm.gateway.status()

@@ -122,7 +122,7 @@ STRANGER = "datagrams from 10.0.0.1 are not read, because --controller is 192.16
 
 def test_while_nothing_can_be_read_the_reason_names_the_last_refusal_and_how_many():
     line = Line("192.168.1.20")
-    assert told(line, 1.0) and line.gateway.reason == Sentence("gateway.no_telegram_yet")
+    assert told(line, 1.0) and line.gateway.reason == Sentence("no telegram yet")
     line.newest(b"<Rob><IPOC>4</IPOC>")
     assert told(line, 1.1)
     one = "no telegram yet; datagrams refused: 1, the last one for xml: telegram is not well-formed"

@@ -198,8 +198,10 @@ def test_a_failed_gateway_commands_nothing_and_says_so():
     cell.send(slow(100))
     assert cell.gateway.counters["refused_not_armed"] == before.get("refused_not_armed", 0) + 1
     for ok, reason in (cell.arm("s2"), cell.control("reset")):
-        assert not ok and reason == Sentence("gateway.in_state", state="failed", reason="failed: ZeroDivisionError")
-    assert cell.control("stop") == (True, Sentence("gateway.is", state="failed"))
+        assert not ok and reason == Sentence(
+            "gateway is {state}: {reason}", state="failed", reason="failed: ZeroDivisionError"
+        )
+    assert cell.control("stop") == (True, Sentence("gateway is {state}", state="failed"))
     cell.now += 10**10
     cell.gateway.poll(cell.now)
     assert cell.state is State.FAILED

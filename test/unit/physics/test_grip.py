@@ -73,7 +73,7 @@ def test_the_same_board_in_a_hurry_slips():
     slow, fast = rehearsed(20.0, 10.0, board()), rehearsed(20.0, 1.1, board())
     assert fast.grip.usage > slow.grip.usage
     heavy = rehearsed(60.0, 10.0, board())
-    assert heavy.state == FAILED and "rehearsal.grip" in [reason.key for reason in heavy.reasons]
+    assert heavy.state == FAILED and any("may slip or come off" in reason for reason in heavy.reasons)
     assert heavy.grip.usage == pytest.approx(3 * slow.grip.usage, rel=0.05)
 
 

@@ -8,7 +8,6 @@ import numpy as np
 from chain_samples import REACH, ROBOT
 from live_twin_samples import FLOOR, carrying, model_in
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.physics.live_twin import LiveTwin
 from construction_twin.physics.model import PhysicsModel
 from construction_twin.scene.objects import SceneObject
@@ -43,7 +42,7 @@ def test_the_same_commands_give_the_same_bytes():
 def test_before_the_first_model_it_is_where_it_is_told_to_be_and_says_so():
     twin = LiveTwin()
     assert twin.cycle(HOME) == HOME and twin.effort == () == twin.contacts
-    assert twin.problem == Sentence("physics.twin.no_model")
+    assert twin.problem == "nothing is simulated before the scene is known: the twin is where it is told to be"
     twin.take_model(model_in())
     assert twin.problem == ""
 
@@ -62,7 +61,7 @@ def test_what_the_scene_says_is_carried_weighs_on_the_axes():
     for _ in range(50):
         empty.cycle(HOME), loaded.cycle(HOME)
     assert abs(loaded.effort[2] - empty.effort[2]) > 500.0
-    assert Sentence("physics.remark.object_mass", object="cube", mass=64.0) in loaded.remarks
+    assert f"mass of cube is an estimate from its volume: {64.0:.1f} kg" in loaded.remarks
 
 
 def test_after_a_restart_it_begins_anew_at_rest():
@@ -92,5 +91,7 @@ def test_a_state_that_has_become_useless_is_counted_and_begun_anew_where_it_is_c
     twin.cycle(HOME)
     # the gate lets no such command pass: it stands for whatever else may make numbers useless
     twin.cycle((float("nan"),) * 6)
-    assert twin.diverged == 1 and twin.problem == Sentence("physics.twin.diverged", count=1)
+    assert twin.diverged == 1 and twin.problem == (
+        "the simulation was begun anew at the commanded pose, because its numbers had become useless: 1 times so far"
+    )
     assert np.abs(np.array(twin.cycle(HOME)) - HOME).max() < 1e-7

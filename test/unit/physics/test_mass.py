@@ -78,5 +78,5 @@ def test_a_link_of_which_nobody_says_a_mass_is_estimated_from_its_shapes():
 def test_an_inertia_that_no_body_has_is_refused_with_its_link():
     with pytest.raises(ConfigurationError) as refusal:
         of_link("forearm", pinocchio.Inertia(3.0, np.zeros(3), np.diag((1.0, 1.0, 3.0))), [])
-    assert refusal.value.expected.key == "expected.physics.inertia"
+    assert "principal moments" in refusal.value.expected
     assert "forearm" in str(refusal.value)

@@ -40,8 +40,8 @@ def tile(link: bool, q: np.ndarray = READY, beyond: float = 0.15) -> SceneObject
     return SceneObject("tile", "box", (0.3, 0.3, 0.04), (x, y, z))
 
 
-def reasons(report) -> list[str]:
-    return [reason.key for reason in report.reasons]
+def says(report, words: str) -> bool:
+    return any(words in reason for reason in report.reasons)
 
 
 def test_a_motion_in_the_open_passes():
@@ -58,7 +58,7 @@ def test_a_wall_in_the_way_is_named_with_the_time():
     wall = SceneObject("wall", "box", (1.5, 0.05, 1.5), (1.6, -0.7, 1.5))
     report = rehearse(between(READY, READY + np.array((1.2, 0, 0, 0, 0, 0)), 3.0), Scene((FLOOR, wall)))
     assert report.state == FAILED
-    assert "rehearsal.contact" in reasons(report)
+    assert says(report, " touches ")
     assert all(contact.second == "wall" for contact in report.contacts)
     assert all(0.2 < contact.time < 2.8 and contact.force > 100.0 for contact in report.contacts)
     # on the side of the wall that the arm comes from, below the arm's reach
@@ -66,7 +66,7 @@ def test_a_wall_in_the_way_is_named_with_the_time():
         x, y, z = contact.point
         assert 0.8 < x < 2.4 and y == pytest.approx(-0.7, abs=0.06) and 0.7 < z < 2.3
     # the wall's push is none of the plan's torques
-    assert "rehearsal.torque" not in reasons(report)
+    assert not says(report, " needs ")
     # two links that press for two seconds do so for no longer than the rehearsal lasts
     assert all(contact.seconds <= report.duration + 2.0 for contact in report.contacts)
 
@@ -74,7 +74,7 @@ def test_a_wall_in_the_way_is_named_with_the_time():
 def test_a_load_beyond_the_rating_fails():
     load = of_shape(coal.Box(0.3, 0.3, 0.3)).scaled_to(130.0)
     report = rehearse(SMALL, flange=load)
-    assert reasons(report) == ["rehearsal.mass"]
+    assert len(report.reasons) == 1 and says(report, "the flange carries")
     assert (report.payload.mass, report.payload.rated_mass) == (130.0, 120.0)
     assert not report.payload.estimated
     assert rehearse(SMALL, flange=of_shape(coal.Box(0.3, 0.3, 0.3)).scaled_to(119.0)).state == PASSED
@@ -83,21 +83,22 @@ def test_a_load_beyond_the_rating_fails():
 @pytest.mark.parametrize(
     "rating, reason",
     [
-        (PayloadRating(120.0, 0.5, None, "test"), "rehearsal.inertia"),
-        (PayloadRating(120.0, None, (0.2, 0.1), "test"), "rehearsal.distance"),
-        (PayloadRating(120.0, None, (0.05, 0.5), "test"), "rehearsal.distance"),
+        (PayloadRating(120.0, 0.5, None, "test"), "the load has a moment of inertia"),
+        (PayloadRating(120.0, None, (0.2, 0.1), "test"), "the load's centre of mass is"),
+        (PayloadRating(120.0, None, (0.05, 0.5), "test"), "the load's centre of mass is"),
     ],
 )
 def test_a_load_that_is_spread_too_far_fails(rating, reason):
     load = replace(of_shape(coal.Box(0.3, 0.3, 0.3)).scaled_to(50.0), centre=np.array((0.1, 0.0, 0.3)))
-    assert reasons(rehearse(SMALL, flange=load, drives=replace(drives(), rating=rating))) == [reason]
+    report = rehearse(SMALL, flange=load, drives=replace(drives(), rating=rating))
+    assert len(report.reasons) == 1 and says(report, reason)
 
 
 def test_a_motion_that_is_too_fast_for_a_drive_names_axis_and_time():
     weak = replace(drives(), torque=(7290.0, 8910.0, 7759.0, 2462.0, 1492.0, 20.0))
     report = rehearse(between(READY, READY + np.array((0, 0, 0, 0, 0, 3.0)), 1.0), drives=weak)
     assert report.state == FAILED
-    (torque,) = [one for one in report.reasons if one.key == "rehearsal.torque"]
+    (torque,) = [one for one in report.reasons if " needs " in one]
     assert torque.values["joint"] == "A6"
     assert report.axes[5].usage > 1.0
     assert torque.values["peak"].value == report.axes[5].peak
@@ -106,7 +107,7 @@ def test_a_motion_that_is_too_fast_for_a_drive_names_axis_and_time():
 
 def test_a_tile_that_is_let_go_in_mid_air_falls():
     report = rehearse(between(READY, ASIDE, 2.0), Scene((FLOOR, tile(True))), Scene((FLOOR, tile(False, ASIDE))))
-    assert "rehearsal.fell" in reasons(report)
+    assert says(report, "falls")
     (found,) = report.objects
     assert found.name == "tile"
     assert found.released == 2.0
@@ -131,7 +132,7 @@ def neighbour() -> SceneObject:
 
 def test_a_neighbour_that_stands_in_the_way_is_knocked_over():
     report = rehearse(between(READY, ASIDE, 2.0), Scene((FLOOR, neighbour())), masses={"neighbour": 20.0})
-    assert {"rehearsal.contact", "rehearsal.moved"} <= set(reasons(report))
+    assert says(report, " touches ") and says(report, "which the plan does not touch, moves")
     (found,) = report.objects
     assert found.name == "neighbour"
     assert math.isnan(found.released)
@@ -154,7 +155,7 @@ def test_a_scene_that_is_not_known_breaks_the_rehearsal():
 
 def test_a_simulation_that_comes_apart_has_failed():
     report = rehearse(SMALL, gravity=(0.0, 0.0, -1e13))
-    assert (report.state, reasons(report)) == (FAILED, ["rehearsal.diverged"])
+    assert report.state == FAILED and len(report.reasons) == 1 and says(report, "the simulation came apart")
 
 
 def test_an_estimated_mass_is_named_and_one_that_is_said_is_not():
@@ -164,9 +165,10 @@ def test_an_estimated_mass_is_named_and_one_that_is_said_is_not():
     assert guessed.payload.estimated and not said.payload.estimated
     assert guessed.payload.mass == pytest.approx(3.6)
     assert said.payload.mass == 4.0
-    names = [one.values["object"] for one in guessed.remarks if one.key == "physics.remark.object_mass"]
-    assert names == ["tile"]
-    assert "physics.remark.object_mass" not in [one.key for one in said.remarks]
+    assert [one for one in guessed.remarks if "mass of" in one] == [
+        "mass of tile is an estimate from its volume: 3.6 kg"
+    ]
+    assert not any("mass of" in one for one in said.remarks)
 
 
 def test_a_tool_that_stays_on_the_arm_is_never_loose():
@@ -287,7 +289,8 @@ def test_every_load_of_a_plan_is_judged_and_the_largest_of_each_number_is_told(m
     known = dict(zip(("near", "far"), masses))
     report = rehearse(SMALL, *scenes, drives=rated, masses=known)
     alone = [rehearse(SMALL, scene, drives=rated, masses=known).payload for scene in scenes]
-    assert {f"rehearsal.{number}", "rehearsal.distance"} <= set(reasons(report))
+    assert says(report, {"mass": "the flange carries", "inertia": "moment of inertia"}[number])
+    assert says(report, "the load's centre of mass is")
     assert report.payload.mass == max(masses)
     assert report.payload.inertia == max(load.inertia for load in alone) == alone[1].inertia
     assert report.payload.along == max(load.along for load in alone) > 0.9
@@ -308,7 +311,7 @@ class TestNumbersThatAreNone:
 
         monkeypatch.setattr(SimulatedArm, "follow", broken)
         report = rehearse(SMALL)
-        assert (report.state, reasons(report)) == (FAILED, ["rehearsal.diverged"])
+        assert report.state == FAILED and len(report.reasons) == 1 and says(report, "the simulation came apart")
         assert report.reasons[0].values["time"] == pytest.approx(0.5, abs=0.01)
 
     @pytest.mark.parametrize("bad", [math.nan, math.inf])

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from plan_samples import make_plan
-from sentence_checks import says
 
 from construction_twin.core.motion_errors import TrajectoryError
 from construction_twin.robot.plan import Plan
@@ -74,7 +73,7 @@ class TestSample:
         assert not qd.any() and not qdd.any()
 
     def test_refuses_nan(self):
-        with pytest.raises(TrajectoryError, check=says("motion.trajectory.time_nan")):
+        with pytest.raises(TrajectoryError, match="a trajectory cannot be sampled at time nan"):
             trajectory().sample(math.nan)
 
     def test_many_equals_one_by_one(self):
@@ -140,11 +139,11 @@ class TestHash:
 
 class TestPlan:
     def test_refuses_another_trajectory_s_hash(self):
-        with pytest.raises(TrajectoryError, check=says("motion.trajectory.hash", plan="p1", hash="abc")):
+        with pytest.raises(TrajectoryError, match="plan p1 has hash 'abc', its content has"):
             plan(hash="abc")
 
     def test_takes_another_trajectory_only_with_its_hash(self):
         other = trajectory(times=[0.0, 0.6, 2.0])
-        with pytest.raises(TrajectoryError, check=says("motion.trajectory.hash")):
+        with pytest.raises(TrajectoryError, match="', its content has"):
             plan(trajectory=other)
         assert plan(trajectory=other, hash=other.content_hash()).trajectory is other

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from mock_cell import Cell as MockCell
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.inbox import TelegramInbox
@@ -113,7 +112,7 @@ def test_what_speaks_against_a_motion_is_a_sentence(status, sentence):
 def test_unknown_numbers_are_shown_as_numbers():
     assert RsiStatus(7, 9, 50.0).report() == {
         "mode": "number 7", "program": "number 9", "override_percent": 50.0,
-        "sentence": Sentence('gateway.rsi.override', percent=50.0),
+        "sentence": "the override is 50 %: the controller's own motions are slower by that, corrections are not",
     }  # fmt: skip
     assert RsiStatus().report() == {}
 
