@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import random
+import re
 
 import pytest
 from gateway_cell import CONFIG, START, Cell, gap, slow
@@ -46,24 +47,19 @@ def test_the_expected_cycle_is_known_after_a_short_while():
 
 
 @pytest.mark.parametrize(
-    "step, every, expected, sentence",
+    "step, every, expected, said",
     [
-        (12, 12.0, 4, "the controller's cycle is 12 ms (IPOC steps of 12); expected 4 ms: RSI_ON(..., #IPO_FAST); "
-                     "or set the gateway's cycle to 12 (rsi_cycle:=12)"),
-        (4, 4.0, 12, "the controller's cycle is 4 ms (IPOC steps of 4); expected 12 ms: RSI_ON(..., #IPO); "
-                    "or set the gateway's cycle to 4 (rsi_cycle:=4)"),
-        (8, 8.0, 4, "the controller's cycle is 8 ms (IPOC steps of 8); expected 4 ms: RSI_ON(..., #IPO_FAST)"),
-        (1, 4.0, 4, "the controller's clock runs 0.25 times as fast as real time (IPOC steps of 1, a telegram every 4.0 ms); "
-                    "expected IPOC to count milliseconds, 4 per telegram: what sends is no controller in real time"),
-        (4, 2.0, 4, "the controller's clock runs 2.00 times as fast as real time (IPOC steps of 4, a telegram every 2.0 ms); "
-                    "expected IPOC to count milliseconds, 4 per telegram: what sends is no controller in real time"),
-        (4, 12.0, 4, "the controller's clock runs 0.33 times as fast as real time (IPOC steps of 4, a telegram every 12.0 ms); "
-                     "expected IPOC to count milliseconds, 4 per telegram: what sends is no controller in real time"),
+        (12, 12.0, 4, ("cycle is 12 ms", "expected 4 ms: RSI_ON(..., #IPO_FAST)", "rsi_cycle:=12")),
+        (4, 4.0, 12, ("cycle is 4 ms", "expected 12 ms: RSI_ON(..., #IPO)", "rsi_cycle:=4")),
+        (8, 8.0, 4, ("cycle is 8 ms", "expected 4 ms: RSI_ON(..., #IPO_FAST)")),
+        (1, 4.0, 4, ("runs 0.25 times", "IPOC steps of 1, a telegram every 4.0 ms", "4 per telegram")),
+        (4, 2.0, 4, ("runs 2.00 times", "IPOC steps of 4, a telegram every 2.0 ms", "4 per telegram")),
+        (4, 12.0, 4, ("runs 0.33 times", "IPOC steps of 4, a telegram every 12.0 ms", "4 per telegram")),
     ],
-)  # fmt: skip
-def test_another_clock_is_named(step, every, expected, sentence):
-    said, count = judged(regular(step, every), expected)
-    assert said == sentence
+)
+def test_another_clock_is_named(step, every, expected, said):
+    found, count = judged(regular(step, every), expected)
+    assert all(words in found for words in said)
     assert count == (FIRST if step != expected else PATIENT) // expected
 
 
@@ -306,26 +302,16 @@ def heard(clock, telegrams, end=math.inf):
 
 @pytest.mark.parametrize("cycle_ms", [4, 12])
 @pytest.mark.parametrize(
-    "off, sentence",
-    [
-        (0.049, "the controller's clock is 4.90 % fast against this PC's: the arm is as much faster than planned, and a long "
-                "motion ends in a stop (silence): it cannot be followed; right clocks agree within 0.02 %, so one of them is "
-                "simulated, virtual, or being set"),
-        (-0.02, "the controller's clock is 2.00 % slow against this PC's: the arm is as much slower than planned, and a long "
-                "motion ends in a stop (lead): it cannot be followed; right clocks agree within 0.02 %, so one of them is "
-                "simulated, virtual, or being set"),
-        (0.002, "the controller's clock is 0.20 % fast against this PC's: the arm is as much faster than planned; right clocks "
-                "agree within 0.02 %, so one of them is simulated, virtual, or being set"),
-    ],
-)  # fmt: skip
-def test_a_clock_a_little_off_is_named_with_its_figure_after_half_a_minute(cycle_ms, off, sentence):
+    "off, words", [(0.049, "4.90 % fast.*(silence)"), (-0.02, "2.00 % slow.*(lead)"), (0.002, "0.20 % fast.*;")]
+)
+def test_a_clock_a_little_off_is_named_with_its_figure_after_half_a_minute(cycle_ms, off, words):
     clock, telegrams = ControllerClock(RSI, cycle_ms), regular(cycle_ms, cycle_ms / (1.0 + off), 60_000 // cycle_ms)
     assert heard(clock, telegrams, KNOWN - 2 * PIECE) == ("", 0) and clock.report()["off_percent"] is None
-    assert heard(ControllerClock(RSI, cycle_ms), telegrams) == (sentence, 1)
-    heard(clock, telegrams)
+    sentence, news = heard(clock, telegrams)
+    assert re.search(words, sentence) and news == 1
     report = clock.report()
     assert report["off_percent"] == pytest.approx(100.0 * off, abs=1e-3) and report["sentence"] == sentence
-    assert len(sentence) < 300 and clock.judge() == ""
+    assert clock.judge() == ""
     clock.restart()
     assert clock.report()["off_percent"] is None and clock.report()["sentence"] == ""
 

@@ -77,36 +77,23 @@ def test_what_is_no_number_of_the_kind_is_not_known_and_counted(text, unreadable
 
 
 @pytest.mark.parametrize(
-    ("status", "sentence"),
+    ("status", "said"),
     [
-        (RsiStatus(), ""),
-        (RsiStatus(3, 3, 100.0), ""),
-        (RsiStatus(4, 3, 100.0), ""),
-        (RsiStatus(1, 3, 100.0), T1),
-        (
-            RsiStatus(mode=2),
-            "the controller is in T2: the arm moves only while enabling switch and start key are held",
-        ),
-        (RsiStatus(program=4), STOPPED),
-        (RsiStatus(1, 4, 100.0), f"{T1}; {STOPPED}"),
-        (RsiStatus(program=5), "the controller's program has ended (END): reset and start it"),
-        (RsiStatus(program=2), "the controller's program is at its beginning (RESET): start it"),
-        (
-            RsiStatus(program=1),
-            "no program is selected on the controller (FREE): select and start the RSI program",
-        ),
-        (
-            RsiStatus(override=12.5),
-            "the override is 12.5 %: the controller's own motions are slower by that, corrections are not",
-        ),
-        (
-            RsiStatus(override=0.0),
-            "the override is 0 %: whether corrections act then is not known, set it to 100 %",
-        ),
+        (RsiStatus(), []),
+        (RsiStatus(3, 3, 100.0), []),
+        (RsiStatus(4, 3, 100.0), []),
+        (RsiStatus(mode=2), ["in T2"]),
+        (RsiStatus(1, 4, 100.0), [T1, STOPPED]),
+        (RsiStatus(program=5), ["(END)"]),
+        (RsiStatus(program=2), ["(RESET)"]),
+        (RsiStatus(program=1), ["(FREE)"]),
+        (RsiStatus(override=12.5), ["override is 12.5 %"]),
+        (RsiStatus(override=0.0), ["override is 0 %"]),
     ],
 )
-def test_what_speaks_against_a_motion_is_a_sentence(status, sentence):
-    assert status.sentence == sentence
+def test_what_speaks_against_a_motion_is_a_sentence(status, said):
+    assert len(status.sentence.split("; ") if status.sentence else []) == len(said)
+    assert all(words in status.sentence for words in said)
 
 
 def test_unknown_numbers_are_shown_as_numbers():
