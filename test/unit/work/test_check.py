@@ -92,7 +92,7 @@ PROCESS = """
         return SimpleNamespace(schedule=schedule)
 
     def check(number):
-        os.write(2, f"{os.getpid()}\n".encode())
+        os.write(2, b"%d\\n" % os.getpid())
         time.sleep(0.02)
         if number == 10 and DIES:
             os.kill(os.getpid(), 9)

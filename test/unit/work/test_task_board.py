@@ -268,15 +268,6 @@ def test_the_scene_follows_the_ledger(tmp_path, clock):
     assert "E1/0" not in scene_of(one, scene).names
 
 
-def test_placed_elements_stand_as_built_and_not_as_designed(tmp_path, clock):
-    one = board(tmp_path, clock)
-    stands = product(one.goal("T1"), at(0.002))
-    build(one, "T1", stands=stands)
-    scene = scene_of(one, Scene())
-    np.testing.assert_allclose(scene.get("E1/0").position, stands.position, atol=1e-12)
-    assert one.deviation("T1").distance == pytest.approx(0.002)
-
-
 def test_a_planned_pose_is_not_told_as_measured(tmp_path, clock):
     one = board(tmp_path, clock)
     build(one, "T1", until="releasing")
@@ -334,23 +325,6 @@ def test_people_see_what_comes_next_what_is_there_and_what_is_off(tmp_path, cloc
     assert there == pytest.approx(product(one.goal("T1"), at(0.05)).position), "it is drawn where it stands"
     one.skip("T2", "eva", "")
     assert words("E2") == ["skipped"]
-
-
-def test_a_changed_model_leaves_everything_where_it_is_until_a_person_has_answered(tmp_path, clock):
-    one = board(tmp_path, clock)
-    stands = product(one.goal("T1"), at(0.002))
-    build(one, "T1", stands=stands)
-    scene = scene_of(one, Scene())
-    one.ledger.close()
-    ready = prepared()
-    ledger = Ledger(tmp_path / "ledger", ready.after, "b" * 64, clock, "/cell.yaml", ready.schedule.placing)
-    again = TaskBoard(ready, ledger, "kr120", "tool0")
-    assert again.next(clock()) == "" and again.obstacle("T2", clock()).key == "work.asks_first"
-    assert again.report(clock()).tasks[0].question.values["known"].key == "work.known.done"
-    assert scene_of(again, scene).hash == scene.hash
-    again.answer("T1", "placed", "eva", "")
-    assert scene_of(again, scene).hash == scene.hash
-    assert again.deviation("T1").distance == pytest.approx(0.002)
 
 
 def test_what_stands_and_is_no_longer_in_the_model_is_not_tidied_away(tmp_path, clock):

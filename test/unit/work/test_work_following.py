@@ -100,14 +100,6 @@ def run(node: Node, reports=REPORTS) -> None:
         node.hear(report, grip)
 
 
-def test_a_task_that_goes_well(tmp_path):
-    node = Node(tmp_path / "ledger")
-    run(node)
-    assert node.memory.state is TaskState.DONE
-    assert node.memory.placed and node.memory.base_T_element == STANDS
-    assert node.ledger.lines == 9
-
-
 def test_a_report_that_is_heard_again_adds_nothing(tmp_path):
     once, twice = Node(tmp_path / "once"), Node(tmp_path / "twice")
     run(once)
@@ -245,26 +237,6 @@ def test_other_plans_are_none_of_its_business(tmp_path):
     run(node, REPORTS[:3])
     for report in (play(0, plan_id="other"), end("", plan_id=""), end("finished", plan_id="other")):
         assert follow(node.memory, PLAN, report, OPEN) == []
-
-
-@pytest.mark.parametrize(
-    ("fate", "grip", "state"),
-    [
-        (Fate("p1", False, under_review=True), UNKNOWN, TaskState.PLANNED),
-        (Fate("p1", False), UNKNOWN, TaskState.READY),
-        (Fate("", False), UNKNOWN, TaskState.READY),
-        (Fate("p1", True), UNKNOWN, TaskState.ASKS),
-        (Fate("p1", None), CLOSED, TaskState.ASKS),
-        (Fate("p1", True), OPEN, TaskState.READY),
-    ],
-)
-def test_an_offer_whose_fate_was_not_seen(tmp_path, fate, grip, state):
-    node = Node(tmp_path / "ledger")
-    node.offer()
-    for entry in after_restart(node.memory, fate, grip):
-        node.add(entry)
-    assert node.memory.state is state
-    assert node.memory.plan == ("p1" if state is TaskState.PLANNED else "")
 
 
 @pytest.mark.parametrize(

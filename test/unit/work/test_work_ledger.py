@@ -41,15 +41,6 @@ STEPS = (
     (Entry("released", "plate", "E1", plan="p1", pose=STANDS), TaskState.RETREATING),
     (Entry("finished", "plate", "E1", plan="p1"), TaskState.DONE),
 )
-#: What a process that was killed after a line, and has lost sight of the plan, must think of the element then.
-AFTER_A_KILL = {
-    TaskState.PLANNED: TaskState.ASKS,
-    TaskState.WORKING: TaskState.ASKS,
-    TaskState.GRIPPING: TaskState.ASKS,
-    TaskState.CARRYING: TaskState.ASKS,
-    TaskState.RELEASING: TaskState.ASKS,
-    TaskState.RETREATING: TaskState.DONE,
-}
 
 
 def ledger(path: Path, after=AFTER, model: str = MODEL, placing=None) -> Ledger:
@@ -69,27 +60,6 @@ def test_every_line_is_replayed_to_the_state_it_left(tmp_path):
     assert memory.placed and not memory.in_grip and memory.base_T_element == STANDS
     assert first.book.in_state(TaskState.READY) == ("stud",)
     assert len(path.read_text().splitlines()) == first.lines == len(STEPS) + 1
-
-
-@pytest.mark.parametrize("number", range(len(STEPS)))
-def test_a_kill_after_any_line_never_forgets_and_never_places_twice(tmp_path, number):
-    path = tmp_path / "ledger.jsonl"
-    before = ledger(path)
-    for entry, _ in STEPS[: number + 1]:
-        before.add(entry)
-    before.close()
-    again = ledger(path)
-    memory = again.book.tasks["plate"]
-    if memory.state in AFTER_A_KILL:
-        expected = AFTER_A_KILL[memory.state]
-        again.add(Entry("unknown", "plate", "E1"))
-        memory = again.book.tasks["plate"]
-        assert memory.state is expected
-    # nothing is planned again before a person has said where the element is
-    assert memory.state not in PLANNABLE
-    assert again.book.in_state(TaskState.READY) == (("stud",) if memory.state is TaskState.DONE else ())
-    with pytest.raises(NotNow):
-        again.add(Entry("offered", "plate", "E1", offer="o2"))
 
 
 def test_a_kill_inside_any_line_leaves_the_lines_before_it(tmp_path):
@@ -168,14 +138,6 @@ def test_what_was_never_held_cannot_have_been_placed(tmp_path):
             book.add(Entry("answered", "plate", "E1", answer=wrong))
 
 
-def test_before_the_grip_a_stop_leaves_the_element_in_its_stock(tmp_path):
-    book = ledger(tmp_path / "ledger.jsonl")
-    for entry, _ in STEPS[:3]:
-        book.add(entry)
-    book.add(Entry("stopped", "plate", "E1"))
-    assert book.book.tasks["plate"].state is TaskState.READY
-
-
 def test_skipped_tasks_free_others_and_redone_ones_block_them(tmp_path):
     book = ledger(tmp_path / "ledger.jsonl")
     assert book.book.missing("board") == ("plate", "stud")
@@ -246,21 +208,6 @@ def test_an_element_that_another_task_places_now_is_asked_about(tmp_path):
     again.add(Entry("answered", "new", "E1", answer="placed", person="eva"))
     memory = again.book.tasks["new"]
     assert memory.state is TaskState.DONE and memory.base_T_element == STANDS
-
-
-def test_a_kill_while_it_is_asked_for_a_changed_model_asks_again(tmp_path):
-    path = tmp_path / "ledger.jsonl"
-    before = ledger(path)
-    for entry, _ in STEPS:
-        before.add(entry)
-    before.close()
-    ledger(path, model="b" * 64).close()
-    lines = path.read_bytes().splitlines(keepends=True)
-    for left in range(len(STEPS) + 1, len(lines)):
-        path.write_bytes(b"".join(lines[:left]))
-        again = ledger(path, model="b" * 64)
-        assert again.book.tasks["plate"].state is TaskState.ASKS and again.book.model == "b" * 64
-        again.close()
 
 
 def test_a_file_that_is_no_ledger_is_refused(tmp_path):
