@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import socket
 import subprocess
 import sys
 
@@ -60,23 +59,6 @@ def test_read_only_publishes_states_and_answers_nothing(broker, topics):
             assert client.on(topics.state)
             answer = client.arm(service.gateway.config)
             assert not answer["ok"] and "ONLYSEND TRUE" in answer["reason"]
-
-
-def test_telegrams_from_any_but_the_configured_address_are_not_even_parsed(topics):
-    with (
-        serving(free_port(), topics, controller="127.0.0.1") as (service, address),
-        controller_of(address) as controller,
-    ):
-        controller.cycle()
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
-            stranger.bind(("127.0.0.2", 0))
-            for data in (controller.telegram(), b"garbage", b""):
-                stranger.sendto(data, address)
-            wait_until(lambda: service.gateway.counters["telegram_refused_address"] == 3)
-        controller.cycle()
-        assert controller.replies == [(0.0, 0.0)] * 2
-        refused = [name for name in service.gateway.counters if name.startswith("telegram_refused_")]
-        assert refused == ["telegram_refused_address"]
 
 
 # -- the program -------------------------------------------------------------------------------------------------------

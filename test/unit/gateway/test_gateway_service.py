@@ -26,7 +26,6 @@ from service_cell import (
     stream,
 )
 
-from construction_twin.mqtt.fast_client import UserProperties
 from construction_twin.mqtt.messages import Control, arm_value, read_state_properties
 from construction_twin.mqtt.plain_client import received_pairs
 
@@ -62,33 +61,6 @@ def test_the_state_after_a_verb_is_told_before_its_answer(broker, topics):
         payloads = [json.loads(message.payload) for message in client.on(topics.status)]
         before = order[: order.index(topics.control_ack)]
         assert payloads[len(before) - 1]["state"] == "armed"
-
-
-def test_garbage_on_mqtt_moves_nothing_and_is_counted(broker, topics):
-    with cell(broker, topics) as (service, controller, client):
-        client.arm()
-        garbage = [b"", b"\x00\xff", b"{}", b"nan,nan", b"+010.000,+010.000", b"x" * 5000]
-        for payload in garbage:
-            client.paho.publish(topics.command, payload)
-            client.paho.publish(topics.command, payload, properties=UserProperties([("session", "s1"), ("seq", "-1")]))
-        controls = [
-            b"",
-            b"{",
-            b"[]",
-            b"null",
-            b'{"id": 1}',
-            b"[" * 5000,
-            b"\xff",
-            b'{"id": "a", "session": "s", "verb": 5}',
-        ]
-        for payload in controls:
-            client.paho.publish(topics.control, payload, qos=1)
-        client.wait_for_counter("refused_control", len(controls))
-        client.wait_for_counter("refused_properties", 2 * len(garbage))
-        assert client.status()["last_refusal"].startswith("control: control message whose id")
-        assert_still(controller)
-        assert controller.measured == pytest.approx(START)
-        assert service.gateway.status()["state"] == "armed"
 
 
 @pytest.mark.parametrize("name", ["command", "control"])

@@ -56,20 +56,3 @@ def test_what_is_no_stop_is_refused_answered_and_counted(broker, topics):
         assert not press(client, topics, b'{"id": "1"}', "no account")["ok"]
         client.wait_for_counter("refused_sender", 1)
         assert client.status()["state"] == "armed"
-
-
-def test_a_flood_of_stops_is_answered_at_a_bounded_rate_and_another_person_all_the_same(broker, topics):
-    with cell(broker, topics) as (service, controller, client):
-        counters, begin = service.gateway.counters, len(controller.replies)
-        for number in range(500):
-            client.paho.publish(topics.stop_by("flooder"), json.dumps({"id": str(number)}), qos=1)
-        client.paho.publish(topics.stop_by("arm-reviewer-ada"), b'{"id": "mine"}', qos=1)
-        wait_until(
-            lambda: counters["stops_repeated"] + counters["stops_stop"] == 501, what="all that was sent", timeout=60.0
-        )
-        wait_until(lambda: len(client.on(topics.stop_ack)) == counters["stops_stop"], what="their answers")
-        mine = [answer for answer in answers(client, topics) if answer["account"] == "arm-reviewer-ada"]
-        assert [(answer["id"], answer["ok"]) for answer in mine] == [("mine", True)]
-        assert counters["stops_repeated"] > 0
-        # RSI is answered before MQTT is read
-        assert None not in controller.replies[begin:]
