@@ -13,7 +13,7 @@ from scripted_robot import ScriptedRobot
 
 from construction_twin.kinematics.chain import Pose
 from construction_twin.work.glb import glb
-from construction_twin.work.task_board import ElementFacts
+from construction_twin.work.prepared import ElementFacts
 
 #: Of `view` [s]: software draws each.
 SLOW = 0.2

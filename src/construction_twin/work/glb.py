@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from construction_twin.robot.frames import rotation_to_quaternion
-from construction_twin.work.task_board import ElementFacts
+from construction_twin.work.prepared import ElementFacts
 
 _MAGIC, _JSON, _BINARY = b"glTF", b"JSON", b"BIN\0"
 _FLOAT, _UNSIGNED = 5126, 5125

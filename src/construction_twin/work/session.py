@@ -26,8 +26,9 @@ from construction_twin.work.following import Follower
 from construction_twin.work.heard import Heard
 from construction_twin.work.jobs import TaskMotions
 from construction_twin.work.ledger import Ledger
+from construction_twin.work.prepared import Prepared
 from construction_twin.work.recipe import DEFAULT
-from construction_twin.work.task_board import Appearance, Prepared, TaskBoard, WorkRefused
+from construction_twin.work.task_board import Appearance, TaskBoard, WorkRefused
 from construction_twin.work.task_memory import Entry
 from construction_twin.work.task_states import UNDER_WAY, TaskState
 

@@ -28,13 +28,13 @@ from construction_twin.work.contacts import tool_objects
 from construction_twin.work.element_bodies import element_shapes, element_triangles
 from construction_twin.work.ifc.reading import read_building
 from construction_twin.work.jobs import TaskMotions, WorkJob
+from construction_twin.work.prepared import ElementFacts, Prepared, Scheduled
 from construction_twin.work.process import process_of
 from construction_twin.work.proposed_schedule import propose
 from construction_twin.work.schedule import Schedule
 from construction_twin.work.site import Site, pose_of, read_site
 from construction_twin.work.site_scene import Layout
 from construction_twin.work.standing import check_placement, standing
-from construction_twin.work.task_board import ElementFacts, Prepared, Scheduled
 from construction_twin.work.task_planner import TaskPlanner
 from construction_twin.work.worker import rss_mb, serve_parent
 

@@ -12,7 +12,7 @@ import pytest
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import quaternion_to_rotation
 from construction_twin.work.glb import glb
-from construction_twin.work.task_board import ElementFacts
+from construction_twin.work.prepared import ElementFacts
 
 TRIANGLES = np.array(
     [[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0], [0, 1, 0]]], dtype=float

@@ -75,14 +75,6 @@ def test_a_task_without_element_is_noted_and_kept_as_order():
     assert schedule.notes == ("1 task without element: Cure (x); kept for the order, no time is waited for.",)
 
 
-def test_a_sequence_between_nesting_tasks_holds_for_all_that_they_nest():
-    tasks = [Task("A", "A"), Task("B", "B"), *leaves("a", "b", parent="A"), *leaves("c", "d", parent="B")]
-    schedule = Schedule.of(model(tasks, [Sequence("A", "B")]))
-    assert ids(allowed(schedule, {}, {"a": 0.0}, 1.0)) == ["b"]
-    assert ids(allowed(schedule, {}, {"a": 0.0, "b": 1.0}, 1.0)) == ["c", "d"]
-    assert {wait.job for wait in schedule.job("d").after} == {"a", "b"}
-
-
 def test_jobs_that_share_a_name_have_their_elements_behind_it():
     cube = box((0, 0, 0), (1, 1, 1))
     elements = [

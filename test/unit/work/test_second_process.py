@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from itertools import count
 from types import SimpleNamespace
@@ -28,7 +27,6 @@ from work_samples import (
 )
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import LedgerError
 from construction_twin.planning.planner import PlanRequest
 from construction_twin.planning.request_limits import PlanBounds
@@ -42,10 +40,10 @@ from construction_twin.work.check import Checker
 from construction_twin.work.following import after_restart
 from construction_twin.work.heard import GripReading
 from construction_twin.work.ledger import Ledger
+from construction_twin.work.prepared import Prepared
 from construction_twin.work.racks import StockPlan
 from construction_twin.work.recipes import read_recipes
 from construction_twin.work.schedule import Job, Schedule
-from construction_twin.work.task_board import Prepared
 from construction_twin.work.task_memory import Entry, NotNow, TaskMemory
 from construction_twin.work.task_states import TaskState
 
@@ -159,20 +157,6 @@ def begin(one: Bench) -> None:
         method="point 0 0 0 mm", segments=segments(), tool0_T_element=None
     )
     one.start(SimpleNamespace(ask_first=lambda *_, **__: prepared(), ask=plan))
-
-
-def test_the_node_follows_it_to_its_end_and_the_scene_stays(bench):
-    bench.planned()
-    before = bench.scene.hash
-    assert work_bench.PLACED.name in bench.scene.names
-    for number in range(3):
-        bench.play(number)
-    bench.execution(Execution.IDLE, plan_id=bench.plan.id, outcome="finished")
-    bench.run()
-    assert bench.events == ["offered", "planned", "begun", "finished"]
-    assert (bench.row.state, bench.row.reason) == ("done", Sentence("work.task.done")) and bench.scene.hash == before
-    offered = json.loads(bench.ledger_lines[1])
-    assert offered["process"] == "touch" and offered["grip"] == "point 0 0 0 mm" and "pose" not in offered
 
 
 @pytest.mark.parametrize(("answer", "state"), [("done", "done"), ("not_done", "ready")])

@@ -37,8 +37,8 @@ from construction_twin.evaluation.tables import table_console
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.commands.evaluate import package_file
 from construction_twin.work.check import CheckedTask
+from construction_twin.work.prepared import Prepared
 from construction_twin.work.site import read_site
-from construction_twin.work.task_board import Prepared
 from construction_twin.work.worker import Worker, WorkerError, rss_mb
 
 #: Of every planning.

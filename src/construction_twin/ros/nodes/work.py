@@ -74,9 +74,10 @@ from construction_twin.srv import (
 )
 from construction_twin.work.glb import glb
 from construction_twin.work.heard import Heard, KnownPlan, Verdict
+from construction_twin.work.prepared import Prepared
 from construction_twin.work.session import Neighbours, NoAnswer, UnderReview, WorkSession
 from construction_twin.work.site import read_site
-from construction_twin.work.task_board import Prepared, WorkRefused
+from construction_twin.work.task_board import WorkRefused
 from construction_twin.work.task_states import TaskState
 from construction_twin.work.worker import Worker
 

@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 from scipy.spatial import ConvexHull, QhullError
 
 from construction_twin.core.sentences import Sentence
@@ -223,32 +223,10 @@ def _problem(place: _Place, cups: np.ndarray, needed: int, lever: float, pieces:
     pose = place.element_T_tcp
     flat = (cups - pose.position) @ pose.rotation[:, :2]
     centre = (pieces.centre - pose.position) @ pose.rotation[:, :2]
-    away = _distance_from_hull(centre, flat)
+    away = shapely.MultiPoint(flat).convex_hull.distance(shapely.Point(centre))
     if away > lever:
         return 1000, Sentence("work.grip.lever", place=place.name, away=1e3 * away, most=1e3 * lever)
     return None
-
-
-def _distance_from_hull(point: np.ndarray, points: np.ndarray) -> float:
-    """Return how far a point in a plane is outside of the hull of others [m]; 0: inside."""
-    if len(points) > 2 and np.linalg.matrix_rank(points - points[0], tol=1e-6) == 2:
-        equations = ConvexHull(points).equations
-        if (equations[:, :2] @ point + equations[:, 2] <= 1e-9).all():
-            return 0.0
-    return min(_distance_from_line(point, a, b) for a, b in _pairs(points))
-
-
-def _pairs(points: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    if len(points) == 1:
-        yield points[0], points[0]
-    yield from itertools.combinations(points, 2)
-
-
-def _distance_from_line(point: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
-    along = b - a
-    square = float(along @ along)
-    fraction = min(max(float((point - a) @ along) / square, 0.0), 1.0) if square else 0.0
-    return float(np.linalg.norm(point - a - fraction * along))
 
 
 def _about_z(angle: float) -> np.ndarray:
