@@ -72,21 +72,18 @@ class Arm:
     def plan_well(self, goal_deg, duration: float = DURATION):
         answer = self.plan(goal_deg, duration)
         assert answer.success, answer.message
-        # the watch has compared its whole path, and the executor has the plan soon
-        self.wait(lambda: self.judged(answer.plan_id), "a verdict of the watch")
+        # the watch has compared it, and the executor has the plan soon
+        self.wait(lambda: answer.plan_id in self.verdicts, "a verdict of the watch")
         return answer
 
-    def judged(self, plan_id: str) -> bool:
-        return plan_id in self.verdicts and "so far" not in self.verdicts[plan_id].reason
-
     def approve(self, plan):
-        """Approve; repeated only while the plan has not reached the executor, or is still being compared with the other arm."""
+        """Approve; repeated only while plan and verdict have not reached the executor."""
         service = rospy.ServiceProxy(f"/{self.name}/review_plan", ReviewPlan)
         answers = []
 
         def answered() -> bool:
             answers.append(service(plan.plan_id, plan.plan_hash, True, "tester", "integration test", False, "", ""))
-            not_yet = ("is not under review", "not checked against", "so far")
+            not_yet = ("is not under review", "not checked against")
             return answers[-1].success or not any(text in answers[-1].message for text in not_yet)
 
         self.wait(answered, "the executor to know the plan", 5.0)
@@ -183,7 +180,7 @@ class TwoRobotsTest(unittest.TestCase):
         self.one.go(HOME)
 
     def conflict(self, plan_id: str) -> bool:
-        return self.two.verdicts[plan_id].conflict and self.two.judged(plan_id)
+        return self.two.verdicts[plan_id].conflict
 
     def test_3_of_two_plans_that_meet_only_the_first_runs(self):
         later = self.two.plan_well(BETWEEN[TWO])

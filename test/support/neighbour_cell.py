@@ -21,7 +21,6 @@ from construction_twin.scene.objects import Scene, SceneObject
 BESIDE = Pose(np.array([0.0, 2.6, 0.0]), np.eye(3))
 #: Far beyond the reach of both.
 FAR = Pose(np.array([0.0, 12.0, 0.0]), np.eye(3))
-STEP = 0.2
 #: The other arm stretched out towards us, and turned away.
 TOWARDS = HOME + np.radians([90, 40, -40, 0, 0, 0])
 AWAY = HOME + np.radians([-90, 0, 0, 0, 0, 0])
@@ -32,9 +31,9 @@ STRETCHED = HOME + np.radians([45, 75, -60, 0, 0, 0])
 
 
 @cache
-def other(place: str = "beside", step: float = STEP) -> Neighbour:
+def other(place: str = "beside") -> Neighbour:
     """Return the other arm."""
-    return Neighbour("other", ROBOT, {"beside": BESIDE, "far": FAR}[place], step)
+    return Neighbour("other", ROBOT, {"beside": BESIDE, "far": FAR}[place])
 
 
 def line(start: np.ndarray, end: np.ndarray, count: int = 400) -> np.ndarray:

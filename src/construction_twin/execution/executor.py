@@ -221,6 +221,12 @@ class Executor:
         elif scene != self._played.plan.scene:
             self._on(ExecutorEvent.STOP, reason)
 
+    def on_conflict(self, plan_id: str, problem: str, now: int) -> None:
+        """Take a verdict of the watch over the other arm; what is against the plan that is played stops it."""
+        self.neighbour.on_verdict(plan_id, problem, now)
+        if problem and self.state in ACTIVE and self._played.plan.id == plan_id:
+            self._on(ExecutorEvent.STOP, problem)
+
     def on_tool(self, report: ToolReport, now: int) -> None:
         """Take what is known of the tool, and the time of reception [ns]; a work plan that needs something else is stopped."""
         self.tool = report
@@ -501,8 +507,6 @@ class Executor:
             raise ExecutionError(Sentence("executor.resume.sync", state=self._sync.name))
         if self._unarmed:
             raise ExecutionError(Sentence("executor.resume.unarmed", reason=self._unarmed))
-        if problem := self.neighbour.problem(self._played.plan.id):
-            raise ExecutionError(self._answer("executor.resume.refused", reason=problem))
         self._begin_by = self._now + may_wait
         self._on(ExecutorEvent.RESUME, Sentence("executor.resumed"))
         return self._answer("executor.resume.done", rest=self._played.plan.trajectory.duration - self._played.elapsed)
@@ -513,9 +517,6 @@ class Executor:
         """Return the setpoint for the cycle with nominal stamp `stamp` [ns], or None when nothing may be sent."""
         self.neighbour.now = self._now = now
         machine = self._machine
-        if machine.state in ACTIVE and machine.state is not ExecutorState.STOPPING:
-            if problem := self.neighbour.problem(self._played.plan.id):
-                self._on(ExecutorEvent.STOP, problem)
         if machine.state is ExecutorState.WAITING and self._agreed and self._fresh_twin(now) is not None:
             self._on(ExecutorEvent.AGREED, Sentence("executor.agreed"))
         if machine.state is ExecutorState.WAITING:

@@ -341,5 +341,5 @@ class PlanningPipeline:
             self._world = CollisionWorld(self._robot, scene, self._self_collision)
         elif self._world.scene.hash != scene.hash:
             self._world = self._world.with_scene(scene)
-        # the other arm is not part of the scene's hash: `coordination.conflict` watches how it moves after planning
+        # the other arm is not part of the scene's hash: the node `neighbour` looks where it is when the plan is to start
         return self._world if self._neighbour is None else self._world.with_neighbour(self._neighbour())

@@ -44,16 +44,14 @@ class PlanRequests:
     Args:
         begin: Called before each plan is made; raises where nothing is known to plan in.
         publish: Takes a plan, what it does to the scene, its request and the answer; the plan is None when it was published before.
-        beside: Returns what a failure may come of; "": of nothing else.
     """
 
     def __init__(
         self,
         begin: Callable[[], None],
         publish: Callable[[Plan | None, Sequence[SceneChange], PlanRequest, Answer], None],
-        beside: Callable[[], str] = lambda: "",
     ):
-        self._begin, self._publish, self._beside = begin, publish, beside
+        self._begin, self._publish = begin, publish
         # what makes a plan the same as the one that was published last, with that one's id; whether that one was decided
         self._newest: dict[tuple[str, ...], str] = {}
         self._decided = threading.Event()
@@ -82,12 +80,7 @@ class PlanRequests:
             make = read()  # before taking the lock, so that no request waits while another one reads its file
             with self._busy:
                 self._begin()
-                try:
-                    plan = make()
-                except ConstructionTwinError as error:
-                    # a sentence such as "the start is in collision" is understood only with the reason
-                    return _failed(error, "; ".join(filter(None, (str(error), self._beside()))))
-                return self._published(plan, asked, changes)
+                return self._published(make(), asked, changes)
         except ConstructionTwinError as error:
             return _failed(error, str(error))
         except (ArithmeticError, MemoryError, ValueError) as error:

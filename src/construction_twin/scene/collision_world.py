@@ -109,14 +109,18 @@ class CollisionWorld:
         )
         return world
 
-    def with_neighbour(self, obstacles: Iterable[Obstacle]) -> CollisionWorld:
+    def with_neighbour(self, obstacles: Iterable[Obstacle], alone: bool = False) -> CollisionWorld:
         """Return a world with the same robot and scene, and another arm in it; the scene's version stays the same.
 
         Moving links and carried objects are checked against its bodies (contact: distance within the scene's padding plus the
         obstacle's). Bodies that do not move are not checked.
+
+        Args:
+            alone: Check nothing but that.
         """
         world = object.__new__(CollisionWorld)
-        world._build(self._robot_bodies, self.scene, self.self_collision, self._own, tuple(obstacles))
+        only: list[tuple[int, int, float]] | None = [] if alone else None
+        world._build(self._robot_bodies, self.scene, self.self_collision, self._own, tuple(obstacles), only)
         return world
 
     def _build(

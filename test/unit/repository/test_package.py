@@ -27,7 +27,7 @@ FOLDERS = {
     "kinematics": {"core", "robot", "kinematics"},
     "evaluation": {"evaluation"},
     "planning": {
-        "scene", "planning", "coordination", "review", "twin", "monitor", "execution", "mock", "scenario", "servo",
+        "scene", "planning", "review", "twin", "monitor", "execution", "mock", "scenario", "servo",
         "views", "link",
     },
     "work": {"work"},

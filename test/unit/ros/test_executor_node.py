@@ -6,12 +6,10 @@ import json
 from dataclasses import replace
 from types import SimpleNamespace
 
-import numpy as np
 import pydantic
 import pytest
 import rospy
 from construction_twin.msg import (
-    Conflict,
     Execution,
     Link,
     Scene,
@@ -33,13 +31,11 @@ from construction_twin.core.freshness import Moment
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.boundary import ToolOrder
-from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.robot.segments import Switch
 from construction_twin.ros.nodes import executor as module
 from construction_twin.ros.shared.deferred_log import KEPT, DeferredLog
 from construction_twin.ros.shared.diagnostics import ERROR
-from construction_twin.ros.transport.joint_stream import to_time
 
 
 @pytest.fixture
@@ -51,19 +47,6 @@ def limit(fraction: float) -> SpeedLimitInForce:
     message = SpeedLimitInForce(limit=fraction, reason=f"speed limit {fraction:g} by /sensor: somebody is near")
     message._connection_header = {"callerid": "/kr120/pca_monitor"}
     return message
-
-
-@pytest.mark.parametrize("age, refused", [(0.2, 0), (0.6, 1), (-0.5, 1)])
-def test_a_verdict_on_the_other_arm_counts_by_its_stamp(world, monkeypatch, age, refused):
-    watch, taken = ConflictVerdicts("b"), []
-    on_verdict = watch.on_verdict
-    monkeypatch.setattr(watch, "on_verdict", lambda *given: taken.append(given[3]) or on_verdict(*given))
-    world.executor.neighbour = watch
-    message = Conflict(plan_id="p1", conflict=False, reason="its path is free")
-    message.header.stamp = to_time(world.wall) - rospy.Duration(age)
-    world.hear("conflict", message)
-    assert [reason for reason, _ in world.refused] == ["conflict_age"] * refused
-    np.testing.assert_allclose(taken[0] / 1e9, age, atol=1e-8)
 
 
 def test_who_has_armed_a_bare_plc_is_recorded_once_and_with_the_verdict(world, tmp_path):

@@ -93,7 +93,7 @@ def test_the_clearance_of_a_motion_is_that_of_its_rows():
 
 
 def test_another_arm_sees_the_piston_where_it_is():
-    neighbour = Neighbour("other", balanced(), Pose(np.zeros(3), np.eye(3)), 0.2)
+    neighbour = Neighbour("other", balanced(), Pose(np.zeros(3), np.eye(3)))
     for q in poses(10, 1):
         (found,) = {item for item in neighbour.between(q, q) if item.owner == "other/piston"}
         at = expected("piston", q)

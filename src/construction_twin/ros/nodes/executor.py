@@ -193,12 +193,10 @@ class ExecutorNode:
             self.executor.on_scene(message.hash)
 
     def on_conflict(self, message: msg.Conflict) -> None:
-        """Take a verdict on the other arm, with the age that its stamp tells."""
-        # by the clock that both nodes have; from here on it grows old by the executor's own
-        age = (rospy.Time.now() - message.header.stamp).to_nsec()
+        """Take a verdict on the other arm."""
         problem = message.reason if message.conflict else ""
         with self._lock:
-            self.executor.neighbour.on_verdict(message.plan_id, problem, time.monotonic_ns(), age)
+            self.executor.on_conflict(message.plan_id, problem, time.monotonic_ns())
 
     def on_rehearsal(self, message: msg.Rehearsal) -> None:
         """Take what the rehearsal of a plan has found."""

@@ -44,7 +44,6 @@ from construction_twin.ros.messages.convert import (
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.arm_listener import (
-    OTHER_POSE_AGE,
     OtherArm,
     await_robot,
     listen_to_other_arm,
@@ -191,37 +190,26 @@ class PlannerNode:
         self._plans = 0
         self._last = "no plan asked for yet"
         self._diagnostics = ports.diagnostics
-        # it subscribes to the other arm's topics now, to its poses only while a plan is made
         self._other: OtherArm | None = None
         if self._beside is not None:
             await_robot(self._beside.name)
-            self._other = listen_to_other_arm(self._robot.name, self._beside, self._diagnostics.refuse, streams=False)
+            self._other = listen_to_other_arm(self._robot.name, self._beside, self._diagnostics.refuse)
         self._frames = listen_to_frames(robot, settings.tf_prefix, TF_TIMEOUT, self._diagnostics.refuse)
         self._publisher, self._outcome_publisher = ports.publishers["plan"], ports.publishers["plan_outcome"]
         self._twin = ports.poses["twin/joint_states"]
         self._engagement: Engagement | None = None
         self._connections = functools.partial(ports.connections, "scene")
-        self._requests = PlanRequests(self._await_surroundings, self._publish, self._beside_unknown)
+        self._requests = PlanRequests(self._await_surroundings, self._publish)
 
     # -- the other arm
 
     def _occupied(self) -> list[Obstacle]:
-        """Return the space that the other arm occupies, padded; if its pose is not known, this is its whole reach."""
+        """Return the space that the other arm occupies, padded."""
         assert self._other is not None and self._beside is not None
-        obstacles = self._other.occupied(OTHER_POSE_AGE)
-        if self._other.unknown:
-            rospy.logwarn("%s", self._beside_unknown())
-        return [item.padded(self._beside.padding) for item in obstacles]
-
-    def _beside_unknown(self) -> str:
-        if self._other is None or not self._other.unknown or self._beside is None:
-            return ""
-        return f"plans keep clear of the whole reach of {self._beside.name}, because {self._other.unknown}"
+        return [item.padded(self._beside.padding) for item in self._other.occupied().obstacles]
 
     def _await_surroundings(self) -> None:
         """Wait for a scene whose publisher is connected: without it, the present surroundings of the arm are not known."""
-        if self._other is not None:
-            self._other.unknown = ""
         seen = self._pipeline.scene
         if not self._connections():
             self._pipeline.forget_scene(seen)
