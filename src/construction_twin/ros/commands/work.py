@@ -8,7 +8,7 @@ import sys
 def main() -> int:
     """Run the node until shutdown, or check a model; return the exit code."""
     if sys.argv[1:2] == ["check"]:
-        # the node's modules are not loaded for a check: its processes are forked, and would carry them
+        # a check needs nothing of the node's
         from construction_twin.ros.commands.work_check import main as check
 
         return check(sys.argv[2:])
