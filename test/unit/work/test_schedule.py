@@ -41,13 +41,6 @@ def ids(jobs):
     return [job.id for job in jobs]
 
 
-@pytest.mark.parametrize(("kind", "needs_finish"), [*zip(KINDS, (True, False, True, False), strict=True)])
-def test_each_kind_waits_for_the_start_or_the_finish_of_the_first(kind, needs_finish):
-    schedule = Schedule.of(model(leaves("a", "b"), [Sequence("a", "b", kind)]))
-    assert ids(allowed(schedule, {"a": 0.0}, {}, 1.0)) == ([] if needs_finish else ["b"])
-    assert ids(allowed(schedule, {"a": 0.0}, {"a": 1.0}, 1.0)) == ["b"]
-
-
 def test_a_lag_is_waited_for_and_its_rest_is_told():
     schedule = Schedule.of(model(leaves("a", "b"), [Sequence("a", "b", lag=60.0)]))
     assert allowed(schedule, {}, {"a": 100.0}, 159.0) == ()

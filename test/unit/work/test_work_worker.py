@@ -6,8 +6,6 @@ import sys
 import textwrap
 
 import pytest
-from chain_samples import ROBOT, ROOT
-from ifc_models import IfcModel
 
 from construction_twin.work.worker import Worker, WorkerError
 
@@ -100,24 +98,3 @@ def test_the_worker_that_ships_says_what_it_cannot_plan_and_lives(shipped):
     assert caught.value.kind == "TaskPlanningError"
     with pytest.raises(WorkerError, match="TypeError.*please report it"):
         shipped.ask("plan")
-
-
-def test_the_worker_that_ships_says_which_tasks_wait_for_each_other(shipped, cyclic):
-    with pytest.raises(WorkerError, match="tasks wait for each other in a circle: .*'place a'.*'place b'") as caught:
-        shipped.ask("prepare", **cyclic)
-    assert caught.value.kind == "ScheduleError"
-
-
-@pytest.fixture
-def cyclic(tmp_path):
-    """What is asked of a model whose tasks wait for each other."""
-    model = IfcModel()
-    studs = [model.box(name, (0.1, 0.1, 1.0), at=(1.0 + k, 0, 0)) for k, name in enumerate("abc")]
-    tasks = [model.task(f"place {stud.Name}", [stud]) for stud in studs]
-    for before, after in zip(tasks, (*tasks[1:], tasks[0])):
-        model.sequence(before, after)
-    cell = str(ROOT / "config/work/timber_panel.yaml")
-    return {
-        "model": str(model.save(tmp_path / "cycle.ifc")), "cell": cell, "robot": ROBOT, "self_collision": "",
-        "planner": {}, "cache": str(tmp_path / "cache"),
-    }  # fmt: skip
