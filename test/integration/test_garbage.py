@@ -9,7 +9,6 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -127,20 +126,21 @@ class GarbageTest(RobotTest):
 
     # -- the tests
 
-    def test_garbage_on_command(self):
-        self.assert_counted_without_motion(self.send_commands, self.client.gateway_counters)
-
-    def test_garbage_on_control(self):
-        self.assert_counted_without_motion(self.send_controls, self.client.gateway_counters)
-
-    def test_garbage_on_state_and_status(self):
-        self.assert_counted_without_motion(self.send_states, lambda: self.client.diagnostics("mqtt_bridge"))
-        self.assertGreater(self.client.link.states_refused, 0)
-
-    def test_garbage_on_udp(self):
+    def test_garbage_is_counted_and_moves_nothing(self):
         sessions = self.client.gateway_counters()["rsi_sessions"]
-        self.assert_counted_without_motion(self.send_datagrams, self.client.gateway_counters)
+        with Stream("mock_rsi/joint_states") as arm, Stream("twin/joint_states") as twin:
+            before = self.counters()
+            for name, count in self.send_garbage().items():
+                expected = int(before.get(name, 0)) + count
+                self.client.wait(lambda: int(self.counters().get(name, 0)) >= expected, f"{name} to rise by {count}")
+                self.assertEqual(int(self.counters()[name]), expected, name)
+            arm.wait_for_more(WATCH)
+            for stream in (arm, twin):
+                positions = stream.positions()
+                np.testing.assert_array_equal(positions, np.broadcast_to(positions[0], positions.shape))
+        self.assertGreater(self.client.link.states_refused, 0)
         self.assertEqual(self.client.gateway_counters()["rsi_sessions"], sessions, "a foreign datagram began a session")
+        self.assert_undisturbed()
 
     def test_motion_in_the_middle_of_garbage(self):
         missed = self.client.mock_counter("missed")
@@ -153,8 +153,7 @@ class GarbageTest(RobotTest):
                 # about 80 messages ten times a second among the real ones; a flood that takes the processors is `make fuzz`
                 if time.monotonic() >= next_burst[0]:
                     next_burst[0] = time.monotonic() + 0.1
-                    for send in (self.send_commands, self.send_controls, self.send_states, self.send_datagrams):
-                        send()
+                    self.send_garbage()
                 return self.client.execution.plan_id == plan.plan_id and self.client.execution.outcome == "finished"
 
             self.client.wait(finished, "the plan to be finished")
@@ -232,6 +231,14 @@ class GarbageTest(RobotTest):
             recorder.wait(10)
 
     # -- what is sent
+
+    def send_garbage(self) -> Counter:
+        """Send all of it; return what gateway and bridge must count."""
+        return self.send_commands() + self.send_controls() + self.send_states() + self.send_datagrams()
+
+    def counters(self) -> dict[str, str]:
+        """Return what gateway and bridge have counted."""
+        return self.client.gateway_counters() | self.client.diagnostics("mqtt_bridge")
 
     def send_commands(self) -> Counter:
         """Publish on `command`; return what the gateway must count."""
@@ -336,20 +343,6 @@ class GarbageTest(RobotTest):
         """Publish one message."""
         beside = UserProperties(properties) if properties else None
         self.mqtt.publish(topic, payload, qos=1, retain=retain, properties=beside)
-
-    def assert_counted_without_motion(self, send: Callable[[], Counter], counters: Callable[[], dict]):
-        """Send; every counter rises by exactly what was sent, arm and twin stay exactly where they are, the link stays."""
-        with Stream("mock_rsi/joint_states") as arm, Stream("twin/joint_states") as twin:
-            before = counters()
-            for name, count in send().items():
-                expected = int(before.get(name, 0)) + count
-                self.client.wait(lambda: int(counters().get(name, 0)) >= expected, f"{name} to rise by {count}")
-                self.assertEqual(int(counters()[name]), expected, name)
-            arm.wait_for_more(WATCH)
-            for stream in (arm, twin):
-                positions = stream.positions()
-                np.testing.assert_array_equal(positions, np.broadcast_to(positions[0], positions.shape))
-        self.assert_undisturbed()
 
     def assert_undisturbed(self):
         """The link was never lost: same session, armed, in sync."""

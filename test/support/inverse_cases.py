@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import time
 from dataclasses import replace
@@ -11,6 +12,7 @@ import numpy as np
 from hypothesis import strategies as st
 from rotations import rotation_angle
 
+from construction_twin.core.motion_errors import BranchError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.robot.description import read_robot_files
@@ -87,3 +89,20 @@ def assert_solves(chain, solution, pose, seed) -> None:
     assert rotation_angle(reached.rotation, pose.rotation) <= 1e-6
     assert solution.residual_m <= 1e-6 and solution.residual_rad <= 1e-6
     np.testing.assert_allclose(solution.distance, np.linalg.norm(np.subtract(solution.q, seed)), atol=1e-12)
+
+
+def assert_kept_or_refused(inverse, poses, slots) -> None:
+    """Check that a configuration that is asked for is kept, or refused with those that there are."""
+    kept = refused = 0
+    for q, slot in itertools.product(poses, slots):
+        pose, home = inverse.chain.forward(q), inverse.chain.robot.home
+        try:
+            solution = inverse.nearest(pose, home, slot)
+        except BranchError as error:
+            refused += 1
+            assert error.available and str(slot) not in error.available
+        else:
+            kept += 1
+            assert_solves(inverse.chain, solution, pose, home)
+            assert solution.configuration == slot == inverse.configuration(solution.q)
+    assert kept and refused

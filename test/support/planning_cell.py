@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pinocchio
+from plan_samples import make_plan
 
 from construction_twin.core.freshness import Moment
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.planner import Planner, PlannerSettings, PlanRequest
+from construction_twin.planning.timing import time_path
+from construction_twin.planning.work_plan import joined
 from construction_twin.robot.description import read_robot_files
+from construction_twin.robot.plan import Plan, content_hash
+from construction_twin.robot.segments import Segment
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_yaml import read_scene
@@ -71,3 +77,15 @@ def standing(held: SceneObject, q) -> SceneObject:
 
 def bench_world(name: str) -> CollisionWorld:
     return CollisionWorld(ROBOT, read_scene(ROOT / "benchmarks/problems" / f"{name}.yaml"), SELF_COLLISION)
+
+
+def work_plan(scenes: Sequence[Scene]) -> Plan:
+    """Return a plan of fetch, carry and home through three scenes."""
+    motion, ends = joined([time_path(np.array(pair), ROBOT) for pair in ((HOME, RIGHT), (RIGHT, LEFT), (LEFT, HOME))])
+    hashes = [scene.hash for scene in (*scenes, scenes[2])]
+    segments = tuple(
+        Segment(name, end, name == "carry", (), (), *hashes[number : number + 2])
+        for number, (name, end) in enumerate(zip(("fetch", "carry", "home"), ends))
+    )
+    made = make_plan(motion, "w1", hashes[0])
+    return replace(made, hash=content_hash(motion, "t", segments), task="t", segments=segments)

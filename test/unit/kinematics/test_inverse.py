@@ -11,10 +11,19 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from inverse_cases import KR120, PANDA_LIKE, SEARCHED, TRACK, UR_LIKE, assert_solves, joints, make_inverse
+from inverse_cases import (
+    KR120,
+    PANDA_LIKE,
+    SEARCHED,
+    TRACK,
+    UR_LIKE,
+    assert_kept_or_refused,
+    assert_solves,
+    joints,
+    make_inverse,
+)
 
 from construction_twin.core.motion_errors import (
-    BranchError,
     JointRangeError,
     KinematicsError,
     OrientationError,
@@ -205,21 +214,7 @@ def over_the_base():
 
 @pytest.mark.parametrize("slot", SLOTS, ids=str)
 def test_a_configuration_asked_for_is_kept_or_refused(slot):
-    rng = np.random.default_rng(5)
-    kept = refused = 0
-    for q in rng.uniform(KR120.lower, KR120.upper, (60, 6)):
-        pose = CHAIN.forward(q)
-        try:
-            solution = INVERSE.nearest(pose, KR120.home, slot)
-        except BranchError as error:
-            refused += 1
-            available = error.available
-            assert available and str(slot) not in available
-        else:
-            kept += 1
-            assert_solves(CHAIN, solution, pose, KR120.home)
-            assert solution.configuration == slot == INVERSE.configuration(solution.q)
-    assert kept and refused
+    assert_kept_or_refused(INVERSE, np.random.default_rng(5).uniform(KR120.lower, KR120.upper, (60, 6)), [slot])
 
 
 @given(joints(KR120))

@@ -12,6 +12,7 @@ from dense_search import dense_search
 from hypothesis import given, settings
 from ik_figures import NEARER, Problem, problems
 from inverse_cases import TRACK, assert_solves, changed, joints, make_inverse
+from planning_cell import QUICK
 
 from construction_twin.core.freshness import Moment
 from construction_twin.core.motion_errors import CollisionError
@@ -81,16 +82,7 @@ def test_all_gives_positions_spaced_along_each_branch():
 
 
 def planner_of_track() -> Planner:
-    budget = PlannerSettings(
-        planner="RRTConnect",
-        planning_budget=5.0,
-        edge_step=0.1,
-        speed_scale=1.0,
-        max_waypoints=2000,
-        max_duration=600.0,
-        seed=1,
-    )
-    return Planner(TRACK, RAIL, budget, time.monotonic)
+    return Planner(TRACK, RAIL, PlannerSettings(**QUICK), time.monotonic)
 
 
 def test_a_plan_goes_to_another_position_where_the_nearest_is_blocked():

@@ -11,10 +11,18 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from inverse_cases import IIWA_LIKE, PANDA_LIKE, TRACK, UR_LIKE, assert_solves, joints, make_inverse
+from inverse_cases import (
+    IIWA_LIKE,
+    PANDA_LIKE,
+    TRACK,
+    UR_LIKE,
+    assert_kept_or_refused,
+    assert_solves,
+    joints,
+    make_inverse,
+)
 
 from construction_twin.core.motion_errors import (
-    BranchError,
     NotFoundError,
     OrientationError,
     PositionRangeError,
@@ -128,21 +136,7 @@ def test_a_singular_wrist_elsewhere_on_the_track_is_found():
 
 
 def test_configuration_on_the_track_is_kept_or_refused():
-    kept = refused = 0
-    for q in np.random.default_rng(12).uniform(TRACK.lower, TRACK.upper, (3, 7)):
-        pose = RAIL.chain.forward(q)
-        for slot in SLOTS:
-            try:
-                solution = RAIL.nearest(pose, TRACK.home, slot)
-            except BranchError as error:
-                refused += 1
-                available = error.available
-                assert available and str(slot) not in available
-            else:
-                kept += 1
-                assert_solves(RAIL.chain, solution, pose, TRACK.home)
-                assert solution.configuration == slot == RAIL.configuration(solution.q)
-    assert kept and refused
+    assert_kept_or_refused(RAIL, np.random.default_rng(12).uniform(TRACK.lower, TRACK.upper, (3, 7)), SLOTS)
 
 
 @given(st.floats(0.001, 30.0))

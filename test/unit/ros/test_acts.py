@@ -282,15 +282,15 @@ def test_what_is_pressed_is_carried_out_and_answered(pressing, verb, ack):
     assert pressing.acts.report() == {"interventions taken": 1}
 
 
-def test_a_stop_waits_for_nothing_else(pressing):
-    pause = pressing.services[PAUSE]
-    pause.free.clear()
-    press(pressing, "pause")
-    press(pressing, "stop")
-    wait_until(lambda: acks(pressing, "stop"), what="the answer to the stop")
-    assert pressing.pressed == ["stop"]
-    pause.free.set()
-    wait_until(lambda: acks(pressing, "pause"), what="the answer to the pause")
+@pytest.mark.parametrize("slow, quick", [(PAUSE, STOP), (RESET, STOP), (RESUME, PAUSE)])
+def test_a_stop_waits_for_nothing_else_and_a_pause_for_no_resume(pressing, slow, quick):
+    pressing.services[slow].free.clear()
+    press(pressing, slow)
+    press(pressing, quick, "2")
+    wait_until(lambda: acks(pressing, quick), what="the answer to what is quick")
+    assert pressing.pressed == [quick] and acks(pressing, quick)[0]["id"] == "2"
+    pressing.services[slow].free.set()
+    wait_until(lambda: pressing.pressed == [quick, slow], what="what waited")
 
 
 @pytest.mark.parametrize("verb", [STOP, PAUSE])
@@ -335,17 +335,6 @@ def test_no_press_waits_for_the_log_of_the_one_before(pressing, monkeypatch, ver
             writer.start()
     hangs.set()
     writer.join(10.0)
-
-
-def test_a_pause_waits_for_no_resume_that_waits_for_the_master(pressing):
-    resume = pressing.services[RESUME]
-    resume.free.clear()
-    press(pressing, "resume")
-    press(pressing, "pause", "2")
-    wait_until(lambda: acks(pressing, "pause"), what="the answer to the pause")
-    assert pressing.pressed == ["pause"] and acks(pressing, "pause")[0]["id"] == "2"
-    resume.free.set()
-    wait_until(lambda: len(acks(pressing, "pause")) == 2, what="the answer to the resume")
 
 
 def test_a_resume_for_which_there_was_no_room_may_be_pressed_again(bench):
@@ -507,14 +496,6 @@ def test_a_session_is_asked_for_in_the_name_of_the_account(pressing, verb):
     press(pressing, verb, "7", "ada")
     wait_until(lambda: pressing.made.refused == {"repeated": 1}, what="the refusal of the second")
     assert pressing.pressed == [verb], "QoS 1 may deliver twice"
-
-
-def test_a_stop_waits_for_no_reset(pressing):
-    pressing.services[RESET].free.clear()
-    press(pressing, RESET)
-    press(pressing, STOP)
-    wait_until(lambda: acks(pressing, STOP), what="the answer to the stop")
-    pressing.services[RESET].free.set()
 
 
 def answering(bench, monkeypatch, now=5.0):

@@ -10,7 +10,7 @@ import rospy
 from construction_twin.msg import Rehearsal, Sync
 from construction_twin.srv import PreviewPlanRequest
 from plan_samples import make_plan
-from planning_cell import HOME, LEFT, RIGHT, ROBOT
+from planning_cell import HOME, RIGHT, ROBOT, work_plan
 from sensor_msgs.msg import JointState
 from unplugged import Unplugged
 from visualization_msgs.msg import Marker
@@ -20,9 +20,7 @@ from construction_twin.kinematics.chain import Chain
 from construction_twin.monitor.states import SyncState
 from construction_twin.physics.report import FAILED, PASSED, AxisLoad, RehearsalReport, RehearsedContact, finished
 from construction_twin.planning.timing import time_path
-from construction_twin.planning.work_plan import joined
-from construction_twin.robot.plan import Plan, content_hash
-from construction_twin.robot.segments import Segment
+from construction_twin.robot.plan import Plan
 from construction_twin.ros.messages.convert import plan_to_msg, pose_from_transform_msg
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.scene_convert import scene_to_msg
@@ -40,17 +38,6 @@ SCENES = [Scene((item,), 0.01) for item in (STOCK, HELD, BUILT)]
 CHANGES = (SceneChange((HELD,)), SceneChange((BUILT,)), SceneChange())
 PERIOD = 20_000_000
 THERE = tuple(HOME.tolist())
-
-
-def work_plan() -> Plan:
-    motion, ends = joined([time_path(np.array(pair), ROBOT) for pair in ((HOME, RIGHT), (RIGHT, LEFT), (LEFT, HOME))])
-    hashes = [scene.hash for scene in (*SCENES, SCENES[2])]
-    segments = tuple(
-        Segment(name, end, name == "carry", (), (), *hashes[number : number + 2])
-        for number, (name, end) in enumerate(zip(("fetch", "carry", "home"), ends))
-    )
-    made = make_plan(motion, "w1", hashes[0])
-    return dataclasses.replace(made, hash=content_hash(motion, "t", segments), task="t", segments=segments)
 
 
 class Bench:
@@ -232,7 +219,7 @@ def test_a_state_that_nobody_knows_is_refused(plain):
 @pytest.fixture
 def bench(plain) -> Bench:
     plain.hear_scene(SCENES[0])
-    plain.hear_plan(work_plan())
+    plain.hear_plan(work_plan(SCENES))
     return plain
 
 
@@ -248,7 +235,7 @@ def test_a_work_plan_is_drawn_with_paths_ends_names_and_the_placed_element(bench
 
 
 def test_the_ghost_has_the_element_in_its_grip_while_it_carries_it(bench):
-    ends = [segment.end for segment in work_plan().segments]
+    ends = [segment.end for segment in work_plan(SCENES).segments]
     assert bench.shown("plan_grip") == []
     assert bench.services["preview_plan"](PreviewPlanRequest(speed=1.0, loop=False)).success
     bench.at(100.0 + ends[0] - 0.01)
@@ -266,8 +253,8 @@ def test_the_ghost_has_the_element_in_its_grip_while_it_carries_it(bench):
 
 
 def test_a_plan_with_an_object_that_makes_no_sense_is_refused(bench):
-    path = np.zeros((len(work_plan().trajectory.times), 3))
-    message = plan_to_msg(dataclasses.replace(work_plan(), id="w2"), "base", path, CHANGES)
+    path = np.zeros((len(work_plan(SCENES).trajectory.times), 3))
+    message = plan_to_msg(dataclasses.replace(work_plan(SCENES), id="w2"), "base", path, CHANGES)
     message.segments[0].put[0].size = [-1.0, 1.0, 1.0]
     count = len(bench.messages)
     bench.callbacks["plan"](message)
@@ -336,7 +323,7 @@ def test_one_that_is_not_what_its_hash_says_or_is_of_another_arm_is_refused(rehe
 
 
 def test_the_ghost_of_a_rehearsal_carries_what_the_arm_carries_then(rehearsed):
-    plan = work_plan()
+    plan = work_plan(SCENES)
     rehearsed.hear_plan(plan)
     rehearsed.hear_rehearsal(rehearsal(plan))
     assert "rehearsal_carried" not in rehearsed.namespaces()

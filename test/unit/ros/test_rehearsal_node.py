@@ -11,16 +11,14 @@ import pytest
 import rospy
 from construction_twin.msg import Rehearsal, Review, WorkTask, WorkTasks
 from plan_samples import make_plan
-from planning_cell import HOME, LEFT, RIGHT, ROBOT, ROOT
+from planning_cell import HOME, RIGHT, ROBOT, ROOT, work_plan
 from unplugged import Unplugged
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.extras import check_extras
 from construction_twin.physics.report import BROKEN, FAILED, PASSED, RehearsalReport, finished
 from construction_twin.planning.timing import time_path
-from construction_twin.planning.work_plan import joined
-from construction_twin.robot.plan import Plan, content_hash
-from construction_twin.robot.segments import Segment
+from construction_twin.robot.plan import Plan
 from construction_twin.robot.tool import tool_hash
 from construction_twin.ros.messages.convert import plan_to_msg
 from construction_twin.ros.messages.records import from_msg, to_msg
@@ -50,17 +48,6 @@ SOON = 60.0
 
 def plain_plan(name: str = "p") -> Plan:
     return make_plan(time_path(np.array([HOME, RIGHT]), ROBOT), name, SCENES[0].hash)
-
-
-def work_plan() -> Plan:
-    motion, ends = joined([time_path(np.array(pair), ROBOT) for pair in ((HOME, RIGHT), (RIGHT, LEFT), (LEFT, HOME))])
-    hashes = [scene.hash for scene in (*SCENES, SCENES[2])]
-    segments = tuple(
-        Segment(name, end, name == "carry", (), (), *hashes[number : number + 2])
-        for number, (name, end) in enumerate(zip(("fetch", "carry", "home"), ends))
-    )
-    made = make_plan(motion, "w1", hashes[0])
-    return dataclasses.replace(made, hash=content_hash(motion, "t", segments), task="t", segments=segments)
 
 
 class Process:
@@ -165,13 +152,13 @@ class TestWhatIsRehearsed:
 
     def test_of_a_work_plan_the_scenes_of_all_its_segments(self, bench):
         bench.hear_scene()
-        bench.hear_plan(work_plan())
+        bench.hear_plan(work_plan(SCENES))
         bench.node.work(0.0)
         assert set(bench.process.questions[0].scenes) == {scene.hash for scene in SCENES}
 
     def test_a_change_that_leads_elsewhere_is_a_broken_rehearsal(self, bench):
         bench.hear_scene()
-        bench.hear_plan(work_plan(), (SceneChange((BUILT,)), *CHANGES[1:]))
+        bench.hear_plan(work_plan(SCENES), (SceneChange((BUILT,)), *CHANGES[1:]))
         bench.node.work(0.0)
         assert bench.newest.state == BROKEN and SCENES[1].hash in bench.newest.reasons[0]
         assert bench.process.questions == []
@@ -199,7 +186,7 @@ class TestMasses:
         ]
         bench.plug.callbacks["work/tasks"](WorkTasks(tasks=tasks))
         bench.hear_scene()
-        bench.hear_plan(work_plan())
+        bench.hear_plan(work_plan(SCENES))
         bench.node.work(0.0)
         assert bench.process.questions[0].masses == {"beam": 42.0}
         frame = dataclasses.replace(STOCK, name="tool/frame", link="tool0")
@@ -239,7 +226,7 @@ class TestBroken:
         silent = Unplugged(monkeypatch, NODE, SETTINGS, ROBOT)
         bench.plug, bench.node, bench.published = silent, silent.node, silent.published["rehearsal"]
         bench.hear_scene()
-        bench.hear_plan(work_plan())
+        bench.hear_plan(work_plan(SCENES))
         bench.node.work(0.0)
         assert bench.newest.state == BROKEN and "task t" in bench.newest.reasons[0]
         # a plan of no task needs none
@@ -319,7 +306,7 @@ def test_the_process_rehearses_a_plan_and_its_result_crosses_the_topic_unchanged
         assert finished(back, back.took).hash == report.hash == back.hash
         assert back == report
         # a held beam that weighs far more than the arm may carry
-        work = work_plan()
+        work = work_plan(SCENES)
         scenes = {scene.hash: scene for scene in SCENES}
         heavy = process.ask("rehearse", arm=arm, question=Question(work, scenes, {"beam": 240.0}, "i"))
         assert heavy.state == FAILED and heavy.payload.mass == pytest.approx(240.0)
