@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections import Counter
+from collections import Counter, defaultdict
 from types import SimpleNamespace
 
 from gateway_cell import CONFIG, RUN, START
@@ -14,8 +14,8 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.states import LinkState
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.mqtt.messages import PROTOCOL, parse_control
-from construction_twin.ros.nodes.mqtt_bridge import NODE, MqttBridge, Outputs, Settings
+from construction_twin.mqtt.messages import PROTOCOL, Topics, parse_control
+from construction_twin.ros.nodes.mqtt_bridge import MIRROR_MODE, NODE, WAITS, MqttBridge, Settings
 
 
 class Clocks:
@@ -84,6 +84,16 @@ class Refusals:
         self.refused[reason] += 1
 
 
+def open_ports(diagnostics, mirrors=False, waits="", keep=lambda name, value: None) -> SimpleNamespace:
+    """Return ports whose publishers are lists, by topic, and what an earlier bridge has kept; `keep` takes name and value."""
+    return SimpleNamespace(
+        publishers=defaultdict(Published),
+        diagnostics=diagnostics,
+        parameters={"gateway": {}, MIRROR_MODE: mirrors, WAITS: waits},
+        keeper=lambda name: lambda value: keep(name, value),
+    )
+
+
 class BridgeBench:
     """A bridge for the two-axis arm of `gateway_cell`.
 
@@ -91,13 +101,12 @@ class BridgeBench:
         diagnostics: Takes what reports of the bridge; returns what counts.
         properties: Bool. Whether the link carries MQTT 5 properties.
         kind: Str. ``rsi`` or ``plc``: what takes the commands.
-        options: The bridge's.
+        kept: As of `open_ports`.
     """
 
-    def __init__(self, clocks, diagnostics=Refusals, properties=True, kind="rsi", **options):
+    def __init__(self, clocks, diagnostics=Refusals, properties=True, kind="rsi", **kept):
         self.clocks = clocks
         self.client = Client()
-        self.physical, self.links, self.tools, self.asked = (Published() for _ in range(4))
         settings = Settings(
             arm="mock",
             host="127.0.0.1",
@@ -114,9 +123,11 @@ class BridgeBench:
 
         self._codec, self._states = codec, 0
         self.diagnostics = diagnostics(lambda: self.bridge.report())
-        outputs = Outputs(self.physical, Published(), self.links, self.tools, self.asked)
+        ports = open_ports(self.diagnostics, **kept)
+        topics = ("physical/joint_states", "link", "tool", "session_request")
+        self.physical, self.links, self.tools, self.asked = (ports.publishers[topic] for topic in topics)
         self.bridge = MqttBridge(
-            settings, "arm", config, codec, Broker("127.0.0.1", 1), self.client, outputs, self.diagnostics, **options
+            settings, Topics("twin", "arm"), config, codec, Broker("127.0.0.1", 1), self.client, ports
         )
         self.gateway = {
             "state": "ready", "reason": "", "session": "", "run": RUN, "fault_number": 0, "hash": config.hash,

@@ -188,11 +188,11 @@ class Commander(threading.Thread):
     def _on_connect(self, client, userdata, flags, reason_code, properties) -> None:
         client.subscribe([(self._topics.state, 0), (self._topics.status, 1), (self._topics.control_ack, 1)])
         with self._lock:
-            self._supervisor.on_connection(True)
+            self._supervisor.inputs.on_connection(True)
 
     def _on_disconnect(self, client, userdata, flags, reason_code, properties) -> None:
         with self._lock:
-            self._supervisor.on_connection(False)
+            self._supervisor.inputs.on_connection(False)
 
     def _on_state(self, client, userdata, message) -> None:
         try:
@@ -207,7 +207,7 @@ class Commander(threading.Thread):
             if before is not None and q != before:
                 self.moved_at.append(self._heard_at)
             self.states += 1
-            self._supervisor.on_pose(q, time.monotonic_ns())
+            self._supervisor.inputs.on_pose(q, time.monotonic_ns())
 
     def _on_status(self, client, userdata, message) -> None:
         status = parse_status(message.payload)
@@ -215,7 +215,7 @@ class Commander(threading.Thread):
         if status.get("state") == "offline":
             self._check.restart()
         with self._lock:
-            self._supervisor.on_status(status, time.monotonic_ns())
+            self._supervisor.inputs.on_status(status, time.monotonic_ns())
 
     def _on_answer(self, client, userdata, message) -> None:
         with self._lock:

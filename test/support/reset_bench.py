@@ -39,7 +39,7 @@ class ResetBench:
         ids = (f"id{number}" for number in itertools.count(1))
         self._make = lambda waits="": LinkSupervisor.of(self.cell.config, lambda: next(ids), waits=waits)
         self.supervisor = self._make()
-        self.supervisor.on_connection(True)
+        self.supervisor.inputs.on_connection(True)
         #: Control messages for which this returns True are lost on their way.
         self.loses: Callable[[Control], bool] = lambda control: False
         #: The same of answers to them.
@@ -105,7 +105,7 @@ class ResetBench:
         if self.now >= self._status_at + STATUS:
             self.tell()
         measured = self.cell.measured
-        self.at(self.now + self.down, lambda: self.supervisor.on_pose(measured, self.now))
+        self.at(self.now + self.down, lambda: self.supervisor.inputs.on_pose(measured, self.now))
         self._command()
         self._cycles += 1
         if self._cycles % POLL_CYCLES == 0:
@@ -131,7 +131,7 @@ class ResetBench:
     def tell(self) -> None:
         """Send the gateway's status."""
         self._status_at, status = self.now, self.gateway.status()
-        self.at(self.now + self.down, lambda: self.supervisor.on_status(status, self.now))
+        self.at(self.now + self.down, lambda: self.supervisor.inputs.on_status(status, self.now))
 
     def _tell_change(self) -> None:
         if self.gateway.take_change():
@@ -184,14 +184,14 @@ class ResetBench:
         """Kill the gateway and start it again, as another run; the broker says so unless it is not to give a `farewell`."""
         if farewell:
             word = {"state": "offline", "reason": "connection lost", "run": self.gateway.run}
-            self.at(self.now + self.down, lambda: self.supervisor.on_status(word, self.now))
+            self.at(self.now + self.down, lambda: self.supervisor.inputs.on_status(word, self.now))
         self.cell.gateway = Gateway(self.cell.config, f"run{next(self._order) + 2}")
         self._status_at = self.now
 
     def restart_bridge(self) -> None:
         """Kill the bridge and start it again: it knows nothing but why its predecessor waited for a person."""
         self.supervisor = self._make(self.supervisor.waits_for)
-        self.supervisor.on_connection(True)
+        self.supervisor.inputs.on_connection(True)
         self._session = ""
         self.tell()
 

@@ -143,7 +143,7 @@ class SimulatedChain:
         self._controller_cycles = 0
         self._events: list[tuple[int, int, Callable[[], None]]] = []
         self._order = itertools.count()
-        self.supervisor.on_connection(True)
+        self.supervisor.inputs.on_connection(True)
         self._at(EPOCH + CYCLE_NS, self._execute)
         self._at(self._first_cycle, self._control)
         self._at(EPOCH, self._supervise)
@@ -361,7 +361,7 @@ class SimulatedChain:
         q = self.codec.decode(payload)
         if not self.twin.follow(self.now, q):
             self.twin.take_over(q)
-        self.supervisor.on_pose(q, self.now)
+        self.supervisor.inputs.on_pose(q, self.now)
         self.gate.on_physical(q, properties.command_stamp, self.now, seq=properties.seq)
         watch = self.gate.watch_of_servos
         if watch is not None and watch.expected:
@@ -373,7 +373,7 @@ class SimulatedChain:
         self._at(self.now + POLL, self._supervise)
         self.gate.watch(self.now)
         self._note_transitions()
-        self.supervisor.on_status(self.gateway.status(), self.now)
+        self.supervisor.inputs.on_status(self.gateway.status(), self.now)
         control = self.supervisor.poll(self.now)
         if control is not None:
             answer = self.gateway.on_control(control, self.now)

@@ -45,7 +45,7 @@ class Bench:
         self.speaking = True
         self.sent = []
         self.forwarded = False
-        self.supervisor.on_connection(True)
+        self.supervisor.inputs.on_connection(True)
 
     @property
     def state(self) -> LinkState:
@@ -62,11 +62,11 @@ class Bench:
     def poll(self):
         self.now += POLL
         if self.speaking:
-            self.supervisor.on_status(dict(self.gateway), self.now)
+            self.supervisor.inputs.on_status(dict(self.gateway), self.now)
         if self.pose is not None:
-            self.supervisor.on_pose(self.pose, self.now)
+            self.supervisor.inputs.on_pose(self.pose, self.now)
         if self.command is not None:
-            self.forwarded = self.supervisor.on_command(self.command, self.now)
+            self.forwarded = bool(self.supervisor.on_command(self.command, self.now))
         control = self.supervisor.poll(self.now)
         if control is not None:
             self.sent.append(control)
@@ -112,7 +112,7 @@ class BareBench:
         self.command: tuple[float, ...] | None = POSE
         self.sent = []
         self.forwarded = False
-        self.supervisor.on_connection(True)
+        self.supervisor.inputs.on_connection(True)
         self._said: str | None = None
 
     @property
@@ -121,7 +121,7 @@ class BareBench:
 
     def say(self, word: str) -> None:
         """Let the PLC say a word now."""
-        self.supervisor.on_status({"state": word, "kind": "plc"}, self.now)
+        self.supervisor.inputs.on_status({"state": word, "kind": "plc"}, self.now)
 
     def poll(self) -> None:
         self.now += POLL
@@ -132,9 +132,9 @@ class BareBench:
         if self.refusal:
             self.supervisor.inputs.on_pose_refused(self.refusal, self.now)
         elif self.pose is not None:
-            self.supervisor.on_pose(self.pose, self.now)
+            self.supervisor.inputs.on_pose(self.pose, self.now)
         if self.command is not None:
-            self.forwarded = self.supervisor.on_command(self.command, self.now)
+            self.forwarded = bool(self.supervisor.on_command(self.command, self.now))
         control = self.supervisor.poll(self.now)
         if control is not None:
             self.sent.append(control)

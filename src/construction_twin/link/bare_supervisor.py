@@ -91,16 +91,16 @@ class BareSupervisor(LinkSupervisor):
         if self.state not in (LinkState.RESYNC, LinkState.ARMED):
             self.responsible = ""
 
-    def take_responsibility(self, name: str, now: int) -> None:
+    def request_arm(self, now: int, person: str = "") -> None:
         """Begin a session in the name of the person who is responsible for what is not checked.
 
         Args:
-            name: Not empty, printable, at most 64 characters.
+            person: Not empty, printable, at most 64 characters.
 
         Raises:
             ReviewError: Without a name, while it is armed or there is no PLC, or when twin and arm are not at rest.
         """
-        name = name.strip()
+        name = person.strip()
         if not name or len(name) > _LONGEST_NAME or not name.isprintable():
             shown = repr(name[:_LONGEST_NAME])
             raise ReviewError(Sentence("link.plc.no_name", name=shown, command=ARM_COMMAND, longest=_LONGEST_NAME))
@@ -112,11 +112,16 @@ class BareSupervisor(LinkSupervisor):
         if unrest:
             raise ReviewError(Sentence("link.cannot.arm", why=unrest))
         self.responsible = name
+        self.requests += 1
         self.take(LinkEvent.RESPONSIBILITY_TAKEN, now, Sentence("link.plc.taken_now", name=name))
 
-    def withdraw_responsibility(self, reason: str) -> None:
+    def withdraw(self, request: int, reason: str) -> None:
         """Give up arming, because the poses do not meet in time: it must not happen later, when the person is gone."""
-        self.halt(reason)
+        if request == self.requests and self.state is LinkState.RESYNC:
+            self.halt(reason)
+
+    def _after_mirror(self) -> str:
+        return Sentence("link.plc.mirror_ended", command=ARM_COMMAND)
 
     def request_reset(self, now: int) -> None:
         """Refuse: a person's name is needed.
@@ -124,21 +129,7 @@ class BareSupervisor(LinkSupervisor):
         Raises:
             ReviewError: Always; it says why nothing could be armed either.
         """
-        self._refuse("reset", now)
-
-    def request_arm(self, now: int) -> None:
-        """Refuse, as `request_reset`."""
-        self._refuse("arm", now)
-
-    def end_mirror(self, now: int) -> str:
-        """Stop following the arm, on a person's request. Return one sentence; ReviewError as `LinkSupervisor.end_mirror`."""
-        if not self._mirror.active:
-            raise ReviewError(Sentence("link.mirror.not_on", why=self.sentence))
-        self._mirror.end(now)
-        return Sentence("link.plc.mirror_ended", command=ARM_COMMAND)
-
-    def _refuse(self, verb: str, now: int) -> None:
-        refusal = Sentence("link.plc.cannot", verb=verb, command=ARM_COMMAND)
+        refusal = Sentence("link.plc.cannot", verb="reset", command=ARM_COMMAND)
         if self.state in (LinkState.RESYNC, LinkState.ARMED):
             raise ReviewError(Sentence("link.plc.cannot_armed", refusal=refusal, name=self.responsible))
         problem = self.inputs.why_no_pose(now)

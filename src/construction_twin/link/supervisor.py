@@ -15,7 +15,6 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.state_table import Machine, Occasion, conditions
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
-from construction_twin.link.mirror_mode import MirrorMode
 from construction_twin.link.observations import LinkObservations
 from construction_twin.link.states import ROWS, Action, Guard, LinkEvent, LinkState, Row
 from construction_twin.mqtt.messages import RSI, Control, arm_value, reset_value
@@ -70,7 +69,10 @@ class LinkSupervisor:
         self.inputs = self._observations(config_hash, decimals, start_tolerances, last_digits)
         self.session = new_id() if mirrors else ""
         self.responsible = ""
-        self._mirror = MirrorMode(self.inputs, mirrors)
+        #: True from `begin_mirror` to its end, also while the arm's pose is not known.
+        self.mirrors = mirrors
+        # the session that commanded before mirror mode; it is ended at the gateway too
+        self._ended_session = ""
         self._was_armed = False
         # a person asked for a session: it has not begun; it is the present one
         self._reset_wanted = False
@@ -131,11 +133,6 @@ class LinkSupervisor:
         return self.inputs.status
 
     @property
-    def mirrors(self) -> bool:
-        """True from `begin_mirror` to its end, also while the arm's pose is not known."""
-        return self._mirror.active
-
-    @property
     def waits_for(self) -> str:
         """Why only a person leads on, in a sentence for the process after this one; "" when nothing stands against arming.
 
@@ -149,10 +146,6 @@ class LinkSupervisor:
 
     # -- what comes in
 
-    def on_connection(self, connected: bool) -> None:
-        """Take the state of the connection to the broker."""
-        self.inputs.on_connection(connected)
-
     @property
     def withdraws(self) -> bool:
         """True while a failed request is being withdrawn: the gateway has not answered yet that nothing of it is in force."""
@@ -163,18 +156,10 @@ class LinkSupervisor:
         """Run and number of the gateway's last stop or fault, as far as it is known."""
         return self.inputs.run, self.inputs.fault_number
 
-    def on_status(self, status: dict, now: int) -> str:
-        """Take the gateway's status; return in a sentence why it was not taken, empty when it was."""
-        return self.inputs.on_status(status, now)
-
-    def on_pose(self, q: tuple[float, ...], now: int) -> None:
-        """Take the arm's pose [rad]."""
-        self.inputs.on_pose(q, now)
-
-    def on_command(self, q: tuple[float, ...], now: int) -> bool:
-        """Take a command that wants to be sent [rad]; return whether it may be."""
+    def on_command(self, q: tuple[float, ...], now: int) -> str:
+        """Take a command that wants to be sent [rad]; return the session that may send it, "" for none."""
         self.inputs.on_command(q, now)
-        return self.machine.state is LinkState.ARMED
+        return self.session if self.machine.state is LinkState.ARMED else ""
 
     def on_answer(self, answer: dict, now: int) -> None:
         """Take the gateway's answer to a control message."""
@@ -200,7 +185,7 @@ class LinkSupervisor:
         Raises:
             ReviewError: When the arm leads, the gateway's program has failed, the arm's pose is not known, or it moves.
         """
-        if self._mirror.active:
+        if self.mirrors:
             raise ReviewError(Sentence("link.cannot.reset", why=Sentence("link.mirror.reset")))
         if self.state in _NO_ARM or self.inputs.gateway_failed:
             raise ReviewError(Sentence("link.cannot.reset", why=self.reason))
@@ -209,8 +194,10 @@ class LinkSupervisor:
             raise ReviewError(Sentence("link.cannot.reset", why=unrest))
         self._want_session()
 
-    def request_arm(self, now: int) -> None:
+    def request_arm(self, now: int, person: str = "") -> None:
         """Refuse: where nothing stands against it the link arms by itself, and what does is lifted by `request_reset` alone.
+
+        A bare PLC is armed in the person's name.
 
         Raises:
             ReviewError: Always; it says what stands against it.
@@ -243,26 +230,19 @@ class LinkSupervisor:
                 reason = Sentence("link.call_reset", reason=reason)
             self.take(LinkEvent.WITHDRAWN, 0, reason)
 
-    def take_responsibility(self, name: str, now: int) -> None:
-        """Arm a bare PLC in a person's name; with a gateway nothing needs it.
-
-        Raises:
-            ReviewError: With a gateway always: it is armed by itself once it has been checked.
-        """
-        raise ReviewError(Sentence("link.not_by_name"))
-
-    def withdraw_responsibility(self, reason: str) -> None:
-        """Give up arming a bare PLC in a person's name; nothing with a gateway."""
-
     def begin_mirror(self, now: int) -> str:
         """Let the arm lead, on a person's request: nothing is commanded until `end_mirror`. Return one sentence.
 
         Raises:
             ReviewError: When there is no arm to follow, or arm or command stream move.
         """
-        if self._mirror.active:
+        if self.mirrors:
             return Sentence("link.mirror.already")
-        self._mirror.begin(self.session, now)
+        if why := self._why_no_mirror(now):
+            raise ReviewError(Sentence("link.cannot.mirror", why=why))
+        if self.inputs.stream_may_move(now):
+            raise ReviewError(Sentence("link.cannot.mirror", why=Sentence("link.mirror.stream_moves")))
+        self.mirrors, self._ended_session = True, self.session
         self.take(LinkEvent.MIRROR_ASKED, now)
         return self.reason
 
@@ -272,15 +252,25 @@ class LinkSupervisor:
         Raises:
             ReviewError: When the arm does not lead, its pose is not known, it moves, or the gateway's program has failed.
         """
-        if not self._mirror.active:
+        if not self.mirrors:
             raise ReviewError(Sentence("link.mirror.not_on", why=self.sentence))
         if self.inputs.gateway_failed:
             raise ReviewError(self._with_remedy(Sentence("link.mirror.stays", reason=self.reason)))
-        self._mirror.end(now)
+        if why := self._why_no_mirror(now):
+            raise ReviewError(Sentence("link.cannot.leave_mirror", why=why))
+        self.mirrors = False
+        return self._after_mirror()
+
+    def _after_mirror(self) -> str:
         if self.inputs.reads_only:
             return Sentence("link.mirror.ended_read_only")
         self._want_session()
         return Sentence("link.mirror.ended")
+
+    def _why_no_mirror(self, now: int) -> str:
+        # a gateway that only reads is enough
+        obstacle = self.inputs.obstacle(now, mirrors=True)
+        return obstacle[1] if obstacle is not None else self.inputs.why_not_at_rest(now)
 
     def halt(self, reason: str) -> None:
         """Stop forwarding commands until a person calls `reset`; used after a stop was sent to the gateway."""
@@ -291,7 +281,7 @@ class LinkSupervisor:
 
     def poll(self, now: int) -> Control | None:
         """Update the state; return a control message to send now, or None."""
-        obstacle = self.inputs.obstacle(now, self._mirror.active)
+        obstacle = self.inputs.obstacle(now, self.mirrors)
         if obstacle is not None:
             self.take(obstacle[0], now, obstacle[1])
             return None
@@ -315,7 +305,7 @@ class LinkSupervisor:
 
     def _guards(self) -> dict[Guard, Callable[[Occasion], bool]]:
         return {
-            Guard.ARM_LEADS: lambda at: self._mirror.active,
+            Guard.ARM_LEADS: lambda at: self.mirrors,
             Guard.SESSION_ENDED: self._session_ended,
             Guard.FAULT: lambda at: self.inputs.fault,
             Guard.FAULT_UNASKED: lambda at: self.inputs.fault and not self._asked_for,
@@ -332,7 +322,7 @@ class LinkSupervisor:
             Guard.WITHDRAWAL_UNTOLD: lambda at: (
                 self._owes_stop and not self.inputs.follows_another(self._withdrawn_session)
             ),
-            Guard.OLD_SESSION_COMMANDS: lambda at: self._mirror.old_session_commands,
+            Guard.OLD_SESSION_COMMANDS: lambda at: self.inputs.follows(self._ended_session),
             Guard.NOT_TOGETHER: self._not_together,
         }
 
@@ -370,7 +360,7 @@ class LinkSupervisor:
             Action.BEGIN_NEXT_SESSION: lambda row, at: self._begin_session(Sentence("link.session.next")),
             Action.BEGIN_SESSION_AFTER_REFUSAL: self._begin_session_after_refusal,
             Action.NOTE_ARMED: self._note_armed,
-            Action.TELL_MIRROR: lambda row, at: self._mirror.sentence,
+            Action.TELL_MIRROR: lambda row, at: self._mirror_sentence,
             Action.TELL_GATEWAY: lambda row, at: self._gateway_sentence,
             Action.TELL_STOP: self._tell_stop,
             Action.VOID_REQUEST: self._void_request,
@@ -382,7 +372,7 @@ class LinkSupervisor:
             Action.SEND_RESET: lambda row, at: self._send_reset(self.session, at.now),
             Action.SEND_STOP: lambda row, at: self._send("stop", self._withdrawn_session, at.now),
             Action.SEND_ARM: self._send_arm,
-            Action.RESET_OLD_SESSION: lambda row, at: self._send_reset(self._mirror.ended_session, at.now),
+            Action.RESET_OLD_SESSION: lambda row, at: self._send_reset(self._ended_session, at.now),
         }
 
     def _forget_requests(self, row: Row, at: Occasion) -> str:
@@ -390,7 +380,7 @@ class LinkSupervisor:
         return at.reason
 
     def _note_halt(self, row: Row, at: Occasion) -> str:
-        self._mirror.active = False
+        self.mirrors = False
         self._halted = at.reason
         self._pending = None
         # what was asked for before the halt is not asked for any more
@@ -426,7 +416,16 @@ class LinkSupervisor:
         # neither tells the gateway of a request that failed, nor ends the waiting for a person
         self.session = self._new_id()
         self._pending, self._reset_wanted, self._asked_for = None, False, False
-        return self._mirror.sentence
+        return self._mirror_sentence
+
+    @property
+    def _mirror_sentence(self) -> Sentence:
+        leads = Sentence("link.mirror.leads")
+        if self.inputs.reads_only:
+            return Sentence("link.mirror.leads_read_only", leads=leads)
+        if self.inputs.fault:
+            return Sentence("link.mirror.leads_stopped", leads=leads, state=self.inputs.gateway)
+        return leads
 
     def _begin_session(self, reason: str) -> str:
         self.session = self._new_id()

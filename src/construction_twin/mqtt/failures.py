@@ -114,7 +114,7 @@ def lost_connection(broker: Broker, reason_code: ReasonCode) -> str:
     if reason_code.value == _TAKEN_OVER:
         return (
             f"connection to broker {broker.host}:{broker.port} taken away by a client with the same id: somebody who has an "
-            "account there knows it; trying again with another id, find out which log of the broker names ids (docs/broker.md)"
+            "account there knows it; trying again; find out which log of the broker names ids (docs/broker.md)"
         )
     why = "the broker or the network has closed it" if reason_code.value == _CLOSED else str(reason_code)
     return f"connection to broker {broker.host}:{broker.port} lost: {why}; trying again{_maybe_certificate(broker)}"

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import functools
 import logging
-import secrets
 import socket
 import struct
 import threading
@@ -20,9 +19,7 @@ import time
 
 from paho.mqtt import __version__ as paho_version
 from paho.mqtt import client as paho
-from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode, MQTTProtocolVersion
-from paho.mqtt.properties import Properties
-from paho.mqtt.reasoncodes import ReasonCode
+from paho.mqtt.enums import MQTTErrorCode, MQTTProtocolVersion
 
 from construction_twin.mqtt.plain_client import PlainClient, StreamCallback
 
@@ -36,10 +33,6 @@ _LENGTH = struct.Struct("!H")
 _AHEAD = 2048
 #: The loop notices a connection that another thread has found lost within this time [s].
 _LOOP_TIMEOUT = 0.1
-#: A broker gives up a silent connection after 1.5 times its keepalive; after so many times it holds none any more.
-_HELD = 2.0
-#: Longest time in which a former connection is ended [s].
-_END_TIME = 2.0
 
 
 class UserProperties:
@@ -108,11 +101,6 @@ def _text(packet: bytes, at: int, end: int) -> tuple[str | None, int]:
     return (text if text.isprintable() else None), stop
 
 
-def renewed_id(client_id: str) -> str:
-    """Return another id of the same program: the random part after the last - is new."""
-    return f"{client_id.rpartition('-')[0]}-{secrets.token_hex(8)}"
-
-
 def whole_publish(ahead: bytes) -> tuple[int, int] | None:
     """Return where the first packet's topic begins and where the packet ends.
 
@@ -149,10 +137,6 @@ def is_tested() -> bool:
 class FastClient(PlainClient):
     """Reads and sends joint strings without paho's general code, whatever else goes over the connection.
 
-    A connection that the broker has closed returns under a new id: somebody who knew the former one may have taken it away, which
-    mosquitto 2.0 and MQTT 3.1.1 do not tell. It may as well have been the network, and then the broker still holds the connection
-    and would publish its last will seconds later, behind what the new one has said: so that one is ended first, by its id.
-
     test_fast_client compares what is read and what is sent with paho's own.
     """
 
@@ -160,9 +144,6 @@ class FastClient(PlainClient):
         super().__init__(*arguments, **options)
         self._streams: dict[bytes, StreamCallback] = {}
         self._writing = threading.RLock()
-        # of a connection that the broker may still hold: its id, and until when it may [s]
-        self._former = ""
-        self._held_until = 0.0
 
     def on_stream(self, topic: str, callback: StreamCallback) -> None:
         """Call ``callback(payload, pairs, retained)`` for each message on `topic`; see `PlainClient`."""
@@ -267,45 +248,6 @@ class FastClient(PlainClient):
             return super()._handle_publish()
         self._deliver(plain, bool(header & 1))
         return MQTTErrorCode.MQTT_ERR_SUCCESS
-
-    def _do_on_disconnect(
-        self,
-        packet_from_broker: bool,
-        v1_rc: MQTTErrorCode,
-        reason: ReasonCode | None = None,
-        properties: Properties | None = None,
-    ) -> None:
-        # what fell silent returns with the same id, which ends what the broker may still hold of it
-        if v1_rc != MQTTErrorCode.MQTT_ERR_KEEPALIVE:
-            client_id = self._client_id.decode()
-            if self.is_connected() and not packet_from_broker:
-                self._former, self._held_until = client_id, time.monotonic() + _HELD * self._keepalive
-            self._client_id = renewed_id(client_id).encode()
-        super()._do_on_disconnect(packet_from_broker, v1_rc, reason, properties)
-
-    def reconnect(self) -> MQTTErrorCode:
-        """Connect, after the broker has ended what it still holds of a former connection."""
-        if self._former and time.monotonic() < self._held_until:
-            self._end(self._former)
-        self._former = ""
-        return super().reconnect()
-
-    def _end(self, client_id: str) -> None:
-        """Have the broker end the connection of an id, by one with the same id that says goodbye; OSError if it is not reached."""
-        other = paho.Client(
-            CallbackAPIVersion.VERSION2, client_id=client_id, protocol=self._protocol, reconnect_on_failure=False
-        )
-        other._username, other._password = self._username, self._password
-        if self._ssl_context is not None:
-            other.tls_set_context(self._ssl_context)
-        other.connect_timeout = _END_TIME
-        answers: list[ReasonCode] = []
-        other.on_connect = lambda client, userdata, flags, reason_code, properties: answers.append(reason_code)
-        other.connect(self._host, self._port, self._keepalive)
-        deadline = time.monotonic() + _END_TIME
-        while not answers and time.monotonic() < deadline and other.loop(_LOOP_TIMEOUT) == paho.MQTT_ERR_SUCCESS:
-            pass
-        other.disconnect()
 
     def _deliver(self, plain: tuple[bytes, UserProperties, bytes], retained: bool) -> None:
         topic, properties, payload = plain

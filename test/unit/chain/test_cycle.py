@@ -57,11 +57,11 @@ def test_a_silent_stream_brakes_the_arm_and_reset_brings_everything_back():
     chain = make_chain(6, cycle=12)
     chain.play(make_plan(chain, REACH, speed_scale=0.6))
     chain.run_for(1.5)
-    chain.supervisor.on_connection(False)
+    chain.supervisor.inputs.on_connection(False)
     assert chain.run_until(lambda: chain.gateway.state.value == "holding", 3.0)
     assert chain.gateway.status()["stop"]["cause"] == "silence"
     assert_corrections_inside_limits(chain)
-    chain.supervisor.on_connection(True)
+    chain.supervisor.inputs.on_connection(True)
     chain.run_for(0.5)
     chain.supervisor.request_reset(chain.now)
     assert chain.run_until(lambda: chain.ready, 5.0), chain.supervisor.reason

@@ -29,7 +29,7 @@ def waiting(bench) -> BareBench:
 
 @pytest.fixture
 def armed(waiting) -> BareBench:
-    waiting.supervisor.take_responsibility("Ada", waiting.now)
+    waiting.supervisor.request_arm(waiting.now, "Ada")
     waiting.run(0.5)
     assert waiting.state is LinkState.ARMED
     return waiting
@@ -51,31 +51,31 @@ class TestArming:
         with pytest.raises(
             ReviewError, check=says("link.plc.no_name", command="rosrun construction_twin twin arm --responsible NAME")
         ):
-            waiting.supervisor.take_responsibility(name, waiting.now)
+            waiting.supervisor.request_arm(waiting.now, name)
         waiting.run(1.0)
         assert waiting.state is LinkState.NEEDS_RESET and waiting.supervisor.responsible == ""
 
     def test_every_arming_is_another_session_so_that_twin_and_gate_start_over(self, bench):
         before = bench.supervisor.session
         bench.run(0.5)
-        bench.supervisor.take_responsibility("Ada", bench.now)
+        bench.supervisor.request_arm(bench.now, "Ada")
         bench.run(0.5)
         first = bench.supervisor.session
         bench.supervisor.halt("halted")
         bench.run(0.5)
-        bench.supervisor.take_responsibility("Grace", bench.now)
+        bench.supervisor.request_arm(bench.now, "Grace")
         bench.run(0.5)
         assert bench.state is LinkState.ARMED and len({"", before, first, bench.supervisor.session}) == 4
 
     @pytest.mark.parametrize("distance, state", [(0.99, LinkState.ARMED), (-1.01, LinkState.RESYNC)])
     def test_strings_begin_only_within_the_start_tolerance_of_the_arm(self, waiting, distance, state):
-        waiting.supervisor.take_responsibility("Ada", waiting.now)
+        waiting.supervisor.request_arm(waiting.now, "Ada")
         waiting.command = moved(distance * TOLERANCE)
         waiting.run(1.0)
         assert waiting.state is state and waiting.forwarded is (state is LinkState.ARMED)
 
     def test_a_stream_that_passes_the_arm_in_motion_is_not_armed(self, waiting):
-        waiting.supervisor.take_responsibility("Ada", waiting.now)
+        waiting.supervisor.request_arm(waiting.now, "Ada")
         for tenth in range(-30, 31):
             waiting.command = moved(tenth / 10 * TOLERANCE)
             waiting.poll()
@@ -86,14 +86,14 @@ class TestArming:
         assert waiting.run(0.5).state is LinkState.ARMED
 
     def test_a_stream_whose_first_command_meets_the_arm_is_not_armed_before_it_has_rested(self, waiting):
-        waiting.supervisor.take_responsibility("Ada", waiting.now)
+        waiting.supervisor.request_arm(waiting.now, "Ada")
         waiting.run(REST / NANOSECONDS)
         assert waiting.state is LinkState.RESYNC
         waiting.poll()
         assert waiting.state is LinkState.ARMED
 
     def test_what_a_command_was_before_a_pause_of_the_stream_does_not_count_as_rest(self, waiting):
-        waiting.supervisor.take_responsibility("Ada", waiting.now)
+        waiting.supervisor.request_arm(waiting.now, "Ada")
         waiting.run(REST / NANOSECONDS / 2)
         waiting.command = None
         waiting.run(1.0)
@@ -103,10 +103,10 @@ class TestArming:
         assert waiting.run(0.5).state is LinkState.ARMED
 
     def test_an_arming_that_is_given_up_does_not_happen_later(self, waiting):
-        waiting.supervisor.take_responsibility("Ada", waiting.now)
+        waiting.supervisor.request_arm(waiting.now, "Ada")
         waiting.command = moved(2 * TOLERANCE)
         waiting.run(1.0)
-        waiting.supervisor.withdraw_responsibility("not armed within 1 s")
+        waiting.supervisor.withdraw(waiting.supervisor.requests, "not armed within 1 s")
         waiting.command = POSE
         waiting.run(1.0)
         assert waiting.state is LinkState.NEEDS_RESET and waiting.supervisor.responsible == ""
@@ -115,21 +115,18 @@ class TestArming:
         waiting.pose = moved(5 * TOLERANCE)
         waiting.poll()
         with pytest.raises(ReviewError, check=says("link.cannot.arm", why=Sentence("link.unrest"))):
-            waiting.supervisor.take_responsibility("Ada", waiting.now)
+            waiting.supervisor.request_arm(waiting.now, "Ada")
 
     def test_who_is_responsible_already_is_named(self, armed):
         with pytest.raises(ReviewError, match="Ada is responsible already: .*; halt ends it"):
-            armed.supervisor.take_responsibility("Grace", armed.now)
+            armed.supervisor.request_arm(armed.now, "Grace")
 
 
 class TestReset:
-    def test_reset_and_arm_without_a_name_are_refused_with_what_to_do(self, waiting):
-        for request in (waiting.supervisor.request_reset, waiting.supervisor.request_arm):
-            with pytest.raises(
-                ReviewError,
-                check=says("link.plc.cannot", command="rosrun construction_twin twin arm --responsible NAME"),
-            ):
-                request(waiting.now)
+    def test_is_refused_with_what_to_do(self, waiting):
+        command = "rosrun construction_twin twin arm --responsible NAME"
+        with pytest.raises(ReviewError, check=says("link.plc.cannot", verb="reset", command=command)):
+            waiting.supervisor.request_reset(waiting.now)
         waiting.run(1.0)
         assert waiting.state is LinkState.NEEDS_RESET
 
@@ -152,7 +149,7 @@ class TestReset:
         waiting.refusal = "52 bytes b'...'; expected 53"
         waiting.run(0.6)
         assert waiting.state is LinkState.NO_CONTROLLER
-        for request in (waiting.supervisor.request_reset, lambda now: waiting.supervisor.take_responsibility("A", now)):
+        for request in (waiting.supervisor.request_reset, lambda now: waiting.supervisor.request_arm(now, "A")):
             with pytest.raises(ReviewError, match="its strings are refused .*: 52 bytes .* expected 53"):
                 request(waiting.now)
 
@@ -185,7 +182,7 @@ class TestEnds:
         assert "no joint string comes" in armed.supervisor.reason
 
     def test_the_broker_is_lost(self, armed):
-        armed.supervisor.on_connection(False)
+        armed.supervisor.inputs.on_connection(False)
         self.end(armed, LinkState.DISCONNECTED)
 
     def test_a_person_halts(self, armed):
@@ -193,7 +190,7 @@ class TestEnds:
         self.end(armed, LinkState.NEEDS_RESET)
 
     def test_a_gateway_answers_in_its_place(self, armed):
-        armed.supervisor.on_status({"state": "ready", "kind": "rsi"}, armed.now)
+        armed.supervisor.inputs.on_status({"state": "ready", "kind": "rsi"}, armed.now)
         armed.word = None
         self.end(armed, LinkState.MISMATCH)
         assert "gateway_kind:=rsi" in armed.supervisor.reason

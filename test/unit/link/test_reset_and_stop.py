@@ -158,7 +158,9 @@ class TestNumbers:
         old = bench.gateway.status()
         bench.stop_by_account()
         bench.run(1.0)
-        assert bench.supervisor.on_status(old, bench.now).startswith("an old status: it tells of stop 0, and stop 1")
+        assert bench.supervisor.inputs.on_status(old, bench.now).startswith(
+            "an old status: it tells of stop 0, and stop 1"
+        )
         bench.supervisor.poll(bench.now)
         assert bench.link is LinkState.NEEDS_RESET and bench.supervisor.status["fault"]
 
@@ -202,7 +204,9 @@ class TestRestart:
         scripted.run(0.5)
         assert scripted.state is LinkState.NEEDS_RESET
         scripted.gateway |= {"state": "ready", "reason": "", "fault": False, "fault_number": 0, "run": "run2"}
-        scripted.supervisor.on_status({"state": "offline", "reason": "connection lost", "run": "run1"}, scripted.now)
+        scripted.supervisor.inputs.on_status(
+            {"state": "offline", "reason": "connection lost", "run": "run1"}, scripted.now
+        )
         scripted.run(5.0)
         assert scripted.state is LinkState.NEEDS_RESET and "KeyError in poll" in scripted.supervisor.reason
         scripted.supervisor.request_reset(scripted.now)
@@ -489,7 +493,7 @@ class TestTwoGateways:
         """Let another gateway tell its status once a second; return every sentence of the link, each once."""
         told = []
         for _ in range(round(seconds / period)):
-            bench.supervisor.on_status(bench.gateway.status() | {"run": run} | other, bench.now)
+            bench.supervisor.inputs.on_status(bench.gateway.status() | {"run": run} | other, bench.now)
             for _ in range(round(period * 250)):
                 bench.step()
                 told += [bench.supervisor.reason] if bench.supervisor.reason not in told else []
@@ -515,7 +519,7 @@ class TestTwoGateways:
         self.speak(bench, 5.0)
         assert len(bench.sent) == sent and bench.link is LinkState.MISMATCH
         # one says farewell
-        bench.supervisor.on_status({"state": "offline", "reason": "gateway stopped", "run": "other"}, bench.now)
+        bench.supervisor.inputs.on_status({"state": "offline", "reason": "gateway stopped", "run": "other"}, bench.now)
         bench.run(0.1)
         assert bench.link is LinkState.NEEDS_RESET
         assert_a_reset_arms(bench)
@@ -529,7 +533,7 @@ class TestTwoGateways:
     def test_more_than_two_are_named_too_and_a_flood_of_them_costs_nothing(self):
         bench = begun("armed")
         for number in range(1000):
-            bench.supervisor.on_status(bench.gateway.status() | {"run": f"r{number}"}, bench.now)
+            bench.supervisor.inputs.on_status(bench.gateway.status() | {"run": f"r{number}"}, bench.now)
         bench.run(0.1)
         assert "run r0 and run r1 and run r2 and run run1" in bench.supervisor.reason
         bench.run(4.0)
@@ -539,7 +543,7 @@ class TestTwoGateways:
     def test_a_late_last_will_of_another_run_changes_nothing(self, will):
         bench = begun("armed")
         session = bench.supervisor.session
-        told = bench.supervisor.on_status({"state": "offline", "reason": "connection lost"} | will, bench.now)
+        told = bench.supervisor.inputs.on_status({"state": "offline", "reason": "connection lost"} | will, bench.now)
         assert "last will of run" in told
         for _ in range(500):
             bench.step()
@@ -551,13 +555,13 @@ class TestTwoGateways:
         scripted.gateway["connection"] = 2
         scripted.run(1.0)
         will = {"state": "offline", "reason": "connection lost", "run": scripted.gateway["run"], "connection": 1}
-        assert "last will of a former connection" in scripted.supervisor.on_status(will, scripted.now)
+        assert "last will of a former connection" in scripted.supervisor.inputs.on_status(will, scripted.now)
         scripted.run(0.02)
         assert scripted.state is LinkState.ARMED
         # that of the present one counts, and so does one that names none
         for present in ({"connection": 2}, {}):
             word = {key: text for key, text in will.items() if key != "connection"} | present
-            assert not scripted.supervisor.on_status(word, scripted.now)
+            assert not scripted.supervisor.inputs.on_status(word, scripted.now)
             scripted.supervisor.poll(scripted.now)
             assert scripted.state is LinkState.GATEWAY_OFFLINE
             scripted.run(1.0)
@@ -566,6 +570,6 @@ class TestTwoGateways:
     def test_the_own_last_will_counts_at_once(self):
         bench = begun("armed")
         bench.run(0.5)
-        assert not bench.supervisor.on_status({"state": "offline", "run": bench.gateway.run}, bench.now)
+        assert not bench.supervisor.inputs.on_status({"state": "offline", "run": bench.gateway.run}, bench.now)
         bench.run(0.04)
         assert bench.link is LinkState.GATEWAY_OFFLINE

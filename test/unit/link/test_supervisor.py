@@ -21,7 +21,7 @@ __all__ = ["armed", "bench"]
 
 class TestFirstStart:
     def test_begins_disconnected(self, bench):
-        bench.supervisor.on_connection(False)
+        bench.supervisor.inputs.on_connection(False)
         bench.run(0.1)
         assert bench.state is LinkState.DISCONNECTED and not bench.forwarded
 
@@ -166,7 +166,7 @@ class TestAnswers:
     def test_an_answer_after_the_connection_was_lost_does_not_arm(self, bench):
         bench.answering = False
         bench.run(0.3)
-        bench.supervisor.on_connection(False)
+        bench.supervisor.inputs.on_connection(False)
         bench.poll()
         bench.answer(bench.sent[0])
         assert bench.state is LinkState.DISCONNECTED
@@ -221,7 +221,7 @@ class TestRun:
             bench.answer(control)
         else:
             bench.set_gateway("ready", run=run)
-            bench.supervisor.on_status(dict(bench.gateway), bench.now)
+            bench.supervisor.inputs.on_status(dict(bench.gateway), bench.now)
             bench.refuse(control, "run 'run1' is not the gateway's present one")
 
     def test_a_former_run_s_status_costs_one_refusal_and_no_person(self, bench):

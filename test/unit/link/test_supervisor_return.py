@@ -144,11 +144,11 @@ class TestReturn:
         assert armed.state is state
 
     def test_a_lost_broker_connection_ends_like_silence(self, armed):
-        armed.supervisor.on_connection(False)
+        armed.supervisor.inputs.on_connection(False)
         armed.speaking = False
         armed.run(0.5)
         assert armed.state is LinkState.DISCONNECTED and not armed.forwarded
-        armed.supervisor.on_connection(True)
+        armed.supervisor.inputs.on_connection(True)
         armed.run(0.1)
         assert armed.state is LinkState.GATEWAY_OFFLINE
         armed.speaking = True

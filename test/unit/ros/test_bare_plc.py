@@ -13,7 +13,7 @@ from types import SimpleNamespace
 
 import pytest
 import rospy
-from bridge_bench import Published, Refusals
+from bridge_bench import Refusals, open_ports
 from processes import ROOT, BrokerProcess, wait_until
 from rabbit_broker import RabbitBroker, is_installed
 from site_broker import Listener, SiteBroker
@@ -25,7 +25,7 @@ from construction_twin.mqtt.client import Broker, make_client, unique_id
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import Topics
 from construction_twin.robot.description import read_robot_files
-from construction_twin.ros.nodes.mqtt_bridge import NODE, MqttBridge, Outputs, Settings
+from construction_twin.ros.nodes.mqtt_bridge import NODE, MqttBridge, Settings
 from construction_twin.ros.shared.gateway_config import gateway_config
 
 ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
@@ -47,17 +47,11 @@ class Cell:
             max_state_age=0.1,
         )  # fmt: skip
         self.client = make_client(self.broker, unique_id("kr120", "bridge"), self.topics.bridge_status, direct=True)
-        self.physical, self.links = Published(), Published()
         self.refusals = Refusals(None)
+        ports = open_ports(self.refusals)
+        self.physical, self.links = ports.publishers["physical/joint_states"], ports.publishers["link"]
         self.bridge = MqttBridge(
-            settings,
-            "kr120",
-            gateway_config(ROBOT, {}),
-            CODEC,
-            self.broker,
-            self.client,
-            Outputs(self.physical, Published(), self.links),
-            self.refusals,
+            settings, self.topics, gateway_config(ROBOT, {}), CODEC, self.broker, self.client, ports
         )
         self.target = HOME
         # what is sent next, a pose per string

@@ -10,13 +10,14 @@ import socket
 import threading
 
 import pytest
-from bridge_bench import BridgeBench, Clocks
+from bridge_bench import BridgeBench, Clocks, open_ports
 from gateway_cell import CONFIG
 
 from construction_twin.mqtt.client import Broker, make_client
 from construction_twin.mqtt.joint_string import JointStringCodec
+from construction_twin.mqtt.messages import Topics
 from construction_twin.ros.nodes import mqtt_bridge
-from construction_twin.ros.nodes.mqtt_bridge import MqttBridge, Outputs, Settings
+from construction_twin.ros.nodes.mqtt_bridge import MqttBridge, Settings
 
 
 def packet(kind: int, body: bytes) -> bytes:
@@ -81,10 +82,8 @@ def test_an_error_in_a_callback_reaches_the_hook_that_ends_the_node(monkeypatch,
     settings = Settings(arm="mock", host="127.0.0.1", port=broker.port, reset_timeout=1.0, max_state_age=0.1)
     address = Broker("127.0.0.1", broker.port)
     client = make_client(address, "bridge", "twin/arm/bridge/status", direct=direct)
-    bench = BridgeBench(Clocks(monkeypatch, mqtt_bridge))
     codec = JointStringCodec(len(CONFIG.axes), CONFIG.decimals)
-    outputs = Outputs(bench.physical, bench.physical, bench.links)
-    bridge = MqttBridge(settings, "arm", CONFIG, codec, address, client, outputs, bench)
+    bridge = MqttBridge(settings, Topics("twin", "arm"), CONFIG, codec, address, client, open_ports(None))
     bridge.connect()
     try:
         error = caught()

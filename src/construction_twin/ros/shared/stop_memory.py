@@ -1,6 +1,4 @@
-"""Keeps on the parameter server what a node that is started again must know: the session in which the gate is STOPPED, or why the
-link waits for a person.
-"""
+"""Keeps a value on the parameter server for the process after this one, such as why the link waits for a person."""
 
 from __future__ import annotations
 
@@ -8,6 +6,7 @@ import http.client
 import threading
 import xmlrpc.client
 from collections.abc import Callable
+from typing import Any
 
 import rospy
 
@@ -20,45 +19,45 @@ _AGAIN = NANOSECONDS
 
 
 class StopMemory:
-    """A text on the parameter server, empty when nothing is stopped: the session of a gate, or the sentence of a link.
+    """A text, "" for nothing, or a bool on the parameter server.
 
     Args:
-        session: What is on the parameter server now.
-        write: Puts a text there. It may take as long as the master does, so it is called in a thread of its own.
+        value: What is on the parameter server now.
+        write: Puts it there, in a thread of its own: it may take as long as the master does.
         name: Of the parameter.
 
     Attributes:
         problem: Why it could not be kept; empty when it could.
     """
 
-    def __init__(self, session: str, write: Callable[[str], object], name: str = PARAMETER):
+    def __init__(self, value: object, write: Callable[[Any], object], name: str = PARAMETER):
         self.problem = ""
         self._name = name
         self._write = write
-        self._written = session
+        self._written = value
         self._writer: threading.Thread | None = None
         self._tried: int | None = None
 
     @property
     def writing(self) -> bool:
-        """Whether a session is being written now."""
+        """Whether a value is being written now."""
         return self._writer is not None and self._writer.is_alive()
 
-    def keep(self, session: str, now: int) -> None:
-        """Keep a text, empty for none; returns at once. To be called again and again, from one thread, `now` in ns."""
-        if session == self._written or self.writing:
+    def keep(self, value: object, now: int) -> None:
+        """Keep a value; returns at once. To be called again and again, from one thread, `now` in ns."""
+        if value == self._written or self.writing:
             return
         if self._tried is not None and self.problem and now - self._tried < _AGAIN:
             return
         self._tried = now
-        self._writer = threading.Thread(target=self._put, args=(session,), daemon=True)
+        self._writer = threading.Thread(target=self._put, args=(value,), daemon=True)
         self._writer.start()
 
-    def _put(self, session: str) -> None:
+    def _put(self, value: object) -> None:
         try:
             # XML-RPC takes a plain text only: a sentence has its key in the console and in logs, not here
-            self._write(str(session))
+            self._write(str(value) if isinstance(value, str) else value)
         except (OSError, rospy.ROSException, xmlrpc.client.Error, http.client.HTTPException) as error:
             self.problem = f"{self._name} was not written, and what it says would not outlast this node ({error})"
             return
-        self._written, self.problem = session, ""
+        self._written, self.problem = value, ""

@@ -1,0 +1,379 @@
+"""What the bridge decides: joint strings, control messages and reports, and what a person's request for a session comes to.
+
+Pure: events in; messages, reports and answers out. Times are arguments [ns]. Not for use from several threads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from construction_twin.core.errors import ExpiredError, PayloadError
+from construction_twin.core.freshness import Moment, parse_moment, staleness
+from construction_twin.core.records import SPACED, dumped
+from construction_twin.core.reports import LinkReport, ToolReport
+from construction_twin.core.sentences import Sentence, both
+from construction_twin.core.travel_time import StateCheck
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.gateway.config import GatewayConfig
+from construction_twin.link.bare_supervisor import BareSupervisor
+from construction_twin.link.gateway_status import clock_sentence, controller_sentence, status_values, without_counts
+from construction_twin.link.observations import SeenStops
+from construction_twin.link.speed_limits import SpeedForwarder
+from construction_twin.link.states import LinkState
+from construction_twin.link.supervisor import LinkSupervisor
+from construction_twin.link.tool_link import ToolLink
+from construction_twin.mqtt.joint_string import JointStringCodec
+from construction_twin.mqtt.messages import (
+    PROTOCOL,
+    BridgeStatus,
+    CommandProperties,
+    Control,
+    StateProperties,
+    no_properties,
+    read_state_properties,
+)
+
+#: So long a failed request waits for the gateway's word that nothing of it is in force [ns].
+WITHDRAWAL = NANOSECONDS
+#: Between two reports of an unchanged link [ns].
+_REPEAT = NANOSECONDS
+_NO_PROPERTIES = StateProperties(0, 0, 0)
+
+
+class JointStrings:
+    """Commands and poses as joint strings with their user properties; one thread sends, another one receives.
+
+    Args:
+        properties: Whether the link carries MQTT 5 properties.
+        bare: Whether a bare PLC is there, whose strings travel alone.
+        max_age: Of a state, beyond that of the quickest one [s].
+
+    Attributes:
+        sent, received: How many.
+    """
+
+    def __init__(self, codec: JointStringCodec, properties: bool, bare: bool, max_age: float):
+        self._codec = codec
+        self.properties = properties and not bare
+        self._read_beside = no_properties if bare else read_state_properties
+        self._check = StateCheck(max_age)
+        self.sent = self.received = 0
+
+    @property
+    def lost(self) -> int:
+        """States that the gateway sent, but that never came."""
+        return self._check.lost
+
+    def restart(self) -> None:
+        """Expect another gateway's states."""
+        self._check.restart()
+
+    def command(self, q: tuple[float, ...], session: str, stamp: int) -> tuple[bytes, list[tuple[str, str]] | None]:
+        """Return the next command [rad], or raise PayloadError."""
+        payload = self._codec.encode(q)
+        self.sent += 1
+        return payload, CommandProperties(session, self.sent, stamp).pairs() if self.properties else None
+
+    def state(
+        self, payload: bytes, pairs: list[tuple[str, str]], retained: bool, now: int
+    ) -> tuple[tuple[float, ...], StateProperties]:
+        """Return the arm's pose [rad] and what stands beside it, or raise PayloadError."""
+        if retained:
+            raise PayloadError("retained", Sentence("link.payload.retained_state"))
+        q = self._codec.decode(payload)
+        # where the link carries properties, a pose without them is not the gateway's
+        beside = self._read_beside(pairs) if pairs or self.properties else None
+        if beside is not None:
+            self._check.accept(beside.seq, beside.stamp, now)
+        self.received += 1
+        return q, beside or _NO_PROPERTIES
+
+
+class Asked:
+    """A person's request for a session, from the call to the answer.
+
+    Attributes:
+        lifts: Why the link waited for a person at the call.
+        number: Of the request; 0: not yet made.
+    """
+
+    def __init__(self, supervisor: LinkSupervisor, now: int, timeout: float):
+        self._supervisor, self._timeout = supervisor, timeout
+        self._deadline = now + round(timeout * NANOSECONDS)
+        self._before, self._halts = supervisor.session, supervisor.halts
+        self._answer: tuple[bool, str] | None = None
+        self.lifts = supervisor.reason
+        self.number = 0
+
+    def answer(self, now: int, ending: bool) -> tuple[bool, str] | None:
+        """Return whether the link is armed, and one sentence; None: ask again. What fails is withdrawn, also at the gateway.
+
+        What is answered is what is the case: the last look and the withdrawal are one call.
+
+        Args:
+            ending: The process ends.
+        """
+        if self._answer is None:
+            self._answer = self._look(ending or now >= self._deadline, now)
+            self._deadline = now + WITHDRAWAL if self._answer else self._deadline
+        # who asks again at once must know of the stop with which it is withdrawn
+        supervisor = self._supervisor
+        if supervisor.withdraws and supervisor.state is LinkState.NEEDS_RESET and now < self._deadline and not ending:
+            return None
+        return self._answer
+
+    def _look(self, late: bool, now: int) -> tuple[bool, str] | None:
+        supervisor = self._supervisor
+        has_begun = supervisor.session != self._before
+        if supervisor.halts != self._halts:
+            return False, Sentence("link.not_armed.halted", why=supervisor.sentence)
+        if has_begun and supervisor.state is LinkState.ARMED and not supervisor.inputs.fault:
+            return True, Sentence("link.armed", reason=supervisor.reason)
+        if has_begun and supervisor.state is LinkState.NEEDS_RESET:
+            sentence = Sentence("link.not_armed.ended", why=supervisor.sentence)
+        elif late:
+            why, refused = supervisor.sentence, supervisor.inputs.why_no_pose(now)
+            if refused and refused not in why:
+                why = Sentence("executor.both", first=why, second=refused)
+            sentence = Sentence("link.not_armed.late", timeout=self._timeout, why=why)
+        else:
+            return None
+        supervisor.withdraw(self.number, sentence)
+        return False, sentence
+
+
+class Bridge:
+    """The link of one robot: its supervisor, the tool behind the gateway, the speed limit, and what is reported of them.
+
+    Args:
+        bare: Whether a bare PLC takes the commands.
+        timeout: Longest wait of a person's request for the link to be armed [s].
+        mirrors, waits: As of `LinkSupervisor`.
+    """
+
+    def __init__(
+        self,
+        config: GatewayConfig,
+        bare: bool,
+        timeout: float,
+        strings: JointStrings,
+        new_id: Callable[[], str],
+        mirrors: bool = False,
+        waits: str = "",
+    ):
+        kind = BareSupervisor if bare else LinkSupervisor
+        self.supervisor: LinkSupervisor = kind.of(config, new_id, mirrors, waits)
+        self.speed = SpeedForwarder(config.speed_limit_deadline)
+        #: Id of the plan that the executor plays, or has played last: only its switches are armed.
+        self.played = ""
+        self._strings, self._timeout, self._new_id = strings, timeout, new_id
+        self._tool = ToolLink(new_id)
+        self._tool_told: ToolReport | None = None
+        self._stops = SeenStops()
+        #: Why only a person leads on, for the process after this one; "": nobody is waited for.
+        self.waits = waits
+        # what the gateway's last status says beside its counters
+        self._values: dict[str, str] = {}
+        self._told: tuple[LinkState, str, str] | None = None
+        self._told_at = 0
+
+    # -- the gateway
+
+    def poll(self, now: int, present: Moment) -> list[Control]:
+        """Update the link; return what is to be sent now."""
+        supervisor = self.supervisor
+        control = supervisor.poll(now)
+        self._note_stops(present)
+        limit = self.speed.poll(supervisor.session if self._takes_control else "", now)
+        # the first sentence stays until nobody is waited for: figures may waver in those that follow
+        waits = supervisor.waits_for
+        self.waits = waits and (self.waits or waits)
+        sent = [control] if control is not None else []
+        if limit is not None:
+            sent.append(Control(str(self.speed.number), supervisor.session, "speed_limit", limit))
+        return sent
+
+    @property
+    def _takes_control(self) -> bool:
+        return self.supervisor.state is LinkState.ARMED and self.supervisor.sends_control
+
+    def on_status(self, status: dict, now: int) -> None:
+        """Take the gateway's status, or a bare PLC's word, as `parse_presence` has it; PayloadError where it is not believed."""
+        if problem := self.supervisor.inputs.on_status(status, now):
+            raise PayloadError("status", problem)
+        self._tool.on_status(status)
+        self._values = status_values(status)
+        if status.get("state") == "offline":
+            self._strings.restart()
+
+    def on_answer(self, answer: dict, now: int) -> None:
+        """Take the gateway's answer to a control message; PayloadError where it has refused a speed limit."""
+        self.supervisor.on_answer(answer, now)
+        self._tool.on_answer(answer)
+        if answer.get("verb") == "speed_limit" and not answer.get("ok"):
+            reason = str(answer.get("reason"))[:200]
+            raise PayloadError("speed_limit", Sentence("link.speed_limit_refused", reason=reason))
+
+    # -- the tool
+
+    def void_switches(self) -> Control | None:
+        """Return the message that makes every armed switch void."""
+        return self._tool.void(self.supervisor.session) if self.supervisor.sends_control else None
+
+    def switch(self, plan: str, id: str, output: str, value: bool, stamp: int) -> Control | None:
+        """Return the message for a switch of a plan at a stamp [ns]; None where it is refused here."""
+        obstacle = "" if self._takes_control else self._link_sentence
+        if not obstacle and (not plan or plan != self.played):
+            obstacle = Sentence("link.tool.other_plan", plan=repr(plan), present=repr(self.played))
+        return self._tool.switch(id, output, value, stamp, self.supervisor.session, obstacle)
+
+    def on_gate(self, is_open: bool) -> Control | None:
+        """Return the message that voids what is armed where the gate has closed, whatever the executor does."""
+        return self._tool.on_gate(is_open, self.supervisor.session) if self.supervisor.sends_control else None
+
+    def tool_news(self) -> ToolReport | None:
+        """Return what is known of the tool, where it has changed."""
+        obstacle = ""
+        if not self.supervisor.sends_control:
+            obstacle = Sentence("link.tool.plc")
+        elif self.supervisor.state in (LinkState.DISCONNECTED, LinkState.GATEWAY_OFFLINE, LinkState.MISMATCH):
+            obstacle = self._link_sentence
+        before, self._tool_told = self._tool_told, self._tool.report(obstacle)
+        return None if self._tool_told == before else self._tool_told
+
+    @property
+    def _link_sentence(self) -> Sentence:
+        return Sentence("link.is_in", state=self.supervisor.state.name, reason=self.supervisor.reason)
+
+    # -- what a person asks for
+
+    def ask(self, verb: str, person: str, moment: str | None, now: int, present: Moment) -> Asked:
+        """Ask for a session.
+
+        Args:
+            verb: `reset`: start over from the arm's pose. `arm`: where nothing needs to move for it; a bare PLC in a person's name.
+            moment: Of what the person's screen had shown; None: asked at the robot's computers.
+
+        Raises:
+            ExpiredError: What was shown is too old, or older than the last stop.
+            PayloadError: `act`, `moment`
+            ReviewError: What stands against it.
+        """
+        self._note_stops(present)
+        if moment is not None:
+            seen = parse_moment(moment)
+            if problem := staleness(seen, present):
+                raise ExpiredError(Sentence("link.void.session", problem=problem))
+            if not self._stops.was_seen(seen):
+                raise ExpiredError(Sentence("link.void.session_since"))
+        asked = Asked(self.supervisor, now, self._timeout)
+        if verb == "reset":
+            self.supervisor.request_reset(now)
+        elif verb == "arm":
+            self.supervisor.request_arm(now, person)
+        else:
+            raise PayloadError("act", Sentence("executor.void.act", act=repr(verb)))
+        asked.number = self.supervisor.requests
+        return asked
+
+    def _note_stops(self, present: Moment) -> None:
+        # one that was not known yet: no screen has shown it
+        self._stops.note((*self.supervisor.known_stop, self.supervisor.halts), present)
+
+    def mirror(self, leads: bool, now: int) -> tuple[str, Asked | None]:
+        """Begin or end mirror mode; return one sentence, and the request that it ends in."""
+        supervisor = self.supervisor
+        asked, before = Asked(supervisor, now, self._timeout), supervisor.requests
+        sentence = supervisor.begin_mirror(now) if leads else supervisor.end_mirror(now)
+        asked.number = supervisor.requests
+        return sentence, asked if asked.number != before else None
+
+    def halt(self) -> Control | None:
+        """Take the right to command away; return the stop for the gateway. A bare PLC has none: it brakes on silence."""
+        session, tells = self.supervisor.session, self.supervisor.sends_control
+        self.supervisor.halt(Sentence("link.halt.asked" if tells else "link.halt.plc"))
+        return Control(self._new_id(), session, "stop") if tells else None
+
+    # -- reports
+
+    def reason(self, connection: str) -> str:
+        """Return the supervisor's sentence; without a connection also why there is none, else why the arm may not move."""
+        supervisor = self.supervisor
+        if supervisor.state is LinkState.DISCONNECTED:
+            return (
+                Sentence("executor.link", state=supervisor.reason, reason=connection)
+                if connection
+                else supervisor.reason
+            )
+        # a status of a gateway that is gone says nothing of now
+        if supervisor.state is LinkState.GATEWAY_OFFLINE:
+            return supervisor.reason
+        return both(supervisor.reason, controller_sentence(supervisor.status), clock_sentence(supervisor.status))
+
+    def news(self, now: int, connection: str) -> tuple[bool, bool]:
+        """Return whether the link is to be reported now, and whether it has changed but for figures."""
+        supervisor = self.supervisor
+        news = supervisor.state, without_counts(self.reason(connection)), supervisor.session
+        changed = news != self._told
+        if not changed and now - self._told_at < _REPEAT:
+            return False, False
+        self._told, self._told_at = news, now
+        return True, changed
+
+    def status(self) -> bytes:
+        """Return the message on `bridge/status`."""
+        supervisor = self.supervisor
+        bare = (supervisor.responsible, supervisor.not_checked) if supervisor.not_checked else (None, None)
+        name = supervisor.state.name.lower()
+        return dumped(BridgeStatus(name, supervisor.reason, supervisor.session, PROTOCOL, *bare), marks=SPACED)
+
+    @property
+    def _gateway_values(self) -> dict[str, object]:
+        return self.supervisor.status.get("counters", {}) | self._values
+
+    def report(self, connection: str, refused: Mapping[str, int], stamp: int) -> LinkReport:
+        """Return the report on `link`.
+
+        Args:
+            refused: How often inputs were refused, by reason.
+            stamp: ROS time [ns].
+        """
+        supervisor = self.supervisor
+        reply = supervisor.status.get("reply_us", {})
+        counters = self._gateway_values | {
+            "decimals": supervisor.status.get("decimals", ""),
+            "reply_us_max": reply.get("max", 0),
+            "states_lost": self._strings.lost,
+        }
+        states_refused = sum(count for name, count in refused.items() if name.startswith("stat"))
+        return LinkReport(
+            supervisor.state.name,
+            self.reason(connection),
+            gateway_state=str(supervisor.status.get("state", "offline")),
+            gateway_counters={key: str(value) for key, value in sorted(counters.items())},
+            commands_refused=sum(refused.values()) - states_refused,
+            states_refused=states_refused,
+            responsible=supervisor.responsible,
+            not_checked=tuple(supervisor.not_checked),
+            gateway_kind=supervisor.kind,
+            session=supervisor.session,
+            state=supervisor.state.value,
+            stamp=stamp,
+            commands_sent=self._strings.sent,
+            reply_us_bins=tuple(reply.get("bins", ())),
+            reply_us_counts=tuple(reply.get("counts", ())),
+        )
+
+    def values(self) -> dict[str, object]:
+        """Return the values for `/diagnostics`."""
+        supervisor, strings = self.supervisor, self._strings
+        values: dict[str, object] = {"session": supervisor.session}
+        values |= {"commands sent": strings.sent, "states received": strings.received}
+        values |= {f"gateway {key}": value for key, value in sorted(self._gateway_values.items())}
+        if supervisor.not_checked:
+            values["responsible"] = supervisor.responsible or "no person: not armed"
+            parts = [sentence.partition(": ") for sentence in supervisor.not_checked]
+            values |= {f"not checked: {topic}": what for topic, _, what in parts}
+        if not strings.properties:
+            values["comparison"] = "instant: the link carries no MQTT 5 properties"
+        return values
