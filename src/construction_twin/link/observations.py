@@ -264,10 +264,8 @@ class LinkObservations:
             return LinkEvent.MISMATCHED, Sentence("link.decimals", gateway=decimals, bridge=self._decimals)
         if self.status.get("hash") != self._hash:
             return LinkEvent.MISMATCHED, Sentence("link.hash")
-        if not self.status.get("run"):
+        if not self.run or self.fault_number is None:
             return LinkEvent.MISMATCHED, Sentence("link.no_run")
-        if self.fault_number is None:
-            return LinkEvent.MISMATCHED, Sentence("link.no_fault_number")
         if self.gateway in NO_SESSION or (self.gateway in ONLY_POSES and not mirrors):
             return LinkEvent.CONTROLLER_LOST, Sentence("link.no_session", reason=self.gateway_reason)
         return None

@@ -238,15 +238,10 @@ def protocol_of(document: object) -> object:
 
 
 def other_protocol(gateway: object, bridge: object) -> str:
-    """Return in a sentence that gateway and bridge are of different versions, and which to install anew; "" for one protocol."""
-    if type(gateway) is int and type(bridge) is int:
-        if gateway == bridge:
-            return ""
-        key = "gateway_older" if gateway < bridge else "bridge_older"
-    else:
-        key = "unknown"
-    both = Sentence("link.protocol.both", gateway=str(gateway)[:20], bridge=str(bridge)[:20])
-    return Sentence(f"link.protocol.{key}", both=both)
+    """Return in a sentence that gateway and bridge are of different versions; "" for one protocol."""
+    if type(gateway) is type(bridge) is int and gateway == bridge:
+        return ""
+    return Sentence("link.protocol", gateway=str(gateway)[:20], bridge=str(bridge)[:20])
 
 
 def arm_value(config_hash: str, run: str) -> dict[str, str | int]:
