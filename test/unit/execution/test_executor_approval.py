@@ -404,17 +404,6 @@ class TestAge:
         bench.run_until_idle()
         assert bench.executor.outcome == "finished"
 
-    def test_a_resume_is_void_like_an_approval_where_nothing_has_moved(self, bench):
-        bench.executor.limit_rate(0.0, "somebody is near")
-        bench.play(make_plan(), 10)
-        bench.executor.pause(bench.stamp)
-        # what a person has paused waits for a person
-        bench.run(5 * SECOND)
-        assert bench.state is ExecutorState.PAUSED
-        bench.executor.resume()
-        bench.run(4 * SECOND)
-        assert bench.state is ExecutorState.IDLE and bench.executor.outcome == "stopped"
-
     def test_a_rejection_is_never_too_old(self, bench):
         plan, seen = make_plan(), bench.present()
         bench.executor.offer(plan)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from executor_bench import (
-    FREE,
     GRIPPED,
     LATER,
     ROBOT,
@@ -25,13 +24,13 @@ from construction_twin.core.errors import ExecutionError, ReviewError
 from construction_twin.core.freshness import LIFETIME
 from construction_twin.core.reports import ToolReport
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
-from construction_twin.execution.boundary import FIRE_TIMEOUT, LEAD, SCENE_TIMEOUT
+from construction_twin.execution.boundary import FIRE_TIMEOUT, LEAD, SCENE_TIMEOUT, ToolOrder
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.execution.segment_run import NO_ARM, RECORD_TIMEOUT, SegmentRun
 from construction_twin.execution.states import ACTIVE
 from construction_twin.monitor.gate import RESUME, SyncState
-from construction_twin.review.plan_under_review import Ending, Verdict
-from construction_twin.robot.segments import Segment, Signal, Switch
+from construction_twin.review.plan_under_review import Verdict
+from construction_twin.robot.segments import Segment, Switch
 
 
 @pytest.fixture
@@ -60,12 +59,6 @@ class TestPlayedThrough:
         begin = plan.segments[0].end
         expected = plan.trajectory.sample_many(begin + CYCLE * np.arange(1, 31))[0]
         np.testing.assert_allclose(bench.run(30), expected, atol=1e-12)
-
-    def test_the_ending_names_nothing_that_was_dropped(self, bench):
-        bench.approve(make_work_plan())
-        bench.run_until_idle()
-        (ending,) = [event for event in bench.executor.take_events() if isinstance(event, Ending)]
-        assert (ending.outcome, ending.reason) == ("finished", "goal reached")
 
     @pytest.mark.parametrize("fraction", [0.3, 0.77])
     def test_under_a_speed_limit_it_rests_exactly_at_each_end(self, bench, fraction):
@@ -156,7 +149,46 @@ class TestApproval:
         assert "does not rest at the end of segment 'to stock'" in self.refused(bench, plan)
 
 
+#: What drops the rest at the end of the segment that grips: cycles after it arrived, what happens then, and the reason.
+DROPS = {
+    "not confirmed": (
+        0, lambda bench: setattr(bench.tool, "works", False),
+        "the switch of vacuum to on has fired, but was not confirmed within 1 s: gripped reads off",
+    ),
+    "refused": (
+        0, lambda bench: setattr(bench.tool, "refuses", "no such output"),
+        "the gateway has refused the switch of vacuum to on: no such output",
+    ),
+    "forgotten": (
+        3, lambda bench: bench.tool.void("the playout has braked"),
+        "has forgotten the switch of vacuum to on: the playout has braked",
+    ),
+    "silence": (0, lambda bench: setattr(bench.tool, "answers", False), "was not reported as fired within 3 s"),
+    "tool unknown": (0, lambda bench: setattr(bench.tool, "known", False), "the tool's state is not known: no session"),
+    "no scene": (0, lambda bench: None, f"the scene did not become {LATER[0]} within 30 s"),
+    "another scene": (0, lambda bench: bench.executor.on_scene("0ther"), "which was not planned at the end of"),
+    "grip lost": (100, lambda bench: setattr(bench.tool, "inputs", {"gripped": False}), "gripped reads off, not on"),
+}  # fmt: skip
+#: Of those that wait, how long [ns].
+WAITS = {"silence": FIRE_TIMEOUT, "no scene": SCENE_TIMEOUT}
+
+
 class TestBoundary:
+    @pytest.mark.parametrize("name", DROPS)
+    def test_what_drops_the_rest_voids_the_switch_and_leaves_the_arm_engaged(self, bench, name):
+        cycles, happens, reason = DROPS[name]
+        bench.edits = False
+        bench.approve(make_work_plan())
+        bench.run_to_end_of(1)
+        bench.run(cycles)
+        happens(bench)
+        waited = len(bench.run_until_idle())
+        assert bench.executor.outcome == "stopped" and reason in bench.executor.reason
+        assert "the arm is engaged" in bench.executor.reason and bench.executor.engagement.engaged
+        assert waited > WAITS.get(name, 0) / CYCLE_NS - 5
+        assert name != "silence" or bench.tool.orders[-1] == ToolOrder("", "w")
+        assert bench.tool.fired == [("vacuum", True)] * (name in ("not confirmed", "silence", "no scene", "grip lost"))
+
     def test_a_switch_is_armed_for_a_setpoint_ahead_on_the_grid(self, bench):
         bench.approve(make_work_plan())
         bench.run_to_end_of(1)
@@ -175,47 +207,6 @@ class TestBoundary:
         assert set(bench.outputs[-150:]) == {tuple(at_end(bench, plan, 1))}
         assert bench.executor.reason == "stands at the end of segment 1 ('approach'), waits for the tool"
 
-    def test_a_grip_that_is_not_confirmed_in_time_drops_the_rest(self, bench):
-        bench.tool.works = False
-        bench.approve(make_work_plan())
-        bench.run_to_end_of(1)
-        bench.run_until_idle()
-        reason = bench.executor.reason
-        assert bench.executor.outcome == "stopped"
-        assert "the switch of vacuum to on has fired, but was not confirmed within 1 s: gripped reads off" in reason
-        assert "the arm is engaged" in reason and bench.executor.engagement.engaged
-
-    def test_a_refused_switch_drops_the_rest(self, bench):
-        bench.tool.refuses = "no such output"
-        bench.approve(make_work_plan())
-        bench.run_until_idle()
-        assert "the gateway has refused the switch of vacuum to on: no such output" in bench.executor.reason
-        assert bench.executor.outcome == "stopped" and bench.tool.fired == []
-
-    def test_one_that_the_gateway_forgot_on_its_own_too(self, bench):
-        bench.approve(make_work_plan())
-        bench.run_to_end_of(1)
-        bench.run(3)
-        bench.tool.void("the playout has braked")
-        bench.run_until_idle()
-        assert "has forgotten the switch of vacuum to on: the playout has braked" in bench.executor.reason
-
-    def test_silence_about_a_switch_drops_the_rest_and_voids_it(self, bench):
-        bench.tool.answers = False
-        bench.approve(make_work_plan())
-        bench.run_to_end_of(1)
-        waited = len(bench.run_until_idle())
-        assert "was not reported as fired within 3 s" in bench.executor.reason
-        assert abs(waited - FIRE_TIMEOUT / CYCLE_NS) < 5
-        assert bench.tool.orders[-1].id == "" and bench.tool.orders[-1].switch is None
-
-    def test_a_tool_that_is_no_longer_known_drops_the_rest(self, bench):
-        bench.approve(make_work_plan())
-        bench.run_to_end_of(1)
-        bench.tool.known = False
-        bench.run_until_idle()
-        assert "the tool's state is not known: no session" in bench.executor.reason
-
     def test_the_scene_is_waited_for_after_the_confirmation_only(self, bench):
         bench.edits = False
         plan = make_work_plan()
@@ -230,14 +221,6 @@ class TestBoundary:
         bench.run_into(2)
         assert not work.wants_scene
 
-    def test_a_scene_that_does_not_come_drops_the_rest(self, bench):
-        bench.edits = False
-        bench.approve(make_work_plan())
-        bench.run_to_end_of(1)
-        waited = bench.run_until_idle()
-        assert f"the scene did not become {LATER[0]} within 30 s" in bench.executor.reason
-        assert len(waited) > SCENE_TIMEOUT / CYCLE_NS
-
     def test_a_scene_of_a_node_that_is_gone_does_not_count(self, bench):
         bench.approve(make_work_plan())
         bench.run_to_end_of(0)
@@ -246,22 +229,6 @@ class TestBoundary:
         assert bench.state is ExecutorState.AT_BOUNDARY
         bench.executor.under_review.scene_alive = True
         bench.run_into(1)
-
-    def test_an_unexpected_scene_at_a_boundary_drops_the_rest(self, bench):
-        bench.edits = False
-        bench.approve(make_work_plan())
-        bench.run_to_end_of(1)
-        bench.executor.on_scene("0ther")
-        assert bench.state is ExecutorState.IDLE and "which was not planned at the end of" in bench.executor.reason
-
-    def test_a_grip_that_is_lost_while_the_scene_is_waited_for_drops_the_rest(self, bench):
-        bench.edits = False
-        bench.approve(make_work_plan())
-        bench.run_to_end_of(1)
-        bench.run(100)
-        bench.tool.inputs = {"gripped": False}
-        bench.run(2)
-        assert bench.state is ExecutorState.IDLE and "gripped reads off, not on" in bench.executor.reason
 
     def test_the_next_segment_needs_what_it_requires(self, bench):
         plan = make_work_plan(segment_1={"switches": (), "scene_after": SCENE}, segment_2={"scene": SCENE})
@@ -274,22 +241,23 @@ class TestBoundary:
         bench.run_until_idle()
         assert "segment 'lift' cannot begin: gripped reads off, not on" in bench.executor.reason
 
-    def test_the_last_boundary_counts_before_it_is_finished(self, bench):
+    @pytest.mark.parametrize(
+        "stands, goes_on",
+        [
+            (lambda executor: executor.limit_rate(0.0, "somebody is near"), lambda executor: executor.limit_rate(1.0)),
+            (lambda executor: executor.trail(2.0), lambda executor: executor.trail(0.1)),
+        ],
+        ids=["speed limit of 0", "arm that trails"],
+    )
+    def test_no_switch_is_armed_while_the_arm_is_kept_still_or_waited_for(self, bench, stands, goes_on):
         bench.approve(make_work_plan())
-        bench.run_to_end_of(3)
-        bench.tool.works = False
-        bench.run_until_idle()
-        assert bench.executor.outcome == "stopped" and "vacuum to off has fired" in bench.executor.reason
-
-    def test_no_switch_is_armed_while_a_speed_limit_of_0_keeps_the_arm_still(self, bench):
-        bench.approve(make_work_plan())
-        bench.run_into(1)
         bench.run_to_end_of(1)
-        bench.executor.limit_rate(0.0, "somebody is near")
-        bench.run(300)
+        stands(bench.executor)
+        bench.run(1500)
         assert bench.tool.orders == [] and bench.state is ExecutorState.AT_BOUNDARY
-        bench.executor.limit_rate(1.0)
+        goes_on(bench.executor)
         bench.run_into(2)
+        assert bench.tool.fired == [("vacuum", True)]
 
     def test_one_that_is_armed_already_is_void_then_and_armed_anew_after_it(self, bench):
         bench.approve(make_work_plan())
@@ -301,17 +269,6 @@ class TestBoundary:
         bench.executor.limit_rate(1.0)
         bench.run_into(2)
         assert [order.id for order in bench.tool.orders] == ["w/1/0/1", "", "w/1/0/2"]
-        assert bench.tool.fired == [("vacuum", True)]
-
-    def test_no_switch_is_armed_while_the_arm_is_waited_for(self, bench):
-        bench.approve(make_work_plan())
-        bench.run_into(1)
-        bench.run_to_end_of(1)
-        bench.executor.trail(2.0)
-        bench.run(1500)
-        assert bench.tool.orders == [] and bench.state is ExecutorState.AT_BOUNDARY
-        bench.executor.trail(0.1)
-        bench.run_into(2)
         assert bench.tool.fired == [("vacuum", True)]
 
     def test_a_tool_that_is_not_known_yet_is_waited_for(self, bench):
@@ -394,6 +351,14 @@ class TestBoundary:
 
 
 class TestInASegment:
+    @pytest.mark.parametrize("segment, state", [(3, ExecutorState.STOPPING), (0, ExecutorState.PLAYING)])
+    def test_an_unknown_tool_stops_a_segment_that_needs_it_and_no_other(self, bench, segment, state):
+        bench.approve(make_work_plan())
+        bench.run_into(segment)
+        bench.tool.known = False
+        bench.run(2)
+        assert bench.state is state
+
     def test_a_lost_grip_brakes_along_the_path_and_drops_the_rest(self, bench):
         plan = make_work_plan()
         bench.approve(plan)
@@ -406,20 +371,6 @@ class TestInASegment:
         assert bench.executor.outcome == "stopped" and reason.startswith("gripped reads off, not on; at rest after")
         assert "in segment 3 ('carry') the rest is dropped" in reason and "look at arm and tool" in reason
         assert within_acceleration(bench.outputs)
-
-    def test_an_unknown_tool_stops_a_segment_that_needs_it(self, bench):
-        bench.approve(make_work_plan())
-        bench.run_into(3)
-        bench.tool.known = False
-        bench.run(2)
-        assert bench.state is ExecutorState.STOPPING
-
-    def test_but_not_one_that_does_not(self, bench):
-        bench.approve(make_work_plan())
-        bench.run_into(0)
-        bench.tool.known = False
-        bench.run(2)
-        assert bench.state is ExecutorState.PLAYING
 
     @pytest.mark.parametrize("scene", ["0ther", LATER[0]])
     def test_any_other_scene_stops_it_that_of_the_end_too(self, bench, scene):
@@ -695,8 +646,3 @@ def test_a_dropped_work_plan_withdraws_what_was_waiting_when_the_arm_is_engaged(
     bench.executor.on_sync(SyncState.HOLDING, False)
     (verdict,) = [event for event in bench.executor.take_events() if isinstance(event, Verdict)]
     assert verdict.plan_id == "waiting" and "plan_way_back" in verdict.reason
-
-
-def test_every_timeout_is_longer_than_what_it_waits_for():
-    assert LEAD < FIRE_TIMEOUT < RECORD_TIMEOUT < SCENE_TIMEOUT <= 60 * NANOSECONDS
-    assert Signal("gripped", False) in FREE
