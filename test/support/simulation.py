@@ -219,10 +219,8 @@ class SimulatedChain:
         last = gate.comparison.last
         if last is not None:
             self.executor.trail(last.round_trip, last.servo_lag)
-        keeper = self.executor.engagement
-        if not keeper.settled:
-            # a disk that takes everything at once
-            keeper.on_written(keeper.present)
+        # a disk that takes everything at once
+        self.executor.engagement.written = self.executor.engagement.present
         theta_next = self.executor.step(stamp, stamp)
         for order in self.executor.take_orders():
             self._at(stamp + self._link.command_delay(), lambda order=order: self._switch(order))
