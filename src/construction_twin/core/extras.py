@@ -8,7 +8,7 @@ from construction_twin.core.errors import ConfigurationError
 
 #: What setup/requirements-<group>.txt installs, by group: the names that Python imports.
 PACKAGES = {
-    "work": ("coacd", "ifcopenshell", "isodate", "shapely"),
+    "work": ("ifcopenshell", "isodate", "shapely"),
     "physics": ("mujoco",),
 }
 

@@ -1,8 +1,8 @@
 """An element of a building as objects of the scene: few convex pieces that hold all of it and reach little beyond. Metres.
 
-Each body is tried in this order: one convex hull; divided exactly by planes of its own faces; coacd; its surface with a margin. The
-first that holds the body and reaches no further beyond it than the bound is taken. Mesh files are named by their contents, results
-by what they were made from.
+Each body is tried in this order: one convex hull; cut exactly by planes of its own faces; hulls of its parts; its surface with a
+margin. The first that holds the body and reaches no further beyond it than the bound is taken. Mesh files are named by their
+contents, results by what they were made from.
 """
 
 from __future__ import annotations
@@ -24,26 +24,25 @@ from construction_twin.core.files import read_file, write_whole
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BodyError, WorkError
 from construction_twin.robot.frames import rotation_to_quaternion
-from construction_twin.scene.containment import HELD, excess, extra_volume, lost
+from construction_twin.scene.containment import excess, extra_volume, lost
 from construction_twin.scene.convex_cells import convex_cells
+from construction_twin.scene.convex_pieces import convex_cover
 from construction_twin.scene.mesh_file import MOST_TRIANGLES
 from construction_twin.scene.objects import SceneObject
 from construction_twin.scene.solids import hull_solid, mesh_of, parts, solid, welded
 from construction_twin.scene.triangle_mesh import hull_mesh
 from construction_twin.work.building import Body, Element
-from construction_twin.work.convex_decomposition import decomposed
 
 #: Changes when the same body would give other pieces.
-_VERSION = 4
+_VERSION = 5
 #: Triangles beyond which a body is not divided.
-_MOST_DIVIDED = 20_000
+_MOST_DIVIDED = 5000
 #: Triangles beyond which a body is not divided by planes of its faces: they are those of curved faces.
 _MOST_CUT = 2000
 #: Largest file of a result [bytes].
 _LARGEST = 8 * 2**20
 #: Ways whose pieces have no overlaps and, together, the volume of the body.
 _EXACT = ("cut",)
-_CUBE = np.array([(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 #: A box around something flat is as thick [m].
 _FLAT = 0.001
 #: A hull of this fraction of its box is the box.
@@ -57,13 +56,11 @@ class BodySettings:
     Attributes:
         bound: How far a piece may reach beyond the body [m].
         pieces: Most pieces of one body; of one that is divided exactly four times as many.
-        seconds: Longest time of one decomposition of a curved body [s].
         margin: Padding of a body that remains a surface [m].
     """
 
     bound: float = 0.005
     pieces: int = 32
-    seconds: float = 20.0
     margin: float = 0.005
 
 
@@ -74,7 +71,7 @@ class ElementShape:
     Attributes:
         objects: ``<GlobalId>/0``, ``<GlobalId>/1``, ...; poses in the element's frame, `link` empty.
         excess: How far they reach beyond the element, at most, where measured [m]; of a surface its margin.
-        ways: How each body was made: ``hull``, ``cut``, ``coacd``, ``surface``.
+        ways: How each body was made: ``hull``, ``cut``, ``cover``, ``surface``.
     """
 
     element: str
@@ -203,11 +200,9 @@ def _candidates(body: Body, closed: manifold3d.Manifold | None, settings: BodySe
     cut = convex_cells(closed, 4 * settings.pieces) if len(body.triangles) <= _MOST_CUT else None
     if cut is not None:
         yield "cut", cut
-    for concavity in (settings.bound, 0.4 * settings.bound):
-        found = decomposed(*mesh_of(closed), concavity, settings.pieces, settings.seconds)
-        if found is None:
-            return
-        yield "coacd", _grown(vertices, np.asarray(body.triangles), closed, found, settings.bound)
+    held = convex_cover(closed, settings.pieces, 0.4 * settings.bound)
+    if held is not None:
+        yield "cover", held
 
 
 def _one_hull(vertices: np.ndarray):
@@ -282,21 +277,6 @@ def _is_closed_hull(vertices: np.ndarray, triangles: np.ndarray, pieces: Sequenc
         have = shapely.union_all(shapely.polygons(corners[mine] @ basis.T)).area if mine.any() else 0.0
         covered.add(have >= wanted * (1.0 - 1e-6))
     return bool((on_plane <= 1e-5).all()) and covered == {True}
-
-
-def _grown(
-    vertices: np.ndarray, triangles: np.ndarray, closed: manifold3d.Manifold, pieces: list[np.ndarray], bound: float
-) -> list[np.ndarray]:
-    """Return pieces that hold the whole body, all larger by what is missing; they are judged like any others."""
-    by, found = 0.0, pieces
-    while by < bound:
-        missing = lost(vertices, triangles, closed, found)
-        if not missing:
-            break
-        by += 1.1 * missing + HELD
-        # what is at most that far from a piece along each axis
-        found = [(piece[:, None] + by * _CUBE[None]).reshape(-1, 3) for piece in pieces]
-    return [points[ConvexHull(points).vertices] for points in found]
 
 
 def _description(points: np.ndarray, folder: Path) -> dict:

@@ -96,17 +96,17 @@ def test_a_wedge_is_one_solid_mesh_with_all_digits(tmp_path):
 def test_a_curved_hollow_is_held_and_its_excess_is_stated(tmp_path):
     bowl = (M.sphere(0.3, 12) - M.sphere(0.24, 12)).trim_by_plane((0, 0, -1), 0.0)
     # so few pieces that it is not divided by its own faces
-    shape = element_shape(element(body_of(bowl)), tmp_path, BodySettings(bound=0.1, pieces=8, seconds=60.0))
+    shape = element_shape(element(body_of(bowl)), tmp_path, BodySettings(bound=0.1, pieces=8))
     vertices, triangles = mesh_of(bowl)
-    assert shape.ways == ("coacd",)
+    assert shape.ways == ("cover",)
     assert 0 < shape.excess <= 0.1
     assert Pieces(shape.objects).contain(points_on(vertices, triangles), 1e-6).all()
     assert not Pieces(shape.objects).contain(np.array([(0.0, 0.0, -0.01)])).any()
 
 
-def test_where_no_time_is_given_a_curved_hollow_becomes_its_surface_with_a_margin(tmp_path):
+def test_with_too_few_pieces_a_curved_hollow_becomes_its_surface_with_a_margin(tmp_path):
     bowl = (M.sphere(0.3, 24) - M.sphere(0.27, 24)).trim_by_plane((0, 0, -1), 0.0)
-    shape = element_shape(element(body_of(bowl)), tmp_path, BodySettings(seconds=0.01, margin=0.008))
+    shape = element_shape(element(body_of(bowl)), tmp_path, BodySettings(pieces=2, margin=0.008))
     assert (shape.ways, shape.excess, shape.objects[0].padding) == (("surface",), 0.008, 0.008)
     assert isinstance(scene_geometry(shape.objects[0]), coal.BVHModelBase)
 
