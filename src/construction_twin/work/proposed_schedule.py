@@ -47,7 +47,7 @@ class ProposedSchedule:
 
     Attributes:
         tasks: One that nests all, and one per element, in an order in which they can be built.
-        sequences: ``FINISH_START``; the fewest that say all.
+        sequences: ``FINISH_START``
     """
 
     tasks: tuple[Task, ...]
@@ -81,8 +81,8 @@ def propose(model: BuildingModel) -> ProposedSchedule:
     }
     sequences = [
         Sequence(tasks[first].id, tasks[second].id)
-        for second, firsts in _needed(order, before).items()
-        for first in sorted(firsts, key=order.index)
+        for second in order
+        for first in sorted(before[second], key=order.index)
     ]
     return ProposedSchedule((root, *tasks.values()), tuple(sequences), tuple(notes))
 
@@ -232,18 +232,3 @@ def _built(solids: list[_Solid], before: dict[int, set[int]], notes: list[str]) 
                 if not waiting[other]:
                     heapq.heappush(heap, keys[other])
     return order
-
-
-def _needed(order: list[int], before: dict[int, set[int]]) -> dict[int, set[int]]:
-    """Return of what each waits for only what does not follow from the rest."""
-    place = {number: position for position, number in enumerate(order)}
-    every: dict[int, int] = {}  # all that must come before, as bits by place
-    kept: dict[int, set[int]] = {}
-    for number in order:
-        kept[number], reached = set(), 0
-        for first in sorted(before[number], key=lambda n: -place[n]):
-            if not reached >> place[first] & 1:
-                kept[number].add(first)
-                reached |= every[first] | 1 << place[first]
-        every[number] = reached
-    return kept
