@@ -206,7 +206,8 @@ class ScenarioRun:
         return plan_samples.make_plan(trajectory, f"plan-{self.chain.now}", SCENE, asked_ns=self.chain.now)
 
     def _replan(self, held: tuple[float, ...], goal: tuple[float, ...]) -> Plan:
-        return self._plan(time_path(np.array([held, goal]), ROBOT, None, SPEED_SCALE, ACCELERATION_SCALE))
+        timing = {"speed_scale": SPEED_SCALE, "acceleration_scale": ACCELERATION_SCALE}
+        return self._plan(time_path(np.array([held, goal]), ROBOT, **timing))
 
     def _approve(self, refused: bool) -> None:
         plan = self.chain.executor.under_review.plan
