@@ -102,15 +102,6 @@ class TestArming:
         assert waiting.state is LinkState.RESYNC
         assert waiting.run(0.5).state is LinkState.ARMED
 
-    def test_an_arming_that_is_given_up_does_not_happen_later(self, waiting):
-        waiting.supervisor.request_arm(waiting.now, "Ada")
-        waiting.command = moved(2 * TOLERANCE)
-        waiting.run(1.0)
-        waiting.supervisor.withdraw(waiting.supervisor.requests, "not armed within 1 s")
-        waiting.command = POSE
-        waiting.run(1.0)
-        assert waiting.state is LinkState.NEEDS_RESET and waiting.supervisor.responsible == ""
-
     def test_an_arm_that_moves_is_not_armed(self, waiting):
         waiting.pose = moved(5 * TOLERANCE)
         waiting.poll()

@@ -160,10 +160,6 @@ def test_of_many_switches_the_last_16_are_told():
     assert list(told(tool)) == [f"s{number}" for number in range(24, 40)]
 
 
-def test_void_is_sent_with_any_session():
-    assert (link().void("").verb, link().void("s").session) == ("void", "s")
-
-
 def test_answers_to_others_and_to_other_verbs_are_not_its_own():
     tool = link()
     control = switch(tool)

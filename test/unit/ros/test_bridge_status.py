@@ -126,20 +126,6 @@ def test_what_a_controller_said_before_its_gateway_went_is_not_told(bench):
     assert bench.links[-1][0].text == "GATEWAY_OFFLINE" and "T1" not in bench.links[-1][0].reason
 
 
-def test_a_status_whose_controller_is_no_object_is_refused(bench):
-    before = bench.shown(following().gateway.status())
-    for wrong in ("T1", {"sentence": ["T1"]}, {"sentence": {}}):
-        assert bench.shown(following().gateway.status() | {"controller": wrong}) == before
-    assert bench.refused == {"status": 3}
-
-
-def test_a_change_of_the_playout_is_shown(bench):
-    status = following().gateway.status()
-    bench.shown(status)
-    status["playout"]["delay_ms"] = 36.0
-    assert bench.shown(status)["playout_delay_ms"] == "36"
-
-
 def test_a_status_whose_playout_cannot_be_read_changes_nothing_and_is_counted(bench):
     status = following().gateway.status()
     before = bench.shown(status)
@@ -232,17 +218,6 @@ def test_a_second_source_of_speed_limit_is_refused_as_by_the_executor(bench):
     assert bench.refused == {"speed_limit_source": 1, "speed_limit": 1}
     bench.bridge.poll()
     assert [control.value for control in bench.client.controls if control.verb == "speed_limit"] == [0.2]
-
-
-def test_speed_limits_go_to_the_gateway_numbered_upwards(bench):
-    bench.arm()
-    session = bench.links[-1][0].session
-    for _ in range(50):
-        bench.bridge.on_speed_limit(limit(0.5))
-        bench.step()
-    sent = [control for control in bench.client.controls if control.verb == "speed_limit"]
-    assert [(control.session, control.value) for control in sent] == [(session, 0.5)] * len(sent)
-    assert [control.id for control in sent] == [str(k) for k in range(1, len(sent) + 1)] and len(sent) >= 4
 
 
 def test_mirror_mode_is_kept_where_the_next_process_finds_it(clocks):
@@ -413,28 +388,6 @@ def test_an_end_of_mirror_mode_that_arms_nothing_in_time_says_so_and_arms_nothin
     for _ in range(500):
         go_on()
         assert bench.bridge.link is LinkState.NEEDS_RESET
-
-
-def test_two_gateways_are_named_and_the_other_one_s_words_are_counted(bench):
-    bench.arm()
-    bench.bridge.on_status(json.dumps(bench.gateway | {"run": "other", "state": "no_controller"}).encode())
-    bench.bridge.poll()
-    link = bench.links[-1][0]
-    assert link.text == "MISMATCH" and "run other and run run1" in link.reason and bench.refused == {"status": 1}
-    answer = bench.ask("reset")
-    assert not answer.success and "run other and run run1" in answer.message
-
-
-def test_a_person_s_arming_that_is_halted_meanwhile_is_answered_at_once(clocks):
-    bench = BridgeBench(clocks, kind="plc")
-    bench.connect()
-    bench.run_bare(20)
-    # no command comes, so that twin and arm do not meet
-    at = halted_meanwhile(bench, lambda: bench.run_bare(commands=False))
-    answer = bench.ask("arm", responsible="Ada")
-    assert not answer.success
-    assert answer.message.startswith("not armed: halt was called meanwhile: NEEDS_RESET, ")
-    assert bench.clocks.steady - at[0] <= 40_000_000
 
 
 def test_a_bare_plc_is_armed_by_name_and_sent_strings_alone(clocks):

@@ -71,10 +71,6 @@ class Settings(MqttSettings):
     max_state_age: float = pydantic.Field(gt=0)
 
 
-def _new_id() -> str:
-    return uuid.uuid4().hex
-
-
 class MqttBridge:
     """ROS and MQTT around a `Bridge`.
 
@@ -96,14 +92,15 @@ class MqttBridge:
         client: PlainClient,
         ports: Ports,
     ):
-        bare, properties = settings.gateway_kind == PLC, config.properties and settings.protocol == "5"
+        bare, new_id = settings.gateway_kind == PLC, lambda: uuid.uuid4().hex
+        properties = config.properties and settings.protocol == "5"
         self._strings = JointStrings(codec, properties, bare, settings.max_state_age)
         # not private parameters: those hold settings, and these came about while a bridge ran
         mirrors, waits = ports.parameters[MIRROR_MODE] is True, str(ports.parameters[WAITS])
         self._kept = [
             StopMemory(said, ports.keeper(name), name) for said, name in ((mirrors, MIRROR_MODE), (waits, WAITS))
         ]
-        self._bridge = Bridge(config, bare, settings.reset_timeout, self._strings, _new_id, mirrors, waits)
+        self._bridge = Bridge(config, bare, settings.reset_timeout, self._strings, new_id, mirrors, waits)
         self._supervisor = self._bridge.supervisor
         self._lock = threading.Lock()
         # orders what is published on `tool`: it comes from several threads
@@ -350,8 +347,7 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttBridge:
     config = config_of_link(robot, ports.parameters["gateway"], settings.gateway_kind != PLC)
     broker, topics = broker_of(settings), Topics(settings.prefix, robot.name)
     client = make_client(broker, unique_id(robot.name, "bridge"), topics.bridge_status, direct=True)
-    codec = JointStringCodec.of(robot, config.decimals)
-    bridge = MqttBridge(settings, topics, config, codec, broker, client, ports)
+    bridge = MqttBridge(settings, topics, config, JointStringCodec.of(robot, config.decimals), broker, client, ports)
     bridge.connect()
     return bridge
 
