@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import pydantic
 
@@ -23,21 +23,6 @@ from construction_twin.scene.objects import Scene, SceneObject
 _LARGEST = 32 * 2**20
 
 
-class _Object(pydantic.BaseModel):
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
-
-    name: str
-    shape: str
-    size: tuple[float, ...]
-    position: tuple[float, float, float]
-    quaternion: tuple[float, float, float, float]
-    padding: float
-    mesh: str
-    link: str
-    touch: tuple[str, ...]
-    fixed: bool
-
-
 class _File(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
@@ -45,7 +30,10 @@ class _File(pydantic.BaseModel):
     start: str
     hash: str
     padding: float
-    objects: tuple[_Object, ...]
+    objects: tuple[dict[str, Any], ...]
+
+
+_OBJECTS = pydantic.TypeAdapter(tuple[SceneObject, ...])
 
 
 @dataclass(frozen=True)
@@ -88,8 +76,8 @@ class SceneFile:
                 Sentence("expected.scene.edits_of", hash=self.start.hash[:12]),
             )
         try:
-            scene = Scene(tuple(SceneObject(**item.model_dump()) for item in found.objects), found.padding)
-        except SceneError as error:
+            scene = Scene(_OBJECTS.validate_python(found.objects), found.padding)
+        except (SceneError, pydantic.ValidationError) as error:
             raise self._wrong(str(error), Sentence("expected.scene.edits_objects")) from error
         if scene.hash != found.hash:
             raise self._wrong(
@@ -103,11 +91,8 @@ class SceneFile:
         Raises:
             SceneError: If the file cannot be written.
         """
-        names = list(_Object.model_fields)
-        objects = [{name: getattr(item, name) for name in names} for item in scene.objects]
-        contents = {
-            "run": self.run, "start": self.start.hash, "hash": scene.hash, "padding": scene.padding, "objects": objects
-        }  # fmt: skip
+        contents = {"run": self.run, "start": self.start.hash, "hash": scene.hash, "padding": scene.padding}
+        contents["objects"] = _OBJECTS.dump_python(scene.objects, mode="json")
         try:
             write_whole(self.path, json.dumps(contents, indent=1) + "\n")
         except OSError as error:
