@@ -18,9 +18,6 @@ from construction_twin.scene.collision_world import CollisionWorld
 
 #: Most points added to a path to keep its rounded corners free.
 CORNERS_TIGHTENED = 24
-#: Where a path's edges are known to be free, the rounding of a corner is checked over this part of its width: further out it misses
-#: the polyline by less than a fifteenth of what it misses the corner.
-BESIDE = 0.6
 
 
 class MotionValidator:
@@ -91,15 +88,12 @@ class CornerRounding:
 
     Args:
         pace: Shape (n,). As for `curves.rounded`.
-        edges_free: The straight edges of its paths are known to be free, by the same check: they are not checked again.
-        between: What lies between the states is looked at, too; not with `edges_free`, which leaves states out. It costs more, and
-            is worth it where something was missed.
+        between: What lies between the states is looked at, too. It costs more, and is worth it where something was missed.
     """
 
-    def __init__(self, validator: MotionValidator, pace: np.ndarray, edges_free: bool = False, between: bool = False):
+    def __init__(self, validator: MotionValidator, pace: np.ndarray, between: bool = False):
         self._validator = validator
         self._pace = pace
-        self._edges_free = edges_free
         self._between = between
 
     def tightened(self, path: np.ndarray) -> np.ndarray | None:
@@ -117,7 +111,8 @@ class CornerRounding:
             return path if self._validator.free(*path) else None
         for _ in range(CORNERS_TIGHTENED):
             knots = parameters(path, self._pace)
-            samples = self._samples(path, knots)
+            count = sum(self._validator.count(displacement) for displacement in np.diff(path, axis=0))
+            samples = np.linspace(0.0, knots[-1], count + 1)
             place = self._contact(rounded(path, self._pace, 1.0)(samples))
             if place is None:
                 return path
@@ -136,12 +131,3 @@ class CornerRounding:
             return self._validator.world.all_free(states)
         found = self._validator.world.first_contact(states)
         return None if found is None else found[0]
-
-    def _samples(self, path: np.ndarray, knots: np.ndarray) -> np.ndarray:
-        """Return where on the curve it is checked."""
-        count = sum(self._validator.count(displacement) for displacement in np.diff(path, axis=0))
-        samples, spans = np.linspace(0.0, knots[-1], count + 1), np.diff(knots)
-        if not self._edges_free:
-            return samples
-        reach = 0.5 * BESIDE * np.minimum(spans[:-1], spans[1:])
-        return samples[np.any(np.abs(samples[:, None] - knots[1:-1]) <= reach, axis=1)]

@@ -330,8 +330,7 @@ class Planner:
         pace = np.array(self._robot.velocity)
         for attempt in range(TIMINGS_TRIED):
             if len(path) > 2:
-                first = attempt == 0
-                rounding = CornerRounding(self._validator(world, attempt), pace, edges_free=first, between=not first)
+                rounding = CornerRounding(self._validator(world, attempt), pace, between=attempt > 0)
                 tightened = rounding.tightened(path)
                 if tightened is None:
                     return None

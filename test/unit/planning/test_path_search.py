@@ -82,8 +82,7 @@ def test_the_levers_hold_for_every_point_of_the_arm_its_tool_and_its_load():
             assert np.linalg.norm(moved, axis=1).max() <= np.abs(step) @ levers
 
 
-@pytest.mark.parametrize("edges_free", [False, True])
-def test_a_corner_that_touches_is_tightened_and_others_are_not(edges_free):
+def test_a_corner_that_touches_is_tightened_and_others_are_not():
     # the second corner turns right below the contact: cutting it is free, cutting the first one is not
     path = np.zeros((4, 6))
     path[:, 0] = [0.0, -1.0, -1.0, 0.0]
@@ -95,7 +94,7 @@ def test_a_corner_that_touches_is_tightened_and_others_are_not(edges_free):
 
     edges = MotionValidator(Inside(), np.ones(6), 0.01)
     assert edges.world.all_free(rounded(path, PACE, 1.0)(np.linspace(0.0, 1.0, 50))) is not None
-    tight = CornerRounding(edges, PACE, edges_free).tightened(path)
+    tight = CornerRounding(edges, PACE).tightened(path)
     curve = rounded(tight, PACE, 1.0)
     assert edges.world.all_free(curve(np.linspace(0.0, curve.length, 2000))) is None
     added = [q for q in tight if not any(np.array_equal(q, corner) for corner in path)]
