@@ -44,15 +44,17 @@ from construction_twin.link.requests import (
     Joints,
     LowerSpeed,
     Override,
+    Pressed,
+    PressedAsSeen,
     RaiseSpeed,
     Verdict,
+    read,
     read_document,
     read_goal,
 )
 from construction_twin.link.speed_limits import NOBODY, SpeedLimits
 from construction_twin.mqtt import requests
 from construction_twin.mqtt.client import Broker, make_client, unique_id
-from construction_twin.mqtt.interventions import parse_intervention
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import EXECUTOR, GATEWAY, RequestKind
 from construction_twin.physics.report import RehearsalReport
@@ -460,7 +462,8 @@ class ScriptedRobot:
         kind = requests.STOP if verb == "stop" else requests.PAUSE
         by = (GATEWAY, EXECUTOR) if verb == "stop" else (EXECUTOR,)
         try:
-            asked = parse_intervention(verb, account, payload, retained)
+            document = read_document(payload, retained, verb, kind.limit)
+            asked = read(PressedAsSeen if verb == "resume" else Pressed, document, verb)
         except PayloadError as error:
             for each in by:
                 self._answer(kind, account, False, str(error), by=each)

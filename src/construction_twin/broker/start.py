@@ -14,7 +14,6 @@ import re
 import shutil
 import socket
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -43,13 +42,13 @@ _LISTENER = re.compile(r"^(\s*listener\s+)(\d+)", re.MULTILINE)
 
 def main(argv: list[str] | None = None) -> None:
     """Become mosquitto; ConfigurationError where that is not possible."""
-    arguments = read_arguments(sys.argv[1:] if argv is None else argv)
+    arguments = read_arguments(argv)
     program, text = check(arguments.config, arguments.port, arguments.accounts)
     print(f"broker: {request_realtime(arguments.realtime)}", flush=True)
     os.execv(program, [program, "-c", f"/dev/fd/{_in_memory(_complete(text, arguments.port))}"])
 
 
-def read_arguments(argv: list[str]) -> argparse.Namespace:
+def read_arguments(argv: list[str] | None) -> argparse.Namespace:
     """Return the options; ConfigurationError for a wrong one."""
     parser = Parser(
         prog="broker",
@@ -68,8 +67,7 @@ def read_arguments(argv: list[str]) -> argparse.Namespace:
     parser.add_argument(
         "--accounts", action="store_true", help="refuse a configuration that lets in clients without an account"
     )
-    # roslaunch adds __name:= and __log:= for nodes that speak ROS
-    return parser.parse_args([word for word in argv if ":=" not in word])
+    return parser.options(argv)
 
 
 def check(path: str, port: int, accounts: bool = False) -> tuple[str, str]:
@@ -78,7 +76,7 @@ def check(path: str, port: int, accounts: bool = False) -> tuple[str, str]:
     Args:
         accounts: Whether a configuration that lets in clients without an account is refused.
     """
-    program = _program()
+    program = shutil.which("mosquitto", path="/usr/sbin:/usr/bin:" + os.environ.get("PATH", ""))
     if program is None:
         raise ConfigurationError("mosquitto", None, "it to be installed; run setup/setup.sh")
     try:
@@ -150,27 +148,17 @@ def trial(program: str, text: str) -> str:
     return f"mosquitto ends with exit code {ended}: {'; '.join(errors) or 'its log says why'}"
 
 
-def _program() -> str | None:
-    return shutil.which("mosquitto", path="/usr/sbin:/usr/bin:" + os.environ.get("PATH", ""))
-
-
 def _complete(text: str, port: int) -> str:
     """Return a configuration with what it lacks: without a listener of its own mosquitto binds nothing but loopback."""
-    return text + (_owner() if listener_ports(text) else f"\nlistener {port} 127.0.0.1\n")
+    if not listener_ports(text):
+        return f"{text}\nlistener {port} 127.0.0.1\n"
+    # when root starts it, it stays root: as user mosquitto it could not read its keys
+    return f"{text}\nuser {pwd.getpwuid(os.geteuid()).pw_name}\n"
 
 
 def listener_ports(text: str) -> list[int]:
-    """Return the TCP ports of the listeners in a mosquitto configuration.
-
-    Returns:
-        Empty: mosquitto listens where it is told to on its command line.
-    """
+    """Return the TCP ports of the listeners in a mosquitto configuration."""
     return [int(port) for _, port in _LISTENER.findall(text)]
-
-
-def _owner() -> str:
-    """Return the line by which mosquitto stays root when root starts it: as user mosquitto it could not read its keys."""
-    return f"\nuser {pwd.getpwuid(os.geteuid()).pw_name}\n"
 
 
 def _in_memory(text: str) -> int:

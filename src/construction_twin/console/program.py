@@ -7,17 +7,17 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import importlib.util
+import json
 import logging
 import signal
 import socket
-import sys
+import ssl
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from construction_twin.console.given_files import broker_tls, check_rights, own_tls
 from construction_twin.core.command_line import Parser
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.extras import check_extras
 from construction_twin.core.network import is_loopback, port_is_free
 from construction_twin.core.sentences import Sentence
 
@@ -42,9 +42,7 @@ def main(argv: list[str] | None = None) -> int:
 def check(argv: list[str] | None) -> tuple[argparse.Namespace, ServerSettings]:
     """Return the options and what they mean; ConfigurationError where nothing can be served with them."""
     arguments = _arguments(argv)
-    if importlib.util.find_spec("aiohttp") is None:
-        command = "setup/setup.sh console"
-        raise ConfigurationError("the Python package aiohttp", None, Sentence("expected.installed", command=command))
+    check_extras("console")
     settings = settings_of(arguments)
     if not port_is_free(socket.SOCK_STREAM, arguments.port, arguments.listen):
         where = f"{arguments.listen}:{arguments.port}"
@@ -71,8 +69,7 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     add("--broker-host", default="127.0.0.1", help="the broker's address [%(default)s]")
     add("--broker-port", type=int, default=18830, help="the broker's TCP port [%(default)s]")
     add("--broker-ca", type=Path, help="certificate of who signed the broker's; with it the broker's connection is TLS")
-    # roslaunch adds __name:= and __log:= for nodes that speak ROS
-    return parser.parse_args([word for word in (sys.argv[1:] if argv is None else argv) if ":=" not in word])
+    return parser.options(argv)
 
 
 def settings_of(arguments: argparse.Namespace) -> ServerSettings:
@@ -89,10 +86,10 @@ def settings_of(arguments: argparse.Namespace) -> ServerSettings:
         raise ConfigurationError("--certificate and --key", None, Sentence("expected.both_or_neither"))
     if not arguments.certificate and not is_loopback(arguments.listen):
         raise ConfigurationError("--listen", arguments.listen, Sentence("expected.loopback_certificate"))
-    own = own_tls(arguments.certificate, arguments.key) if arguments.certificate else None
-    to_broker = broker_tls(arguments.broker_ca) if arguments.broker_ca else None
+    own = _own_tls(arguments.certificate, arguments.key) if arguments.certificate else None
+    to_broker = _broker_tls(arguments.broker_ca) if arguments.broker_ca else None
     if arguments.rights:
-        check_rights(arguments.rights)
+        _check_rights(arguments.rights)
     if to_broker is None and not is_loopback(arguments.broker_host):
         raise ConfigurationError("--broker-host", arguments.broker_host, Sentence("expected.loopback_ca"))
     if arguments.page and not arguments.page.is_dir():
@@ -105,6 +102,36 @@ def settings_of(arguments: argparse.Namespace) -> ServerSettings:
         frozenset(arguments.origin),
         own,
     )
+
+
+def _own_tls(certificate: Path, key: Path) -> ssl.SSLContext:
+    """Return what the console shows to browsers; ConfigurationError when the files are no PEM, or do not fit each other."""
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    try:
+        # a key with a passphrase is refused: nobody is there to type it
+        context.load_cert_chain(certificate, key, password="")
+    except (OSError, ssl.SSLError) as error:
+        raise ConfigurationError("--certificate and --key", str(error), Sentence("expected.pem")) from error
+    return context
+
+
+def _broker_tls(ca: Path) -> ssl.SSLContext:
+    """Return what the broker's certificate is checked by; ConfigurationError when the file is no PEM."""
+    try:
+        return ssl.create_default_context(cafile=str(ca))
+    except (OSError, ssl.SSLError) as error:
+        raise ConfigurationError("--broker-ca", str(error), Sentence("expected.pem")) from error
+
+
+def _check_rights(path: Path) -> None:
+    """Check that a file is a list of rights: with another one the page would draw everything, and nobody would know why."""
+    expected = Sentence("expected.rights")
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ConfigurationError("--rights", f"{path}: {error}", expected) from error
+    if not isinstance(document, dict) or not isinstance(document.get("robots"), dict):
+        raise ConfigurationError("--rights", str(path), expected)
 
 
 async def _serve(settings: ServerSettings, arguments: argparse.Namespace) -> None:

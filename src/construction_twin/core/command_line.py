@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from typing import NoReturn
 
 from construction_twin.core.errors import ConfigurationError
@@ -14,3 +15,8 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Raise a ConfigurationError: what argparse says is wrong."""
         raise ConfigurationError(f"the options of {self.prog}", message, f"those of {self.prog} --help")
+
+    def options(self, argv: list[str] | None) -> argparse.Namespace:
+        """Return the options; None: those of this process."""
+        # roslaunch adds __name:= and __log:= for nodes that speak ROS
+        return self.parse_args([word for word in (sys.argv[1:] if argv is None else argv) if ":=" not in word])

@@ -8,6 +8,7 @@ from construction_twin.core.errors import ConfigurationError
 
 #: What setup/requirements-<group>.txt installs, by group: the names that Python imports.
 PACKAGES = {
+    "console": ("aiohttp",),
     "work": ("ifcopenshell", "isodate", "shapely"),
     "physics": ("mujoco",),
 }

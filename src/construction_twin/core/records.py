@@ -73,6 +73,6 @@ def _written(value: Any, about: Mapping[str, Any]) -> Any:
     return document(value)
 
 
-def dumped(value: Any, places: int | None = None, marks: tuple[str, str] = COMPACT) -> bytes:
+def dumped(value: Any, marks: tuple[str, str] = COMPACT) -> bytes:
     """Return a record as JSON."""
     return json.dumps(document(value), allow_nan=False, separators=marks).encode()

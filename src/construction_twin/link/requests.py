@@ -245,7 +245,7 @@ class Override(Verdict):
     rehearsal_hash: Text
 
 
-# -- answers to the work, messages that were read, speed limits
+# -- answers to the work, messages that were read, what is pressed, speed limits
 
 
 class AnswerRequest(Request):
@@ -268,18 +268,29 @@ class Acknowledgement(Request):
     message: Id
 
 
-class LowerSpeed(Request):
-    """A message on `lower_speed/<account>`. A moment in it is not read: a lower limit must not be lost by it."""
+class Pressed(Request):
+    """A message on `stop/<account>` or `pause/<account>`. A moment in it is not read: it must not be lost by that."""
 
-    id: Id
-    limit: Annotated[Number, Field(ge=LEAST_SPEED, le=1.0)]
+    id: Annotated[Id, AfterValidator(_not_blank)]
     moment: Annotated[str, PlainValidator(lambda _: "")] = ""
 
 
-class RaiseSpeed(LowerSpeed):
-    """A message on `raise_speed/<account>`."""
+class PressedAsSeen(Pressed):
+    """A message on `resume/<account>`, `reset/<account>` or `arm/<account>`."""
 
     moment: Annotated[str, PlainValidator(lambda value: str(parse_moment(value)))] = Field("", validate_default=True)
+
+
+class LowerSpeed(Pressed):
+    """A message on `lower_speed/<account>`."""
+
+    limit: Annotated[Number, Field(ge=LEAST_SPEED, le=1.0)]
+
+
+class RaiseSpeed(PressedAsSeen):
+    """A message on `raise_speed/<account>`."""
+
+    limit: Annotated[Number, Field(ge=LEAST_SPEED, le=1.0)]
 
 
 # -- requests for a plan to a goal

@@ -49,7 +49,7 @@ PROTOCOL, FIRST_PROTOCOL = 2, 1
 #: Control messages are short; anything longer is not one.
 MAX_CONTROL_BYTES = 2048
 #: Of a request, what its answer repeats; and of a longer one that was not read, nothing of it is looked for [bytes].
-_IDENTITY, _MAX_IDENTITY_BYTES = ("id", "kind", "message", "plan_hash", "plan_id", "reviewer", "task", "verdict"), 8192
+_IDENTITY, MAX_IDENTITY_BYTES = ("id", "kind", "message", "plan_hash", "plan_id", "reviewer", "task", "verdict"), 8192
 
 
 def _level(name: str) -> Any:
@@ -297,15 +297,18 @@ def _without_duplicates(pairs: list[tuple[str, object]]) -> dict:
     return document
 
 
-def identity_of(payload: bytes, document: Mapping[str, object] | None = None) -> dict[str, str]:
+def identity_of(
+    payload: bytes, document: Mapping[str, object] | None = None, limit: int = MAX_IDENTITY_BYTES
+) -> dict[str, str]:
     """Return the short texts in a request by which its sender knows the answer, also where the request is refused.
 
     Args:
         document: What was read of the payload; None: it was not, and what can be is read here.
+        limit: Of a longer payload nothing is looked for [bytes].
     """
     if document is None:
         try:
-            document = parse_object(payload, "request", _MAX_IDENTITY_BYTES)
+            document = parse_object(payload, "request", limit)
         except PayloadError:
             return {}
     found = {name: document[name] for name in _IDENTITY if name in document}

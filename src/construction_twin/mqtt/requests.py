@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from construction_twin.core.rate_limit import Pace, SenderLimits
 
@@ -71,7 +71,8 @@ class RequestKind:
 
     Attributes:
         right: What an account needs to publish it, of `broker.access.RIGHTS`; "stop": any but `look`; "": no account of a site may.
-        limit: Longest message that is read [bytes]; of a motion a parameter says it, of what is pressed `interventions`.
+        limit: Longest message that is read [bytes].
+        limited_by: Parameter that says it in place of `limit`; "": none does.
         topic, ack: Where it comes in and is answered, below ``<prefix>/<robot>/``; ``{}`` is the account.
         answer: Which fields of `Answer` it has, in their order.
         qos: Of request and answer.
@@ -80,6 +81,7 @@ class RequestKind:
         starts: It starts motion or makes it faster, and repeats the moment that its screen had received; what is pressed is
             carried out once then, any other may be carried out twice.
         by: Who carries out what is pressed; a stop the gateway too.
+        expires: It is void where the moment that it repeats is too old when its turn comes; of others who carries it out says that.
     """
 
     name: str
@@ -92,6 +94,8 @@ class RequestKind:
     pace: Pace | None = None
     starts: bool = False
     by: str = EXECUTOR
+    expires: bool = False
+    limited_by: str = ""
 
     def is_answered_to(self, account: str) -> bool:
         """Return whether somebody hears the answer; where each account has a topic of its own, "" has none."""
@@ -121,25 +125,29 @@ REVIEW = RequestKind("review", "approve", "review/{}", "review/ack", _VERDICT, l
 OVERRIDE = RequestKind(
     "override_rehearsal", "approve", "override_rehearsal/{}", "override_rehearsal/ack", _VERDICT, limit=2048
 )
-STOP = RequestKind("stop", "stop", "stop/{}", "stop/ack", _PRESSED)
-PAUSE = RequestKind("pause", "operate", "pause/{}", "pause/ack", _PRESSED)
-RESUME = RequestKind("resume", "approve", "resume/{}", "pause/ack", _PRESSED, starts=True)
+STOP = RequestKind("stop", "stop", "stop/{}", "stop/ack", _PRESSED, limit=256)
+PAUSE = RequestKind("pause", "operate", "pause/{}", "pause/ack", _PRESSED, limit=256)
+RESUME = RequestKind("resume", "approve", "resume/{}", "pause/ack", _PRESSED, limit=256, starts=True)
 #: Lifts a stop or fault and starts over from the arm's pose; begins a session where nothing needs to move for it.
-RESET = RequestKind("reset", "reset", "reset/{}", "reset/ack", _PRESSED, starts=True, by=BRIDGE)
-ARM = RequestKind("arm", "reset", "arm/{}", "arm/ack", _PRESSED, starts=True, by=BRIDGE)
-#: What is pressed: an `Intervention`, which a service of the same name carries out.
+RESET = RequestKind("reset", "reset", "reset/{}", "reset/ack", _PRESSED, limit=256, starts=True, by=BRIDGE)
+ARM = RequestKind("arm", "reset", "arm/{}", "arm/ack", _PRESSED, limit=256, starts=True, by=BRIDGE)
+#: What is pressed, which a service of the same name carries out.
 PRESSED = (STOP, PAUSE, RESUME, RESET, ARM)
 #: Answers a question of the work; takes note of a message.
-ANSWER = RequestKind("answer", "operate", "answer/{}", "answer/ack", _ANSWERED)
+ANSWER = RequestKind("answer", "operate", "answer/{}", "answer/ack", _ANSWERED, expires=True)
 ACKNOWLEDGE = RequestKind("acknowledge", "operate", "acknowledge/{}", "acknowledge/ack", _ACKNOWLEDGED)
 #: Lowers people's speed limit; raises it, and needs its moment.
 LOWER_SPEED = RequestKind("lower_speed", "operate", "lower_speed/{}", "speed/ack", _LIMITED, limit=256)
 RAISE_SPEED = RequestKind("raise_speed", "approve", "raise_speed/{}", "speed/ack", _LIMITED, limit=256, starts=True)
-PLAN_REQUEST = RequestKind("plan_request", "operate", "plan_request/{}", "plan_request/ack", _PLANNED, pace=_PLANNING)
+PLAN_REQUEST = RequestKind(
+    "plan_request", "operate", "plan_request/{}", "plan_request/ack", _PLANNED, pace=_PLANNING, expires=True
+)
 IK = RequestKind("ik", "operate", "ik/{}", "ik/ack/{}", _REACHED, qos=0, pace=Pace(15))
 #: A motion in no name; the account of the topic below is shown to the reviewer.
-NAMELESS_TRAJECTORY = RequestKind("trajectory", "operate", "trajectory", "trajectory/ack", _CHECKED, pace=_PLANNING)
-TRAJECTORY = RequestKind("trajectory", "operate", "trajectory/from/{}", "trajectory/ack", _CHECKED, pace=_PLANNING)
+NAMELESS_TRAJECTORY = RequestKind(
+    "trajectory", "operate", "trajectory", "trajectory/ack", _CHECKED, pace=_PLANNING, limited_by="max_trajectory_bytes"
+)
+TRAJECTORY = replace(NAMELESS_TRAJECTORY, topic="trajectory/from/{}")
 #: In the order of the broker's rules.
 REQUESTS = (
     NAMELESS_REVIEW, REVIEW, OVERRIDE, *PRESSED, ANSWER, ACKNOWLEDGE, LOWER_SPEED, RAISE_SPEED, PLAN_REQUEST, IK,

@@ -52,7 +52,7 @@ def test_a_broker_that_does_not_end_when_asked_is_killed(tmp_path, configuration
     deaf = tmp_path / "mosquitto"
     deaf.write_text(DEAF.format(python=sys.executable))
     deaf.chmod(0o755)
-    monkeypatch.setattr(start, "_program", lambda: str(deaf))
+    monkeypatch.setattr(start.shutil, "which", lambda *_, **__: str(deaf))
     monkeypatch.setattr(start, "END_TIME", 0.2)
     port = free_port()
     assert start.check(configuration, port)[0] == str(deaf)

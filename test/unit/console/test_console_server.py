@@ -481,32 +481,11 @@ def test_who_is_logged_in_learns_who_has_which_right_as_it_is_now(broker, tmp_pa
     asyncio.run(scene())
 
 
-def test_ten_thousand_junk_frames_leave_it_alive(broker, tmp_path):
-    async def scene() -> None:
-        async with running(settings(tmp_path)), tab_of() as good:
-            await logs_in(good)
-
-            async def junk(number: int) -> None:
-                async with tab_of() as bad:
-                    with contextlib.suppress(ConnectionError):
-                        for k in range(500):
-                            await bad.send(bytes([(number * 37 + k) % 256]) * (k % 50))
-
-            await asyncio.gather(*map(junk, range(20)))
-            await good.send(PING)
-            assert await good.recv() == PONG
-
-    asyncio.run(scene())
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     (
-        (["--listen", "192.168.1.10"], "--certificate"),
         (["--broker-host", "192.168.1.10"], "--broker-ca"),
         (["--certificate", "a.pem"], "both or neither"),
-        (["--certificate", "a.pem", "--key", "b.pem"], "readable files in PEM"),
-        (["--page", "nowhere"], "--page"),
     ),
 )
 def test_what_cannot_work_or_would_send_passwords_in_the_clear_is_refused(arguments, words):

@@ -105,12 +105,12 @@ class Cell:
         self._client = make_client(
             broker, unique_id("kr120", "planner"), "twin/kr120/view", writer.offline().decode(), will_retained=False
         )
-        topics, connection = Topics("twin", "kr120"), Connection(broker, self._client, self.refusals.refuse)
-        self.feed = ConsoleFeed(topics, "base_link", connection, writer, Poses(Stream(), Stream()), Others())
+        connection = Connection(broker, self._client, Topics("twin", "kr120"), self.refusals.refuse)
+        self.feed = ConsoleFeed("base_link", connection, writer, Poses(Stream(), Stream()), Others())
         around = RobotContext(lambda: ROBOT.home)
-        self.requests = ConsoleRequests(topics, joints, {}, self.planner, None, around, connection, 2_000_000)
+        self.requests = ConsoleRequests(joints, {}, self.planner, None, around, connection, 2_000_000)
         self.feed.on_execution(Execution(text="IDLE", reason="at rest"))
-        connection.connect(self.requests.endpoints, self.feed.first, self.feed.publish_retained)
+        connection.connect(self.feed.first, self.feed.publish_retained)
         wait_until(self._client.is_connected, what="the node's connection")
         self._ended = threading.Event()
         self._threads = [threading.Thread(target=run) for run in (self._show, self._check)]

@@ -95,8 +95,9 @@ def feed(
     poses: Poses = Poses(None, None),
     others: Others = Others(),
 ) -> ConsoleFeed:
-    connection, writer = Connection(Broker("127.0.0.1", 1), broker, broker.refuse), ViewWriter("kr120", "cafe", JOINTS)
-    return ConsoleFeed(TOPICS, "base_link", connection, writer, poses, others, deployment_of(started, "/kr120"), files)
+    connection = Connection(Broker("127.0.0.1", 1), broker, TOPICS, broker.refuse)
+    writer = ViewWriter("kr120", "cafe", JOINTS)
+    return ConsoleFeed("base_link", connection, writer, poses, others, deployment_of(started, "/kr120"), files)
 
 
 def scene(folder) -> Scene:

@@ -101,7 +101,7 @@ class Bench:
         self.steady, self.wall = 1000.0, 1_764_000_000 * 10**9
         self.twin, self.work, self.engaged = (0.5, 1.0), False, False
         self.judge = Judge()
-        self.connection = Connection(Broker("127.0.0.1", 1), self.client, self._refuse)
+        self.connection = Connection(Broker("127.0.0.1", 1), self.client, Topics("twin", "kr120"), self._refuse)
         self.services = {
             kind: Service(PLAN_SERVICES[kind].name, PLAN_SERVICES[kind].kind, answer)
             for kind, answer in (
@@ -112,9 +112,9 @@ class Bench:
                 ("work_task", WorkPlanTaskResponse(**PLAN, task="t")),
             )
         }
-        around = RobotContext(lambda: self.twin, lambda: self.work, lambda: self.engaged, self.moment)
+        around = RobotContext(lambda: self.twin, lambda: self.work, lambda: self.engaged)
         self.desk = ConsoleRequests(
-            Topics("twin", "kr120"), JOINTS, self.services, self.planner, self.judge, around,
+            JOINTS, self.services, self.planner, self.judge, around,
             self.connection, 4096,
         )  # fmt: skip
 
@@ -131,7 +131,9 @@ class Bench:
 
     def deliver(self, topic: str, payload: bytes, retained: bool = False) -> None:
         """Hand over a message as the client does."""
-        (endpoint,) = (each for each in self.desk.endpoints if topic_matches_sub(each.topic, f"twin/kr120/{topic}"))
+        (endpoint,) = (
+            each for each in self.connection.endpoints if topic_matches_sub(each.topic, f"twin/kr120/{topic}")
+        )
         endpoint.on_message(SimpleNamespace(topic=f"twin/kr120/{topic}", payload=payload, retain=retained))
 
     def ask(self, account: str = ADA, retained: bool = False, **document) -> dict:
@@ -165,6 +167,7 @@ def bench(monkeypatch):
     monkeypatch.setattr(rospy, "loginfo", lambda *_: None)
     for module in (requests, endpoint):
         monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: made.steady))
+    monkeypatch.setattr(endpoint, "present", made.moment)
     return made
 
 
@@ -216,7 +219,7 @@ def test_what_the_planner_refuses_and_a_planner_that_is_gone_are_sentences(bench
     bench.services["pose"].answer = rospy.ServiceException("connection refused")
     answer = bench.ask(kind="pose", id="8", **POSE)
     assert "/kr120/plan_to_pose does not answer: connection refused" in answer["reason"]
-    assert bench.desk.counts == {"plan_requests no plan": 2, "trajectories waiting": 0}
+    assert bench.connection.report() == {"plan_request not taken": 2}
 
 
 @pytest.mark.parametrize(
@@ -305,7 +308,7 @@ def test_a_trajectory_becomes_a_plan_and_the_sender_is_told_its_id(bench):
         {"id": "7", "sender": "kr120-planner-ada", "ok": True, "reason": "waiting for review", "plan_id": "p1",
          "plan_hash": "cafe", "duration": 2.75, "notes": []}
     ]  # fmt: skip
-    assert bench.desk.counts == {"trajectories under review": 1, "trajectories waiting": 0}
+    assert bench.connection.report() == {"trajectory taken": 1}
 
 
 def test_times_that_were_replaced_are_told_with_both_durations_and_the_reason(bench):
@@ -364,6 +367,14 @@ def test_one_sender_alone_does_not_hold_up_the_others(bench):
     bench.send("patient")
     bench.desk.queue.run()
     assert bench.answers[-1]["ok"]
+
+
+def test_what_comes_too_soon_is_not_even_read(bench, monkeypatch):
+    """A motion of 2 MiB takes so long to read that a flood of them held up a rejection."""
+    bench.send("hasty")
+    monkeypatch.setattr(endpoint, "read_document", lambda *_: pytest.fail("it was read"))
+    bench.send("hasty", id="8")
+    assert bench.refused == ["busy"] and bench.answers[-1]["id"] == "8"
 
 
 def test_the_same_message_twice_makes_one_plan_and_gets_one_answer_twice(bench):

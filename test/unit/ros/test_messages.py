@@ -11,8 +11,9 @@ from bridge_bench import Client
 
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
-from construction_twin.ros.console.endpoint import Connection, RequestCounts
-from construction_twin.ros.console.messages import MessageBoard, MessageFile
+from construction_twin.ros.console import messages as module
+from construction_twin.ros.console.endpoint import Connection
+from construction_twin.ros.console.messages import MessageBoard
 from construction_twin.views.message_history import RESET
 from construction_twin.views.startup import Word
 from construction_twin.views.status_line import ReportsNow, status_lines
@@ -29,11 +30,10 @@ class Bench:
         self.told: list[list[dict]] = []
         self.refused: list[str] = []
         self.now = 0.0
-        self.file = MessageFile(path)
-        self.board = MessageBoard(self._tell, self._refuse, self.file, lambda: self.now)
         self.client = Client()
-        connection = Connection(Broker("127.0.0.1", 1), self.client, self._refuse)
-        self.endpoint = self.board.endpoint(TOPICS, RequestCounts("messages"), connection)
+        connection = Connection(Broker("127.0.0.1", 1), self.client, TOPICS, self._refuse)
+        self.board = MessageBoard(self._tell, connection, path, lambda: self.now)
+        (self.endpoint,) = connection.endpoints
 
     def _tell(self, text: bytes) -> None:
         self.told.append(json.loads(text))
@@ -92,7 +92,7 @@ def test_they_outlast_the_node_and_are_written_only_where_something_has_changed(
         bench.lines(STOPPED, at)
     bench.board.write()
     kept = (tmp_path / "messages/kr120.json").read_bytes()
-    monkeypatch.setattr(bench.file, "write", lambda *_: pytest.fail("nothing has changed"))
+    monkeypatch.setattr(module, "write_whole", lambda *_: pytest.fail("nothing has changed"))
     bench.board.write()
     again = Bench(tmp_path / "messages/kr120.json")
     again.lines(WELL, 5.0)

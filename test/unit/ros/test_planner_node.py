@@ -39,7 +39,7 @@ from construction_twin.mqtt.messages import Topics
 from construction_twin.planning import requests as plan_requests
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.frames import rotation_to_quaternion
-from construction_twin.ros.console import requests
+from construction_twin.ros.console import endpoint, requests
 from construction_twin.ros.console.endpoint import Connection
 from construction_twin.ros.messages import convert
 from construction_twin.ros.messages.scene_convert import object_to_msg, scene_to_msg, tf_frame
@@ -252,16 +252,17 @@ class TestAMotionThatIsSentAgain:
         client, numbers = Client(), itertools.count(step=10)
         planner.resolved_name = "plan_trajectory"
         monkeypatch.setattr(rospy, "wait_for_service", lambda *_: None)
-        monkeypatch.setattr(requests, "time", SimpleNamespace(monotonic=lambda: next(numbers)))
+        monkeypatch.setattr(endpoint, "time", SimpleNamespace(monotonic=lambda: next(numbers)))
         joints = Joints(tuple(ROBOT.joint_names), tuple(ROBOT.linear))
-        connection = Connection(Broker("127.0.0.1", 1), client, None)
-        desk = requests.ConsoleRequests(Topics("twin", "kr120"), joints, {}, planner, None, None, connection, 4096)
+        connection = Connection(Broker("127.0.0.1", 1), client, Topics("twin", "kr120"), None)
+        desk = requests.ConsoleRequests(joints, {}, planner, None, None, connection, 4096)
 
         def by_mqtt(goal) -> str:
             motion = {"id": str(next(numbers)), "units": {"angle": "rad", "length": "m", "time": "s"}}
             motion |= {"joint_names": ROBOT.joint_names, "points": [{"positions": list(q)} for q in (HOME, goal)]}
             message = SimpleNamespace(topic="twin/kr120/trajectory", payload=json.dumps(motion).encode(), retain=False)
-            desk.endpoints[0].on_message(message)
+            (served,) = (each for each in connection.endpoints if each.topic == message.topic)
+            served.on_message(message)
             desk.queue.run()
             answer = json.loads(client.published[-1][1])
             assert (answer["ok"], answer["id"]) == (True, motion["id"]), answer

@@ -17,20 +17,18 @@ from functools import partial
 import rospy
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.freshness import TOO_OLD, staleness
 from construction_twin.core.sentences import Sentence
 from construction_twin.link.requests import (
     AnswerRequest,
     LowerSpeed,
     NamelessVerdict,
     Override,
+    Pressed,
+    PressedAsSeen,
     RaiseSpeed,
-    ReviewRequest,
     Verdict,
 )
 from construction_twin.mqtt import requests
-from construction_twin.mqtt.interventions import Intervention, parse_intervention
-from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import (
     ANSWER,
     LOWER_SPEED,
@@ -39,13 +37,10 @@ from construction_twin.mqtt.requests import (
     PRESSED,
     RAISE_SPEED,
     REVIEW,
-    RequestKind,
 )
-from construction_twin.ros.console.endpoint import REPEATED, Connection, Endpoint, Incoming, RequestCounts
-from construction_twin.ros.console.request_queue import RequestQueue
+from construction_twin.ros.console.endpoint import REPEATED, Connection, Incoming, RequestQueue
 from construction_twin.ros.messages.plan_services import request_fields
 from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.persistent_service import PersistentService, call, call_twice
 from construction_twin.srv import ReviewPlan
 
@@ -79,55 +74,28 @@ class Services:
 
 
 class Acts:
-    """The endpoints of what people do.
+    """What carries out what people do.
 
     Attributes:
-        endpoints: What takes messages of each kind.
         queues: Where requests wait, by name; a thread for each of them. A rejection never waits behind an approval, whose record
             may wait for a disk, nor what lowers the speed limit behind what raises it.
     """
 
-    def __init__(self, topics: Topics, connection: Connection, services: Services):
-        self._topics, self._connection, self._services = topics, connection, services
-        self._verdicts, self._pressed = RequestCounts("verdicts"), RequestCounts("interventions")
-        self._answers, self._speeds = RequestCounts("answers"), RequestCounts("speed limits")
+    def __init__(self, connection: Connection, services: Services):
+        self._connection, self._services = connection, services
         names = ("approve", "reject", "answer", *(kind.name for kind in (LOWER_SPEED, RAISE_SPEED, *PRESSED)))
         self.queues = {name: RequestQueue(WAITING) for name in names}
-        self.endpoints: tuple[Endpoint, ...] = (
-            *map(self._verdict_endpoint, (NAMELESS_REVIEW, REVIEW, OVERRIDE)),
-            *map(self._pressed_endpoint, PRESSED),
-            Endpoint(
-                ANSWER, topics, _read_answer, self._give_answer, self._answers, connection,
-                lambda asked: f"answer to a question of the work by MQTT account {asked[1]}",
-                lambda _: self.queues["answer"],
-            ),
-            *map(self._speed_endpoint, (LOWER_SPEED, RAISE_SPEED)),
-        )  # fmt: skip
-
-    def _verdict_endpoint(self, kind: RequestKind) -> Endpoint[ReviewRequest]:
-        # where the broker knows accounts, one in no name is refused where it arrives
-        nameless = kind is NAMELESS_REVIEW and self._connection.proves_accounts
-        models: dict[RequestKind, type[Verdict]] = {REVIEW: Verdict, OVERRIDE: Override}
-        model = models.get(kind, NamelessVerdict)
-        return Endpoint(
-            kind, self._topics, lambda incoming: incoming.read(kind, model).by(incoming.account),
-            _refuse_nameless if nameless else self._give_verdict, self._verdicts, self._connection, _describe_verdict,
-            None if nameless else lambda review: self.queues["approve" if review.approve else "reject"],
-        )  # fmt: skip
-
-    def _pressed_endpoint(self, kind: RequestKind) -> Endpoint[Intervention]:
-        # each verb remembers its own: the thread of another one may not add to what is looked through
-        act = partial(self._start, kind, deque(maxlen=MEMORY)) if kind.starts else partial(self._brake, kind)
-        return Endpoint(
-            kind, self._topics, partial(_read_pressed, kind.name), act, self._pressed, self._connection,
-            lambda wanted: f"{wanted.verb} by MQTT account {wanted.account}", lambda _: self.queues[kind.name],
-        )  # fmt: skip
-
-    def _speed_endpoint(self, kind: RequestKind) -> Endpoint[tuple[LowerSpeed, str]]:
-        return Endpoint(
-            kind, self._topics, partial(_read_speed, kind), self._set_speed, self._speeds, self._connection,
-            lambda asked: f"speed limit {asked[0].limit:g} by MQTT account {asked[1]}", lambda _: self.queues[kind.name],
-        )  # fmt: skip
+        serve, verdicts = connection.serve, _Verdicts(self.queues["approve"], self.queues["reject"])
+        serve(NAMELESS_REVIEW, NamelessVerdict, self._give_verdict, verdicts)
+        serve(REVIEW, Verdict, self._give_verdict, verdicts)
+        serve(OVERRIDE, Override, self._give_verdict, verdicts)
+        for kind in PRESSED:
+            # each verb remembers its own: the thread of another one may not add to what is looked through
+            act = partial(self._start, deque(maxlen=MEMORY)) if kind.starts else self._brake
+            serve(kind, PressedAsSeen if kind.starts else Pressed, act, self.queues[kind.name])
+        serve(ANSWER, AnswerRequest, self._give_answer, self.queues["answer"])
+        serve(LOWER_SPEED, LowerSpeed, self._set_speed, self.queues[LOWER_SPEED.name])
+        serve(RAISE_SPEED, RaiseSpeed, self._set_speed, self.queues[RAISE_SPEED.name])
 
     def start(self) -> None:
         """Begin to carry out what waits, each kind in a thread of its own."""
@@ -143,65 +111,52 @@ class Acts:
                     service.open()
             time.sleep(CONNECT_PERIOD)
 
-    def report(self) -> dict[str, int]:
-        """Return what was done so far, for `/diagnostics`."""
-        counts = (self._verdicts, self._pressed, self._answers, self._speeds)
-        return {name: count for each in counts for name, count in each.report().items()}
-
-    def _give_verdict(self, review: ReviewRequest) -> Outcome:
+    def _give_verdict(self, verdict: Verdict, request: Incoming) -> Outcome:
+        if not request.account and self._connection.proves_accounts:
+            raise PayloadError("sender", Sentence("link.payload.nameless"))
+        review = verdict.by(request.account)
         fields = request_fields(ReviewPlan, replace(review, reason=review.recorded_reason))
         if review.approve:
             return Outcome.of(call(self._services.approve, EXECUTOR, **fields))
         # over the connection that is open, as a stop
         return Outcome.of(call_twice(self._services.reject, EXECUTOR, **fields))
 
-    def _start(self, kind: RequestKind, known: deque[Intervention], wanted: Intervention) -> Outcome:
-        if wanted in known:
+    def _start(self, known: deque[tuple[str, str]], wanted: Pressed, request: Incoming) -> Outcome:
+        kind, names = request.kind, (request.account, wanted.id)
+        if names in known:
             # it must not start again what was paused since
-            names = {"verb": wanted.verb, "id": repr(wanted.id), "account": wanted.account}
-            raise PayloadError(REPEATED, Sentence("link.payload.again", **names))
-        known.append(wanted)
+            again = {"verb": kind.name, "id": repr(wanted.id), "account": request.account}
+            raise PayloadError(REPEATED, Sentence("link.payload.again", **again))
+        known.append(names)
         # it asks the master first; when a pause overtakes it, its moment is older than that pause, and it is void
-        fields = {"act": kind.name, "person": wanted.account, "moment": wanted.moment}
+        fields = {"act": kind.name, "person": request.account, "moment": wanted.moment}
         return Outcome.of(call(self._services.pressed[kind.name], _PROGRAMS[kind.by], **fields))
 
-    def _brake(self, kind: RequestKind, _wanted: Intervention) -> Outcome:
-        return Outcome.of(call_twice(self._services.pressed[kind.name], _PROGRAMS[kind.by]))
+    def _brake(self, _wanted: Pressed, request: Incoming) -> Outcome:
+        return Outcome.of(call_twice(self._services.pressed[request.kind.name], _PROGRAMS[request.kind.by]))
 
-    def _give_answer(self, asked: tuple[AnswerRequest, str]) -> Outcome:
-        answer, account = asked
-        if problem := staleness(answer.moment, present()):
-            raise PayloadError(TOO_OLD, Sentence("link.void.answer", problem=problem))
-        fields = {"task": answer.task, "question": answer.question, "answer": answer.answer, "person": account}
+    def _give_answer(self, asked: AnswerRequest, request: Incoming) -> Outcome:
+        fields = {"task": asked.task, "question": asked.question, "answer": asked.answer, "person": request.account}
         return Outcome.of(call(self._services.decide, "the work", decision="answer", reason="by MQTT", **fields))
 
-    def _set_speed(self, asked: tuple[LowerSpeed, str]) -> Outcome:
-        request, account = asked
-        fields = {"limit": request.limit, "person": account, "moment": request.moment}
+    def _set_speed(self, asked: LowerSpeed | RaiseSpeed, request: Incoming) -> Outcome:
+        fields = {"limit": asked.limit, "person": request.account, "moment": asked.moment}
         return Outcome.of(call_twice(self._services.limit_speed, "pca_monitor", **fields))
+
+
+class _Verdicts:
+    """Where approvals wait, and where rejections do."""
+
+    def __init__(self, approve: RequestQueue, reject: RequestQueue):
+        self._approve, self._reject = approve, reject
+
+    def admits(self, _request: Incoming) -> bool:
+        return True
+
+    def take(self, request: Incoming) -> None:
+        (self._reject if request.asked.verdict == "rejected" else self._approve).take(request)
 
 
 def _run_queue(queue: RequestQueue) -> None:
     while not rospy.is_shutdown():
         queue.run(0.2)
-
-
-def _refuse_nameless(_review: ReviewRequest) -> Outcome:
-    raise PayloadError("sender", Sentence("link.payload.nameless"))
-
-
-def _describe_verdict(review: ReviewRequest) -> str:
-    spite = " in spite of its rehearsal" if review.override_rehearsal else ""
-    return f"{review.verdict} of plan {review.plan_id} by {review.reviewer}{spite}"
-
-
-def _read_pressed(verb: str, incoming: Incoming) -> Intervention:
-    return parse_intervention(verb, incoming.account, incoming.payload, incoming.retained)
-
-
-def _read_answer(incoming: Incoming) -> tuple[AnswerRequest, str]:
-    return incoming.read(ANSWER, AnswerRequest), incoming.account
-
-
-def _read_speed(kind: RequestKind, incoming: Incoming) -> tuple[LowerSpeed, str]:
-    return incoming.read(kind, RaiseSpeed if kind.starts else LowerSpeed), incoming.account

@@ -1,102 +1,79 @@
-"""A request by MQTT, from its message to its answer: one `Endpoint` for each kind, and the `Connection` by which it comes.
+"""Requests by MQTT, from the message to the answer: one `Endpoint` for each kind, and the `Connection` by which they come.
 
-An endpoint is what differs: its kind (`mqtt.requests`), how a message is read (a pure function of `link` or `mqtt`), where it waits
-(`request_queue`), and what carries it out. What all have in common is here. A message that cannot be read is refused and counted,
-and answered at a pace. What was asked for is carried out first and answered next; counts and log lines come after that, hold up
-nothing (`deferred_log`), and cannot fail it (`core.side_effects`).
+A kind is a row (`mqtt.requests`), a model of its message (`link.requests`) and a handler; what all have in common is here.
+A message that cannot be read is refused and counted, and answered at a pace. What was asked for is carried out first and answered
+next; counts and log lines come after that, hold up nothing (`deferred_log`), and cannot fail it (`core.side_effects`).
 """
 
 from __future__ import annotations
 
+import hashlib
+import math
+import queue
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
 from types import MappingProxyType
-from typing import Any, Generic, TypeVar
+from typing import Any, Protocol, TypeAlias
 
 import rospy
 from paho.mqtt.client import MQTTMessage
 
 from construction_twin.core.errors import PayloadError, ServiceSilentError
-from construction_twin.core.freshness import TOO_OLD
-from construction_twin.core.rate_limit import SenderLimits
+from construction_twin.core.freshness import TOO_OLD, staleness
+from construction_twin.core.rate_limit import Pace, SenderLimits
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.side_effects import SideEffects
-from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.requests import Request as RequestModel
-from construction_twin.link.requests import read, read_document
+from construction_twin.link.requests import Request, read, read_document
 from construction_twin.mqtt.client import Broker, subscriptions
-from construction_twin.mqtt.messages import Topics, account_of, identity_of
+from construction_twin.mqtt.messages import MAX_IDENTITY_BYTES, Topics, account_of, identity_of
 from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.mqtt.requests import RequestKind, answer_limits
-from construction_twin.ros.console.request_queue import Queue, Request
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.mqtt_connection import connect, report_of
 from construction_twin.ros.shared.outcome import Outcome
+from construction_twin.ros.shared.robot_clock import present
 
+Reader: TypeAlias = "type[Request] | Callable[[dict[str, Any]], Any]"
+Handler: TypeAlias = "Callable[[Any, Incoming], Outcome]"
 #: Reason of a PayloadError: it came before, and was answered then.
 REPEATED = "repeated"
 
-Asked = TypeVar("Asked")
-Model = TypeVar("Model", bound=RequestModel)
-
-
-@dataclass
-class Incoming:
-    """A message, and what an answer repeats of it even when it is refused.
-
-    Attributes:
-        account: Of the topic; "" where it names none.
-        retained: The message's retain flag.
-        document: What `read_document` has read.
-    """
-
-    account: str
-    payload: bytes
-    retained: bool
-    document: dict[str, Any] | None = None
-
-    def read(self, kind: RequestKind, model: type[Model]) -> Model:
-        """Return what is asked for; PayloadError as of `read_document`, and where it is not as its model says."""
-        return read(model, self.read_document(kind.name, kind.limit), kind.name)
-
-    def read_document(self, what: str, limit: int, parameter: str = "") -> dict[str, Any]:
-        """Return the JSON object of a request; PayloadError, and arguments, as of `link.requests`."""
-        self.document = read_document(self.payload, self.retained, what, limit, parameter)
-        return self.document
-
-    @property
-    def identity(self) -> dict[str, str]:
-        """What an answer repeats of the message, with its account."""
-        named = dict.fromkeys(("account", "sender", "reviewer"), self.account) if self.account else {}
-        return identity_of(self.payload, self.document) | named
-
 
 class Connection:
-    """A connection of the node to the broker, served by a thread of its own; endpoints hear and answer by it.
+    """A connection of the node to the broker, served by a thread of its own; requests are heard and answered by it.
 
     Args:
         client: Not connected yet.
         refuse: Counts a refused input; takes reason and sentence.
 
     Attributes:
+        endpoints: What takes the messages of each kind.
+        counts: What became of requests, by the name of their kind and a word.
         side_effects: What ran beside a request, and failed: it fails neither the request nor the node, which may have a stop to
             carry out.
         log: What `write_log` writes.
     """
 
-    def __init__(self, broker: Broker, client: PlainClient, refuse: Callable[[str, str], None]):
-        self._broker, self._client, self.refuse = broker, client, refuse
+    def __init__(self, broker: Broker, client: PlainClient, topics: Topics, refuse: Callable[[str, str], None]):
+        self._broker, self._client, self.topics, self.refuse = broker, client, topics, refuse
         self._state = report_of(broker)
+        self.endpoints: list[Endpoint] = []
+        self.counts: Counter[str] = Counter()
+        self._counting = threading.Lock()
         self.side_effects, self.log = SideEffects(), DeferredLog()
         #: Takes a part's name, the part and its arguments; returns what the part returns, or None where it failed.
         self.tell = self.side_effects.run
 
+    def serve(self, kind: RequestKind, read: Reader, act: Handler, queue: Queue | None = None, limit: int = 0) -> None:
+        """Serve a kind of request, as of `Endpoint`; limit 0: the kind's own."""
+        self.endpoints.append(Endpoint(self, kind, read, act, queue, limit or kind.limit))
+
     def connect(
         self,
-        endpoints: Sequence[Endpoint],
         first: Callable[[], tuple[str, bytes, bool]],
         then: Callable[[], object],
         heard: Mapping[str, Callable[[MQTTMessage], None]] = MappingProxyType({}),
@@ -109,7 +86,7 @@ class Connection:
             then: Publishes what else is retained.
             heard: What takes the messages of further topics.
         """
-        topics = [*((topic, 1) for topic in heard), *((endpoint.topic, endpoint.qos) for endpoint in endpoints)]
+        topics = [*((topic, 1) for topic in heard), *((each.topic, each.kind.qos) for each in self.endpoints)]
 
         def on_connect(client, _userdata, _flags, reason_code, properties) -> None:
             if reason_code.is_failure:
@@ -125,7 +102,7 @@ class Connection:
         def on_disconnect(_client, _userdata, _flags, reason_code, _properties) -> None:
             self._state.lost(reason_code)
 
-        on_message = {**heard, **{endpoint.topic: endpoint.on_message for endpoint in endpoints}}
+        on_message = {**heard, **{endpoint.topic: endpoint.on_message for endpoint in self.endpoints}}
         connect(self._client, self._broker, self._state, on_connect, on_disconnect, on_message)
 
     def disconnect(self) -> None:
@@ -153,181 +130,308 @@ class Connection:
         if qos or self._client.is_connected():
             self._client.publish(topic, payload, qos=qos)
 
+    def count(self, kind: RequestKind, word: str) -> None:
+        """Count what became of a request."""
+        with self._counting:
+            self.counts[f"{kind.name} {word}"] += 1
+
     def write_log(self) -> None:
         """Write what is to be said, and what has failed; for a thread that may wait for a disk or a terminal."""
         self.tell("the log", self.log.flush)
         self.side_effects.write(rospy.logerr)
 
+    def report(self) -> dict[str, object]:
+        """Return what became of requests, and what has failed beside them, for `/diagnostics`."""
+        with self._counting:
+            return dict(sorted(self.counts.items())) | self.side_effects.report()
 
-class RequestCounts:
-    """What became of the requests of a kind, for `/diagnostics`, and how often an account is told that it sent what cannot be read.
 
-    Used by several threads.
+@dataclass
+class Endpoint:
+    """What takes the messages of one kind of request.
 
-    Args:
-        kind: Of the requests: "verdicts".
-        done, not_done: What is counted of a request that was carried out, and of one that was not.
-        clock: Returns a time from any origin [ns].
+    Attributes:
+        read: Model of its message, or what takes the message's JSON object and returns what is asked for; PayloadError.
+        act: Does what is asked for; may raise PayloadError, which is refused and counted then, and ServiceSilentError.
+        queue: Where it waits. None: it is carried out where it arrives.
+        limit: Longest message that is read [bytes].
+        malformed: How often an account is told that what it has sent cannot be read.
     """
 
-    def __init__(
-        self,
-        kind: str,
-        done: str = "taken",
-        not_done: str = "not taken",
-        clock: Callable[[], int] = time.monotonic_ns,
-    ):
-        self._kind = kind
-        self._words = {True: done, False: not_done}
-        self._clock = clock
-        self._answers = answer_limits()
-        self._lock = threading.Lock()
-        self._unanswered = 0
-        self._counts: Counter[str] = Counter()
+    connection: Connection
+    kind: RequestKind
+    read: Reader
+    act: Handler
+    queue: Queue | None
+    limit: int
+    malformed: SenderLimits = field(default_factory=answer_limits)
 
-    def is_due(self, account: str) -> bool:
-        """Return whether a malformed message of an account is to be answered, and count it where it is not."""
-        with self._lock:
-            due = self._answers.take(account, self._clock())
-            self._unanswered += not due
-            return due
-
-    def add(self, ok: bool, word: str = "") -> None:
-        """Count a request that was carried out, or not; as `word` where there is one."""
-        with self._lock:
-            self._counts[word or self._words[ok]] += 1
-
-    def report(self) -> dict[str, int]:
-        """Return the counts; what never happened is left out."""
-        with self._lock:
-            found = {f"{self._kind} {word}": count for word, count in sorted(self._counts.items())}
-            return found | ({f"{self._kind} malformed, not answered": self._unanswered} if self._unanswered else {})
-
-
-class Endpoint(Generic[Asked]):
-    """One kind of request by MQTT.
-
-    Args:
-        read: Returns what is asked for, or raises PayloadError.
-        carry_out: Does it. May raise PayloadError, which is refused and counted then, and ServiceSilentError.
-        describe: Returns in a few words who asks for what, for the log; None: there is no line of it.
-        queue: Takes what is asked for; returns where that waits, and is kept to its kind's pace. None: it is carried out where it
-            arrives, and waits for nothing.
-    """
-
-    def __init__(
-        self,
-        kind: RequestKind,
-        topics: Topics,
-        read: Callable[[Incoming], Asked],
-        carry_out: Callable[[Asked], Outcome],
-        counts: RequestCounts,
-        connection: Connection,
-        describe: Callable[[Asked], str] | None = None,
-        queue: Callable[[Asked], Queue] | None = None,
-    ):
-        self.topic, self.qos = topics.of(kind), kind.qos
-        self._kind, self._topics, self._read, self._act = kind, topics, read, carry_out
-        self._counts, self._connection, self._describe, self._queue = counts, connection, describe, queue
-        # a newer one follows: this one is not worth reading, and answering it would be as much again
-        self._unread = SenderLimits(kind.pace) if kind.pace is not None and not kind.qos else None
+    @property
+    def topic(self) -> str:
+        """Where the messages come in."""
+        return self.connection.topics.of(self.kind)
 
     def on_message(self, message: MQTTMessage) -> None:
         """Take a message from the connection's thread."""
-        incoming = Incoming("", bytes(message.payload), message.retain)
+        incoming = Incoming(self, "", bytes(message.payload), message.retain)
         if self.topic.endswith("/+"):
             try:
                 incoming.account = account_of(message.topic)
             except PayloadError as error:
-                self._refuse_unread(incoming, error)
+                incoming.refuse_unread(error)
                 return
             if not incoming.account:
                 # an answer, of this node or of another one
                 return
-        self.take(incoming)
-
-    def take(self, incoming: Incoming) -> None:
-        """Take a message whose account is known."""
-        account = incoming.account
-        if self._unread is not None and not self._unread.take(account, round(time.monotonic() * NANOSECONDS)):
-            self._count_refusal(
-                f"{self._kind.name}_rate", f"{self._kind.name} too often from {account}: {self._kind.pace}"
-            )
+        if self.queue is not None and not self.queue.admits(incoming):
             return
         try:
-            asked = self._read(incoming)
+            incoming.read()
         except PayloadError as error:
-            self._refuse_unread(incoming, error)
+            incoming.refuse_unread(error)
             return
-        if self._queue is None:
-            self._act_and_answer(incoming, asked)
-            return
-        self._queue(asked).take(
-            Request(
-                self._kind.name,
-                incoming.account,
-                incoming.payload,
-                partial(self._act_and_answer, incoming, asked),
-                partial(self._refuse, incoming),
-                partial(self._repeat, incoming),
-                self._kind.pace if self._unread is None else None,
-            )
-        )
+        (Incoming.carry_out if self.queue is None else self.queue.take)(incoming)
 
-    def _refuse_unread(self, incoming: Incoming, error: PayloadError) -> None:
-        if self._counts.is_due(incoming.account):
-            self._send(incoming, Outcome(False, str(error), error.reason == TOO_OLD))
-        self._count_refusal(error.reason, str(error))
 
-    def _refuse(self, incoming: Incoming, reason: str, sentence: str) -> None:
-        self._send(incoming, Outcome(False, sentence))
-        self._count_refusal(reason, f"{self._kind.name}: {sentence}")
+class Incoming:
+    """One request: its message, and all that is done with it.
 
-    def _repeat(self, incoming: Incoming, answer: bytes) -> None:
-        if answer:
-            self._publish(incoming, answer)
-        self._count_refusal(
-            REPEATED,
-            f"{self._kind.name} {incoming.identity.get('id', '')!r} came again soon after its answer, or before it",
-        )
+    Attributes:
+        account: Of the topic; "" where it names none.
+        arrived: The moment when it did.
+    """
 
-    def _act_and_answer(self, incoming: Incoming, asked: Asked) -> bytes:
+    def __init__(self, endpoint: Endpoint, account: str, payload: bytes, retained: bool):
+        self._endpoint, self._connection, self.kind = endpoint, endpoint.connection, endpoint.kind
+        self.account, self._payload, self._retained, self.arrived = account, payload, retained, present()
+        self._document: dict[str, Any] | None = None
+        self.asked: Any = None
+
+    @cached_property
+    def digest(self) -> bytes:
+        """What tells it from another one: the same bytes of the same sender are the same request, sent twice."""
+        return hashlib.sha256(b"\0".join((self.kind.name.encode(), self.account.encode(), self._payload))).digest()
+
+    @cached_property
+    def identity(self) -> dict[str, str]:
+        """What an answer repeats of it, also when it is refused, with its account."""
+        named = dict.fromkeys(("account", "sender", "reviewer"), self.account) if self.account else {}
+        return identity_of(self._payload, self._document, max(MAX_IDENTITY_BYTES, self._endpoint.limit)) | named
+
+    def read(self) -> None:
+        """Read what is asked for; PayloadError as of `link.requests`."""
+        kind, how = self.kind, self._endpoint.read
+        self._document = read_document(self._payload, self._retained, kind.name, self._endpoint.limit, kind.limited_by)
+        self.asked = read(how, self._document, kind.name) if isinstance(how, type) else how(self._document)
+
+    def carry_out(self) -> bytes:
         """Do it, and answer; return the answer, empty where there is none."""
         refused = None
         try:
-            outcome = self._act(asked)
+            if self.kind.expires and (problem := staleness(self.asked.moment, present())):
+                raise PayloadError(TOO_OLD, Sentence("executor.void.request", problem=problem))
+            outcome = self._endpoint.act(self.asked, self)
         except ServiceSilentError as error:
             outcome = Outcome(False, str(error))
         except PayloadError as error:
             refused, outcome = error, Outcome(False, str(error), error.reason == TOO_OLD)
         answer = b""
         if refused is None or refused.reason != REPEATED:
-            answer = self._send(incoming, outcome)
-            self._counts.add(outcome.success, outcome.counted)
+            answer = self._answer(outcome)
+            self.count(outcome.counted or ("taken" if outcome.success else "not taken"))
         if refused is not None:
-            self._count_refusal(refused.reason, str(refused))
-        if self._describe is not None:
-            self._connection.tell("the log", self._say, self._describe, asked, outcome.message)
+            self.count_refusal(refused.reason, str(refused))
+        if self.kind.qos:
+            self._connection.tell("the log", self._say, outcome.message)
         return answer
 
-    def _send(self, incoming: Incoming, outcome: Outcome) -> bytes:
-        answer = self._connection.tell("the answer", self._payload, incoming, outcome) or b""
+    def refuse_unread(self, error: PayloadError) -> None:
+        """Answer that it cannot be read, or is not, at a pace, and count it."""
+        if self._endpoint.malformed.take(self.account, _now_ns()):
+            self._answer(Outcome(False, str(error), error.reason == TOO_OLD))
+        else:
+            self.count("not answered")
+        self.count_refusal(error.reason, str(error))
+
+    def refuse(self, reason: str, sentence: str) -> None:
+        """Answer that it is not carried out, and count it."""
+        self._answer(Outcome(False, sentence))
+        self.count_refusal(reason, f"{self.kind.name}: {sentence}")
+
+    def repeat(self, answer: bytes) -> None:
+        """Give the answer of before, empty where it is still to come, to a message that came again, and count it."""
         if answer:
-            self._publish(incoming, answer)
-        return answer
+            self._publish(answer)
+        self.count_refusal(
+            REPEATED, f"{self.kind.name} {self.identity.get('id', '')!r} came again soon after its answer, or before it"
+        )
 
-    def _payload(self, incoming: Incoming, outcome: Outcome) -> bytes:
-        said = dict.fromkeys(("reason", "sentence"), outcome.message)
-        done = {"ok": outcome.success, "expired": outcome.expired, "by": self._kind.by}
-        return self._kind.payload(**{**incoming.identity, **said, **done, **outcome.fields})
+    def count(self, word: str) -> None:
+        """Count what became of it."""
+        self._connection.count(self.kind, word)
 
-    def _publish(self, incoming: Incoming, answer: bytes) -> None:
-        if self._kind.is_answered_to(incoming.account):
-            topic = self._topics.ack_of(self._kind, incoming.account)
-            self._connection.tell("the answer", self._connection.answer, topic, answer, self.qos)
-
-    def _count_refusal(self, reason: str, sentence: str) -> None:
+    def count_refusal(self, reason: str, sentence: str) -> None:
+        """Count that it was refused."""
         self._connection.tell("the count of refusals", self._connection.refuse, reason, sentence)
 
-    def _say(self, describe: Callable[[Asked], str], asked: Asked, sentence: str) -> None:
-        self._connection.log.add(rospy.loginfo, "%s: %s", describe(asked), sentence)
+    def _answer(self, outcome: Outcome) -> bytes:
+        answer = self._connection.tell("the answer", self._payload_of, outcome) or b""
+        if answer:
+            self._publish(answer)
+        return answer
+
+    def _payload_of(self, outcome: Outcome) -> bytes:
+        said = dict.fromkeys(("reason", "sentence"), outcome.message)
+        done = {"ok": outcome.success, "expired": outcome.expired, "by": self.kind.by}
+        return self.kind.payload(**{**self.identity, **said, **done, **outcome.fields})
+
+    def _publish(self, answer: bytes) -> None:
+        if self.kind.is_answered_to(self.account):
+            topic = self._connection.topics.ack_of(self.kind, self.account)
+            self._connection.tell("the answer", self._connection.answer, topic, answer, self.kind.qos)
+
+    def _say(self, sentence: str) -> None:
+        known = (pair for pair in self.identity.items() if pair[0] == "account" or pair[1] not in ("", self.account))
+        words = ", ".join(map(" ".join, known))
+        self._connection.log.add(rospy.loginfo, "%s by MQTT (%s): %s", self.kind.name, words, sentence)
+
+
+class Queue(Protocol):
+    """Where requests wait."""
+
+    def admits(self, request: Incoming) -> bool:
+        """Return whether a request is worth reading; what is not was answered, or counted."""
+
+    def take(self, request: Incoming) -> None:
+        """Let a request that was read wait for its turn, or answer why not."""
+
+
+class NewestQueue:
+    """A queue in which only the newest request of each sender waits: what it asked for before is not worth doing any more, nor what
+    comes too often worth an answer.
+
+    Args:
+        most: Senders that may wait at once.
+    """
+
+    def __init__(self, most: int, pace: Pace):
+        self._most, self._pace, self._limits = most, pace, SenderLimits(pace)
+        self._news = threading.Condition()
+        self._waiting: dict[str, Incoming] = {}
+
+    def admits(self, request: Incoming) -> bool:
+        """Return whether it is worth reading."""
+        fits = self._limits.take(request.account, _now_ns())
+        if not fits:
+            name = request.kind.name
+            request.count_refusal(f"{name}_rate", f"{name} too often from {request.account}: {self._pace}")
+        return fits
+
+    def take(self, request: Incoming) -> None:
+        """Let a request wait in place of its sender's former one, or answer why not."""
+        with self._news:
+            former = self._waiting.get(request.account)
+            fits = former is not None or len(self._waiting) < self._most
+            if fits:
+                self._waiting[request.account] = request
+                self._news.notify_all()
+        if former is not None:
+            former.count("overtaken")
+        if not fits:
+            request.refuse("busy", Sentence("link.payload.accounts", count=self._most))
+
+    def run(self, patience: float = 0.0) -> None:
+        """Carry out all that wait; wait so long [s] for the first one."""
+        with self._news:
+            self._news.wait_for(lambda: self._waiting, patience)
+            waiting, self._waiting = self._waiting, {}
+        for request in waiting.values():
+            request.carry_out()
+
+
+class RequestQueue:
+    """Requests are carried out one after the other, each once, each answered, and nobody alone holds up the others.
+
+    They come from the connection's thread, and are carried out in another.
+
+    Args:
+        most: That may wait.
+        pace: How often each sender may ask; None: as often as it likes.
+        repeat_window: For so long after its answer the same message is the same request [s]; 0: each is another one.
+    """
+
+    def __init__(self, most: int, pace: Pace | None = None, repeat_window: float = 0.0):
+        self._pace, self._limits = pace, None if pace is None else SenderLimits(pace)
+        self._most, self._repeat_window = most, repeat_window
+        self._lock = threading.Lock()
+        self._waiting: queue.Queue[Incoming] = queue.Queue(most)
+        #: Digest of a request to its answer and when that was given; None: it is not answered yet.
+        self._answered: dict[bytes, tuple[bytes | None, float]] = {}
+
+    @property
+    def waiting(self) -> int:
+        """How many wait."""
+        return self._waiting.qsize()
+
+    def admits(self, request: Incoming) -> bool:
+        """Return whether it is worth reading; one that was answered is answered alike."""
+        if self._repeat_window and self._is_repeated(request):
+            return False
+        if self._limits is None or not (wait := self._limits.wait(request.account, _now_ns())):
+            return True
+        assert self._pace is not None  # there are limits
+        # rounded up: who tries again then is not too early
+        after = math.ceil(wait / 1e8) / 10.0
+        motions = "one motion" if self._pace.most == 1 else f"no more than {self._pace.most}"
+        sentence = f"{motions} in {self._pace.seconds:g} s is taken from a sender; try again in {after:.1f} s"
+        request.refuse_unread(PayloadError("busy", sentence))
+        return False
+
+    def take(self, request: Incoming) -> None:
+        """Let a request wait for its turn, or answer why not."""
+        now = _now_ns()
+        self._note(request, None)
+        try:
+            self._waiting.put_nowait(request)
+        except queue.Full:
+            with self._lock:
+                self._answered.pop(request.digest, None)
+            request.refuse("busy", f"{self._most} requests are waiting already; try again")
+            return
+        if self._limits is not None:
+            self._limits.take(request.account, now)
+
+    def run(self, patience: float = 0.0) -> None:
+        """Carry out all that wait; wait so long [s] for the first one."""
+        try:
+            self._do_next(self._waiting.get(timeout=patience) if patience else self._waiting.get_nowait())
+            while True:
+                self._do_next(self._waiting.get_nowait())
+        except queue.Empty:
+            return
+
+    def _is_repeated(self, request: Incoming) -> bool:
+        now = time.monotonic()
+        with self._lock:
+            self._answered = {
+                key: (answer, at)
+                for key, (answer, at) in self._answered.items()
+                if answer is None or now - at <= self._repeat_window
+            }
+            if request.digest not in self._answered:
+                return False
+            answer, _ = self._answered[request.digest]
+        request.repeat(answer or b"")
+        return True
+
+    def _do_next(self, request: Incoming) -> None:
+        self._note(request, request.carry_out())
+
+    def _note(self, request: Incoming, answer: bytes | None) -> None:
+        if self._repeat_window:
+            with self._lock:
+                self._answered[request.digest] = answer, time.monotonic()
+
+
+def _now_ns() -> int:
+    return round(time.monotonic() * 1e9)

@@ -9,8 +9,10 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
 from typing import Generic, TypeVar
 
 from std_msgs.msg import String
@@ -33,13 +35,11 @@ from construction_twin.execution.states import ACTIVE
 from construction_twin.link.remote_review import PathView
 from construction_twin.link.remote_view import ClosestView, PlanProgress, PoseView, Shown, ViewWriter
 from construction_twin.link.remote_view import Seen as ViewInputs
-from construction_twin.mqtt.messages import Topics
 from construction_twin.msg import (
     Execution,
     Hold,
     Link,
     Plan,
-    Rehearsal,
     Review,
     SessionRequest,
     SpeedLimitInForce,
@@ -48,10 +48,10 @@ from construction_twin.msg import (
 )
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.msg import SpeedChange as SpeedChangeMessage
-from construction_twin.physics.report import STATES
+from construction_twin.physics.report import STATES, RehearsalReport
 from construction_twin.review.plan_under_review import EXECUTOR
 from construction_twin.ros.console.endpoint import Connection
-from construction_twin.ros.console.messages import MessageBoard, MessageFile
+from construction_twin.ros.console.messages import MessageBoard
 from construction_twin.ros.console.shown_plan import PATH_POINTS, segment_ends
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
@@ -138,7 +138,6 @@ class ConsoleFeed:
 
     def __init__(
         self,
-        topics: Topics,
         base_link: str,
         connection: Connection,
         writer: ViewWriter,
@@ -146,10 +145,10 @@ class ConsoleFeed:
         others: Others,
         deployment: Deployment | None = None,
         files: PrivateFiles | None = None,
-        messages: MessageFile | None = None,
+        messages: Path | None = None,
         clock: Callable[[], float] = time.time,
     ):
-        self._topics, self._base_link = topics, base_link
+        self._topics, self._base_link = connection.topics, base_link
         self._connection, self._writer, self._poses, self._others = connection, writer, poses, others
         self._deployment, self._files = deployment, files
         self._lock, self._writing, self._telling = threading.Lock(), threading.Lock(), threading.Lock()
@@ -160,15 +159,13 @@ class ConsoleFeed:
         self._progress = PlanProgress()
         #: Of the newest plans, by id: the payload of `path` while that plan is played.
         self._paths: dict[str, bytes] = {}
-        #: Of the newest plans, by id: what their rehearsal has found.
-        self._rehearsals: dict[str, Rehearsal] = {}
         self._playing = ""
         self._retained: dict[str, bytes] = {}
         self._scene: Scene | None = None
         self._work: WorkReport | None = None
         self._hold, self._obstacle = HoldReport(), ""
         self._arm_seen = self._twin_seen = False
-        self.messages = MessageBoard(lambda text: self._keep(topics.messages, text), connection.refuse, messages, clock)
+        self.messages = MessageBoard(partial(self._keep, self._topics.messages), connection, messages, clock)
         self._looked = self._told_at = float("-inf")
         self._told = b""
 
@@ -183,18 +180,8 @@ class ConsoleFeed:
                 del self._paths[next(iter(self._paths))]
         self._tell_path()
 
-    def on_rehearsal(self, message: Rehearsal) -> None:
-        """Take what the rehearsal of a plan has found, for the message that the plan was approved."""
-        with self._lock:
-            self._rehearsals.pop(message.plan_id, None)
-            self._rehearsals[message.plan_id] = message
-            while len(self._rehearsals) > PATHS:
-                del self._rehearsals[next(iter(self._rehearsals))]
-
-    def on_review(self, message: Review) -> None:
-        """Take a verdict."""
-        with self._lock:
-            rehearsal = self._rehearsals.get(message.plan_id)
+    def on_review(self, message: Review, rehearsal: RehearsalReport | None) -> None:
+        """Take a verdict, and the newest rehearsal, which may be of that plan."""
         if message.reviewer in ("", EXECUTOR):
             return
         act, said = APPROVED if message.approved else REJECTED, {"reason": message.reason}
@@ -298,6 +285,11 @@ class ConsoleFeed:
     def scene(self) -> Scene | None:
         """The present scene; None while it is not known."""
         return self._scene
+
+    def twin(self) -> Sequence[float]:
+        """Return the twin's joint values [rad], [m]; empty while they are not known."""
+        pose = _pose_view(self._poses.twin)
+        return pose.positions if pose is not None else ()
 
     def is_engaged(self) -> bool:
         """Return whether only the way back can be planned."""

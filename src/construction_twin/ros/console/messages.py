@@ -14,9 +14,8 @@ from construction_twin.core.errors import ConfigurationError, RequestRefused
 from construction_twin.core.files import read_file, write_whole
 from construction_twin.core.reports import SpeedChange
 from construction_twin.link.requests import Acknowledgement
-from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import ACKNOWLEDGE
-from construction_twin.ros.console.endpoint import Connection, Endpoint, Incoming, RequestCounts
+from construction_twin.ros.console.endpoint import Connection, Incoming
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.views.message_history import Message, MessageHistory
 from construction_twin.views.status_line import Line
@@ -27,38 +26,12 @@ MOST = 4 << 20
 REASON = "messages"
 
 
-class MessageFile:
-    """One file with a robot's messages."""
-
-    def __init__(self, path: Path):
-        self._path = path
-
-    def read(self, refuse: Callable[[str, str], None]) -> bytes:
-        """Return the file's text; empty where there is none, and where it is none of ours, which is counted."""
-        try:
-            text = read_file(self._path, MOST)
-            MessageHistory(lambda: "", text)
-        except FileNotFoundError:
-            return b""
-        except (OSError, ConfigurationError) as error:
-            refuse(REASON, f"{self._path}: {error}; the messages begin anew")
-            return b""
-        return text
-
-    def write(self, text: bytes, refuse: Callable[[str, str], None]) -> None:
-        """Write the messages; that they cannot be is counted."""
-        try:
-            write_whole(self._path, text)
-        except OSError as error:
-            refuse(REASON, f"{self._path} was not written: {error.strerror or error}")
-
-
 class MessageBoard:
     """A `MessageHistory` for several threads.
 
     Args:
         tell: Takes the messages as JSON: at the first look, and after each change.
-        refuse: Counts a file that cannot be read or written; takes reason and sentence.
+        connection: By which they are acknowledged; counts a file that cannot be read or written.
         file: Where they are kept; None: only in memory.
         clock: Returns the time of day [s since 1970].
     """
@@ -66,16 +39,24 @@ class MessageBoard:
     def __init__(
         self,
         tell: Callable[[bytes], object],
-        refuse: Callable[[str, str], None],
-        file: MessageFile | None = None,
+        connection: Connection,
+        file: Path | None = None,
         clock: Callable[[], float] = time.time,
     ):
-        self._tell, self._refuse, self._file, self._clock = tell, refuse, file, clock
+        self._tell, self._refuse, self._file, self._clock = tell, connection.refuse, file, clock
         # held while it is told: what is retained must not be an older one, told by another thread
         self._lock = threading.Lock()
-        self._history = MessageHistory(lambda: uuid.uuid4().hex, b"" if file is None else file.read(refuse))
+        self._history = MessageHistory(lambda: uuid.uuid4().hex)
+        if file is not None:
+            try:
+                self._history = MessageHistory(lambda: uuid.uuid4().hex, read_file(file, MOST))
+            except FileNotFoundError:
+                pass
+            except (OSError, ConfigurationError) as error:
+                self._refuse(REASON, f"{file}: {error}; the messages begin anew")
         self._told: tuple[Message, ...] | None = None
         self._written = self._history.messages
+        connection.serve(ACKNOWLEDGE, Acknowledgement, self._acknowledge)
 
     def on_lines(self, lines: Sequence[Line]) -> None:
         """Take the status line as it is now."""
@@ -95,13 +76,6 @@ class MessageBoard:
             self._history.on_speed(change)
             self._publish()
 
-    def endpoint(self, topics: Topics, counts: RequestCounts, connection: Connection) -> Endpoint[tuple[str, str]]:
-        """Return what takes that a person has read a message."""
-        return Endpoint(
-            ACKNOWLEDGE, topics, _read, self._acknowledge, counts, connection,
-            lambda asked: f"message {asked[0]} acknowledged by MQTT account {asked[1]}",
-        )  # fmt: skip
-
     def write(self) -> None:
         """Write the file where something has changed, for a thread that may wait for a disk."""
         with self._lock:
@@ -109,12 +83,15 @@ class MessageBoard:
                 return
             self._written, text = self._history.messages, self._history.text
         if self._file is not None:
-            self._file.write(text, self._refuse)
+            try:
+                write_whole(self._file, text)
+            except OSError as error:
+                self._refuse(REASON, f"{self._file} was not written: {error.strerror or error}")
 
-    def _acknowledge(self, asked: tuple[str, str]) -> Outcome:
+    def _acknowledge(self, asked: Acknowledgement, request: Incoming) -> Outcome:
         try:
             with self._lock:
-                sentence = self._history.acknowledge(*asked, self._clock())
+                sentence = self._history.acknowledge(asked.message, request.account, self._clock())
                 self._publish()
         except RequestRefused as error:
             return Outcome(False, str(error))
@@ -124,8 +101,3 @@ class MessageBoard:
         if self._told is not self._history.messages:
             self._told = self._history.messages
             self._tell(self._history.text)
-
-
-def _read(incoming: Incoming) -> tuple[str, str]:
-    asked = incoming.read(ACKNOWLEDGE, Acknowledgement)
-    return asked.message, incoming.account

@@ -10,28 +10,25 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import genpy
 import rospy
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.errors import ConfigurationError, PayloadError
-from construction_twin.core.freshness import TOO_OLD, Moment, staleness
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_trajectory import TrajectoryRequest, parse_trajectory
 from construction_twin.link.remote_view import ClosestView
 from construction_twin.link.requests import GoalRequest, IkRequest, Joints, read_goal
-from construction_twin.mqtt.messages import Topics
-from construction_twin.mqtt.requests import IK, NAMELESS_TRAJECTORY, PLAN_REQUEST, TRAJECTORY, RequestKind
+from construction_twin.mqtt.requests import IK, NAMELESS_TRAJECTORY, PLAN_REQUEST, TRAJECTORY
 from construction_twin.robot.frames import quaternion_to_rotation
-from construction_twin.ros.console.endpoint import Connection, Endpoint, Incoming, RequestCounts
+from construction_twin.ros.console.endpoint import Connection, Incoming, NewestQueue, RequestQueue
 from construction_twin.ros.console.pose_judge import PoseJudge
-from construction_twin.ros.console.request_queue import NewestQueue, RequestQueue
 from construction_twin.ros.messages.plan_services import PLAN_SERVICES
 from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.persistent_service import call
 from construction_twin.srv import PlanTrajectoryResponse
 
@@ -53,34 +50,15 @@ class RobotContext:
         twin: Returns the twin's joint values [rad], [m]; empty while they are not known.
         has_work: Returns whether a node `work` runs.
         is_engaged: Returns whether only the way back can be planned.
-        clock: Returns the present moment.
     """
 
     twin: Callable[[], Sequence[float]]
     has_work: Callable[[], bool] = lambda: False
     is_engaged: Callable[[], bool] = lambda: False
-    clock: Callable[[], Moment] = present
-
-
-@dataclass(frozen=True)
-class _Motion:
-    """A motion from elsewhere, and the account of its topic."""
-
-    asked: TrajectoryRequest
-    sender: str
-
-
-@dataclass(frozen=True)
-class _PlanAsked:
-    """A plan request, who asked (for the reviewer), and when it arrived."""
-
-    asked: GoalRequest
-    account: str
-    arrived: Moment
 
 
 class ConsoleRequests:
-    """The endpoints of motions, plan and IK requests.
+    """What carries out motions, plan and IK requests.
 
     Args:
         services: Those that make plans, by kind of request.
@@ -88,14 +66,12 @@ class ConsoleRequests:
         max_trajectory_bytes: Longest motion that is read; 0: neither motions nor plan requests are taken.
 
     Attributes:
-        endpoints: What takes messages of each kind.
         queue: Where motions and plan requests wait.
         poses: Where poses wait, for a thread of their own.
     """
 
     def __init__(
         self,
-        topics: Topics,
         joints: Joints,
         services: Mapping[str, rospy.ServiceProxy],
         plan_trajectory: rospy.ServiceProxy,
@@ -104,52 +80,24 @@ class ConsoleRequests:
         connection: Connection,
         max_trajectory_bytes: int,
     ):
-        self._topics, self._joints, self._connection = topics, joints, connection
+        self._joints, self._connection = joints, connection
         self._services, self._plan_trajectory, self._judge, self._around = services, plan_trajectory, judge, around
-        self._longest = max_trajectory_bytes
-        self._trajectories = RequestCounts("trajectories", "under review", "no plan")
-        self._plans = RequestCounts("plan_requests", "under review", "no plan")
-        self._poses = RequestCounts("ik", "solved", "not solved")
-        self.queue = RequestQueue(WAITING, REPEAT_WINDOW, lambda: time.monotonic())
-        self.poses = NewestQueue(
-            IK_ACCOUNTS,
-            Sentence("link.payload.accounts", count=IK_ACCOUNTS),
-            lambda: self._poses.add(False, "overtaken"),
-        )
+        assert PLAN_REQUEST.pace is not None and IK.pace is not None
+        self.queue = RequestQueue(WAITING, PLAN_REQUEST.pace, REPEAT_WINDOW)
+        self.poses = NewestQueue(IK_ACCOUNTS, IK.pace)
         self._closest: tuple[ClosestView, float] | None = None
         self._problem = ""
-        ik: Endpoint = Endpoint(
-            IK, topics, self._read_pose, self._solve, self._poses, connection, queue=lambda _: self.poses
-        )
-        plans: Endpoint = Endpoint(
-            PLAN_REQUEST, topics, self._read_plan_request, self._carry_out, self._plans, connection, _describe,
-            lambda _: self.queue,
-        )  # fmt: skip
-        motions = map(self._motion_endpoint, (NAMELESS_TRAJECTORY, TRAJECTORY))
-        self.endpoints: tuple[Endpoint, ...] = (*motions, plans, ik) if max_trajectory_bytes else (ik,)
-
-    def _motion_endpoint(self, kind: RequestKind) -> Endpoint[_Motion]:
-        return Endpoint(
-            kind, self._topics, self._read_motion, self._check_motion, self._trajectories, self._connection,
-            lambda motion: f"trajectory {motion.asked.id!r} from {motion.sender or 'an unknown sender'}",
-            lambda _motion: self.queue,
-        )  # fmt: skip
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """What was done so far, for `/diagnostics`."""
-        waiting = {"trajectories waiting": self.queue.waiting}
-        return self._trajectories.report() | waiting | self._poses.report() | self._plans.report()
+        connection.serve(IK, IkRequest, self._solve, self.poses)
+        if max_trajectory_bytes:
+            for kind in (NAMELESS_TRAJECTORY, TRAJECTORY):
+                read = partial(parse_trajectory, joints=joints)
+                connection.serve(kind, read, self._check_motion, self.queue, max_trajectory_bytes)
+            connection.serve(PLAN_REQUEST, partial(read_goal, joints=joints), self._plan, self.queue)
 
     # -- motions
 
-    def _read_motion(self, incoming: Incoming) -> _Motion:
-        document = incoming.read_document("trajectory", self._longest, "max_trajectory_bytes")
-        return _Motion(parse_trajectory(document, self._joints), incoming.account)
-
-    def _check_motion(self, motion: _Motion) -> Outcome:
+    def _check_motion(self, asked: TrajectoryRequest, request: Incoming) -> Outcome:
         """Have a motion checked and timed."""
-        asked = motion.asked
         answer = call(
             self._plan_trajectory,
             "the planner",
@@ -157,43 +105,28 @@ class ConsoleRequests:
             speed_scale=asked.speed_scale,
             acceleration_scale=asked.acceleration_scale,
             retime=True,
-            source=source_of(asked.source, motion.sender, self._connection.proves_accounts),
+            source=source_of(asked.source, request.account, self._connection.proves_accounts),
         )
         outcome = Outcome.of(answer)
         return replace(outcome, fields={**outcome.fields, "notes": [*asked.notes, *_timing_notes(asked, answer)]})
 
     # -- plan requests
 
-    def _read_plan_request(self, incoming: Incoming) -> _PlanAsked:
-        asked = read_goal(incoming.read_document(PLAN_REQUEST.name, PLAN_REQUEST.limit), self._joints)
-        self._demand_fresh(asked)
-        return _PlanAsked(asked, incoming.account, self._around.clock())
-
-    def _carry_out(self, request: _PlanAsked) -> Outcome:
-        # it may have waited too long for its turn
-        self._demand_fresh(request.asked)
-        asked, kind = request.asked, request.asked.kind
+    def _plan(self, asked: GoalRequest, request: Incoming) -> Outcome:
+        kind = asked.kind
         if kind == "way_back" and self._around.has_work() and self._around.is_engaged():
             # the node `work` makes the scene right before it has the way back planned
             kind = "work_task"
         if kind == "work_task" and not self._around.has_work():
             return Outcome(False, Sentence("link.no_work"))
         # a stop between the message and its turn voids the plan
-        source, arrived = source_of("", request.account, self._connection.proves_accounts), str(request.arrived)
-        fields = PLAN_SERVICES[kind].fields(asked, source=source, asked=arrived)
+        source = source_of("", request.account, self._connection.proves_accounts)
+        fields = PLAN_SERVICES[kind].fields(asked, source=source, asked=str(request.arrived))
         return Outcome.of(call(self._services[kind], "its node", **fields))
-
-    def _demand_fresh(self, asked: GoalRequest) -> None:
-        """Refuse a plan request (PayloadError) that is too old to be begun."""
-        if problem := staleness(asked.moment, self._around.clock()):
-            raise PayloadError(TOO_OLD, Sentence("executor.void.request", problem=problem))
 
     # -- IK requests
 
-    def _read_pose(self, incoming: Incoming) -> IkRequest:
-        return incoming.read(IK, IkRequest)
-
-    def _solve(self, asked: IkRequest) -> Outcome:
+    def _solve(self, asked: IkRequest, _request: Incoming) -> Outcome:
         seed = self._joints.in_order(asked.seed, "seed") if asked.seed else tuple(self._around.twin())
         if not seed:
             return Outcome(False, Sentence("link.no_seed"))
@@ -239,10 +172,6 @@ class ConsoleRequests:
             if looks_around and time.monotonic() >= due:
                 due = time.monotonic() + CLOSEST_PERIOD
                 self.look_around()
-
-
-def _describe(request: _PlanAsked) -> str:
-    return f"plan_request {request.asked.id!r} ({request.asked.kind}) from {request.account}"
 
 
 def source_of(says: str, sender: str, proven: bool) -> str:

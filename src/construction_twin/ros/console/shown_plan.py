@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 import time
 from bisect import bisect_left
+from collections.abc import Callable
 from dataclasses import replace
 
 from construction_twin.core.errors import ConstructionTwinError
@@ -22,7 +23,6 @@ from construction_twin.link.remote_review import (
     SwitchView,
     UseView,
 )
-from construction_twin.mqtt.messages import Topics
 from construction_twin.msg import Link, Plan, PlanCaller, Rehearsal, Review
 from construction_twin.physics.report import RehearsalReport, is_whole
 from construction_twin.robot.segments import segments_content
@@ -41,11 +41,15 @@ class ShownPlan:
 
     Args:
         tool: Hash of the tool file, with which a rehearsal counts; empty: no tool.
+
+    Attributes:
+        rehearsal: The newest one that is whole; None: there was none.
     """
 
-    def __init__(self, topics: Topics, connection: Connection, tool: str = ""):
-        self._topics, self._connection, self._tool = topics, connection, tool
+    def __init__(self, connection: Connection, tool: str = ""):
+        self._topics, self._connection, self._tool = connection.topics, connection, tool
         self._board, self._rehearsals = PlanBoard(), PlanBoard()
+        self.rehearsal: RehearsalReport | None = None
         self._view: PlanView | None = None
         self._gone = ""
         self._lock = threading.Lock()
@@ -78,6 +82,7 @@ class ShownPlan:
             self._connection.refuse("rehearsal", Sentence("reason.refused.rehearsal", plan=repr(report.plan_id)))
             return
         with self._lock:
+            self.rehearsal = report
             self._rehearsals.on_plan(report.plan_id, dumped(report, marks=SPACED))
         self.publish_rehearsal()
 
@@ -101,22 +106,21 @@ class ShownPlan:
 
     def on_review(self, message: Review) -> None:
         """Take a plan away that was approved or rejected."""
-        with self._lock:
-            self._board.on_verdict(message.plan_id)
-            self._rehearsals.on_verdict(message.plan_id)
-        self._publish_plan()
-        self.publish_rehearsal()
+        self._change(PlanBoard.on_verdict, message.plan_id)
 
     def on_link(self, message: Link) -> None:
         """Take the plan away when another session begins."""
         if message.session and message.session != self._session:
             if self._session is not None:
-                with self._lock:
-                    self._board.restart()
-                    self._rehearsals.restart()
-                self._publish_plan()
-                self.publish_rehearsal()
+                self._change(PlanBoard.restart)
             self._session = message.session
+
+    def _change(self, change: Callable[..., None], *given: str) -> None:
+        with self._lock:
+            for board in (self._board, self._rehearsals):
+                change(board, *given)
+        self._publish_plan()
+        self.publish_rehearsal()
 
     # -- to MQTT
 

@@ -18,7 +18,6 @@ import rospy
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from construction_twin.core.errors import PayloadError, PoseUnknownError
 from construction_twin.link.remote_view import ViewWriter
 from construction_twin.link.requests import Joints
 from construction_twin.mqtt.client import make_client, unique_id
@@ -42,9 +41,8 @@ from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.tool import tool_hash
 from construction_twin.ros.console.acts import Acts, Services
-from construction_twin.ros.console.endpoint import Connection, RequestCounts
-from construction_twin.ros.console.feed import MAX_POSE_AGE, ConsoleFeed, Others, Poses, deployment_of
-from construction_twin.ros.console.messages import MessageFile
+from construction_twin.ros.console.endpoint import Connection
+from construction_twin.ros.console.feed import ConsoleFeed, Others, Poses, deployment_of
 from construction_twin.ros.console.pose_judge import PoseJudge
 from construction_twin.ros.console.requests import ConsoleRequests, RobotContext
 from construction_twin.ros.console.shown_plan import ShownPlan
@@ -55,7 +53,6 @@ from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.params import ros_home
 from construction_twin.ros.shared.ports import Interface, NewestPose, Ports, SharedParameter, Subscription
 from construction_twin.ros.shared.private_files import PrivateFiles
-from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.ros.transport.persistent_service import PersistentService
 from construction_twin.srv import (
     ActAsSeen,
@@ -98,14 +95,12 @@ class ConsoleNode:
     """The parts of the node, and the threads in which they work.
 
     Args:
-        topics: Of the robot.
         acts_connection, connection: Connections for what people do, and for everything else.
     """
 
     def __init__(
         self,
         settings: Settings,
-        topics: Topics,
         acts_connection: Connection,
         connection: Connection,
         acts: Acts,
@@ -113,19 +108,15 @@ class ConsoleNode:
         feed: ConsoleFeed,
         requests: ConsoleRequests,
     ):
-        self._settings, self._topics = settings, topics
-        self._connections = acts_connection, connection
+        self._settings, self._connections = settings, (acts_connection, connection)
         self.acts, self.shown_plan, self.feed, self.requests = acts, shown_plan, feed, requests
-        self._acknowledged = RequestCounts("messages", "acknowledged", "not acknowledged")
 
     def connect(self) -> None:
         """Connect to the broker, and serve each connection in a thread of its own."""
-        plan = self.shown_plan
-        own_plan = {self._topics.plan: lambda message: plan.on_own_plan(bytes(message.payload))}
-        acts, others = self._connections
-        acts.connect(self.acts.endpoints, plan.first, plan.publish_rehearsal, own_plan)
-        acknowledge = self.feed.messages.endpoint(self._topics, self._acknowledged, others)
-        others.connect((*self.requests.endpoints, acknowledge), self.feed.first, self.feed.publish_retained)
+        plan, (acts, others) = self.shown_plan, self._connections
+        own_plan = {acts.topics.plan: lambda message: plan.on_own_plan(bytes(message.payload))}
+        acts.connect(plan.first, plan.publish_rehearsal, own_plan)
+        others.connect(self.feed.first, self.feed.publish_retained)
 
     def run(self) -> None:
         """Carry out what is asked for, and show everything, until shutdown."""
@@ -176,15 +167,10 @@ class ConsoleNode:
         self.shown_plan.on_plan(message)
         self.feed.on_plan(message)
 
-    def on_rehearsal(self, message: Rehearsal) -> None:
-        """Show what a rehearsal has found."""
-        self.shown_plan.on_rehearsal(message)
-        self.feed.on_rehearsal(message)
-
     def on_review(self, message: Review) -> None:
         """Take a verdict."""
         self.shown_plan.on_review(message)
-        self.feed.on_review(message)
+        self.feed.on_review(message, self.shown_plan.rehearsal)
 
     def on_link(self, message: Link) -> None:
         """Take the bridge's report."""
@@ -193,9 +179,9 @@ class ConsoleNode:
 
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
-        values: dict[str, object] = {**self.acts.report(), **self.requests.counts, **self._acknowledged.report()}
+        values: dict[str, object] = {"trajectories waiting": self.requests.queue.waiting}
         for connection in reversed(self._connections):
-            values |= connection.side_effects.report()
+            values |= connection.report()
         failed = [connection.side_effects.sentence for connection in self._connections]
         if problem := next(filter(None, (*failed, *(connection.problem for connection in self._connections))), ""):
             return Report(WARN, problem, values)
@@ -221,14 +207,6 @@ def _services() -> Services:
     )
 
 
-def _positions(stream: LatestPose | None) -> tuple[float, ...]:
-    """Return the newest pose, empty while it is not known."""
-    try:
-        return stream.newest(MAX_POSE_AGE).positions if stream is not None else ()
-    except (PoseUnknownError, PayloadError):
-        return ()
-
-
 def start(settings: Settings, robot: RobotModel, ports: Ports) -> ConsoleNode:
     """Return the node with its parameters and topics, connecting to the broker."""
     joints, topics = Joints(tuple(robot.joint_names), tuple(robot.linear)), Topics(settings.prefix, robot.name)
@@ -241,17 +219,15 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> ConsoleNode:
         if ports.parameters["work"] is None:
             files.drop_building()
     # its last will takes the plan away: while it is lost, a verdict is not heard
-    acts_connection = Connection(
-        broker, make_client(broker, unique_id(robot.name, "acts"), topics.plan, will=""), refuse
-    )
+    client = make_client(broker, unique_id(robot.name, "acts"), topics.plan, will="")
+    acts_connection = Connection(broker, client, topics, refuse)
     writer = ViewWriter(robot.name, secrets.token_hex(8), joints)
     will = writer.offline().decode()
     client = make_client(broker, unique_id(robot.name, "console"), topics.view, will, will_retained=False)
-    connection = Connection(broker, client, refuse)
+    connection = Connection(broker, client, topics, refuse)
     poses = Poses(*(ports.poses.get(name) for name in (TWIN, ARM, EXPECTED)))
-    shown_plan = ShownPlan(topics, acts_connection, tool_hash(settings.tool))
+    shown_plan = ShownPlan(acts_connection, tool_hash(settings.tool))
     feed = ConsoleFeed(
-        topics,
         robot.base_link,
         connection,
         writer,
@@ -259,20 +235,19 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> ConsoleNode:
         Others(lambda: shown_plan.plan, lambda: requests.closest(), lambda: ports.connections("execution") > 0),
         deployment_of(ports.parameters["startup"], rospy.get_namespace().rstrip("/")),
         files,
-        MessageFile(ros_home() / settings.messages / f"{robot.name}.json") if settings.messages else None,
+        ros_home() / settings.messages / f"{robot.name}.json" if settings.messages else None,
     )
     requests = ConsoleRequests(
-        topics,
         joints,
         {kind: rospy.ServiceProxy(service.name, service.kind) for kind, service in PLAN_SERVICES.items()},
         rospy.ServiceProxy("plan_trajectory", PlanTrajectory),
         PoseJudge(robot, settings.self_collision, lambda: feed.scene),
-        RobotContext(lambda: _positions(poses.twin), lambda: ports.connections("work/tasks") > 0, feed.is_engaged),
+        RobotContext(feed.twin, lambda: ports.connections("work/tasks") > 0, feed.is_engaged),
         connection,
         settings.max_trajectory_bytes if settings.trajectories else 0,
     )
-    acts = Acts(topics, acts_connection, _services())
-    node = ConsoleNode(settings, topics, acts_connection, connection, acts, shown_plan, feed, requests)
+    acts = Acts(acts_connection, _services())
+    node = ConsoleNode(settings, acts_connection, connection, acts, shown_plan, feed, requests)
     node.connect()
     return node
 
@@ -296,7 +271,7 @@ INTERFACE = Interface(
         Subscription("work/tasks", WorkTasks, _feed(ConsoleFeed.on_tasks), queue_size=2),
         Subscription("scene", SceneMsg, _feed(ConsoleFeed.on_scene), queue_size=2),
         Subscription("plan", Plan, ConsoleNode.on_plan, queue_size=5),
-        Subscription("rehearsal", Rehearsal, ConsoleNode.on_rehearsal, queue_size=5),
+        Subscription("rehearsal", Rehearsal, lambda node, message: node.shown_plan.on_rehearsal(message), queue_size=5),
         Subscription("plan_caller", PlanCaller, lambda node, message: node.shown_plan.on_caller(message), queue_size=5),
         Subscription("review", Review, ConsoleNode.on_review, queue_size=10),
         Subscription("sync", Sync, _feed(ConsoleFeed.on_sync), queue_size=1),
