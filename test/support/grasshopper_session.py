@@ -5,6 +5,7 @@ Prints what it saw as JSON. It knows nothing of construction_twin.
 """
 
 import json
+import re
 import runpy
 import sys
 import time
@@ -34,6 +35,17 @@ def until(run, done, seconds=20.0):
         if done(found) or time.monotonic() > end:
             return found
         time.sleep(0.05)
+
+
+def send(twin, trajectory):
+    """Send a motion, again where it came too soon after the one before; return the answer."""
+    while True:
+        sent = component("send", twin=twin, trajectory=trajectory, source="", send=True).sent
+        answered = until(lambda: component("answer", twin=twin, sent=sent), lambda seen: seen.ok is not None)
+        soon = re.search(r"try again in ([\d.]+) s", answered.text)
+        if not soon:
+            return answered
+        time.sleep(float(soon[1]))
 
 
 def numbers(frame):
@@ -87,16 +99,14 @@ def designer(port, account, urdf, schema):
         JointTrajectoryPoint(values, [0] * 6, joint_names=names),
         JointTrajectoryPoint(moved, [0] * 6, time_from_start=Duration(4, 500_000_000), joint_names=names),
     ]
-    timed = component("send", twin=twin, trajectory=JointTrajectory(points, names), source="", send=True)
-    answered = until(lambda: component("answer", twin=twin, sent=timed.sent), lambda seen: seen.ok is not None)
+    answered = send(twin, JointTrajectory(points, names))
     said["timed"] = {"ok": answered.ok, "text": answered.text}
 
     # too fast: 60 deg in 10 ms
     points[1] = JointTrajectoryPoint(
         [values[0] + 1.0, *values[1:]], [0] * 6, time_from_start=Duration(0, 10_000_000), joint_names=names
     )
-    fast = component("send", twin=twin, trajectory=JointTrajectory(points, names), source="", send=True)
-    answered = until(lambda: component("answer", twin=twin, sent=fast.sent), lambda seen: seen.ok is not None)
+    answered = send(twin, JointTrajectory(points, names))
     said["fast"] = {"ok": answered.ok, "text": answered.text}
     said["no trajectory"] = component("send", twin=twin, trajectory="x", source="", send=True).text
     said["off"] = component("connect", on=False, **where).text
