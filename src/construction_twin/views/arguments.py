@@ -93,7 +93,7 @@ def parser(robot: str) -> argparse.ArgumentParser:
     )
     _add_scene(command("scene", "list what the arm must not touch, or write it for another planner"))
     _add_work(command("work", "work from a building model: its tasks, what comes next, what people say"), common)
-    _add_watch(command("watch", "show joint errors, rates, latency, counters and states until Ctrl-C"))
+    _add_watch(command("watch", "show states, joint errors and what was late until Ctrl-C"))
     return root
 
 
@@ -272,7 +272,6 @@ def _add_person(step: argparse.ArgumentParser) -> None:
 
 def _add_watch(watch: argparse.ArgumentParser) -> None:
     watch.add_argument("--once", action="store_true", help="print one picture and end")
-    watch.add_argument("--rate", type=_rate, default=4.0, metavar="HZ", help="pictures per second, at most 10 [4]")
 
 
 def check(options: argparse.Namespace) -> str:
@@ -325,11 +324,4 @@ def _fraction(text: str) -> float:
     value = _percent(text)
     if value > 1.0:
         raise argparse.ArgumentTypeError(Sentence("view.argument.percent", text=repr(text)))
-    return value
-
-
-def _rate(text: str) -> float:
-    value = _positive(text)
-    if value > 10.0:
-        raise argparse.ArgumentTypeError(Sentence("view.argument.rate", text=repr(text)))
     return value

@@ -17,15 +17,6 @@ READY = {"link": "ARMED", "sync": "IN_SYNC", "execution": "IDLE"}
 
 
 @dataclass(frozen=True)
-class NodeFacts:
-    """What a node says on `/diagnostics`: its name, the level (0 good, 1 warning, 2 error, 3 silent), one sentence."""
-
-    name: str
-    level: int
-    sentence: str
-
-
-@dataclass(frozen=True)
 class Snapshot:
     """One robot at one moment.
 
@@ -37,7 +28,6 @@ class Snapshot:
         hold: Why the gate is closed; None: nothing is known of it.
         plan: Under review.
         approval_obstacle: Why that plan could not be approved now; empty: it could.
-        rates: Messages per second on the 250 Hz topics.
         silent: How long ``link``, ``sync``, ``execution`` have been silent [s], if too long.
     """
 
@@ -51,8 +41,6 @@ class Snapshot:
     hold: HoldReport | None = None
     plan: Plan | None = None
     approval_obstacle: str = ""
-    rates: Mapping[str, float | None] = field(default_factory=dict)
-    nodes: tuple[NodeFacts, ...] = ()
     silent: Mapping[str, float] = field(default_factory=dict)
 
     def not_ready(self) -> list[str]:

@@ -15,6 +15,9 @@ from construction_twin.views.hold_cause import hold_cause
 from construction_twin.views.snapshot import Snapshot
 from construction_twin.views.work_picture import cut, segment_words
 
+#: Counters of the gateway that mean something was late or lost.
+LATE = ("late_replies", "commands_late", "commands_lost", "cycles_without_command", "states_lost")
+
 
 def joint_value(value: float, linear: bool, decimals: int = 3) -> str:
     """Return a joint's value [rad, or m] with its unit for people: deg, or mm."""
@@ -115,9 +118,10 @@ def status_lines(snapshot: Snapshot) -> list[str]:
         lines.append(f"holds      {cause}")
     for name in ("link", "sync", "execution"):
         facts = getattr(snapshot, name)
-        lines.append(
-            f"{name:10} {Sentence('startup.no_report') if facts is None else f'{facts.text}{because(facts.reason)}'}"
-        )
+        said = Sentence("startup.no_report") if facts is None else f"{facts.text}{because(facts.reason)}"
+        if facts is not None and name in snapshot.silent:
+            said = Sentence("view.watch.silent", seconds=snapshot.silent[name], state=facts.text)
+        lines.append(f"{name:10} {said}")
     controller = controller_words(snapshot.link.gateway_counters) if snapshot.link is not None else ""
     if controller:
         lines.append(f"controller {controller}")
@@ -132,7 +136,22 @@ def status_lines(snapshot: Snapshot) -> list[str]:
     lines.append(f"review     {under_review(snapshot.plan)}")
     if snapshot.plan is not None and snapshot.approval_obstacle:
         lines.append(f"not yet    {snapshot.approval_obstacle}")
-    lines += [f"{node.name}: {node.sentence}" for node in snapshot.nodes if node.level > 0]
+    return lines
+
+
+def watch_lines(snapshot: Snapshot) -> list[str]:
+    """Return `status_lines`, each joint's error beside its threshold, and what was late or lost since the gateway began."""
+    lines, sync = status_lines(snapshot), snapshot.sync
+    if sync is None or "sync" in snapshot.silent or not len(sync.error) == len(sync.threshold) == len(snapshot.joints):
+        lines.append(Sentence("view.watch.nothing"))
+    else:
+        for joint, linear, error, most in zip(snapshot.joints, snapshot.linear, sync.error, sync.threshold):
+            mark = "" if abs(error) <= most else "  <"
+            lines.append(f"{joint:10} {joint_value(error, linear, 4)} of {joint_value(most, linear, 4)}{mark}")
+    if snapshot.link is not None:
+        counters = snapshot.link.gateway_counters
+        # the gateway lists a counter from its first use on
+        lines.append("; ".join(f"{name.replace('_', ' ')} {counters.get(name, '0')}" for name in LATE))
     return lines
 
 

@@ -48,7 +48,7 @@ def test_options_go_before_and_after_the_command():
     "text",
     [
         "", "dance", "plan", "plan --pose 1 2 3", "plan --joints 1 --csv a", "plan --joints nan", "plan --joints 1 --speed 101",
-        "plan --joints 1 --speed 0", "plan --joints 1 --duration -1", "watch --rate 11", "status --rea dy x",
+        "plan --joints 1 --speed 0", "plan --joints 1 --duration -1", "status --rea dy x",
     ],
 )  # fmt: skip
 def test_nonsense_is_a_usage_error(text, capsys):

@@ -9,6 +9,7 @@ import argparse
 import getpass
 import os
 import sys
+import time
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -31,13 +32,15 @@ from construction_twin.ros.shared.params import robot_from_parameters
 from construction_twin.ros.shared.robot_listener import RobotListener
 from construction_twin.views.arguments import TRIGGERS, Exit
 from construction_twin.views.goals import joint_goal, pose_goal
-from construction_twin.views.texts import caller_line, plan_lines, status_lines
+from construction_twin.views.texts import caller_line, plan_lines, status_lines, watch_lines
 from construction_twin.work.names import named
 
 #: States of the executor in which no plan is under way.
 _AT_REST = (Execution.WAITING, Execution.IDLE)
 #: How long to wait for a latched message that may not exist [s].
 LATCHED = 2.0
+#: Between two pictures of `twin watch` [s].
+WATCH_PERIOD = 0.25
 
 
 class Command:
@@ -156,10 +159,17 @@ class Command:
         return Exit.REFUSED if lacking else Exit.DONE
 
     def _watch(self) -> Exit:
-        from construction_twin.ros.commands.watch import watch
-
-        options = self._options
-        watch(self._listener(rates=True), options.rate, options.once, options.timeout)
+        options, listener = self._options, self._listener()
+        if not listener.wait(lambda: listener.newest("sync") or listener.newest("link"), options.timeout):
+            nothing = Sentence("view.silent.nothing", seconds=options.timeout)
+            raise SilenceError("sync and link", nothing, Sentence("view.to_do.give_robot"))
+        self._await_latched(listener)
+        while not rospy.is_shutdown():
+            # on a terminal the last picture is wiped out
+            print("\033[H\033[J" * sys.stdout.isatty() + "\n".join(watch_lines(listener.snapshot())), flush=True)
+            if options.once:
+                break
+            time.sleep(WATCH_PERIOD)
         return Exit.DONE
 
     def _scene(self) -> Exit:
@@ -177,8 +187,8 @@ class Command:
     def _robot(self) -> RobotModel:
         return robot_from_parameters(f"{self._namespace}/")
 
-    def _listener(self, rates: bool = False) -> RobotListener:
-        return RobotListener(self._namespace, self._robot(), rates)
+    def _listener(self) -> RobotListener:
+        return RobotListener(self._namespace, self._robot())
 
     def _under_review(self, listener: RobotListener) -> Plan:
         """Return the plan under review; RequestRefused if there is none, or if another one was named."""

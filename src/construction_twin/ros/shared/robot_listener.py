@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 
 import genpy
 import rospy
-from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import String
 
 from construction_twin.core.errors import ConstructionTwinError
@@ -26,15 +23,12 @@ from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.shared.refusal_log import warn_of_refusals
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.views.snapshot import NodeFacts, Snapshot
+from construction_twin.views.snapshot import Snapshot
 
 _Report = TypeVar("_Report", LinkReport, SyncReport, HoldReport, ExecutionReport)
 
-#: Streams whose rates are counted, with short names.
-STREAMS = {"twin": "twin/joint_states", "physical": "physical/joint_states", "command": "command/joint_states"}
-#: Age from which a report counts as silent [s], and a node that publishes on /diagnostics. `execution` is published on change only.
+#: Age from which a report counts as silent [s]. `execution` is published on change only.
 SILENT = {"link": 3.0, "sync": 1.0}
-SILENT_NODE = 5.0
 _REPORTS = {
     "link": Link,
     "sync": Sync,
@@ -54,7 +48,6 @@ class RobotListener:
 
     Args:
         namespace: Of the robot, absolute: ``/kr120``.
-        rates: Also count the 250 Hz streams, without unpacking them, and listen to `/diagnostics`.
         refuse: Called as ``refuse(reason, sentence)`` for a report from another node than the one that publishes it; by default a
             warning.
 
@@ -66,7 +59,6 @@ class RobotListener:
         self,
         namespace: str,
         robot: RobotModel,
-        rates: bool = False,
         refuse: Callable[[str, str], None] | None = None,
     ):
         self._refuse = refuse or warn_of_refusals()
@@ -76,14 +68,8 @@ class RobotListener:
         self._newest: dict[str, object] = {}
         self._plan: PlanValue | None = None
         self.refused = ""
-        self._counts: Counter[str] = Counter()
-        self._counted: tuple[float, Counter[str]] = (time.monotonic(), Counter())
-        self._nodes: dict[str, _NodeReport] = {}
         self._heard: dict[str, float] = {}
         self._reports = {name: self._subscribe(name, kind) for name, kind in _REPORTS.items()}
-        self._streams = [self._count(name, topic) for name, topic in STREAMS.items()] if rates else []
-        if rates:
-            self._diagnostics = rospy.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics)
 
     def wait(self, condition: Callable[[], object], timeout: float | None) -> bool:
         """Wait until `condition`, asked after every report, holds; return whether it does. None waits without end."""
@@ -128,12 +114,11 @@ class RobotListener:
             return ()
 
     def snapshot(self) -> Snapshot:
-        """Return what is known now; rates are those since the last call."""
+        """Return what is known now."""
         with self._news:
             newest = dict(self._newest)
             plan = self.under_review()
             now = time.monotonic()
-            nodes = tuple(_node_now(self._nodes[name], now) for name in sorted(self._nodes))
             ages = {name: now - self._heard.get(name, now) for name in SILENT}
             silent = {name: age for name, age in ages.items() if age > SILENT[name]}
         if "execution" in newest and not self.publishers("execution"):
@@ -149,8 +134,6 @@ class RobotListener:
             hold=_record(HoldReport, newest.get("hold")) if "sync" not in silent else None,
             plan=plan,
             approval_obstacle=getattr(newest.get("approval_obstacle"), "data", ""),
-            rates=self._rates(),
-            nodes=nodes,
             silent=silent,
         )
 
@@ -169,46 +152,6 @@ class RobotListener:
             if name == "plan":
                 self._plan, self.refused = plan, refused
             self._news.notify_all()
-
-    def _count(self, name: str, topic: str) -> rospy.Subscriber:
-        def receive(_message) -> None:
-            self._counts[name] += 1
-
-        return rospy.Subscriber(f"{self._namespace}/{topic}", rospy.AnyMsg, receive, queue_size=250, tcp_nodelay=True)
-
-    def _rates(self) -> dict[str, float]:
-        if not self._streams:
-            return {}
-        now, counts = time.monotonic(), Counter(self._counts)
-        since, before = self._counted
-        self._counted = now, counts
-        return {name: (counts[name] - before[name]) / max(now - since, 1e-3) for name in STREAMS}
-
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            node = "/" + status.name.split(":")[0].strip().lstrip("/")
-            if node.startswith(self._namespace + "/"):
-                name = node.removeprefix(self._namespace + "/")
-                with self._news:
-                    self._nodes[name] = _NodeReport(time.monotonic(), NodeFacts(name, status.level, status.message))
-                    self._news.notify_all()
-
-
-@dataclass(frozen=True)
-class _NodeReport:
-    """What a node said of itself last, and when, on the monotonic clock [s]."""
-
-    at: float
-    facts: NodeFacts
-
-
-def _node_now(heard: _NodeReport, now: float) -> NodeFacts:
-    facts, age = heard.facts, now - heard.at
-    return (
-        facts
-        if age <= SILENT_NODE
-        else NodeFacts(facts.name, 3, f"silent for {age:.0f} s; the last was: {facts.sentence}")
-    )
 
 
 def _record(kind: type[_Report], message: genpy.Message | None) -> _Report | None:
