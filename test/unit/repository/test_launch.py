@@ -16,7 +16,7 @@ from launch_files import Reader, node_arguments, node_names, parameters, read_la
 from roslaunch import rlutil
 
 from construction_twin.ros import nodes
-from construction_twin.ros.shared.frame_listener import FRAMES
+from construction_twin.ros.shared.frames import FRAMES
 from construction_twin.ros.shared.node_shell import NodeShell
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -19,7 +19,7 @@ from construction_twin.robot.home_command import home_positions
 from construction_twin.robot.other_joints import Following, OtherJoint, other_joints_text
 from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.messages.convert import pose_from_transform_msg
-from construction_twin.ros.shared.robot_frames import RobotFrames
+from construction_twin.ros.nodes.display import RobotFrames
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.collision_world import CollisionWorld, Contact
 from construction_twin.scene.objects import Scene, SceneObject

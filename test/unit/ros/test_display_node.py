@@ -26,7 +26,7 @@ from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.scene_convert import scene_to_msg
 from construction_twin.ros.nodes import display as module
 from construction_twin.ros.nodes.display import NODE, Settings
-from construction_twin.ros.shared.frame_listener import PUBLISHERS, SHOWN
+from construction_twin.ros.shared.frames import PUBLISHERS, SHOWN
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.views.sync_picture import COLOURS

@@ -9,8 +9,8 @@ import rospy
 from geometry_msgs.msg import TransformStamped
 from tf2_msgs.msg import TFMessage
 
-from construction_twin.ros.shared import frame_listener as module
-from construction_twin.ros.shared.frame_listener import PUBLISHERS, FrameListener
+from construction_twin.ros.shared import frames as module
+from construction_twin.ros.shared.frames import PUBLISHERS, FrameListener
 from construction_twin.ros.transport import subscriber
 
 PLAYER = "/play_1790000000123"
@@ -107,52 +107,6 @@ def test_a_frame_of_the_cell_has_one_publisher_until_it_is_gone(world):
     assert world.heard["table"] == 2.0 and len(world.refused) == 1
     world.say("/site/table_2", "table", topic="/tf_static", x=3.0)
     assert world.heard["table"] == 3.0
-
-
-def test_a_static_frame_that_was_refused_is_taken_when_its_publisher_is_gone(world):
-    world.connect("/stp_1", "/stp_2", "/stp_3", "/site/clock")
-    world.say("/stp_1", "table", topic="/tf_static", x=1.0)
-    for x in (7.0, 2.0):
-        world.say("/stp_2", "table", topic="/tf_static", x=x)
-    world.say("/stp_3", "table", topic="/tf_static", x=3.0)
-    world.say("/site/clock", "clock")
-    assert world.heard["table"] == 1.0 and len(world.refused) == 3
-    # it is latched: /stp_2 says nothing again
-    world.connect("/stp_2", "/stp_3", "/site/clock")
-    world.say("/site/clock", "clock")
-    assert world.heard["table"] == 2.0
-    world.say("/stp_1", "table", x=9.0)
-    assert world.heard["table"] == 2.0 and "/stp_2 publishes the frame table" in world.refused[-1][1]
-    world.connect("/stp_3", "/site/clock")
-    world.say("/site/clock", "clock")
-    assert world.heard["table"] == 3.0
-
-
-def test_what_was_refused_of_a_robot_s_frames_or_of_one_that_moves_is_not_kept(world):
-    world.connect("/belt", PLAYER, "/site/clock")
-    world.say("/belt", "tray", x=1.0)
-    world.say(PLAYER, "tray", x=9.0)
-    world.say(PLAYER, "kr120/twin/link_1", topic="/tf_static", x=9.0)
-    world.connect(PLAYER, "/site/clock")
-    world.say("/site/clock", "clock")
-    assert world.heard == {"tray": 1.0, "clock": 0.0}
-
-
-def test_nodes_that_are_gone_and_what_is_refused_take_no_more_and_more_room(world, monkeypatch):
-    monkeypatch.setattr(module, "_OWNERS", 10)
-    monkeypatch.setattr(module, "_KEPT", 10)
-    world.listener._look_at = 10
-    world.connect("/site/table", PLAYER)
-    tables = [f"table_{k}" for k in range(8)]
-    world.say("/site/table", *tables)
-    for k in range(100):
-        world.say(f"/anybody_{k}", f"part_{k}")
-        world.say(PLAYER, *tables, "table_0", topic="/tf_static", x=9.0)
-    assert len(world.listener._owners) <= 2 * 8 + 10 and {*tables} <= world.listener._owners.keys()
-    more = [f"shelf_{k}" for k in range(30)]
-    world.say("/site/table", *more)
-    world.say(PLAYER, *more, topic="/tf_static")
-    assert list(world.listener._kept) == [(shelf, PLAYER) for shelf in more[-10:]]
 
 
 @pytest.mark.parametrize("frame", ["map", "model", "kr120/table", "twin/link_1"])

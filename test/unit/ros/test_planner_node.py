@@ -45,7 +45,7 @@ from construction_twin.ros.messages import convert
 from construction_twin.ros.messages.scene_convert import object_to_msg, scene_to_msg, tf_frame
 from construction_twin.ros.nodes import planner as module
 from construction_twin.ros.nodes.planner import NODE, Settings
-from construction_twin.ros.shared import frame_listener
+from construction_twin.ros.shared import frames
 from construction_twin.ros.shared.frames import Frames
 from construction_twin.ros.transport import subscriber
 from construction_twin.scene.objects import Scene, SceneObject, product
@@ -324,10 +324,10 @@ def test_a_goal_at_the_tool_is_where_the_tool_is_commanded_to_be_although_the_si
     chain, tip = Chain(ROBOT), ROBOT.tip_link
     with monkeypatch.context() as patch:
         patch.setattr(subscriber.rospy, "Subscriber", subscribe)
-        patch.setattr(frame_listener.rospy.Time, "now", staticmethod(lambda: rospy.Time(7)))
+        patch.setattr(frames.rospy.Time, "now", staticmethod(lambda: rospy.Time(7)))
         buffer = tf2_ros.Buffer(debug=False)
-        patch.setattr(frame_listener.tf2_ros, "Buffer", lambda: buffer)
-        frame_listener.FrameListener(lambda *said: pytest.fail(str(said)))
+        patch.setattr(frames.tf2_ros, "Buffer", lambda: buffer)
+        frames.FrameListener(lambda *said: pytest.fail(str(said)))
         trees = ("robot_state_publisher", "twin", twin_in_tf(f"twin:={twin}")), ("display", "simulated", "twin/effort")
         for node, tree, topic in trees:
             pose = chain.forward(STREAMS[topic])

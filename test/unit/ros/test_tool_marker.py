@@ -12,8 +12,7 @@ from construction_twin.kinematics.chain import Chain
 from construction_twin.link.requests import GoalRequest, ReviewRequest
 from construction_twin.ros.shared import tool_marker_menu as module
 from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.tool_marker_menu import SHOWN, ToolMarkerMenu
-from construction_twin.views.marker_goal import MarkerGoal
+from construction_twin.ros.shared.tool_marker_menu import SHOWN, MarkerGoal, ToolMarkerMenu
 
 
 class Client:
@@ -113,7 +112,7 @@ def titles(menu: ToolMarkerMenu) -> dict[int, str]:
     """Return the entries of a menu as rviz is told of them."""
     marker = SimpleNamespace(menu_entries=[])
     server = SimpleNamespace(get=lambda _: marker, insert=lambda *_: None, setCallback=lambda *_: None)
-    menu.attach(server)
+    menu.attach(server, "tool")
     return {entry.id: entry.title for entry in marker.menu_entries}
 
 

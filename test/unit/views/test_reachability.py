@@ -12,7 +12,7 @@ from planning_cell import CHAIN, HOME, ROBOT, WALL, solver, world
 from construction_twin.core.motion_errors import KinematicsError, OrientationError, UnreachableError
 from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
-from construction_twin.ros.shared.tool_marker_shapes import COLOURS
+from construction_twin.ros.nodes.tool_marker import COLOURS
 from construction_twin.scene.objects import SceneObject
 from construction_twin.views.reachability import Reach, judge_pose, why_out
 

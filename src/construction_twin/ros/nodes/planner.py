@@ -50,8 +50,7 @@ from construction_twin.ros.shared.arm_listener import (
     neighbour_settings,
 )
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
-from construction_twin.ros.shared.frame_listener import FRAMES
-from construction_twin.ros.shared.frames import listen_to_frames
+from construction_twin.ros.shared.frames import FRAMES, listen_to_frames
 from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.ports import Interface, NewestPose, Ports, Publication, Served, Shared, Subscription

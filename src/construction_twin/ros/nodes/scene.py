@@ -24,8 +24,7 @@ from construction_twin.ros.messages.convert import pose_from_msg
 from construction_twin.ros.messages.planning_scene import PlanningScenePublisher, moveit_types
 from construction_twin.ros.messages.scene_convert import object_from_msg, scene_markers, scene_to_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
-from construction_twin.ros.shared.frame_listener import FRAMES
-from construction_twin.ros.shared.frames import listen_to_frames
+from construction_twin.ros.shared.frames import FRAMES, listen_to_frames
 from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import ros_home

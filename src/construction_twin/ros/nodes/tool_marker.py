@@ -1,11 +1,14 @@
 """tool_marker: the operator's handle in rviz. It follows the tool; dragged away, it shows at once whether the arm can go there.
 
-The menu is in `ros.shared.tool_marker_menu`, the shapes are in `ros.shared.tool_marker_shapes`.
+Its menu is in `ros.shared.tool_marker_menu`. The verdict is drawn by markers of its own, because rviz takes a changed interactive
+marker for a new one in the middle of a drag.
 """
 
 from __future__ import annotations
 
 import getpass
+import math
+import textwrap
 import threading
 import time
 from collections.abc import Callable
@@ -14,8 +17,17 @@ from typing import Annotated
 import numpy as np
 import pydantic
 import rospy
+from geometry_msgs.msg import Point, Quaternion, Vector3
+from geometry_msgs.msg import Pose as PoseMsg
 from interactive_markers.interactive_marker_server import InteractiveMarkerServer
-from visualization_msgs.msg import InteractiveMarkerFeedback, MarkerArray
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import (
+    InteractiveMarker,
+    InteractiveMarkerControl,
+    InteractiveMarkerFeedback,
+    Marker,
+    MarkerArray,
+)
 
 from construction_twin.core.errors import ConstructionTwinError, PayloadError, PoseUnknownError
 from construction_twin.core.motion_errors import KinematicsError, SceneError
@@ -32,13 +44,11 @@ from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.ports import Interface, NewestPose, Ports, Publication, Subscription
 from construction_twin.ros.shared.robot_listener import REPORTS, RobotListener
-from construction_twin.ros.shared.tool_marker_menu import ToolMarkerMenu
-from construction_twin.ros.shared.tool_marker_shapes import NAME, tool_marker, verdict_markers
+from construction_twin.ros.shared.tool_marker_menu import MarkerGoal, ToolMarkerMenu, moved
 from construction_twin.ros.transport.subscriber import PUBLISHER, caller_of
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.self_collision import read_self_collision
-from construction_twin.views.marker_goal import MarkerGoal, moved
 from construction_twin.views.reachability import PoseVerdict, Reach, judge_pose
 from construction_twin.views.texts import waiting_plan
 
@@ -84,6 +94,28 @@ IK_BUDGET = 0.1
 #: How long the marker's menu waits for a node that does not answer [s].
 SERVICE_TIMEOUT = 2.0
 
+#: Name of the interactive marker.
+NAME = "tool"
+#: Colours r, g, b, a of a verdict; None: not known. Clear enough that the tool path can be seen through them.
+COLOURS = {
+    Reach.FREE: (0.1, 0.75, 0.25, 0.5),
+    Reach.CONTACT: (1.0, 0.55, 0.0, 0.55),
+    Reach.OUT: (0.9, 0.05, 0.05, 0.55),
+    Reach.UNKNOWN: (0.55, 0.35, 0.75, 0.55),
+    None: (0.55, 0.57, 0.6, 0.5),
+}
+#: Can be read in front of the sky, the floor and the arm.
+_TEXT_COLOUR = (0.1, 0.1, 0.15, 1.0)
+#: Height of a letter, and distance of the text below the marker, where it seldom hides the arm, as fractions of the marker's size.
+_LETTER, _BELOW = 0.1, 0.95
+#: Characters of a line.
+_WIDTH = 45
+#: Size of the handle, and of the sphere in it that shows the verdict, as fractions of the marker's size. The handle is a clear
+#: shell around the sphere, because rviz gives a click to the first object it meets, and the sphere has no menu.
+_HANDLE, _SPHERE = 0.3, 0.25
+_HALF = math.sqrt(0.5)
+#: Orientation of a control whose axis is the marker's x, y, z.
+_AXES = {"x": (_HALF, 0.0, 0.0, _HALF), "y": (0.0, 0.0, _HALF, _HALF), "z": (0.0, _HALF, 0.0, _HALF)}
 _Positive = Annotated[float, pydantic.Field(gt=0.0, allow_inf_nan=False)]
 
 
@@ -103,6 +135,60 @@ class Settings(pydantic.BaseModel):
     self_collision: str
     tf_prefix: str
     reviewer: str
+
+
+def tool_marker(frame: str, pose: PoseMsg, scale: float) -> InteractiveMarker:
+    """Return the interactive marker: it moves along and turns about its axes, and opens the menu.
+
+    Args:
+        frame: tf frame of the pose. The stamp is 0: rviz then keeps the marker in this frame, and reports poses in it.
+        scale: [m]
+    """
+    marker = InteractiveMarker(name=NAME, description="", pose=pose, scale=scale)
+    marker.header.frame_id = frame
+    handle = Marker(type=Marker.SPHERE, color=ColorRGBA(1.0, 1.0, 1.0, 0.2))
+    handle.scale = Vector3(*[_HANDLE * scale] * 3)
+    menu = InteractiveMarkerControl(name="menu", interaction_mode=InteractiveMarkerControl.MENU, always_visible=True)
+    menu.description = "plan, review, stop"
+    menu.markers.append(handle)
+    marker.controls.append(menu)
+    for axis, orientation in _AXES.items():
+        for name, mode in (
+            ("move", InteractiveMarkerControl.MOVE_AXIS),
+            ("turn", InteractiveMarkerControl.ROTATE_AXIS),
+        ):
+            control = InteractiveMarkerControl(name=f"{name}_{axis}", interaction_mode=mode)
+            control.orientation = Quaternion(*orientation)
+            marker.controls.append(control)
+    return marker
+
+
+def verdict_markers(frame: str, pose: PoseMsg, scale: float, reach: Reach | None, lines: list[str]) -> MarkerArray:
+    """Return the coloured sphere and the text.
+
+    Args:
+        pose: Of the interactive marker, in that frame.
+        scale: Of the interactive marker [m].
+        reach: None: not known.
+        lines: Wrapped where they are long.
+    """
+    sphere = Marker(ns="verdict", id=0, type=Marker.SPHERE, pose=pose, color=ColorRGBA(*COLOURS[reach]))
+    sphere.scale = Vector3(*[_SPHERE * scale] * 3)
+    text = _text("\n".join(textwrap.fill(line, _WIDTH) for line in lines if line), pose.position, scale)
+    for marker in (sphere, text):
+        # stamp 0: with the newest transform
+        marker.header.frame_id = frame
+        marker.frame_locked = True
+    return MarkerArray([sphere, text])
+
+
+def _text(text: str, at: Point, scale: float) -> Marker:
+    marker = Marker(ns="verdict", id=1, type=Marker.TEXT_VIEW_FACING, color=ColorRGBA(*_TEXT_COLOUR), text=text)
+    # rviz centres a text on its position: a longer one is placed lower, so that all begin at the same height
+    below = _BELOW + 0.6 * _LETTER * text.count("\n")
+    marker.pose = PoseMsg(Point(at.x, at.y, at.z - below * scale), Quaternion(w=1.0))
+    marker.scale.z = _LETTER * scale
+    return marker
 
 
 class ToolMarkerNode:
@@ -240,7 +326,7 @@ class ToolMarkerNode:
         if self._place is None:
             marker = tool_marker(self._frame, pose_to_msg(tool), self._settings.scale)
             self._server.insert(marker, self._on_feedback)
-            self._menu.attach(self._server)
+            self._menu.attach(self._server, NAME)
         else:
             self._server.setPose(NAME, pose_to_msg(tool))
         self._server.applyChanges()

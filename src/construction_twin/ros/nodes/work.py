@@ -42,8 +42,7 @@ from construction_twin.ros.messages.scene_convert import object_to_msg, scene_fr
 from construction_twin.ros.messages.tool import tool_report_from_msg
 from construction_twin.ros.messages.work_markers import work_markers
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.frame_listener import FRAMES
-from construction_twin.ros.shared.frames import listen_to_frames
+from construction_twin.ros.shared.frames import FRAMES, listen_to_frames
 from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import robot_file, ros_home

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import rospy
 from interactive_markers.interactive_marker_server import InteractiveMarkerServer
 from interactive_markers.menu_handler import MenuHandler
@@ -14,14 +15,17 @@ from visualization_msgs.msg import InteractiveMarkerFeedback
 
 from construction_twin.core.errors import ConstructionTwinError, RequestRefused
 from construction_twin.core.sentences import Sentence
+from construction_twin.kinematics.chain import Pose
 from construction_twin.link.requests import GoalRequest, ReviewRequest
 from construction_twin.robot.plan import Plan
 from construction_twin.ros.messages.plan_services import pose_fields
 from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.tool_marker_shapes import NAME
-from construction_twin.views.marker_goal import MarkerGoal
 
+#: A tool that has moved less is not followed [m, and elements of the rotation].
+STILL = 1e-6
+#: A plan that ends within this of the goal was the plan to this goal [m, and elements of the rotation].
+REACHED = 1e-3
 #: How long a plan must have been shown before the menu approves or rejects it [s]: a plan that came with the click was not seen.
 SHOWN = 1.0
 #: The entry that is heard from every client; see `ToolMarkerMenu.on_feedback`.
@@ -31,6 +35,41 @@ STOP = "Stop"
 def in_thread(title: str, action: Callable[[], None]) -> None:
     """Run an action in a thread of its own, so that a stop waits for no other action."""
     threading.Thread(target=action, name=title, daemon=True).start()
+
+
+class MarkerGoal:
+    """Where the marker was dragged to, as ``base_T_tool``; may be used by several threads."""
+
+    def __init__(self):
+        self._lock = threading.Lock()
+        self._pose: Pose | None = None
+
+    @property
+    def pose(self) -> Pose | None:
+        """The goal; None while the marker follows the tool."""
+        return self._pose
+
+    def drag(self, pose: Pose) -> None:
+        """Take a new goal."""
+        with self._lock:
+            self._pose = pose
+
+    def drop(self) -> None:
+        """Let the marker follow the tool again."""
+        with self._lock:
+            self._pose = None
+
+    def reached(self, end: Pose) -> None:
+        """Drop the goal if a motion has ended there; a goal that was dragged further meanwhile stays."""
+        with self._lock:
+            if self._pose is not None and not moved(self._pose, end, REACHED):
+                self._pose = None
+
+
+def moved(before: Pose, after: Pose, tolerance: float = STILL) -> bool:
+    """Return whether two poses differ by more than a tolerance [m, and elements of the rotation]."""
+    position, rotation = np.abs(after.position - before.position), np.abs(after.rotation - before.rotation)
+    return bool(position.max() > tolerance or rotation.max() > tolerance)
 
 
 @dataclass(frozen=True)
@@ -90,9 +129,9 @@ class ToolMarkerMenu:
             for title in self._actions
         }
 
-    def attach(self, server: InteractiveMarkerServer) -> None:
-        """Give the marker of a server this menu."""
-        self._menu.apply(server, NAME)
+    def attach(self, server: InteractiveMarkerServer, marker: str) -> None:
+        """Give a marker of a server this menu."""
+        self._menu.apply(server, marker)
 
     def on_feedback(self, feedback: InteractiveMarkerFeedback) -> None:
         """Take what any rviz sends on the feedback topic: a stop is carried out, the rest is the marker server's."""

@@ -6,7 +6,7 @@ import numpy as np
 from executor_bench import ROBOT, make_plan
 
 from construction_twin.kinematics.chain import Chain, Pose
-from construction_twin.views.marker_goal import REACHED, MarkerGoal, moved
+from construction_twin.ros.shared.tool_marker_menu import REACHED, MarkerGoal, moved
 
 
 def test_a_goal_that_a_plan_led_to_is_told_from_another():
