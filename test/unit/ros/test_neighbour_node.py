@@ -156,11 +156,11 @@ def test_before_the_first_word_of_an_executor_nothing_starts(bench, monkeypatch)
         stands.occupied()
 
 
-BEAM = SceneObject("beam", "box", (0.1, 0.1, 8.0), (0.0, 0.0, 4.0), link="tool0", touch=("link_6",))
+PLATE = SceneObject("plate", "box", (16.0, 16.0, 0.1), (0.0, 0.0, 0.1), link="tool0", touch=("link_6",))
 
 
 def gripping(made: Plan) -> Plan:
-    """Return a plan as a work plan of one segment, at whose end the beam is gripped."""
+    """Return a plan as a work plan of one segment, at whose end the plate is gripped."""
     segments = (Segment("grip", made.trajectory.duration, False, (), (), "0" * 64, "1" * 64),)
     content = content_hash(made.trajectory, "t", segments)
     return dataclasses.replace(made, id=f"{made.id} gripping", hash=content, task="t", segments=segments)
@@ -172,13 +172,13 @@ def test_what_either_arm_carries_later_on_its_way_counts_from_the_start(bench):
     bench.other.offer(THEIRS)
     bench.other.follow(ExecutorState.PLAYING, THEIRS, 10)
     assert not bench.verdict().conflict
-    bench.own.offer(gripping(turn), SceneChange((BEAM,)))
-    assert "beam" in bench.verdict().reason
+    bench.own.offer(gripping(turn), SceneChange((PLATE,)))
+    assert "plate" in bench.verdict().reason
     bench.own.offer(turn)
     assert not bench.verdict().conflict
-    bench.other.offer(gripping(THEIRS), SceneChange((BEAM,)))
+    bench.other.offer(gripping(THEIRS), SceneChange((PLATE,)))
     bench.other.follow(ExecutorState.PLAYING, gripping(THEIRS), 10)
-    assert "b/beam" in bench.verdict().reason
+    assert "b/plate" in bench.verdict().reason
 
 
 def test_a_plan_is_compared_once_with_the_same_space(bench, monkeypatch):

@@ -26,7 +26,6 @@ from construction_twin.srv import (
 )
 from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
 from launch_files import twin_in_tf
-from neighbour_cell import other
 from planning_cell import HOME, LEFT, RIGHT, ROBOT, ROOT, standing
 from std_srvs.srv import TriggerRequest
 from tf2_msgs.msg import TFMessage
@@ -208,26 +207,6 @@ def test_without_the_scene_s_publisher_nothing_is_planned_until_a_scene_comes(be
     assert not send().success and bench.refused == {"NoSceneError": 2}
     bench.show(SCENE)
     assert send().success
-
-
-def test_a_plan_that_fails_because_the_other_arm_may_be_anywhere_says_so(monkeypatch):
-    beside = SimpleNamespace(unknown="")
-
-    def occupied(_):
-        beside.unknown = "where b is, or goes, is not known: no message"
-        return other().anywhere()
-
-    beside.occupied = occupied
-    monkeypatch.setattr(module, "await_robot", lambda _: None)
-    monkeypatch.setattr(module, "listen_to_other_arm", lambda *_, **__: beside)
-    bench = Bench(monkeypatch, neighbour=SimpleNamespace(name="b", padding=0.1))
-    answer = bench.services["plan_to_joints"](PlanToJointsRequest(goal=list(LEFT)))
-    assert not answer.success
-    assert "; plans keep clear of the whole reach of b, because where b is" in answer.message
-    # what was unknown then says nothing of another failure
-    beside.occupied = lambda _: []
-    answer = bench.services["plan_to_joints"](PlanToJointsRequest(goal=[0.0]))
-    assert not answer.success and "whole reach" not in answer.message
 
 
 class TestAMotionThatIsSentAgain:
