@@ -17,9 +17,15 @@ from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.messages import OFFLINE, PLC
 
 #: What is not checked with a bare PLC, one sentence each; `docs/broker.md` says what follows from it.
-NOT_CHECKED = tuple(
-    Sentence(f"link.not_checked.{what}")
-    for what in ("configuration", "session", "sequence", "age", "answers", "speed_limit", "controller", "comparison")
+NOT_CHECKED = (
+    Sentence("configuration: whether the PLC has the same joint ranges, speeds and accelerations, is not compared"),
+    Sentence("session: the PLC takes strings from every client that may write on `command`"),
+    Sentence("sequence: strings that are lost, doubled or reordered are not noticed, in neither direction"),
+    Sentence("age: a string that travelled too long counts as new, in both directions"),
+    Sentence("answers: a stop is not confirmed; why the PLC stopped, and how far the arm goes on, is not known"),
+    Sentence("speed limit: it is not sent to the PLC; the executor alone obeys it"),
+    Sentence("controller: what stands behind the PLC (RSI, servo, brakes) is not known"),
+    Sentence("comparison: the gate compares at the present moment, so the whole round trip counts as lag"),
 )
 #: How a person arms; with --robot where the robot is not the command's default.
 ARM_COMMAND = "rosrun construction_twin twin arm --responsible NAME"
@@ -46,16 +52,18 @@ class BareObservations(LinkObservations):
     def obstacle(self, now: int, mirrors: bool) -> tuple[LinkEvent, str] | None:
         """Return what is missing for a link that commands, or in mirror mode for one that follows, and one sentence."""
         if not self._connected:
-            return LinkEvent.BROKER_LOST, Sentence("link.no_broker")
+            return LinkEvent.BROKER_LOST, Sentence("not connected to the broker")
         if self.status.get("kind", PLC) != PLC and self.gateway != OFFLINE:
-            return LinkEvent.MISMATCHED, Sentence("link.gateway_there")
+            return LinkEvent.MISMATCHED, Sentence(
+                "rsi_gateway answers on the broker, no bare PLC: start with gateway_kind:=rsi, or stop that gateway"
+            )
         if not self.status:
-            return LinkEvent.GATEWAY_LOST, Sentence("link.plc.silent")
+            return LinkEvent.GATEWAY_LOST, Sentence("no PLC has said `ready` on its `status` topic, retained")
         if self.offline_heard or self.gateway == OFFLINE:
-            return LinkEvent.GATEWAY_LOST, Sentence("link.plc.offline")
+            return LinkEvent.GATEWAY_LOST, Sentence("the PLC says `offline`: it takes no strings; see to the PLC")
         if self._pose is None or now - self._pose_at >= FRESH:
-            why = self.why_no_pose(now) or Sentence("link.plc.no_string")
-            return LinkEvent.CONTROLLER_LOST, Sentence("link.plc.no_pose", why=why)
+            why = self.why_no_pose(now) or Sentence("no joint string comes on its `state` topic")
+            return LinkEvent.CONTROLLER_LOST, Sentence("the PLC says `ready`, but {why}", why=why)
         return None
 
 
@@ -77,7 +85,9 @@ class BareSupervisor(LinkSupervisor):
         return super()._actions() | {
             Action.BEGIN_NAMED_SESSION: lambda row, at: self._begin_session(at.reason),
             Action.NOTE_RESPONSIBLE: lambda row, at: self._responsible_sentence,
-            Action.TELL_PERSON: lambda row, at: Sentence("link.plc.by_name", command=ARM_COMMAND),
+            Action.TELL_PERSON: lambda row, at: Sentence(
+                "a bare PLC is armed by a person, by name: {command}", command=ARM_COMMAND
+            ),
         }
 
     def poll(self, now: int) -> None:
@@ -102,18 +112,33 @@ class BareSupervisor(LinkSupervisor):
         """
         name = person.strip()
         if not name or len(name) > _LONGEST_NAME or not name.isprintable():
-            shown = repr(name[:_LONGEST_NAME])
-            raise ReviewError(Sentence("link.plc.no_name", name=shown, command=ARM_COMMAND, longest=_LONGEST_NAME))
+            raise ReviewError(
+                Sentence(
+                    "a bare PLC is armed in a person's name, {name} is none: {command} (at most {longest} "
+                    "characters in one line)",
+                    name=repr(name[:_LONGEST_NAME]),
+                    command=ARM_COMMAND,
+                    longest=_LONGEST_NAME,
+                )
+            )
         if self.state in (LinkState.RESYNC, LinkState.ARMED):
-            raise ReviewError(Sentence("link.plc.taken", name=self.responsible, reason=self.reason))
+            raise ReviewError(
+                Sentence(
+                    "{name} is responsible already: {reason}; halt ends it", name=self.responsible, reason=self.reason
+                )
+            )
         if self.state is not LinkState.NEEDS_RESET:
-            raise ReviewError(Sentence("link.cannot.arm", why=self.sentence))
+            raise ReviewError(Sentence("cannot arm: {why}", why=self.sentence))
         unrest = self.inputs.why_not_at_rest(now)
         if unrest:
-            raise ReviewError(Sentence("link.cannot.arm", why=unrest))
+            raise ReviewError(Sentence("cannot arm: {why}", why=unrest))
         self.responsible = name
         self.requests += 1
-        self.take(LinkEvent.RESPONSIBILITY_TAKEN, now, Sentence("link.plc.taken_now", name=name))
+        self.take(
+            LinkEvent.RESPONSIBILITY_TAKEN,
+            now,
+            Sentence("{name} has taken the responsibility; twin and arm take the same pose", name=name),
+        )
 
     def withdraw(self, request: int, reason: str) -> None:
         """Give up arming, because the poses do not meet in time: it must not happen later, when the person is gone."""
@@ -121,7 +146,7 @@ class BareSupervisor(LinkSupervisor):
             self.halt(reason)
 
     def _after_mirror(self) -> str:
-        return Sentence("link.plc.mirror_ended", command=ARM_COMMAND)
+        return Sentence("mirror mode has ended; a person arms the PLC again: {command}", command=ARM_COMMAND)
 
     def request_reset(self, now: int) -> None:
         """Refuse: a person's name is needed.
@@ -129,15 +154,28 @@ class BareSupervisor(LinkSupervisor):
         Raises:
             ReviewError: Always; it says why nothing could be armed either.
         """
-        refusal = Sentence("link.plc.cannot", verb="reset", command=ARM_COMMAND)
+        refusal = Sentence("cannot {verb} a bare PLC without a name: {command}", verb="reset", command=ARM_COMMAND)
         if self.state in (LinkState.RESYNC, LinkState.ARMED):
-            raise ReviewError(Sentence("link.plc.cannot_armed", refusal=refusal, name=self.responsible))
+            raise ReviewError(
+                Sentence(
+                    "{refusal}; first end what {name} has armed, with halt", refusal=refusal, name=self.responsible
+                )
+            )
         problem = self.inputs.why_no_pose(now)
         if self.state is not LinkState.NEEDS_RESET:
             problem = self.reason
-        raise ReviewError(Sentence("link.plc.cannot_anyhow", refusal=refusal, problem=problem) if problem else refusal)
+        raise ReviewError(
+            Sentence("{refusal}; now it could not either: {problem}", refusal=refusal, problem=problem)
+            if problem
+            else refusal
+        )
 
     @property
     def _responsible_sentence(self) -> str:
         topics = ", ".join(sentence.partition(":")[0] for sentence in self.not_checked)
-        return Sentence("link.plc.armed", session=self.session, name=self.responsible, topics=topics)
+        return Sentence(
+            "bare PLC, session {session}; {name} is responsible for what is not checked: {topics}",
+            session=self.session,
+            name=self.responsible,
+            topics=topics,
+        )

@@ -37,6 +37,11 @@ from construction_twin.mqtt.messages import (
 WITHDRAWAL = NANOSECONDS
 #: Between two reports of an unchanged link [ns].
 _REPEAT = NANOSECONDS
+#: What `halt` comes to with a bare PLC.
+PLC_HALTED = Sentence(
+    "no more strings are sent to the PLC, and the plan is dropped: a PLC that is lawful brakes on silence; "
+    "a person arms again, by name"
+)
 _NO_PROPERTIES = StateProperties(0, 0, 0)
 
 
@@ -79,7 +84,7 @@ class JointStrings:
     ) -> tuple[tuple[float, ...], StateProperties]:
         """Return the arm's pose [rad] and what stands beside it, or raise PayloadError."""
         if retained:
-            raise PayloadError("retained", Sentence("link.payload.retained_state"))
+            raise PayloadError("retained", "retained state: its age is unknown")
         q = self._codec.decode(payload)
         # where the link carries properties, a pose without them is not the gateway's
         beside = self._read_beside(pairs) if pairs or self.properties else None
@@ -126,16 +131,18 @@ class Asked:
         supervisor = self._supervisor
         has_begun = supervisor.session != self._before
         if supervisor.halts != self._halts:
-            return False, Sentence("link.not_armed.halted", why=supervisor.sentence)
+            return False, Sentence("not armed: halt was called meanwhile: {why}", why=supervisor.sentence)
         if has_begun and supervisor.state is LinkState.ARMED and not supervisor.inputs.fault:
-            return True, Sentence("link.armed", reason=supervisor.reason)
+            return True, Sentence("armed, {reason}", reason=supervisor.reason)
         if has_begun and supervisor.state is LinkState.NEEDS_RESET:
-            sentence = Sentence("link.not_armed.ended", why=supervisor.sentence)
+            sentence = Sentence("not armed: {why}", why=supervisor.sentence)
         elif late:
             why, refused = supervisor.sentence, supervisor.inputs.why_no_pose(now)
-            if refused and refused not in why:
-                why = Sentence("executor.both", first=why, second=refused)
-            sentence = Sentence("link.not_armed.late", timeout=self._timeout, why=why)
+            sentence = Sentence(
+                "not armed within {timeout:g} s: {why}",
+                timeout=self._timeout,
+                why=why if refused in why else both(why, refused),
+            )
         else:
             return None
         supervisor.withdraw(self.number, sentence)
@@ -212,7 +219,7 @@ class Bridge:
         self._tool.on_answer(answer)
         if answer.get("verb") == "speed_limit" and not answer.get("ok"):
             reason = str(answer.get("reason"))[:200]
-            raise PayloadError("speed_limit", Sentence("link.speed_limit_refused", reason=reason))
+            raise PayloadError("speed_limit", Sentence("gateway refused the speed limit: {reason}", reason=reason))
 
     # -- the tool
 
@@ -224,7 +231,9 @@ class Bridge:
         """Return the message for a switch of a plan at a stamp [ns]; None where it is refused here."""
         obstacle = "" if self._takes_control else self._link_sentence
         if not obstacle and (not plan or plan != self.played):
-            obstacle = Sentence("link.tool.other_plan", plan=repr(plan), present=repr(self.played))
+            obstacle = Sentence(
+                "switch of plan {plan}, but the executor plays {present}", plan=repr(plan), present=repr(self.played)
+            )
         return self._tool.switch(id, output, value, stamp, self.supervisor.session, obstacle)
 
     def on_gate(self, is_open: bool) -> Control | None:
@@ -235,7 +244,7 @@ class Bridge:
         """Return what is known of the tool, where it has changed."""
         obstacle = ""
         if not self.supervisor.sends_control:
-            obstacle = Sentence("link.tool.plc")
+            obstacle = Sentence("a bare PLC has no tool here: no switch is possible")
         elif self.supervisor.state in (LinkState.DISCONNECTED, LinkState.GATEWAY_OFFLINE, LinkState.MISMATCH):
             obstacle = self._link_sentence
         before, self._tool_told = self._tool_told, self._tool.report(obstacle)
@@ -243,7 +252,9 @@ class Bridge:
 
     @property
     def _link_sentence(self) -> Sentence:
-        return Sentence("link.is_in", state=self.supervisor.state.name, reason=self.supervisor.reason)
+        return Sentence(
+            "the link is {state}: {reason}", state=self.supervisor.state.name, reason=self.supervisor.reason
+        )
 
     # -- what a person asks for
 
@@ -263,16 +274,21 @@ class Bridge:
         if moment is not None:
             seen = parse_moment(moment)
             if problem := staleness(seen, present):
-                raise ExpiredError(Sentence("link.void.session", problem=problem))
+                raise ExpiredError(Sentence("this is {problem}", problem=problem))
             if not self._stops.was_seen(seen):
-                raise ExpiredError(Sentence("link.void.session_since"))
+                raise ExpiredError(
+                    Sentence(
+                        "this is void: the arm was stopped since what the screen had shown; look again, and then ask "
+                        "anew"
+                    )
+                )
         asked = Asked(self.supervisor, now, self._timeout)
         if verb == "reset":
             self.supervisor.request_reset(now)
         elif verb == "arm":
             self.supervisor.request_arm(now, person)
         else:
-            raise PayloadError("act", Sentence("executor.void.act", act=repr(verb)))
+            raise PayloadError("act", Sentence("{act} is nothing that is done here", act=repr(verb)))
         asked.number = self.supervisor.requests
         return asked
 
@@ -291,7 +307,7 @@ class Bridge:
     def halt(self) -> Control | None:
         """Take the right to command away; return the stop for the gateway. A bare PLC has none: it brakes on silence."""
         session, tells = self.supervisor.session, self.supervisor.sends_control
-        self.supervisor.halt(Sentence("link.halt.asked" if tells else "link.halt.plc"))
+        self.supervisor.halt(Sentence("stopped at the gateway on request; call reset") if tells else PLC_HALTED)
         return Control(self._new_id(), session, "stop") if tells else None
 
     # -- reports
@@ -301,7 +317,7 @@ class Bridge:
         supervisor = self.supervisor
         if supervisor.state is LinkState.DISCONNECTED:
             return (
-                Sentence("executor.link", state=supervisor.reason, reason=connection)
+                Sentence("{state}: {reason}", state=supervisor.reason, reason=connection)
                 if connection
                 else supervisor.reason
             )

@@ -102,7 +102,9 @@ def parse_status(payload: bytes) -> dict:
         _Status.model_validate(status)
     except ValidationError as error:
         place = ".".join(str(level)[:64] for level in error.errors()[0]["loc"])
-        raise PayloadError("status", Sentence("link.status.not_as_agreed", name=place)) from None
+        raise PayloadError(
+            "status", Sentence("status message whose {name} is not what the interface says", name=place)
+        ) from None
     return status
 
 
@@ -153,7 +155,7 @@ def _text(value: Any) -> str:
 def tool_report(status: Mapping[str, Any]) -> ToolReport:
     """Return what a parsed status says of the gateway's tool."""
     if "tool" not in status:
-        return ToolReport(reason=Sentence("link.tool.none"))
+        return ToolReport(reason=Sentence("the gateway's configuration has no tool: a robot without hands"))
     tool = status["tool"]
     states = {state.word: state for state in SwitchState}
     switches = {

@@ -118,21 +118,35 @@ class LinkObservations:
         if not self.status or self.gateway == OFFLINE or now - self._status_at > STATUS_TIMEOUT:
             return ""
         if status.get("kind") == PLC and self.status.get("kind") != PLC:
-            return Sentence("link.status.plc_word", word=status["state"])
+            return Sentence(
+                "a bare PLC's word `{word}` on `status`, while rsi_gateway answers there: see to who else writes on it",
+                word=status["state"],
+            )
         run = _run_of(status)
         if self.status.get("kind") == PLC or not self.run:
             return ""
         if run != self.run:
             if status.get("state") == OFFLINE:
-                return Sentence("link.status.other_will", run=repr(run), present=repr(self.run))
-            return Sentence("link.status.other_run", run=repr(run), present=repr(self.run))
+                return Sentence(
+                    "the last will of run {run}, while run {present} answers: it changes nothing",
+                    run=repr(run),
+                    present=repr(self.run),
+                )
+            return Sentence(
+                "status of run {run}, while run {present} answers too", run=repr(run), present=repr(self.run)
+            )
         former, present = status.get("connection"), self.status.get("connection")
         if status.get("state") == OFFLINE and type(former) is type(present) is int and former < present:
-            return Sentence("link.status.former_will", run=repr(run))
+            return Sentence(
+                "the last will of a former connection of run {run}, which answers over another one: it changes nothing",
+                run=repr(run),
+            )
         number, known = status.get("fault_number"), self.fault_number
         if type(number) is int and known is not None and number < known:
             # a client sends again what was not acknowledged, behind what is newer
-            return Sentence("link.status.old", number=number, known=known)
+            return Sentence(
+                "an old status: it tells of stop {number}, and stop {known} was told before", number=number, known=known
+            )
         return ""
 
     def _note_run(self, run: str, speaks: bool, now: int) -> None:
@@ -246,28 +260,47 @@ class LinkObservations:
     def obstacle(self, now: int, mirrors: bool) -> tuple[LinkEvent, str] | None:
         """Return what is missing for a link that commands, or in mirror mode for one that follows, and one sentence."""
         if not self._connected:
-            return LinkEvent.BROKER_LOST, Sentence("link.no_broker")
+            return LinkEvent.BROKER_LOST, Sentence("not connected to the broker")
         if self.status.get("kind") == PLC and self.gateway != OFFLINE:
-            return LinkEvent.MISMATCHED, Sentence("link.plc_there")
+            return LinkEvent.MISMATCHED, Sentence(
+                "a bare PLC answers on the broker, no rsi_gateway: start with gateway_kind:=plc, and read in "
+                "docs/broker.md what is not checked then"
+            )
         if self.gateway == "offline" or now - self._status_at > STATUS_TIMEOUT:
-            return LinkEvent.GATEWAY_LOST, Sentence("link.no_gateway")
+            return LinkEvent.GATEWAY_LOST, Sentence(
+                "no gateway answers on the broker; start rsi_gateway on the cell PC"
+            )
         others = sorted(run for run, heard in self._other_runs.items() if now - heard <= STATUS_TIMEOUT)
         if others:
             runs = " and ".join(
                 [f"run {run}" if run else "one that names no run" for run in sorted([self.run, *others])]
             )
-            return LinkEvent.MISMATCHED, Sentence("link.gateways", runs=runs)
+            return LinkEvent.MISMATCHED, Sentence(
+                "more than one gateway answers on the broker: {runs} (each logs its run when it starts): end "
+                "all but one; nothing is armed until one is left",
+                runs=runs,
+            )
         if sentence := other_protocol(protocol_of(self.status), PROTOCOL):
             return LinkEvent.MISMATCHED, sentence
         if self.status.get("decimals") != self._decimals:
-            decimals = str(self.status.get("decimals"))
-            return LinkEvent.MISMATCHED, Sentence("link.decimals", gateway=decimals, bridge=self._decimals)
+            return LinkEvent.MISMATCHED, Sentence(
+                "gateway uses {gateway} decimals, the bridge {bridge}: give both the same number",
+                gateway=str(self.status.get("decimals")),
+                bridge=self._decimals,
+            )
         if self.status.get("hash") != self._hash:
-            return LinkEvent.MISMATCHED, Sentence("link.hash")
+            return LinkEvent.MISMATCHED, Sentence(
+                "gateway runs another configuration (its hash differs); export it again with `rosrun "
+                "construction_twin export_gateway_config` and restart the gateway"
+            )
         if not self.run or self.fault_number is None:
-            return LinkEvent.MISMATCHED, Sentence("link.no_run")
+            return LinkEvent.MISMATCHED, Sentence(
+                "gateway names no run, or no fault_number, in its status; install the same version on both sides"
+            )
         if self.gateway in NO_SESSION or (self.gateway in ONLY_POSES and not mirrors):
-            return LinkEvent.CONTROLLER_LOST, Sentence("link.no_session", reason=self.gateway_reason)
+            return LinkEvent.CONTROLLER_LOST, Sentence(
+                "gateway has no RSI session to command: {reason}", reason=self.gateway_reason
+            )
         return None
 
     # -- arm and stream
@@ -283,13 +316,19 @@ class LinkObservations:
         """
         if self.at_rest(now):
             return ""
-        return self.why_no_pose(now) or Sentence("link.unrest")
+        return self.why_no_pose(now) or Sentence(
+            "the arm's pose is unknown or still changing; wait until it is at rest"
+        )
 
     def why_no_pose(self, now: int) -> str:
         """Return why the strings that come from the arm are not its pose; empty when they are, or when none come."""
         if not self._refusals or now - self._refused_at >= REFUSED_RECENTLY:
             return ""
-        return Sentence("link.pose_refused", count=self._refusals, reason=self._refusal)
+        return Sentence(
+            "the arm's pose is unknown, because its strings are refused ({count} of them): {reason}",
+            count=self._refusals,
+            reason=self._refusal,
+        )
 
     def stream_may_move(self, now: int) -> bool:
         """Return whether commands come that have not been the same for `REST`: they move, or it is not known yet.

@@ -15,7 +15,6 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.requests import LARGEST, Fraction, Id, Joints, Many, Number, Request, Text, read, shown
 
@@ -192,11 +191,18 @@ def _plain_points(said: PlainTrajectory, joints: Joints) -> tuple[TrajectoryPoin
 
 def _check_points(points: Sequence[TrajectoryPoint]) -> None:
     if len(points) < 2:
-        raise PayloadError("values", Sentence("link.payload.too_few", count=len(points)))
+        raise PayloadError(
+            "values",
+            f"{len(points)} points; expected at least two, the first where the twin is: a goal alone does "
+            "not say from where",
+        )
     for name in ("velocities", "accelerations"):
         given = [bool(getattr(point, name)) for point in points]
         if any(given) and not all(given):
-            raise PayloadError("values", Sentence("link.payload.some", index=given.index(False), what=name))
+            raise PayloadError(
+                "values",
+                f"point {given.index(False)} has no {name}, others have; expected them in every point or in none",
+            )
 
 
 def _is_timed(points: Sequence[TrajectoryPoint]) -> bool:
@@ -206,7 +212,10 @@ def _is_timed(points: Sequence[TrajectoryPoint]) -> bool:
 def _check_timed(points: Sequence[TrajectoryPoint]) -> None:
     """Refuse velocities of a motion without times: it is timed here, and they would be dropped."""
     if not _is_timed(points) and any(point.velocities or point.accelerations for point in points):
-        raise PayloadError("values", Sentence("link.payload.untimed"))
+        raise PayloadError(
+            "values",
+            "velocities or accelerations without times; expected time_from_start in the points, or neither of them",
+        )
 
 
 # -- compas_fab's form
@@ -215,7 +224,11 @@ def _check_timed(points: Sequence[TrajectoryPoint]) -> None:
 def _compas_points(data: CompasData, joints: Joints) -> tuple[tuple[TrajectoryPoint, ...], tuple[str, ...]]:
     """Return the points, and what was understood in a way that the sender should know."""
     if data.fraction not in (None, 1.0):
-        raise PayloadError("values", Sentence("link.payload.followed", fraction=data.fraction))
+        raise PayloadError(
+            "values",
+            f"fraction is {data.fraction:g}: compas_fab's planner followed only a part of what was asked "
+            "for; plan again, or cut the path there and say fraction 1",
+        )
     names = _compas_names(data)
     order = _order(names, joints)
     points = tuple(_compas_point(point, index, names, order, joints) for index, point in enumerate(data.points))
@@ -225,7 +238,7 @@ def _compas_points(data: CompasData, joints: Joints) -> tuple[tuple[TrajectoryPo
         # compas_fab cannot say "none": it fills in zeros
         if not any(any(getattr(point, name)) for point in points):
             if _is_timed(points) and getattr(points[0], name):
-                notes.append(Sentence("link.payload.zeros", what=name))
+                notes.append(f"all {name} are zero, which compas_fab writes where none are given: read as not given")
             none: dict[str, Any] = {name: ()}
             points = tuple(replace(point, **none) for point in points)
     _check_timed(points)
@@ -238,8 +251,10 @@ def _compas_names(data: CompasData) -> list[str]:
     for index, point in enumerate(data.points):
         names = names or point.joint_names
         if point.joint_names and point.joint_names != names:
-            found = {"found": shown(point.joint_names), "names": shown(names)}
-            raise PayloadError("joints", Sentence("link.payload.other_names", index=index, **found))
+            raise PayloadError(
+                "joints",
+                f"point {index} names its joints {shown(point.joint_names)}; expected {shown(names)}, as before",
+            )
     return names
 
 
@@ -248,17 +263,17 @@ def _compas_point(
 ) -> TrajectoryPoint:
     kinds = point.joint_types
     if len(kinds) != len(names):
-        found = Sentence("link.payload.types", index=index, found=len(kinds), count=len(names))
+        found = f"point {index} has {len(kinds)} joint_types for {len(names)} joints; expected as many"
         raise PayloadError("joints", found)
     for robots, place in enumerate(order):
         if _COMPAS_LINEAR.get(kinds[place]) is not joints.linear[robots]:
-            key = f"link.payload.{'prismatic' if joints.linear[robots] else 'revolute'}"
-            found = Sentence(key, index=index, found=shown(kinds[place]), joint=joints.names[robots])
-            raise PayloadError("joints", found)
+            expected = "2, prismatic [m]" if joints.linear[robots] else "0 or 1, revolute [rad]"
+            found = f"joint_types says {shown(kinds[place])} of {joints.names[robots]}; expected {expected}"
+            raise PayloadError("joints", f"point {index}: {found}")
     rows = (point.joint_values, point.velocities, point.accelerations, point.effort)
     q, dq, ddq, effort = (_values(row, index, order, (1.0,) * len(order)) for row in rows)
     if any(effort):
-        raise PayloadError("values", Sentence("link.payload.efforts", index=index))
+        raise PayloadError("values", f"point {index} has efforts; the arm takes positions only: leave them out, or 0")
     return TrajectoryPoint(q, dq, ddq, point.time_from_start.secs * NANOSECONDS + point.time_from_start.nsecs)
 
 
@@ -269,7 +284,7 @@ def _request(envelope: Envelope, points: tuple[TrajectoryPoint, ...], notes: tup
     """Return the request; a scale of a motion that brings its times would have no effect, and is refused."""
     for key in _SCALES:
         if getattr(envelope, key) and _is_timed(points):
-            raise PayloadError("values", Sentence("link.payload.scale", key=key))
+            raise PayloadError("values", f"{key} is for a motion without times; leave it out, or time_from_start")
     said = {name: getattr(envelope, name) for name in Envelope.model_fields}
     return TrajectoryRequest(points=points, notes=notes, **said)
 
@@ -277,7 +292,7 @@ def _request(envelope: Envelope, points: tuple[TrajectoryPoint, ...], notes: tup
 def _order(names: list[str], joints: Joints) -> list[int]:
     """Return for each joint of the robot where it stands among `names`."""
     if sorted(names) != sorted(joints.names):
-        found = Sentence("link.payload.names", found=shown(names), joints=", ".join(joints.names))
+        found = f"joint_names are {shown(names)}; expected each of {', '.join(joints.names)} once, in any order"
         raise PayloadError("joints", found)
     return [names.index(name) for name in joints.names]
 
@@ -285,5 +300,5 @@ def _order(names: list[str], joints: Joints) -> list[int]:
 def _values(values: Sequence[float], index: int, order: Sequence[int], scales: Sequence[float]) -> Values:
     """Return a row in the robot's order and in SI; empty stays empty."""
     if values and len(values) != len(order):
-        raise PayloadError("values", Sentence("link.payload.row", index=index, found=len(values), count=len(order)))
+        raise PayloadError("values", f"point {index}: {len(values)} values; expected {len(order)}, one for each joint")
     return tuple(values[index] * scale for index, scale in zip(order, scales)) if values else ()

@@ -17,7 +17,6 @@ from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, Pl
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import Moment, parse_moment
-from construction_twin.core.sentences import Sentence
 from construction_twin.mqtt.messages import demand_live, parse_object
 
 #: Longest id, name and other short text.
@@ -49,7 +48,7 @@ def _not_blank(text: str) -> str:
 def _unit_length(values: tuple[float, ...]) -> tuple[float, ...]:
     norm = math.hypot(*values)
     if abs(norm - 1.0) > _UNIT:
-        raise PayloadError("values", Sentence("link.payload.orientation", found=shown(list(values))))
+        raise PayloadError("values", f"orientation is {shown(list(values))}; expected x y z w of length 1")
     return tuple(value / norm for value in values)
 
 
@@ -110,9 +109,9 @@ def read_document(payload: bytes, retained: bool, what: str, limit: int, paramet
     """
     demand_live(retained, what)
     if len(payload) > limit:
-        refusal = Sentence("link.payload.size", what=what, bytes=len(payload), limit=limit)
+        refusal = f"{what} of {len(payload)} bytes; at most {limit} are read"
         if parameter:
-            refusal = Sentence("link.payload.size_here", refusal=refusal, parameter=parameter)
+            refusal = f"{refusal} ({parameter}); use fewer points"
         raise PayloadError("size", refusal)
     return parse_object(payload, "format", limit)
 
@@ -129,24 +128,20 @@ def refusal(error: pydantic.ValidationError, what: str) -> PayloadError:
     """Return the first thing that is wrong with a message: what, where, which value, and what was expected."""
     first = error.errors(include_url=False, include_context=False)[0]
     place = ".".join(map(str, first["loc"])) or what
-    names = {
-        "what": what,
-        "place": shown(place),
-        "found": "nothing" if first["type"] == "missing" else shown(first["input"]),
-    }
+    found = "nothing" if first["type"] == "missing" else shown(first["input"])
     expected = repr(first["msg"])[1:-1][:200]
     reason = "values" if first["type"] in _OF_NUMBERS else "format"
-    return PayloadError(reason, Sentence("link.payload.field", **names, expected=expected))
+    return PayloadError(reason, f"field {shown(place)} of a {what} message holds {found}: {expected}")
 
 
 def shown(value: object) -> str:
     """Return what was found, short enough for a sentence; of what is nested only the kind."""
     if isinstance(value, dict) and (len(value) > 8 or any(isinstance(item, (dict, list)) for item in value.values())):
-        return Sentence("link.payload.an_object", count=len(value))
+        return f"an object of {len(value)}"
     if isinstance(value, list) and any(isinstance(item, (dict, list)) for item in value):
-        return Sentence("link.payload.a_list", count=len(value))
+        return f"a list of {len(value)}"
     if isinstance(value, int) and abs(value) > LARGEST:
-        return Sentence("link.payload.a_number", bits=value.bit_length())
+        return f"a whole number of {value.bit_length()} bits"
     words = repr(value[:8] if isinstance(value, list) else value)
     return words if len(words) <= 96 else words[:93] + "..."
 
@@ -163,7 +158,7 @@ class Joints:
         if set(values) != set(self.names):
             names = ", ".join(self.names)
             raise PayloadError(
-                "joints", Sentence("link.payload.joints", key=key, found=shown(sorted(values)), joints=names)
+                "joints", f"{key} names {shown(sorted(values))}; expected an object with each of {names} once"
             )
         return tuple(values[name] for name in self.names)
 
@@ -383,7 +378,7 @@ def read_goal(document: Mapping[str, Any], joints: Joints) -> GoalRequest:
     """Return the request for a plan in a document of `read_document`, or raise PayloadError."""
     kind = document.get("kind")
     if not isinstance(kind, str) or kind not in GOALS:
-        raise PayloadError("format", Sentence("link.payload.kind", found=shown(kind), known=", ".join(GOALS)))
+        raise PayloadError("format", f"kind is {shown(kind)}; expected one of {', '.join(GOALS)}")
     fields: dict[str, Any] = dict(read(GOALS[kind], document, f"plan_request {kind}"))
     if "joints" in fields:
         fields["joints"] = joints.in_order(fields["joints"], "joints")

@@ -91,7 +91,12 @@ def write_people(path: Path, people: SpeedChange) -> str:
     except OSError as error:
         with contextlib.suppress(OSError):
             path.unlink()
-        return Sentence("link.speed.not_written", path=str(path), problem=error.strerror or str(error))
+        return Sentence(
+            "the speed limit of people would not outlast this node: {path} was not written ({problem}); "
+            "mend it, until then it only falls, and after a restart it is the least",
+            path=str(path),
+            problem=error.strerror or str(error),
+        )
     return ""
 
 
@@ -111,13 +116,19 @@ class SpeedLimits:
         """Take the limit that a person sets; return the sentence of the answer. Arguments and errors are of `asked`."""
         before, self.people = self.people, self.asked(limit, person, moment, now, at)
         if self.people is before:
-            return Sentence("link.speed.same", percent=100 * limit)
+            return Sentence("the speed limit of people is {percent:.0f}% already", percent=100 * limit)
         self.problem = ""
         if limit <= before.limit:
             self._lowered = replace(now, at=now.at + SHOWN_AFTER)
-        whose = before.person or Sentence("link.speed.nobody")
-        key = "link.speed.raised" if limit > before.limit else "link.speed.lowered"
-        return Sentence(key, percent=100 * limit, before=100 * before.limit, whose=whose)
+        whose = before.person or Sentence("nobody")
+        return Sentence(
+            "the speed limit of people is raised to {percent:.0f}%; before it was {before:.0f}% ({whose})"
+            if limit > before.limit
+            else "the speed limit of people is lowered to {percent:.0f}%; before it was {before:.0f}% ({whose})",
+            percent=100 * limit,
+            before=100 * before.limit,
+            whose=whose,
+        )
 
     def asked(self, limit: float, person: str, moment: str, now: Moment, at: int) -> SpeedChange:
         """Return what `set` would make the limit of people at the ROS time `at` [ns].
@@ -129,26 +140,44 @@ class SpeedLimits:
             ExpiredError: What the screen had shown is too old to raise it, or was lowered since.
         """
         if not LEAST_SPEED <= limit <= 1.0:
-            raise PayloadError("values", Sentence("link.payload.speed_limit", found=limit, least=LEAST_SPEED))
+            raise PayloadError(
+                "values", f"limit is {limit:g}; expected a fraction of the planned speed, {LEAST_SPEED:g} to 1"
+            )
         if not person.strip():
-            raise PayloadError("person", Sentence("link.speed.nameless"))
+            raise PayloadError("person", Sentence("a speed limit of people needs the name of who sets it"))
         before = self.people
         if limit == before.limit and not self.problem:
             return before
         if not moment and limit > before.limit:
             raise PayloadError(
-                "direction", Sentence("link.speed.would_raise", percent=100 * limit, before=100 * before.limit)
+                "direction",
+                Sentence(
+                    "{percent:.0f}% would raise the speed limit of people, which is {before:.0f}%; on "
+                    "lower_speed it is only lowered",
+                    percent=100 * limit,
+                    before=100 * before.limit,
+                ),
             )
         if moment and limit < before.limit:
             raise PayloadError(
-                "direction", Sentence("link.speed.would_lower", percent=100 * limit, before=100 * before.limit)
+                "direction",
+                Sentence(
+                    "{percent:.0f}% would lower the speed limit of people, which is {before:.0f}%; on "
+                    "raise_speed it is only raised",
+                    percent=100 * limit,
+                    before=100 * before.limit,
+                ),
             )
         if moment:
             seen = parse_moment(moment)
             if problem := staleness(seen, now):
-                raise ExpiredError(Sentence("executor.void.speed", problem=problem))
+                raise ExpiredError(Sentence("the raise of the speed limit is {problem}", problem=problem))
             if not is_newer(seen, self._lowered):
-                raise ExpiredError(Sentence("executor.void.speed_since"))
+                raise ExpiredError(
+                    Sentence(
+                        "the raise of the speed limit is void: it was lowered since; look again, and then ask anew"
+                    )
+                )
         return SpeedChange(person, limit, before.limit, before.person, at)
 
     def report(self, now: int) -> SpeedReport | None:
@@ -159,12 +188,19 @@ class SpeedLimits:
             return None
         limit = min(allowed, people.limit)
         by = "" if limit == 1.0 else "people" if people.limit <= allowed else "program"
-        reason: str = Sentence("link.speed.people", percent=100 * people.limit, person=people.person)
+        reason: str = Sentence(
+            "{person} has limited the speed to {percent:.0f}%", percent=100 * people.limit, person=people.person
+        )
         if by != "people":
             # nobody was heard, and one is required: what the executor does of itself holds beside a person's limit, too
             asks = program.state is not LimitState.UNLIMITED
-            reason = program.reason if asks else Sentence("link.speed.free")
+            reason = program.reason if asks else Sentence("nobody limits the speed")
         elif self.problem:
-            reason = Sentence("link.speed.unreadable", percent=100 * people.limit, problem=self.problem)
+            reason = Sentence(
+                "speed limit {percent:.0f}%: what people had set could not be read ({problem}); whoever may "
+                "must set it anew",
+                percent=100 * people.limit,
+                problem=self.problem,
+            )
         set_by_people = people.limit, people.person, people.stamp, people.before, people.whose
         return SpeedReport(limit, by, reason, *set_by_people, program=allowed, program_name=program.name)

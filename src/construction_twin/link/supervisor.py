@@ -23,7 +23,7 @@ from construction_twin.mqtt.messages import RSI, Control, arm_value, reset_value
 RETRY = NANOSECONDS // 2
 
 #: How a sentence ends after which only a person leads on.
-_CALL_RESET = Sentence("link.call_reset", reason="").removeprefix("; ")
+_CALL_RESET = "call reset"
 _NO_ARM = (LinkState.DISCONNECTED, LinkState.GATEWAY_OFFLINE, LinkState.NO_CONTROLLER, LinkState.MISMATCH)
 
 
@@ -99,7 +99,7 @@ class LinkSupervisor:
         self.machine = Machine(
             self._rows,
             LinkState.DISCONNECTED,
-            Sentence("link.no_broker_yet"),
+            Sentence("not connected to the broker yet"),
             conditions(self._guards()),
             self._actions(),
         )
@@ -125,7 +125,7 @@ class LinkSupervisor:
     @property
     def sentence(self) -> Sentence:
         """State and reason, as the rest of a refusal."""
-        return Sentence("link.in_state", state=self.state.name, reason=self.reason)
+        return Sentence("{state}, {reason}", state=self.state.name, reason=self.reason)
 
     @property
     def status(self) -> dict:
@@ -141,8 +141,10 @@ class LinkSupervisor:
         if not self.sends_control:
             return ""
         stop = self.inputs.stop_told
-        told = Sentence("link.stopped_before_bridge", reason=stop) if stop else ""
-        return self._halted or (told and Sentence("link.call_reset", reason=told)) or self._under_way
+        told = (
+            Sentence("gateway was stopped before this bridge was started again ({reason})", reason=stop) if stop else ""
+        )
+        return self._halted or (told and Sentence("{reason}; call reset", reason=told)) or self._under_way
 
     # -- what comes in
 
@@ -168,7 +170,9 @@ class LinkSupervisor:
         verb, self._unanswered = self._pending.verb, False
         if not answer.get("ok"):
             # stays pending: asked again after the usual pause, not with every poll
-            self.machine.reason = Sentence("link.gateway_refused", verb=verb, reason=str(answer.get("reason")))
+            self.machine.reason = Sentence(
+                "gateway refused {verb}: {reason}", verb=verb, reason=str(answer.get("reason"))
+            )
             self._arm_refused = verb == "arm"
             return
         self._pending = None
@@ -186,12 +190,17 @@ class LinkSupervisor:
             ReviewError: When the arm leads, the gateway's program has failed, the arm's pose is not known, or it moves.
         """
         if self.mirrors:
-            raise ReviewError(Sentence("link.cannot.reset", why=Sentence("link.mirror.reset")))
+            raise ReviewError(
+                Sentence(
+                    "cannot reset: {why}",
+                    why=Sentence("the arm leads (mirror mode); call mirror with false, which ends in the same"),
+                )
+            )
         if self.state in _NO_ARM or self.inputs.gateway_failed:
-            raise ReviewError(Sentence("link.cannot.reset", why=self.reason))
+            raise ReviewError(Sentence("cannot reset: {why}", why=self.reason))
         unrest = self.inputs.why_not_at_rest(now)
         if unrest:
-            raise ReviewError(Sentence("link.cannot.reset", why=unrest))
+            raise ReviewError(Sentence("cannot reset: {why}", why=unrest))
         self._want_session()
 
     def request_arm(self, now: int, person: str = "") -> None:
@@ -203,8 +212,8 @@ class LinkSupervisor:
             ReviewError: Always; it says what stands against it.
         """
         if self.state is not LinkState.NEEDS_RESET:
-            raise ReviewError(Sentence("link.nothing_to_arm", why=self.sentence))
-        raise ReviewError(Sentence("link.cannot.arm", why=self.reason))
+            raise ReviewError(Sentence("nothing to arm: {why}", why=self.sentence))
+        raise ReviewError(Sentence("cannot arm: {why}", why=self.reason))
 
     def _want_session(self) -> None:
         self._reset_wanted, self._shown = True, self.known_stop
@@ -227,7 +236,7 @@ class LinkSupervisor:
         # what it waits for a person for already is the better reason
         if self._halted is None:
             if not reason.endswith(_CALL_RESET):
-                reason = Sentence("link.call_reset", reason=reason)
+                reason = Sentence("{reason}; call reset", reason=reason)
             self.take(LinkEvent.WITHDRAWN, 0, reason)
 
     def begin_mirror(self, now: int) -> str:
@@ -237,11 +246,19 @@ class LinkSupervisor:
             ReviewError: When there is no arm to follow, or arm or command stream move.
         """
         if self.mirrors:
-            return Sentence("link.mirror.already")
+            return Sentence("the arm leads already")
         if why := self._why_no_mirror(now):
-            raise ReviewError(Sentence("link.cannot.mirror", why=why))
+            raise ReviewError(Sentence("cannot mirror: {why}", why=why))
         if self.inputs.stream_may_move(now):
-            raise ReviewError(Sentence("link.cannot.mirror", why=Sentence("link.mirror.stream_moves")))
+            raise ReviewError(
+                Sentence(
+                    "cannot mirror: {why}",
+                    why=Sentence(
+                        "the command stream still moves, or has just begun; stop or pause the plan and wait until it "
+                        "is at rest"
+                    ),
+                )
+            )
         self.mirrors, self._ended_session = True, self.session
         self.take(LinkEvent.MIRROR_ASKED, now)
         return self.reason
@@ -253,19 +270,22 @@ class LinkSupervisor:
             ReviewError: When the arm does not lead, its pose is not known, it moves, or the gateway's program has failed.
         """
         if not self.mirrors:
-            raise ReviewError(Sentence("link.mirror.not_on", why=self.sentence))
+            raise ReviewError(Sentence("the arm does not lead: {why}", why=self.sentence))
         if self.inputs.gateway_failed:
-            raise ReviewError(self._with_remedy(Sentence("link.mirror.stays", reason=self.reason)))
+            raise ReviewError(self._with_remedy(Sentence("mirror mode stays on: {reason}", reason=self.reason)))
         if why := self._why_no_mirror(now):
-            raise ReviewError(Sentence("link.cannot.leave_mirror", why=why))
+            raise ReviewError(Sentence("cannot leave mirror mode: {why}", why=why))
         self.mirrors = False
         return self._after_mirror()
 
     def _after_mirror(self) -> str:
         if self.inputs.reads_only:
-            return Sentence("link.mirror.ended_read_only")
+            return Sentence(
+                "mirror mode has ended; the gateway is read-only, so nothing can be commanded: give the "
+                "controller an Ethernet XML with ONLYSEND FALSE"
+            )
         self._want_session()
-        return Sentence("link.mirror.ended")
+        return Sentence("mirror mode has ended; twin and gateway start over from the arm's pose")
 
     def _why_no_mirror(self, now: int) -> str:
         # a gateway that only reads is enough
@@ -356,8 +376,10 @@ class LinkSupervisor:
             Action.NOTE_WITHDRAWAL_IN_MIRROR: self._note_withdrawal_in_mirror,
             Action.BEGIN_MIRROR: self._begin_mirror,
             Action.BEGIN_ASKED_SESSION: self._begin_asked_session,
-            Action.BEGIN_FIRST_SESSION: lambda row, at: self._begin_session(Sentence("link.session.first")),
-            Action.BEGIN_NEXT_SESSION: lambda row, at: self._begin_session(Sentence("link.session.next")),
+            Action.BEGIN_FIRST_SESSION: lambda row, at: self._begin_session(Sentence("first session")),
+            Action.BEGIN_NEXT_SESSION: lambda row, at: self._begin_session(
+                Sentence("the link is back and the poses agree within the start tolerance")
+            ),
             Action.BEGIN_SESSION_AFTER_REFUSAL: self._begin_session_after_refusal,
             Action.NOTE_ARMED: self._note_armed,
             Action.TELL_MIRROR: lambda row, at: self._mirror_sentence,
@@ -365,10 +387,14 @@ class LinkSupervisor:
             Action.TELL_STOP: self._tell_stop,
             Action.VOID_REQUEST: self._void_request,
             Action.TELL_FORMER_STOP: lambda row, at: self._with_remedy(
-                Sentence("link.stopped_before", reason=self.inputs.stopped_before, state=self.inputs.gateway)
+                Sentence(
+                    "gateway was stopped before it was started again ({reason}), and is {state}",
+                    reason=self.inputs.stopped_before,
+                    state=self.inputs.gateway,
+                )
             ),
             Action.TELL_HALT: self._tell_halt,
-            Action.TELL_RESET: lambda row, at: Sentence("link.call_reset", reason=self._gateway_sentence),
+            Action.TELL_RESET: lambda row, at: Sentence("{reason}; call reset", reason=self._gateway_sentence),
             Action.SEND_RESET: lambda row, at: self._send_reset(self.session, at.now),
             Action.SEND_STOP: lambda row, at: self._send("stop", self._withdrawn_session, at.now),
             Action.SEND_ARM: self._send_arm,
@@ -405,10 +431,12 @@ class LinkSupervisor:
         self._pending, self._asked_for = None, False
         run, _ = self._shown
         if run != self.inputs.run:
-            self._halted = Sentence("link.call_reset", reason=Sentence("link.restarted_since"))
+            self._halted = Sentence("{reason}; call reset", reason=Sentence("gateway was started again since the call"))
         else:
             number, reason = str(self.inputs.fault_number), self.inputs.gateway_reason
-            self._halted = self._with_remedy(Sentence("link.stopped_since", number=number, reason=reason))
+            self._halted = self._with_remedy(
+                Sentence("gateway was stopped since the call (stop {number}): {reason}", number=number, reason=reason)
+            )
         return self._halted
 
     def _begin_mirror(self, row: Row, at: Occasion) -> str:
@@ -420,11 +448,11 @@ class LinkSupervisor:
 
     @property
     def _mirror_sentence(self) -> Sentence:
-        leads = Sentence("link.mirror.leads")
+        leads = Sentence("the arm leads, the twin follows; nothing is commanded")
         if self.inputs.reads_only:
-            return Sentence("link.mirror.leads_read_only", leads=leads)
+            return Sentence("{leads}; the gateway is read-only", leads=leads)
         if self.inputs.fault:
-            return Sentence("link.mirror.leads_stopped", leads=leads, state=self.inputs.gateway)
+            return Sentence("{leads}; the gateway was stopped and is {state}", leads=leads, state=self.inputs.gateway)
         return leads
 
     def _begin_session(self, reason: str) -> str:
@@ -438,32 +466,47 @@ class LinkSupervisor:
         self._reset_wanted = False
         self._begin_session("")
         self._asked_for = True
-        self._under_way = Sentence("link.call_reset", reason=Sentence("link.reset_under_way"))
-        return Sentence("link.session.asked")
+        self._under_way = Sentence(
+            "{reason}; call reset", reason=Sentence("the bridge was started again while a reset was under way")
+        )
+        return Sentence("reset asked for")
 
     def _begin_session_after_refusal(self, row: Row, at: Occasion) -> str:
         # a session that was armed and whose answer was lost cannot be armed again
         asked_for = self._asked_for
         self._begin_session("")
         self._asked_for = asked_for
-        return Sentence("link.session.another", reason=self.reason)
+        return Sentence("another session, because {reason}", reason=self.reason)
 
     def _note_armed(self, row: Row, at: Occasion) -> str:
         self._was_armed, self._under_way = True, ""
         self.inputs.forget_stop()
         # in commissioning mode the link is armed, and yet the arm stands still
-        key = "commissioning" if self.status.get("mode") == "commissioning" else "armed"
-        return Sentence(f"link.session.{key}", session=self.session)
+        return Sentence(
+            "session {session}; gateway is in commissioning mode"
+            if self.status.get("mode") == "commissioning"
+            else "session {session}",
+            session=self.session,
+        )
 
     @property
     def _gateway_sentence(self) -> Sentence:
-        sentence = Sentence("gateway.in_state", state=self.inputs.gateway, reason=self.inputs.gateway_reason)
+        sentence = Sentence(
+            "gateway is {state}: {reason}", state=self.inputs.gateway, reason=self.inputs.gateway_reason
+        )
         return self._with_remedy(sentence) if self.inputs.gateway_failed else sentence
 
     def _tell_stop(self, row: Row, at: Occasion) -> str:
         known = self.inputs
         number, state, reason = str(known.fault_number), known.gateway, known.gateway_reason
-        return self._with_remedy(Sentence("link.stopped", number=number, state=state, reason=reason))
+        return self._with_remedy(
+            Sentence(
+                "gateway was stopped (stop {number}) and is {state}: {reason}",
+                number=number,
+                state=state,
+                reason=reason,
+            )
+        )
 
     def _tell_halt(self, row: Row, at: Occasion) -> str:
         # what the gateway still knows it tells better than the process before this one
@@ -471,7 +514,10 @@ class LinkSupervisor:
 
     def _with_remedy(self, reason: str) -> Sentence:
         # a gateway whose program has failed takes no control message any more
-        return Sentence("link.restart_gateway" if self.inputs.gateway_failed else "link.call_reset", reason=reason)
+        return Sentence(
+            "{reason}; restart rsi_gateway, then call reset" if self.inputs.gateway_failed else "{reason}; call reset",
+            reason=reason,
+        )
 
     def _send_arm(self, row: Row, at: Occasion) -> str:
         return self._send("arm", self.session, at.now, arm_value(self._hash, self.status["run"]))

@@ -28,7 +28,7 @@ class ToolLink:
         self._switches: OrderedDict[str, SwitchReport] = OrderedDict()
         self._by_control: OrderedDict[str, str] = OrderedDict()
         self._run = self._session = ""
-        self._status = ToolReport(reason=Sentence("link.tool.no_status"))
+        self._status = ToolReport(reason=Sentence("no status of the gateway yet"))
         self._refused = ""
         #: Switches for which a gate that closed has sent `void`.
         self._voided: frozenset[str] = frozenset()
@@ -44,10 +44,10 @@ class ToolLink:
             obstacle: Why nothing can be sent now; "" for nothing.
         """
         if id in self._switches or id in self._by_control.values():
-            self._refused = Sentence("gateway.tool.again", id=repr(id))
+            self._refused = Sentence("tool: switch {id} was asked for before", id=repr(id))
             return None
         if obstacle:
-            self._report(id, SwitchState.REFUSED, Sentence("gateway.tool.refused", why=obstacle))
+            self._report(id, SwitchState.REFUSED, Sentence("tool: {why}", why=obstacle))
             return None
         control = Control(
             self._new_id(), session, "switch", {"id": id, "output": output, "value": value, "stamp": stamp}
@@ -92,7 +92,7 @@ class ToolLink:
         run = str(status.get("run", ""))
         if run and run != self._run:
             if self._run:
-                self._lose(Sentence("link.tool.restarted"))
+                self._lose(Sentence("the gateway was started again: whether it fired is not known"))
             self._run = run
         session = status.get("session")
         if isinstance(session, str) and session and session != self._session:

@@ -62,9 +62,14 @@ class Verdict:
     def answer(self) -> Sentence:
         """What its reviewer is told, once it was carried out."""
         if self.plan is None or not self.approved:
-            return Sentence("review.rejected", plan=self.plan_id, reviewer=self.reviewer)
+            return Sentence("plan {plan} rejected by {reviewer}", plan=self.plan_id, reviewer=self.reviewer)
         seconds = self.plan.trajectory.duration
-        return Sentence("review.approved", plan=self.plan_id, seconds=seconds, reviewer=self.reviewer)
+        return Sentence(
+            "plan {plan} approved by {reviewer}; it takes {seconds:.3f} s",
+            plan=self.plan_id,
+            seconds=seconds,
+            reviewer=self.reviewer,
+        )
 
 
 @dataclass(frozen=True)
@@ -79,7 +84,9 @@ class Ending:
 def prove_hash(plan: Plan) -> None:
     """Raise ReviewError when a plan's trajectory is not what its hash says. Too slow for the cycle's lock."""
     if content_hash(plan.trajectory, plan.task, plan.segments) != plan.hash:
-        raise ReviewError(Sentence("review.hash", plan=plan.id, hash=plan.hash))
+        raise ReviewError(
+            Sentence("plan {plan} is no longer what its hash {hash} says; plan again", plan=plan.id, hash=plan.hash)
+        )
 
 
 def _check_rests(plan: Plan) -> None:
@@ -87,11 +94,25 @@ def _check_rests(plan: Plan) -> None:
     trajectory = plan.trajectory
     for segment in plan.segments:
         row = int(trajectory.times.searchsorted(segment.end))
-        where = {"plan": plan.id, "segment": repr(segment.name), "time": str(segment.end)}
         if row == len(trajectory.times) or trajectory.times[row] != segment.end:
-            raise ReviewError(Sentence("review.no_waypoint", **where))
+            raise ReviewError(
+                Sentence(
+                    "plan {plan} does not rest at the end of segment {segment}, {time} s, where it has no "
+                    "waypoint; plan again",
+                    plan=plan.id,
+                    segment=repr(segment.name),
+                    time=str(segment.end),
+                )
+            )
         if trajectory.velocities[row].any() or trajectory.accelerations[row].any():
-            raise ReviewError(Sentence("review.no_rest", **where))
+            raise ReviewError(
+                Sentence(
+                    "plan {plan} does not rest at the end of segment {segment}, {time} s; plan again",
+                    plan=plan.id,
+                    segment=repr(segment.name),
+                    time=str(segment.end),
+                )
+            )
 
 
 class PlanUnderReview:
@@ -120,12 +141,17 @@ class PlanUnderReview:
         """
         trajectory = plan.trajectory
         if any(rows[end].any() for rows in (trajectory.velocities, trajectory.accelerations) for end in (0, -1)):
-            raise ReviewError(Sentence("review.moves", plan=plan.id))
+            raise ReviewError(Sentence("plan {plan} does not start and end at rest; plan again", plan=plan.id))
         _check_rests(plan)
         if plan.id in self._decided or (self.plan is not None and self.plan.id == plan.id):
             return None
         if plan.asked.at < self._void_before:
-            raise ReviewError(Sentence("review.void", plan=plan.id))
+            raise ReviewError(
+                Sentence(
+                    "plan {plan} was asked for before the last stop, pause or reset and is void; plan again",
+                    plan=plan.id,
+                )
+            )
         replaced = self.clear()
         self.plan = plan
         return replaced
@@ -167,27 +193,57 @@ class PlanUnderReview:
     def check(self, plan_id: str, plan_hash: str, reviewer: str) -> Plan:
         """Return the named plan; raise ReviewError when a verdict on it by this reviewer cannot be taken."""
         if not reviewer.strip():
-            raise ReviewError(Sentence("review.nameless"))
+            raise ReviewError(Sentence("a verdict needs the reviewer's name"))
         if plan_id in self._decided:
-            raise ReviewError(Sentence("review.decided", plan=plan_id))
+            raise ReviewError(
+                Sentence(
+                    "plan {plan} was decided already or withdrawn; an approval covers one execution, plan again",
+                    plan=plan_id,
+                )
+            )
         if self.plan is None:
-            raise ReviewError(Sentence("review.gone", plan=plan_id))
+            raise ReviewError(Sentence("plan {plan} is not under review; no plan is", plan=plan_id))
         if self.plan.id != plan_id:
-            raise ReviewError(Sentence("review.another", plan=plan_id, present=self.plan.id))
+            raise ReviewError(
+                Sentence("plan {plan} is not under review; plan {present} is", plan=plan_id, present=self.plan.id)
+            )
         if plan_hash and plan_hash != self.plan.hash:
-            raise ReviewError(Sentence("review.other_hash", plan=plan_id, hash=self.plan.hash, seen=plan_hash))
+            raise ReviewError(
+                Sentence(
+                    "plan {plan} has hash {hash}, not {seen}; look at it again",
+                    plan=plan_id,
+                    hash=self.plan.hash,
+                    seen=plan_hash,
+                )
+            )
         return self.plan
 
     def check_scene(self) -> None:
         """Raise ReviewError when the plan under review must not be executed: no scene is known, or it was made for another."""
         plan = self.plan
         if plan is None:
-            raise ReviewError(Sentence("review.nothing"))
+            raise ReviewError(Sentence("no plan is under review"))
         if not self.scene:
-            raise ReviewError(Sentence("review.no_scene", plan=plan.id))
+            raise ReviewError(
+                Sentence(
+                    "plan {plan} cannot be approved: no scene is known yet; check that the scene node runs",
+                    plan=plan.id,
+                )
+            )
         if not self.scene_alive:
-            raise ReviewError(Sentence("review.scene_silent", plan=plan.id))
+            raise ReviewError(
+                Sentence(
+                    "plan {plan} cannot be approved: the scene is not published any more; check that the scene "
+                    "node runs",
+                    plan=plan.id,
+                )
+            )
         if plan.scene != self.scene:
             raise ReviewError(
-                Sentence("review.other_scene", plan=plan.id, scene=plan.scene[:12], present=self.scene[:12])
+                Sentence(
+                    "plan {plan} was made for scene {scene}, the present one is {present}; plan again",
+                    plan=plan.id,
+                    scene=plan.scene[:12],
+                    present=self.scene[:12],
+                )
             )

@@ -10,7 +10,6 @@ from pathlib import Path
 from construction_twin.core.append_only import AppendOnlyFile, read_lines
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RecordError
 from construction_twin.core.reports import SessionRequest, SpeedChange
-from construction_twin.core.sentences import Sentence
 from construction_twin.review.plan_under_review import APPROVED, Ending, Rehearsed, Verdict
 from construction_twin.robot.plan import Plan
 
@@ -92,7 +91,9 @@ class ReviewLog:
 
     def __init__(self, path: str | Path, clock: Callable[[], int]):
         if not str(path).strip():
-            raise ConfigurationError("review file", str(path), Sentence("expected.record.path"))
+            raise ConfigurationError(
+                "review file", str(path), "the path of a file: nothing is approved without a record"
+            )
         self._clock = clock
         self.responsibility: Responsibility | None = None
         self.file = AppendOnlyFile(path, RecordError, "executor")

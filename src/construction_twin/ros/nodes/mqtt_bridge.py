@@ -19,7 +19,7 @@ from construction_twin.core.reports import SessionRequest
 from construction_twin.core.sentences import Sentence, both
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.gateway.config import GatewayConfig
-from construction_twin.link.bridge import Asked, Bridge, JointStrings
+from construction_twin.link.bridge import PLC_HALTED, Asked, Bridge, JointStrings
 from construction_twin.link.gateway_status import parse_presence, parse_status
 from construction_twin.link.states import LinkState
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
@@ -200,7 +200,9 @@ class MqttBridge:
             switch = message.plan_id, message.id, message.output, bool(message.value), message.stamp.to_nsec()
             self._decide(self._bridge.switch, *switch)
         else:
-            self._diagnostics.refuse("tool_command", Sentence("link.tool.verb", verb=message.verb))
+            self._diagnostics.refuse(
+                "tool_command", Sentence("tool_command with verb {verb}; expected ARM or VOID", verb=message.verb)
+            )
         self._publish_tool()
 
     def on_execution(self, message: Execution) -> None:
@@ -294,12 +296,24 @@ class MqttBridge:
         with self._lock:
             stop = self._bridge.halt()
         if stop is None:
-            return Outcome(True, Sentence("link.halt.plc"))
+            return Outcome(True, PLC_HALTED)
         if not self._side_effects.run("the stop for the gateway", self._send, stop):
-            return Outcome(False, Sentence("link.halt.unsent"))
+            return Outcome(
+                False,
+                Sentence(
+                    "the stop could not be sent to the gateway, which brakes by itself, because no more commands "
+                    "come; the cause is on /diagnostics; call reset to go on"
+                ),
+            )
         if not self._client.is_connected():
-            return Outcome(False, Sentence("link.halt.no_broker"))
-        return Outcome(True, Sentence("link.halt.sent"))
+            return Outcome(
+                False,
+                Sentence(
+                    "no connection to the broker: the gateway brakes by itself, because no more commands come; "
+                    "call reset to go on"
+                ),
+            )
+        return Outcome(True, Sentence("stop sent to the gateway, plan dropped; call reset to go on"))
 
     def on_mirror(self, request) -> str:
         """Begin or end mirror mode."""
