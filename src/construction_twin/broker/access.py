@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from string import Template
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import REQUESTS, STOP
 
@@ -67,23 +66,27 @@ class Site:
         ):
             for name in names:
                 if not pattern.fullmatch(name):
-                    raise ConfigurationError(option, name, Sentence("expected.site.names"))
+                    raise ConfigurationError(option, name, "letters, digits, - and _ (hosts: . and : too)")
         for option, names in (("--host", self.hosts), ("--robot", self.robots)):
             if not names:
-                raise ConfigurationError(option, "", Sentence("expected.at_least_one"))
+                raise ConfigurationError(option, "", "at least one")
         if not 0 < self.port < 65535:
-            raise ConfigurationError("--port", self.port, Sentence("expected.site.port"))
+            raise ConfigurationError("--port", self.port, "1 to 65534; client certificates use the one above it")
         if not self.folder or re.search(r"\s", self.folder):
-            raise ConfigurationError("--broker-folder", self.folder, Sentence("expected.site.folder"))
+            raise ConfigurationError(
+                "--broker-folder", self.folder, "a path without spaces: mosquitto.conf cannot hold them"
+            )
         for words in self.persons:
             name, rights, robots = read_person(words)
             for found, known in ((rights, RIGHTS), (robots, self.robots)):
                 if unknown := sorted({*found} - {*known}):
-                    expected = Sentence("expected.one_of", known=", ".join(known))
+                    expected = f"one of {', '.join(known)}"
                     raise ConfigurationError(f"--person {name}", unknown[0], expected)
             # what a robot's program is called, or may be called: no two accounts have one name
             if name in _RESERVED or name.startswith(tuple(f"{robot}-" for robot in self.robots)):
-                raise ConfigurationError("--person", name, Sentence("expected.site.person_name"))
+                raise ConfigurationError(
+                    "--person", name, "a name that is none of a program's, and does not begin as a robot's accounts do"
+                )
 
     def programs(self, robot: str) -> dict[str, str]:
         """Return the accounts of a robot's programs, and which program each is of."""
@@ -110,7 +113,9 @@ def read_person(words: str) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
     """Return name, rights and robots of what `Site.persons` holds; no robot: every one."""
     found = _PERSON.fullmatch(str(words))
     if found is None:
-        raise ConfigurationError("--person", words, Sentence("expected.site.person"))
+        raise ConfigurationError(
+            "--person", words, "NAME:RIGHTS, or NAME:RIGHTS@ROBOTS, as ada:operate,approve@kr120_1,kr120_2"
+        )
     name, rights, robots = found.groups()
     return name, tuple(rights.split(",")), tuple(robots.split(",")) if robots else ()
 

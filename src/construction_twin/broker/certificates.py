@@ -17,7 +17,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.core.sentences import Sentence
 
 #: Lifetime of a CA [days].
 CA_DAYS = 3650
@@ -39,7 +38,10 @@ class Authority:
     def __init__(self, folder: Path, hosts: Iterable[str]):
         self.certificate, self._key = folder / "ca.crt", folder / "ca.key"
         if self._key.exists() != self.certificate.exists():
-            raise ConstructionTwinError(Sentence("view.site.half_ca", folder=str(folder)))
+            raise ConstructionTwinError(
+                f"{folder} holds only one of ca.key and ca.crt; put the other one back, or make a new site in "
+                "another folder"
+            )
         if self._key.exists():
             return
         make_folder(folder)
@@ -118,13 +120,11 @@ def run_tool(program: str, *arguments: object) -> str:
     """Run a program; return what it printed. ConstructionTwinError when it is not installed or fails."""
     found = shutil.which(program)
     if found is None:
-        raise ConstructionTwinError(Sentence("view.site.no_program", program=program, package=_PACKAGES[program]))
+        raise ConstructionTwinError(f"{program} is not installed; on Debian: apt-get install {_PACKAGES[program]}")
     done = subprocess.run([found, *map(str, arguments)], capture_output=True, text=True, umask=0o077, check=False)
     if done.returncode:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        step, status = str(arguments[0]), done.returncode
-        said = Sentence("view.site.program_failed", program=program, step=step, status=status, problem=last)
-        raise ConstructionTwinError(said)
+        raise ConstructionTwinError(f"{program} {arguments[0]} failed with {done.returncode}: {last}")
     return done.stdout
 
 
@@ -164,5 +164,5 @@ def _alternative_name(host: str) -> str:
         return f"IP:{ipaddress.ip_address(host)}"
     except ValueError:
         if set(host) <= set("0123456789.") or ":" in host:
-            raise ConfigurationError("--host", host, Sentence("expected.site.host")) from None
+            raise ConfigurationError("--host", host, "a host name, or an address like 192.168.1.10") from None
         return f"DNS:{host}"

@@ -17,7 +17,6 @@ from pathlib import Path
 from construction_twin.broker.access import RIGHTS, Site, access_rules, broker_configuration, merged, read_person
 from construction_twin.broker.certificates import Authority, expiry, make_folder, run_tool, write_private
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, spoken
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import share_file
 
 #: Lifetime of certificates [days]: what most software accepts at most.
@@ -43,8 +42,9 @@ class SiteFolder:
                 raise ValueError(f"it holds {sorted(unknown)}, which no site has")
             return {key: tuple(value) if isinstance(value, list) else value for key, value in document.items()}
         except (OSError, ValueError, TypeError, AttributeError) as error:
-            named = {"file": str(self._settings), "problem": str(error)}
-            raise ConstructionTwinError(Sentence("view.site.unreadable", **named)) from error
+            raise ConstructionTwinError(
+                f"{self._settings} cannot be read: {error}; restore it from a backup"
+            ) from error
 
     def make(
         self, site: Site, days: int = DAYS, renew: bool = False, replace: Iterable[str] = (), renew_ca: bool = False
@@ -62,7 +62,7 @@ class SiteFolder:
         """
         replace, before = set(replace), self.load()
         if unknown := replace - {*site.accounts()}:
-            known = Sentence("expected.site.known", accounts=", ".join(site.accounts()))
+            known = f"accounts of this site: {', '.join(site.accounts())}"
             raise ConfigurationError("--replace", sorted(unknown), known)
         rules, configuration = access_rules(site, _template), broker_configuration(site, _template)
         for folder in (self._folder, self._broker, self._folder / "accounts"):
@@ -105,7 +105,10 @@ class SiteFolder:
                 "needs the new ca.crt"
             ]
         if missing := authority.not_permitted(names):
-            raise ConstructionTwinError(Sentence("view.site.not_permitted", names=", ".join(missing)))
+            raise ConstructionTwinError(
+                f"the site's CA may not vouch for {', '.join(missing)}; with --renew-ca its certificate is "
+                "signed anew, with the same key, and then every tablet and every client needs the new ca.crt"
+            )
         return authority, []
 
     def expiries(self) -> list[str]:
@@ -170,7 +173,7 @@ def _hash_passwords(passwords: dict[str, str]) -> dict[str, str]:
         lines = path.read_text(encoding="utf-8").splitlines()
     hashed = {line.partition(":")[0]: line for line in lines}
     if set(hashed) != set(passwords) or not all(re.fullmatch(r"[^:]+:\$\d\$.+", line) for line in lines):
-        raise ConstructionTwinError(Sentence("view.site.no_hashes"))
+        raise ConstructionTwinError("mosquitto_passwd did not hash the passwords; is it the one of mosquitto 2?")
     return hashed
 
 
@@ -214,7 +217,7 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
 def _site(asked: argparse.Namespace, before: dict) -> Site:
     """Return the site of the last run, with what is asked for now; a person's rights in place of those before."""
     if not 1 <= asked.days <= 36500:
-        raise ConfigurationError("--days", asked.days, Sentence("expected.range", lowest=1, largest=36500))
+        raise ConfigurationError("--days", asked.days, "1 to 36500")
     named = {read_person(words)[0] for words in asked.person}
     kept = [words for words in before.get("persons", ()) if read_person(words)[0] not in named]
     given = {

@@ -19,7 +19,6 @@ from construction_twin.core.command_line import Parser
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.extras import check_extras
 from construction_twin.core.network import is_loopback, port_is_free
-from construction_twin.core.sentences import Sentence
 
 if TYPE_CHECKING:
     from construction_twin.console.server import ServerSettings
@@ -83,17 +82,21 @@ def settings_of(arguments: argparse.Namespace) -> ServerSettings:
     from construction_twin.console.server import ServerSettings
 
     if bool(arguments.certificate) != bool(arguments.key):
-        raise ConfigurationError("--certificate and --key", None, Sentence("expected.both_or_neither"))
+        raise ConfigurationError("--certificate and --key", None, "both or neither")
     if not arguments.certificate and not is_loopback(arguments.listen):
-        raise ConfigurationError("--listen", arguments.listen, Sentence("expected.loopback_certificate"))
+        raise ConfigurationError(
+            "--listen", arguments.listen, "loopback, or --certificate: passwords cross the network"
+        )
     own = _own_tls(arguments.certificate, arguments.key) if arguments.certificate else None
     to_broker = _broker_tls(arguments.broker_ca) if arguments.broker_ca else None
     if arguments.rights:
         _check_rights(arguments.rights)
     if to_broker is None and not is_loopback(arguments.broker_host):
-        raise ConfigurationError("--broker-host", arguments.broker_host, Sentence("expected.loopback_ca"))
+        raise ConfigurationError(
+            "--broker-host", arguments.broker_host, "loopback, or --broker-ca: passwords cross the network"
+        )
     if arguments.page and not arguments.page.is_dir():
-        raise ConfigurationError("--page", str(arguments.page), Sentence("expected.folder"))
+        raise ConfigurationError("--page", str(arguments.page), "a folder")
     return ServerSettings(
         arguments.page,
         arguments.private,
@@ -111,7 +114,7 @@ def _own_tls(certificate: Path, key: Path) -> ssl.SSLContext:
         # a key with a passphrase is refused: nobody is there to type it
         context.load_cert_chain(certificate, key, password="")
     except (OSError, ssl.SSLError) as error:
-        raise ConfigurationError("--certificate and --key", str(error), Sentence("expected.pem")) from error
+        raise ConfigurationError("--certificate and --key", str(error), "readable files in PEM") from error
     return context
 
 
@@ -120,12 +123,12 @@ def _broker_tls(ca: Path) -> ssl.SSLContext:
     try:
         return ssl.create_default_context(cafile=str(ca))
     except (OSError, ssl.SSLError) as error:
-        raise ConfigurationError("--broker-ca", str(error), Sentence("expected.pem")) from error
+        raise ConfigurationError("--broker-ca", str(error), "readable files in PEM") from error
 
 
 def _check_rights(path: Path) -> None:
     """Check that a file is a list of rights: with another one the page would draw everything, and nobody would know why."""
-    expected = Sentence("expected.rights")
+    expected = "rights.json as make_site writes it: console/rights.json of the site"
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:

@@ -17,7 +17,6 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 
 #: An account file, and a password file, are short; anything longer is something else [bytes].
 _MAX_BYTES = 65536
@@ -50,17 +49,19 @@ class Account:
             if bool(getattr(self, one)) != bool(getattr(self, other)):
                 missing = other if getattr(self, one) else one
                 raise ConfigurationError(
-                    f"{self.name}: {missing}", "", Sentence("expected.account.pair", one=one, other=other)
+                    f"{self.name}: {missing}", "", f"a value, because {one} and {other} belong together"
                 )
         if self.cert_file and not self.ca_file:
-            raise ConfigurationError(f"{self.name}: ca_file", "", Sentence("expected.account.ca"))
+            raise ConfigurationError(
+                f"{self.name}: ca_file", "", "the CA of the broker's certificate: a client certificate needs TLS"
+            )
 
     def password(self) -> str:
         """Return the password; ConfigurationError when it cannot be read, or others can read it too."""
         _refuse_shared(self.password_file)
         lines = _read(self.password_file).splitlines()
         if not lines or not lines[0]:
-            raise ConfigurationError(self.password_file, "", Sentence("expected.account.password"))
+            raise ConfigurationError(self.password_file, "", "the password in the first line")
         return lines[0]
 
     def context(self) -> ssl.SSLContext:
@@ -73,10 +74,10 @@ class Account:
         context.minimum_version = ssl.TLSVersion.TLSv1_2
         # a renegotiation would make reads wait for writes and writes for reads
         context.options |= ssl.OP_NO_RENEGOTIATION
-        _load(self.ca_file, context.load_verify_locations, Sentence("expected.account.ca_file"))
+        _load(self.ca_file, context.load_verify_locations, "PEM certificates of the broker's CA")
         if self.cert_file:
             _refuse_shared(self.key_file)
-            _load(self.cert_file, context.load_cert_chain, Sentence("expected.account.certificate"), self.key_file)
+            _load(self.cert_file, context.load_cert_chain, "a PEM certificate that fits its key", self.key_file)
         return context
 
 
@@ -93,12 +94,14 @@ def load_account(path: str | Path) -> Account:
     try:
         document = json.loads(_read(path))
     except ValueError as error:
-        raise ConfigurationError(str(path), str(error), Sentence("expected.account.object")) from error
+        raise ConfigurationError(str(path), str(error), "a JSON object, as make_site writes it") from error
     keys = {field.name for field in fields(Account)} - {"name"}
     if not isinstance(document, dict) or not set(document) <= keys:
-        raise ConfigurationError(str(path), document, Sentence("expected.account.keys", keys=", ".join(sorted(keys))))
+        raise ConfigurationError(
+            str(path), document, f"a JSON object with no other keys than {', '.join(sorted(keys))}"
+        )
     if not all(isinstance(value, str) for value in document.values()):
-        raise ConfigurationError(str(path), document, Sentence("expected.account.texts"))
+        raise ConfigurationError(str(path), document, "texts as values")
     files = {
         key: str(path.parent.absolute() / value) for key, value in document.items() if key.endswith("_file") and value
     }
@@ -110,11 +113,9 @@ def _read(path: str | Path) -> str:
         with open(path, encoding="utf-8") as file:
             text = file.read(_MAX_BYTES + 1)
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(
-            str(path), getattr(error, "strerror", str(error)), Sentence("expected.text_file")
-        ) from error
+        raise ConfigurationError(str(path), getattr(error, "strerror", str(error)), "a readable text file") from error
     if len(text) > _MAX_BYTES:
-        raise ConfigurationError(str(path), f"more than {_MAX_BYTES} characters", Sentence("expected.short_text_file"))
+        raise ConfigurationError(str(path), f"more than {_MAX_BYTES} characters", "a short text file")
     return text
 
 
@@ -124,9 +125,9 @@ def _refuse_shared(path: str) -> None:
     try:
         mode = stat.S_IMODE(os.stat(path).st_mode)
     except OSError as error:
-        raise ConfigurationError(path, error.strerror, Sentence("expected.file_of_user")) from error
+        raise ConfigurationError(path, error.strerror, "a file that this user may read") from error
     if mode & 0o077:
-        raise ConfigurationError(path, f"mode {mode:04o}", Sentence("expected.account.secret", path=path))
+        raise ConfigurationError(path, f"mode {mode:04o}", f"a secret that only its owner may read: chmod 600 {path}")
 
 
 def _load(path: str, load, expected: str, *more: str) -> None:
@@ -136,5 +137,5 @@ def _load(path: str, load, expected: str, *more: str) -> None:
         raise ConfigurationError(path, error.reason or str(error), expected) from error
     except OSError as error:
         raise ConfigurationError(
-            " or ".join((path, *more)), error.strerror, Sentence("expected.file_of_user")
+            " or ".join((path, *more)), error.strerror, "a file that this user may read"
         ) from error

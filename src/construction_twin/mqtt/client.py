@@ -20,7 +20,6 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.network import is_loopback
-from construction_twin.core.sentences import Sentence
 from construction_twin.mqtt.account import Account
 from construction_twin.mqtt.fast_client import DirectClient, FastClient, is_tested
 from construction_twin.mqtt.plain_client import PlainClient
@@ -49,14 +48,12 @@ class Broker:
 
     def __post_init__(self):
         if self.protocol not in _PROTOCOLS:
-            raise ConfigurationError(
-                "protocol", self.protocol, Sentence("expected.one_of", known=", ".join(sorted(_PROTOCOLS)))
-            )
+            raise ConfigurationError("protocol", self.protocol, f"one of {', '.join(sorted(_PROTOCOLS))}")
         if self.account is not None and not self.encrypted and not is_loopback(self.host):
             raise ConfigurationError(
                 f"{self.account.name}: ca_file",
                 "",
-                Sentence("expected.account.ca_of", host=self.host),
+                f"the CA of {self.host}'s certificate: a password crosses a network in TLS only",
             )
 
     @property

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.sentences import Sentence
 from construction_twin.mqtt import requests
 from construction_twin.mqtt.messages import demand_live, is_short_text, parse_object, shown_keys
 
@@ -39,5 +38,7 @@ def parse_intervention(verb: str, account: str, payload: bytes, retained: bool) 
     document = parse_object(payload, verb, requests.STOP.limit)
     id_ = document.get("id", "")
     if not set(document) <= {"id", "moment"} or not is_short_text(id_) or not id_.strip():
-        raise PayloadError(verb, Sentence("link.payload.intervention", verb=verb, found=shown_keys(document)))
+        raise PayloadError(
+            verb, f"{verb} with keys {shown_keys(document)}; expected id, a text of 1 to 64 characters, alone"
+        )
     return Intervention(verb, account, id_)

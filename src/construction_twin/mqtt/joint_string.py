@@ -13,7 +13,6 @@ import re
 from collections.abc import Sequence
 
 from construction_twin.core.errors import ConfigurationError, PayloadError
-from construction_twin.core.sentences import Sentence, Value
 from construction_twin.core.units import degrees, radians
 
 #: Digits before the point: of degrees, the paper's; of mm, for tracks of up to 100 m to either side.
@@ -48,12 +47,12 @@ class JointStringCodec:
         linear: Sequence[bool] = (),
     ):
         if not 1 <= decimals <= 6:
-            raise ConfigurationError("decimals", decimals, Sentence("expected.decimals"))
+            raise ConfigurationError("decimals", decimals, "1 to 6 decimals of a degree")
         if joints < 1:
-            raise ConfigurationError("joints", joints, Sentence("expected.at_least_one_joint"))
+            raise ConfigurationError("joints", joints, "at least one joint")
         for name, given in (("axes", axes), ("linear", linear)):
             if given and len(given) != joints:
-                raise ConfigurationError(name, tuple(given), Sentence("expected.one_per_joint", count=joints))
+                raise ConfigurationError(name, tuple(given), f"one for each of {joints} joints")
         self.joints = joints
         self.decimals = decimals
         self._mapping = mapping if mapping and any(entry != (1, 0.0) for entry in mapping) else None
@@ -93,9 +92,9 @@ class JointStringCodec:
             PayloadError: ``count``, ``values`` (nan, inf) or ``range`` (1000 degrees, or 100 m, or more after rounding).
         """
         if len(q) != self.joints:
-            raise PayloadError("count", Sentence("link.payload.string.count", found=len(q), count=self.joints))
+            raise PayloadError("count", f"{len(q)} joint values; expected {self.joints}")
         if not all(map(math.isfinite, q)):
-            raise PayloadError("values", Sentence("link.payload.string.values", found=str(tuple(q))))
+            raise PayloadError("values", f"joint values {tuple(q)} are not all finite numbers")
         if self._mapping:
             q = tuple([sign * value + offset for value, (sign, offset) in zip(q, self._mapping)])
         if self._fields is None:
@@ -106,8 +105,8 @@ class JointStringCodec:
             )
         # a huge angle in rad is infinite in degrees, and "+0000inf" would have the right length
         if len(text) != self.length or "inf" in text:
-            key = "range" if max(self._digits) == DIGITS else "range_linear"
-            raise PayloadError("range", Sentence(f"link.payload.string.{key}", found=repr(text)))
+            most = "1000 degrees" if max(self._digits) == DIGITS else "1000 degrees or 100 m"
+            raise PayloadError("range", f"{text!r} does not fit the format: a joint is at or beyond {most}")
         for zero in self._zeros:
             text = text.replace("-" + zero[1:], zero)
         return text.encode("ascii")
@@ -150,11 +149,13 @@ class JointStringCodec:
         if other and len(other.group(1)) != self.decimals:
             found = len(other.group(1))
             return PayloadError(
-                "decimals", Sentence("link.payload.string.decimals", found=found, decimals=self.decimals)
+                "decimals",
+                f"joint string with {found} decimals; this side is configured for {self.decimals}: give both "
+                "sides the same number",
             )
         if len(payload) != self.length:
-            values: dict[str, Value] = {"bytes": len(payload), "found": repr(shown), "count": self.length}
-            return PayloadError("length", Sentence("link.payload.string.length", **values))
+            return PayloadError("length", f"{len(payload)} bytes {shown!r}; expected {self.length}")
         digits = " or ".join(map(str, sorted(set(self._digits))))
-        shape: dict[str, Value] = {"count": self.joints, "digits": digits, "decimals": self.decimals}
-        return PayloadError("format", Sentence("link.payload.string.format", found=repr(shown), **shape))
+        return PayloadError(
+            "format", f"{shown!r} is not {self.joints} times a sign, {digits} digits, a point, {self.decimals} digits"
+        )

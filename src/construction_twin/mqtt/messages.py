@@ -66,7 +66,9 @@ class Topics:
     def __post_init__(self):
         for name in ("prefix", "robot"):
             if not _LEVEL.fullmatch(getattr(self, name)):
-                raise ConfigurationError(name, getattr(self, name), Sentence("expected.topic_level"))
+                raise ConfigurationError(
+                    name, getattr(self, name), "letters, digits, - and _, because it becomes a topic level"
+                )
 
     def _topic(self, name: str) -> str:
         return f"{self.prefix}/{self.robot}/{name}"
@@ -134,15 +136,15 @@ class StateProperties:
 def _read(pairs: list[tuple[str, str]], names: tuple[str, ...]) -> dict[str, str]:
     values = dict(pairs)
     if len(values) != len(pairs) or set(values) != set(names):
-        found = Sentence("link.payload.properties", found=_shown_names(pairs), needed=str(list(names)))
-        raise PayloadError("properties", found)
+        raise PayloadError("properties", f"user properties {_shown_names(pairs)}; expected exactly {list(names)}")
     return values
 
 
 def _number(name: str, text: str) -> int:
     if not _NUMBER.fullmatch(text) or int(text) > _MAX_NUMBER:
-        found = Sentence("link.payload.property_number", name=name, found=repr(text[:32]), most=_MAX_NUMBER)
-        raise PayloadError("properties", found)
+        raise PayloadError(
+            "properties", f"property {name} is {text[:32]!r}; expected a whole number up to {_MAX_NUMBER}"
+        )
     return int(text)
 
 
@@ -160,7 +162,7 @@ def read_command_properties(pairs: list[tuple[str, str]]) -> CommandProperties:
     """Parse a command's user properties; PayloadError (``properties``) when they are not exactly session, seq and stamp."""
     values = _read(pairs, ("session", "seq", "stamp"))
     if not is_session(values["session"]):
-        found = Sentence("link.payload.property_session", found=repr(values["session"][:32]))
+        found = f"property session is {values['session'][:32]!r}; expected letters, digits, - and _"
         raise PayloadError("properties", found)
     return CommandProperties(values["session"], _number("seq", values["seq"]), _number("stamp", values["stamp"]))
 
@@ -175,7 +177,11 @@ def no_properties(pairs: list[tuple[str, str]]) -> StateProperties | None:
     """Refuse user properties beside a bare PLC's state: PayloadError (``properties``)."""
     if not pairs:
         return None
-    raise PayloadError("properties", Sentence("link.payload.plc_properties", found=_shown_names(pairs)))
+    raise PayloadError(
+        "properties",
+        f"a state with user properties {_shown_names(pairs)}: a bare PLC sends the joint string "
+        "alone; a gateway needs gateway_kind:=rsi",
+    )
 
 
 def _shown_names(pairs: list[tuple[str, str]]) -> str:
@@ -241,7 +247,12 @@ def other_protocol(gateway: object, bridge: object) -> str:
     """Return in a sentence that gateway and bridge are of different versions; "" for one protocol."""
     if type(gateway) is type(bridge) is int and gateway == bridge:
         return ""
-    return Sentence("link.protocol", gateway=str(gateway)[:20], bridge=str(bridge)[:20])
+    return Sentence(
+        "the gateway speaks protocol {gateway}, the bridge {bridge}: install the same version on both sides, then start both "
+        "again (docs/broker.md, Upgrade from 0.1)",
+        gateway=str(gateway)[:20],
+        bridge=str(bridge)[:20],
+    )
 
 
 def arm_value(config_hash: str, run: str) -> dict[str, str | int]:
@@ -264,9 +275,11 @@ def parse_control(payload: bytes) -> Control:
     """Parse a control message; PayloadError (``control``) when it is not one."""
     document = parse_object(payload, "control")
     if set(document) - {"value"} != {"id", "session", "verb"}:
-        raise PayloadError("control", Sentence("link.payload.control_keys", found=shown_keys(document)))
+        raise PayloadError(
+            "control", f"control message with keys {shown_keys(document)}; expected id, session, verb and value"
+        )
     if not all(is_short_text(document[key]) for key in ("id", "session", "verb")):
-        raise PayloadError("control", Sentence("link.payload.control_text"))
+        raise PayloadError("control", "control message whose id, session or verb is not a short text in one line")
     return Control(**document)
 
 
@@ -280,7 +293,10 @@ def account_of(topic: str) -> str:
     """
     account = topic.rpartition("/")[2]
     if not _ACCOUNT.fullmatch(account):
-        raise PayloadError("sender", Sentence("link.payload.account", topic=repr(topic[-80:])))
+        raise PayloadError(
+            "sender",
+            f"a message on {topic[-80:]!r}; expected an account's name at its end: up to 100 letters, digits, - and _",
+        )
     return "" if account == "ack" else account
 
 
@@ -321,19 +337,19 @@ def identity_of(
 def demand_live(retained: bool, what: str) -> None:
     """Refuse a retained message (PayloadError, ``retained``): what was asked for once is not asked for now."""
     if retained:
-        raise PayloadError("retained", Sentence("link.payload.retained", what=what))
+        raise PayloadError(
+            "retained", f"retained {what}: it is unknown when it was meant; publish it without the retain flag"
+        )
 
 
 def parse_object(payload: bytes, reason: str, limit: int = MAX_CONTROL_BYTES) -> dict:
     """Return the JSON object in `payload`; PayloadError (`reason`) when there is none, or more than `limit` bytes."""
     if len(payload) > limit:
-        found = Sentence("link.payload.message_size", what=reason, bytes=len(payload), limit=limit)
-        raise PayloadError(reason, found)
+        raise PayloadError(reason, f"{reason} message of {len(payload)} bytes; at most {limit} are read")
     try:
         document = json.loads(payload, object_pairs_hook=_without_duplicates)
     except (ValueError, RecursionError) as error:
-        found = Sentence("link.payload.no_json", what=reason, found=repr(payload[:80]), problem=str(error))
-        raise PayloadError(reason, found) from error
+        raise PayloadError(reason, f"{reason} message {payload[:80]!r} is not JSON: {error}") from error
     if not isinstance(document, dict):
-        raise PayloadError(reason, Sentence("link.payload.no_object", what=reason, found=repr(payload[:80])))
+        raise PayloadError(reason, f"{reason} message {payload[:80]!r} is not a JSON object")
     return document

@@ -8,8 +8,6 @@ import math
 import re
 from collections.abc import Sequence
 
-from construction_twin.core.sentences import Sentence
-
 #: How long a service or a topic may stay silent before the command gives up [s].
 TIMEOUT = 5.0
 #: Options whose values may be a list with commas, and a word of such a list.
@@ -296,22 +294,26 @@ def check(options: argparse.Namespace) -> str:
 
 def _finite(text: str) -> float:
     if _has_empty_field(text):
-        raise argparse.ArgumentTypeError(Sentence("view.argument.empty_field", text=repr(text.strip())))
+        raise argparse.ArgumentTypeError(
+            f"{text.strip()!r} has an empty field at a comma: give a number for each joint or axis"
+        )
     if "," in text:
-        raise argparse.ArgumentTypeError(Sentence("view.argument.comma", text=repr(text)))
+        raise argparse.ArgumentTypeError(
+            f"{text!r} holds a comma: write decimals with a point, and separate numbers by spaces"
+        )
     try:
         value = float(text)
     except ValueError as error:
-        raise argparse.ArgumentTypeError(Sentence("view.argument.no_number", text=repr(text))) from error
+        raise argparse.ArgumentTypeError(f"{text!r} is no number") from error
     if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(Sentence("view.argument.not_finite", text=repr(text)))
+        raise argparse.ArgumentTypeError(f"{text!r} is no finite number")
     return value
 
 
 def _positive(text: str) -> float:
     value = _finite(text)
     if value <= 0.0:
-        raise argparse.ArgumentTypeError(Sentence("view.argument.not_positive", text=repr(text)))
+        raise argparse.ArgumentTypeError(f"{text!r} is not above 0")
     return value
 
 
@@ -323,5 +325,5 @@ def _percent(text: str) -> float:
 def _fraction(text: str) -> float:
     value = _percent(text)
     if value > 1.0:
-        raise argparse.ArgumentTypeError(Sentence("view.argument.percent", text=repr(text)))
+        raise argparse.ArgumentTypeError(f"{text!r} is above 100 percent")
     return value

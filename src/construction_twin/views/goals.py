@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.frames import abc_to_rotation
@@ -32,7 +31,7 @@ def joint_goal(values: Sequence[float], robot: RobotModel) -> tuple[float, ...]:
         ConfigurationError: If their number is not the number of joints.
     """
     if len(values) != len(robot.joint_names):
-        expected = Sentence("expected.values_of", count=len(robot.joint_names), names=", ".join(robot.joint_names))
+        expected = f"{len(robot.joint_names)} values, one for each of {', '.join(robot.joint_names)}"
         raise ConfigurationError("--joints", list(values), expected)
     return tuple(value / 1e3 if linear else math.radians(value) for value, linear in zip(values, robot.linear))
 
@@ -55,6 +54,7 @@ def pose_goal(values: Sequence[float], frame: str = "") -> Pose:
         raise ConfigurationError(
             "--pose",
             given,
-            Sentence("expected.pose_mm", near=NEAR_MM, frame=frame or "its base", x=x * 1e3, y=y * 1e3, z=z * 1e3),
+            f"X, Y, Z in mm: this is inside of the robot's foot, less than {NEAR_MM:g} mm from the origin "
+            f"of {frame or 'its base'}, and probably in metres. If so, give {x * 1e3:g} {y * 1e3:g} {z * 1e3:g}",
         )
     return Pose(np.array((x, y, z)) / 1e3, abc_to_rotation(*map(math.radians, angles)))

@@ -21,10 +21,10 @@ def hold_cause(hold: HoldReport | None) -> str:
     since = time.strftime("%H:%M:%S", time.localtime(hold.since / NANOSECONDS))
     found = understood(hold.cause)
     if found is None or found.key != "reason.gate.differs":
-        return Sentence("reason.holds.because", reason=found or hold.cause, since=since)
+        return Sentence("{reason}, since {since}", reason=found or hold.cause, since=since)
     difference, threshold = (cast(Quantity, found.values[name]) for name in ("difference", "threshold"))
     return Sentence(
-        "reason.holds.differs",
+        "{joint} is {difference:.3} from the twin, {threshold:.3} allowed, since {since}",
         joint=axis_name(str(found.values["joint"])),
         difference=_above(difference, threshold),
         threshold=threshold,

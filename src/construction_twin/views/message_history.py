@@ -80,7 +80,9 @@ class MessageHistory:
         except pydantic.ValidationError as error:
             first = error.errors()[0]
             found = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
-            raise ConfigurationError("messages", found, Sentence("expected.messages_file")) from error
+            raise ConfigurationError(
+                "messages", found, "expected the file as console_node wrote it; remove it, and the messages begin anew"
+            ) from error
         # what lasted when the program before ended may have ended since: it is a message anew when it stands
         last = max((message.at for message in self.messages), default=0.0)
         self.messages = tuple(
@@ -127,11 +129,13 @@ class MessageHistory:
         """
         found = next((message for message in self.messages if message.id == id_), None)
         if found is None:
-            raise RequestRefused(Sentence("link.messages.unknown", id=repr(id_)))
+            raise RequestRefused(
+                Sentence("there is no message {id}: it is older than those that are kept", id=repr(id_))
+            )
         if found.acknowledged_by:
-            raise RequestRefused(Sentence("link.messages.known", account=found.acknowledged_by))
+            raise RequestRefused(Sentence("{account} has acknowledged it already", account=found.acknowledged_by))
         self._replace(id_, acknowledged_by=account, acknowledged_at=now)
-        return Sentence("link.messages.acknowledged", account=account)
+        return Sentence("acknowledged by {account}", account=account)
 
     def _add(self, line: Line, at: float, until: float | None = None) -> str:
         message = Message(id=self._new_id(), at=at, line=line, until=until)

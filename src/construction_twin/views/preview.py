@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from construction_twin.core.errors import ReviewError
-from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.plan import Plan
 from construction_twin.scene.scene_change import SceneChange
@@ -117,16 +116,16 @@ class Preview:
             ReviewError: If the speed is negative or not finite, or no plan is under review.
         """
         if not 0.0 <= speed < math.inf:
-            raise ReviewError(Sentence("view.preview.speed", speed=speed))
+            raise ReviewError(f"a preview at speed {speed} was asked for; expected a positive number, or 0 to end it")
         if speed == 0.0:
             self._playing = None
-            return Sentence("view.preview.ended")
+            return "the preview has ended"
         plan = self.under_review
         if plan is None:
-            raise ReviewError(Sentence("view.preview.nothing"))
+            raise ReviewError("no plan is under review; plan first, then preview it")
         self._playing = Playing(plan, now, speed, loop)
-        key = "view.preview.loop" if loop else "view.preview.once"
-        return Sentence(key, plan=plan.id, seconds=plan.trajectory.duration / speed)
+        again = ", again and again" if loop else ""
+        return f"the ghost plays plan {plan.id} in {plan.trajectory.duration / speed:.3f} s{again}; nothing moves"
 
     def pose(self, now: float) -> tuple[float, ...] | None:
         """Return where the ghost is at `now` [s]; None while the twin's pose is unknown and no plan is under review."""
@@ -222,7 +221,7 @@ def _text_height(top: float, lines: int, headline: float) -> float:
 def describe(plan: Plan) -> str:
     """Return the plan's duration, closest clearance and largest fractions of the limits, some lines of text."""
     fractions = plan.report.usage
-    lines = [_headline(plan), _closest(plan), Sentence("view.picture.fractions")]
+    lines = [_headline(plan), _closest(plan), "largest fraction of velocity / acceleration / jerk:"]
     rows = zip(plan.trajectory.joint_names, fractions.velocity, fractions.acceleration, fractions.jerk)
     lines += [
         f"{joint}: {velocity:.0%} / {acceleration:.0%} / {jerk:.0%}" for joint, velocity, acceleration, jerk in rows
@@ -234,10 +233,10 @@ def describe_work(plan: Plan, told: WorkContext) -> str:
     """Return a work plan's task, its segments and what was measured, one line each: shorter about the joints than `describe`."""
     lines = [
         _headline(plan),
-        Sentence("view.picture.task", task=cut(plan.task), count=len(plan.segments)),
+        f"task {cut(plan.task)}: {len(plan.segments)} segments, blue: engaged",
     ]
     if told.states.problem:
-        lines.append(Sentence("view.picture.problem", problem=told.states.problem))
+        lines.append(f"LOOK TWICE: {told.states.problem}")
     begin = 0.0
     changes = [*told.changes, *[None] * (len(plan.segments) - len(told.changes))]
     for number, (segment, change) in enumerate(zip(plan.segments, changes)):
@@ -246,23 +245,22 @@ def describe_work(plan: Plan, told: WorkContext) -> str:
             lines.append(", ".join([f"{number + 1} {cut(segment.name)} {segment.end - begin:.2f} s", *words]))
         begin = segment.end
     if len(plan.segments) > MOST_ROWS:
-        lines.append(Sentence("view.picture.more", count=len(plan.segments) - MOST_ROWS))
+        lines.append(f"and {len(plan.segments) - MOST_ROWS} more")
     usage = plan.report.usage
     largest = " / ".join(
         f"{max(values, default=0.0):.0%}" for values in (usage.velocity, usage.acceleration, usage.jerk)
     )
-    lines += [_closest(plan), Sentence("view.picture.fractions_of", largest=largest)]
+    lines += [_closest(plan), f"largest fraction of velocity / acceleration / jerk: {largest}"]
     return "\n".join(lines)
 
 
 def _headline(plan: Plan) -> str:
-    return Sentence("view.picture.plan", seconds=plan.trajectory.duration, planner=plan.planner, source=plan.source)
+    return f"{plan.trajectory.duration:.2f} s, {plan.planner} for {plan.source}"
 
 
 def _closest(plan: Plan) -> str:
     clearance = plan.report.clearance
     if not math.isfinite(clearance.distance):
-        return Sentence("view.nothing_near")
+        return "nothing to touch"
     where, bodies = ", ".join(f"{value:.2f}" for value in clearance.point), between(clearance.between)
-    values = {"distance": clearance.distance, "time": clearance.time}
-    return Sentence("view.picture.closest", between=bodies, where=where, **values)
+    return f"closest {clearance.distance:.3f} m, {bodies}, after {clearance.time:.2f} s at ({where}) m"

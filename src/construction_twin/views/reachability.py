@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from construction_twin.core.motion_errors import KinematicsError, NotFoundError, PoseRangeError, UnreachableError
-from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import InverseKinematics
 from construction_twin.robot.description import RobotModel
@@ -62,26 +61,26 @@ def judge_pose(pose: Pose, seed: Sequence[float], solver: InverseKinematics, wor
     try:
         solutions = [solution.q for solution in solver.all(pose, seed)]
     except NotFoundError as error:
-        return PoseVerdict(Reach.UNKNOWN, Sentence("view.reach.unknown", seconds=f"{error.budget_s:.3g}"))
+        return PoseVerdict(Reach.UNKNOWN, f"no joint values found in {error.budget_s:.3g} s; there may be some")
     except KinematicsError as error:
         return PoseVerdict(Reach.OUT, why_out(error, solver.chain.robot))
     touching: list[PoseVerdict] = []
     for q in solutions:
         contact = world.contact(q.tolist())
         if contact is None:
-            return PoseVerdict(Reach.FREE, Sentence("view.reach.free"), q)
+            return PoseVerdict(Reach.FREE, "can be reached, nothing is touched there", q)
         first, second = contact.between
-        touching.append(
-            PoseVerdict(Reach.CONTACT, Sentence("view.reach.contact", first=first, second=second), q, contact.between)
-        )
+        touching.append(PoseVerdict(Reach.CONTACT, f"{first} would touch {second}", q, contact.between))
     return touching[0]
 
 
 def why_out(error: KinematicsError, robot: RobotModel) -> str:
     """Return why there is no joint solution, for people: by how much the pose is out of reach, or which joint's range ends."""
     if isinstance(error, UnreachableError):
-        key = "view.reach.too_close" if error.too_close else "view.reach.too_far"
-        return Sentence(key, missing=error.missing * 1e3)
+        missing = f"{error.missing * 1e3:.0f} mm"
+        if error.too_close:
+            return f"too close by {missing}; move it further away"
+        return f"out of reach by {missing}; move it closer"
     if isinstance(error, PoseRangeError):
         return range_sentence(error.joint, error.value, robot)
     return str(error)

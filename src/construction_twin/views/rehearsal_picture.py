@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from construction_twin.core.axis_name import axis_name
-from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.physics.report import BROKEN, FAILED, PASSED, AxisLoad, RehearsalReport, RehearsedContact
 from construction_twin.robot.frames import quaternion_to_rotation
@@ -28,7 +27,8 @@ COLUMNS = ((1.0, (0.85, 0.08, 0.1, 1.0)), (0.8, (0.95, 0.6, 0.05, 1.0)), (0.0, (
 UNKNOWN_LIMIT = (0.5, 0.52, 0.56, 1.0)
 #: Of what stands around a column up to the limit, and of a contact.
 LIMIT, CONTACT = (0.3, 0.32, 0.38, 0.22), (1.0, 0.0, 0.35, 0.95)
-#: Texts, by how the rehearsal ended.
+#: What is said first, and the texts' colour, by how the rehearsal ended.
+HEADLINES = {PASSED: "REHEARSAL PASSED", FAILED: "REHEARSAL FAILED", BROKEN: "THE REHEARSAL BROKE OFF"}
 TEXTS = {PASSED: (0.0, 0.3, 0.15, 1.0), FAILED: (0.6, 0.0, 0.05, 1.0), BROKEN: (0.6, 0.0, 0.05, 1.0)}
 #: Of the length of the stretched arm: height of a column at its limit, its width, from one to the next, and how far behind the base
 #: and to its right the last of them stands, where rviz shows the arm from in front.
@@ -137,19 +137,18 @@ def _column(axis: AxisLoad, number: int, count: int, arm_length: float) -> Torqu
         text, height = f"{name} {axis.usage:.0%}{mark}".replace("%", " %"), full * min(axis.usage, TALLEST)
     else:
         colour, height = UNKNOWN_LIMIT, 0.0
-        text = Sentence("view.rehearsal.no_limit", axis=name, torque=axis.peak)
+        text = f"{name} {axis.peak:.0f} Nm"
     return TorqueColumn(
         (-BEHIND * arm_length, y, 0.0), WIDTH * arm_length, height, full if axis.limit else 0.0, colour, text
     )
 
 
 def _lines(report: RehearsalReport) -> list[str]:
-    lines: list[str] = [Sentence(f"view.rehearsal.{report.state}")]
-    lines += [_cut(reason) for reason in report.reasons[:MOST_LINES]]
+    lines = [HEADLINES[report.state], *map(_cut, report.reasons[:MOST_LINES])]
     if len(report.reasons) > MOST_LINES:
-        lines.append(Sentence("view.rehearsal.more", count=len(report.reasons) - MOST_LINES))
+        lines.append(f"and {len(report.reasons) - MOST_LINES} reasons more")
     if report.worst_pose:
-        lines.append(Sentence("view.rehearsal.worst", time=report.worst_time))
+        lines.append(f"ghost: the largest share of a torque, after {report.worst_time:.2f} s")
     return lines
 
 
@@ -158,4 +157,4 @@ def _cut(line: str) -> str:
 
 
 def _contact(one: RehearsedContact) -> str:
-    return Sentence("view.rehearsal.contact", first=one.first, second=one.second, time=one.time, force=one.force)
+    return f"{one.first} and {one.second}: {one.time:.2f} s, {one.force:.0f} N"

@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SyncReport
-from construction_twin.core.sentences import Sentence
 from construction_twin.robot.plan import Plan
 
 #: States in which a plan could be approved.
@@ -53,11 +52,10 @@ class Snapshot:
             facts = getattr(self, name)
             if facts is None:
                 if name != "link":
-                    lacking.append(Sentence("view.ready.silent", topic=name, wanted=wanted))
+                    lacking.append(f"{name} is silent; expected {wanted}")
             elif name in self.silent:
                 seconds = self.silent[name]
-                lacking.append(Sentence("view.ready.old", topic=name, seconds=seconds, wanted=wanted))
+                lacking.append(f"{name} has been silent for {seconds:.0f} s; expected {wanted}")
             elif facts.text != wanted:
-                values = {"topic": name, "state": facts.text, "wanted": wanted, "reason": facts.reason}
-                lacking.append(Sentence("view.ready.state", **values))
+                lacking.append(f"{name} is {facts.text}, expected {wanted}: {facts.reason}")
         return lacking

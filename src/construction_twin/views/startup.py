@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from construction_twin.core.sentences import Sentence
+from construction_twin.core.sentences import Sentence, both
 from construction_twin.link.gateway_status import without_counts
 
 #: Something is reported as waited for when it has been missing this long [s]: a part that starts within it is not reported.
@@ -36,9 +36,9 @@ class Deployment:
     def rsi_address(self) -> str:
         """Where the gateway listens, in words."""
         if not self.gateway:
-            return Sentence("startup.rsi_elsewhere")
+            return Sentence("the address given to rsi_gateway --listen")
         host, _, port = self.rsi.rpartition(":")
-        return Sentence("startup.rsi_of_xml", host=host) if port == "0" else self.rsi
+        return Sentence("{host}, PORT of the Ethernet XML", host=host) if port == "0" else self.rsi
 
     @property
     def values(self) -> dict[str, str]:
@@ -115,8 +115,7 @@ class Missing:
             reason = repeated.sub("", reason)
         # what is wrong with a connection comes with what helps against just that
         action = "" if self.kind == "broker" and "; " in reason else self.action
-        rest = Sentence("executor.both", first=reason, second=action) if reason and action else reason or action
-        return Sentence("startup.waiting", what=self.what, rest=rest)
+        return Sentence("waiting for {what}: {rest}", what=self.what, rest=both(reason, action))
 
 
 #: Of a reason: what says once more what is waited for, or what to do about it.
@@ -125,7 +124,7 @@ _REPEATED = tuple(
     for pattern in (
         r"^not connected to the broker( yet)?(: )?",
         r"^broker \S+:\d+:? ",
-        f"^{re.escape(Sentence('link.no_gateway'))}$",
+        r"^no gateway answers on the broker; start rsi_gateway on the cell PC$",
         r"^gateway has no RSI session( to command)?: ",
         r"^gateway was stopped and is ",
         r"; (restart rsi_gateway, then )?call reset$",
@@ -147,8 +146,8 @@ class StartUp:
         self._since = self._reason_since = 0.0
         self._said: Missing | None = None
         self._ready = False
-        self._controller = _Beside(Sentence("startup.controller_well"))
-        self._clock = _Beside(Sentence("startup.clock_well"))
+        self._controller = _Beside(Sentence("the controller reports nothing against a motion any more"))
+        self._clock = _Beside(Sentence("the controller's clock is right again"))
 
     def update(self, seen: Seen, now: float) -> list[str]:
         """Take what is seen; return the lines that are news.
@@ -175,7 +174,7 @@ class StartUp:
         told = said is not None and missing.kind == said.kind
         if now - (self._reason_since if told else self._since) < PATIENCE:
             return []
-        text = Sentence("startup.not_ready", waiting=str(missing)) if self._ready else str(missing)
+        text = f"not ready any more, {missing}" if self._ready else str(missing)
         self._said, self._ready = missing, False
         return [text]
 
@@ -183,7 +182,8 @@ class StartUp:
         if self._ready and self._said is None:
             return []
         self._ready, self._said = True, None
-        return [Sentence("startup.ready", robot=self._deployment.namespace.strip("/"))]
+        robot = self._deployment.namespace.strip("/")
+        return [f"ready; plan with `rosrun construction_twin twin --robot {robot} plan ...`, look with `... watch`"]
 
 
 class _Beside:
@@ -236,7 +236,7 @@ def _link(seen: Seen, deployment: Deployment) -> _Found:
     word = seen.link or Word("", "")
     state, reason = word.state, word.reason
     if not state:
-        return "bridge", Sentence("startup.no_report")
+        return "bridge", Sentence("no report")
     if state == "DISCONNECTED":
         return "broker", reason
     if deployment.gateway_kind == "plc" and state in _PLC:
@@ -269,10 +269,10 @@ def _armed(seen: Seen, deployment: Deployment) -> _Found:
 def _gate(seen: Seen, deployment: Deployment) -> _Found:
     if seen.link is not None and seen.link.state == "MIRROR":
         return None  # the arm leads; the gate is closed on purpose
-    word = seen.sync or Word("", Sentence("startup.no_report_of", node="pca_monitor"))
+    word = seen.sync or Word("", Sentence("no report of {node}", node="pca_monitor"))
     if word.state != "IN_SYNC":
         kind = "gate_reset" if word.state in ("STOPPED", "FAULT") else "gate"
-        return kind, Sentence("executor.link", state=word.state or "silent", reason=word.reason)
+        return kind, Sentence("{state}: {reason}", state=word.state or "silent", reason=word.reason)
     if seen.execution is None or seen.execution.state == "WAITING":
-        return "executor", seen.execution.reason if seen.execution else Sentence("startup.no_report")
+        return "executor", seen.execution.reason if seen.execution else Sentence("no report")
     return None

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from urdf_parser_py.urdf import Box, Cylinder, Mesh, Sphere
 
-from construction_twin.core.sentences import Quantity, Sentence
+from construction_twin.core.sentences import Quantity
 from construction_twin.core.units import to_people
 from construction_twin.monitor.states import SyncState
 from construction_twin.robot.frames import rpy_to_quaternion
@@ -123,7 +123,7 @@ def worst_joint(
         return ""
     _, name, error, threshold, straight = max(rows)
     unit, (allowed, _) = "m" if straight else "rad", to_people(threshold, "m" if straight else "rad")
-    return Sentence("view.picture.differs", joint=name, difference=Quantity(error, unit), allowed=f"{allowed:.3f}")
+    return f"{name} differs by {Quantity(error, unit):.3}, allowed {allowed:.3f}"
 
 
 def _wrapped(text: str) -> list[str]:

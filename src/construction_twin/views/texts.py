@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 
 from construction_twin.core.reports import ExecutionReport
-from construction_twin.core.sentences import Sentence, Value
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 from construction_twin.scene.objects import Scene
@@ -36,16 +35,15 @@ def plan_lines(plan: Plan, linear: Sequence[bool], changes: Sequence[SceneChange
     goal = ", ".join(
         f"{name} {joint_value(value, line)}" for name, value, line in zip(names, trajectory.positions[-1], linear)
     )
-    closest: str = Sentence("view.nothing_near")
+    closest: str = "nothing to touch"
     if math.isfinite(clearance.distance):
         distance, bodies = clearance.distance * 1e3, between(clearance.between)
-        closest = Sentence("view.closest", distance=distance, between=bodies, time=clearance.time)
-    asked: dict[str, Value] = {"source": plan.source, "planner": plan.planner, "seconds": plan.planning_time}
+        closest = f"{distance:.0f} mm, {bodies}, after {clearance.time:.2f} s"
     return [
         f"plan       {plan.id}",
         f"hash       {plan.hash}",
-        f"asked by   {Sentence('view.asked_by', **asked)}",
-        f"duration   {Sentence('view.duration', seconds=trajectory.duration, count=len(trajectory.times))}",
+        f"asked by   {plan.source}, made by {plan.planner} in {plan.planning_time:.2f} s",
+        f"duration   {trajectory.duration:.3f} s, {len(trajectory.times)} waypoints",
         f"clearance  {closest}",
         f"limits     {_fractions(plan)}",
         f"goal       {goal}",
@@ -53,23 +51,20 @@ def plan_lines(plan: Plan, linear: Sequence[bool], changes: Sequence[SceneChange
     ]
 
 
-_CALLER = {True: "connected", False: "gone"}
-
-
 def caller_line(client: str, connected: bool | None) -> str:
     """Return the line about the program that sent the goal of a plan under review; None: nobody says whether it is connected."""
     if connected is None:
-        return f"caller     {Sentence('view.caller.unknown', client=client)}"
-    return f"caller     {Sentence(f'view.caller.{_CALLER[connected]}', client=client)}"
+        return f"caller     {client}: the node follow_joint_trajectory does not say whether it is still connected"
+    if connected:
+        return f"caller     {client} is connected and waits for the result"
+    return f"caller     {client} is connected no more: nobody waits for the result, and it may not be wanted any longer"
 
 
 def segment_lines(plan: Plan, changes: Sequence[SceneChange] = ()) -> list[str]:
     """Return a table of a work plan's segments: times, and what happens in each and at its end; nothing for others."""
     if not plan.segments:
         return []
-    lines = [
-        f"segments   {Sentence('view.segments', count=len(plan.segments))}",
-    ]
+    lines = [f"segments   {len(plan.segments)}, each from rest to rest and in the scene that the one before leaves"]
     width = max(len(cut(segment.name)) for segment in plan.segments)
     told = [*changes, *[None] * (len(plan.segments) - len(changes))]
     begin = 0.0
@@ -89,7 +84,7 @@ def _fractions(plan: Plan) -> str:
         if values:
             largest = max(range(len(values)), key=values.__getitem__)
             parts.append(f"{quantity} {values[largest]:.0%} ({names[largest]})")
-    return Sentence("view.fractions", parts=", ".join(parts)) if parts else Sentence("view.not_measured")
+    return f"largest fractions: {', '.join(parts)}" if parts else "not measured"
 
 
 def scene_lines(scene: Scene) -> list[str]:
@@ -97,16 +92,15 @@ def scene_lines(scene: Scene) -> list[str]:
     lines = [
         f"version    {scene.hash[:12]}",
         f"padding    {scene.padding * 1e3:g} mm",
-        f"objects    {len(scene.objects) or Sentence('view.none')}",
+        f"objects    {len(scene.objects) or 'none'}",
     ]
     for item in scene.objects:
         size = " x ".join(f"{value:g}" if item.shape == "mesh" else f"{value * 1e3:g}" for value in item.size)
         place = " ".join(f"{value * 1e3:.0f}" for value in item.position)
-        extent = "view.scene.scale" if item.shape == "mesh" else "view.scene.size"
-        words = [Sentence(extent, shape=item.shape, size=size), Sentence("view.scene.at", place=place)]
-        words += [Sentence("view.scene.carried", link=item.link)] if item.link else []
-        words += [Sentence("view.scene.padding", padding=item.padding * 1e3)] if item.padding else []
-        words += [Sentence("view.scene.touch", names=", ".join(item.touch))] if item.touch else []
+        words = [f"{item.shape} {size} {'times' if item.shape == 'mesh' else 'mm'}", f"at {place} mm"]
+        words += [f"carried by {item.link}"] if item.link else []
+        words += [f"padding {item.padding * 1e3:g} mm more"] if item.padding else []
+        words += [f"may touch {', '.join(item.touch)}"] if item.touch else []
         lines.append(f"  {item.name}: {', '.join(words)}")
     return lines
 
@@ -118,20 +112,19 @@ def status_lines(snapshot: Snapshot) -> list[str]:
         lines.append(f"holds      {cause}")
     for name in ("link", "sync", "execution"):
         facts = getattr(snapshot, name)
-        said = Sentence("startup.no_report") if facts is None else f"{facts.text}{because(facts.reason)}"
+        said = "no report" if facts is None else f"{facts.text}{because(facts.reason)}"
         if facts is not None and name in snapshot.silent:
-            said = Sentence("view.watch.silent", seconds=snapshot.silent[name], state=facts.text)
+            said = f"silent for {snapshot.silent[name]:.0f} s; the last was {facts.text}"
         lines.append(f"{name:10} {said}")
     controller = controller_words(snapshot.link.gateway_counters) if snapshot.link is not None else ""
     if controller:
         lines.append(f"controller {controller}")
     if snapshot.link is not None and snapshot.link.not_checked:
-        person = snapshot.link.responsible or Sentence("view.nobody")
-        lines.append(f"bare PLC   {Sentence('view.responsible', person=person)}")
+        lines.append(f"bare PLC   {snapshot.link.responsible or 'no person'} is responsible; not checked:")
         lines += [f"           {sentence}" for sentence in snapshot.link.not_checked]
     if snapshot.execution is not None and snapshot.execution.plan_id:
         execution = snapshot.execution
-        lines.append(f"last plan  {execution.plan_id}{because(execution.outcome or Sentence('view.under_way'))}")
+        lines.append(f"last plan  {execution.plan_id}{because(execution.outcome or 'under way')}")
     lines += work_lines(snapshot.execution)
     lines.append(f"review     {under_review(snapshot.plan)}")
     if snapshot.plan is not None and snapshot.approval_obstacle:
@@ -143,7 +136,7 @@ def watch_lines(snapshot: Snapshot) -> list[str]:
     """Return `status_lines`, each joint's error beside its threshold, and what was late or lost since the gateway began."""
     lines, sync = status_lines(snapshot), snapshot.sync
     if sync is None or "sync" in snapshot.silent or not len(sync.error) == len(sync.threshold) == len(snapshot.joints):
-        lines.append(Sentence("view.watch.nothing"))
+        lines.append("nothing is compared")
     else:
         for joint, linear, error, most in zip(snapshot.joints, snapshot.linear, sync.error, sync.threshold):
             mark = "" if abs(error) <= most else "  <"
@@ -162,11 +155,11 @@ def work_lines(execution: ExecutionReport | None) -> list[str]:
     lines = []
     if execution.segment >= 0 and not execution.outcome:
         segment = f"{execution.segment + 1} {execution.segment_name}"
-        segment = Sentence("view.at_end", segment=segment) if execution.at_boundary else segment
-        segment = Sentence("view.wants_scene", segment=segment) if execution.wants_scene else segment
+        segment = f"{segment}, at its end" if execution.at_boundary else segment
+        segment = f"{segment}, waits for the scene to change as planned" if execution.wants_scene else segment
         lines.append(f"segment    {segment}")
     if execution.engaged:
-        lines.append(f"engaged    {Sentence('view.engaged')}")
+        lines.append("engaged    only the way back along the executed path can be planned: twin back")
     return lines
 
 
@@ -178,33 +171,36 @@ def controller_words(told: Mapping[str, str]) -> str:
     """
     mode, program, override = (told.get(f"controller_{name}", "") for name in ("mode", "program", "override_percent"))
     words = [mode] if mode else []
-    words += [Sentence("view.controller.program", value=program)] if program else []
-    words += [Sentence("view.controller.override", value=override)] if override else []
+    words += [f"program {program}"] if program else []
+    words += [f"override {override} %"] if override else []
     return ", ".join(words)
 
 
 def under_review(plan: Plan | None) -> str:
     """Return one line about the plan under review."""
     if plan is None:
-        return Sentence("view.review.none")
-    values: dict[str, Value] = {"plan": plan.id, "seconds": plan.trajectory.duration, "source": plan.source}
+        return "no plan waits"
     if plan.segments:
-        return Sentence("view.review.work", count=len(plan.segments), **values)
-    return Sentence("view.review.plan", **values)
+        return (
+            f"work plan {plan.id} of {len(plan.segments)} segments and {plan.trajectory.duration:.1f} s "
+            f"for {plan.source} waits for approval"
+        )
+    return f"plan {plan.id} of {plan.trajectory.duration:.1f} s for {plan.source} waits for approval"
 
 
 def waiting_plan(plan: Plan) -> str:
     """Return the short line about the plan under review that stands beside the marker."""
     clearance = plan.report.clearance.distance
-    values: dict[str, Value] = {"plan": plan.id[:8], "seconds": plan.trajectory.duration}
     if math.isfinite(clearance):
-        return Sentence("view.marker_closest", distance=clearance * 1e3, **values)
-    return Sentence("view.marker", **values)
+        return (
+            f"plan {plan.id[:8]} waits for approval: {plan.trajectory.duration:.1f} s, closest {clearance * 1e3:.0f} mm"
+        )
+    return f"plan {plan.id[:8]} waits for approval: {plan.trajectory.duration:.1f} s"
 
 
 def between(bodies: Sequence[str]) -> str:
     """Return the names of the two bodies that come closest, as a part of a sentence."""
-    return Sentence("view.between", first=bodies[0], second=bodies[1]) if len(bodies) == 2 else "".join(bodies)
+    return f"{bodies[0]} to {bodies[1]}" if len(bodies) == 2 else "".join(bodies)
 
 
 def because(reason: str) -> str:
@@ -221,4 +217,4 @@ def range_sentence(joint: str, value: float, robot: RobotModel) -> str:
     number = robot.joint_names.index(joint)
     linear = robot.linear[number]
     needed, lower, upper = (joint_value(each, linear, 1) for each in (value, robot.lower[number], robot.upper[number]))
-    return Sentence("view.range", joint=joint, needed=needed, lower=lower, upper=upper)
+    return f"{joint} would have to be {needed}; its range is {lower} to {upper}"

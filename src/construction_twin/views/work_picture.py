@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from construction_twin.core.motion_errors import SceneError
-from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.segments import Segment
@@ -59,12 +58,12 @@ def work_states(plan: Plan, changes: Sequence[SceneChange], scene: Scene | None)
     present = scene if scene is not None and known else Scene()
     before = {item.name: item for item in present.objects}
     told = [*changes, *[SceneChange()] * (len(plan.segments) - len(changes))]
-    carried, problem = [], "" if known else Sentence("view.picture.scene_unknown")
+    carried, problem = [], "" if known else "the scene that the plan begins in is not known here"
     for segment, change in zip(plan.segments, told):
         carried.append(tuple(item for item in present.objects if item.link))
         present = _after(present, change)
         if known and not problem and present.hash != segment.scene_after:
-            problem = Sentence("view.picture.scene_other", segment=repr(segment.name))
+            problem = f"after {segment.name!r} the scene is to be another one than drawn here"
     carried.append(tuple(item for item in present.objects if item.link))
     placed = tuple(item for item in present.objects if not item.link and before.get(item.name) != item)
     return WorkStates(tuple(carried), placed, problem)
@@ -147,15 +146,15 @@ def _marks(segments: Sequence[Segment], points: Sequence[np.ndarray]) -> tuple[t
 
 def segment_words(segment: Segment, change: SceneChange | None = None) -> list[str]:
     """Return what is special about a segment: engaged, what it needs, what is switched at its end, what becomes of the scene."""
-    words: list[str] = [Sentence("view.segment.engaged")] if segment.engaged else []
+    words: list[str] = ["engaged"] if segment.engaged else []
     if segment.requires:
         signals = ", ".join(_state(signal.name, signal.value) for signal in segment.requires)
-        words.append(Sentence("view.segment.needs", signals=signals))
+        words.append(f"needs {signals}")
     if segment.switches:
         outputs = ", ".join(_state(switch.output, switch.value) for switch in segment.switches)
-        words.append(Sentence("view.segment.then", outputs=outputs))
+        words.append(f"then {outputs}")
     if segment.scene_after != segment.scene:
-        words.append(change_words(change) if change else Sentence("view.segment.scene"))
+        words.append(change_words(change) if change else "the scene changes")
     return words
 
 
@@ -170,12 +169,12 @@ def change_words(change: SceneChange) -> str:
         things = list(dict.fromkeys(name.rsplit("/", 1)[0] for name in names))
         if things and verb == "removes":
             # what is gone is no longer kept clear of: the reviewer sees all of it
-            said.append(Sentence("view.segment.removes", things=", ".join(things)))
+            said.append(f"removes {', '.join(things)}")
         elif things:
             first = cut(things[0])
-            more = Sentence("view.segment.more", name=first, count=len(things) - 1) if len(things) > 1 else first
-            said.append(Sentence(f"view.segment.{verb}", things=more))
-    return ", ".join(said) or Sentence("view.segment.scene")
+            more = f"{first} and {len(things) - 1} more" if len(things) > 1 else first
+            said.append(f"{verb} {more}")
+    return ", ".join(said) or "the scene changes"
 
 
 def cut(name: str) -> str:
@@ -184,4 +183,4 @@ def cut(name: str) -> str:
 
 
 def _state(name: str, value: bool) -> str:
-    return Sentence("view.segment.on" if value else "view.segment.off", name=cut(name))
+    return f"{cut(name)} on" if value else f"{cut(name)} off"

@@ -12,7 +12,6 @@ from rich.console import Console
 
 from construction_twin.core.errors import ConstructionTwinError, problem_of, spoken
 from construction_twin.core.files import check_writable
-from construction_twin.core.sentences import Sentence
 from construction_twin.evaluation.bag import PLAN, TYPES, choose_robot, open_bag, read_recording
 from construction_twin.evaluation.recording import Recording
 from construction_twin.evaluation.tables import table_console
@@ -37,9 +36,7 @@ def read_plans(path: Path, namespace: str | None = None) -> list[Plan]:
             recorded = bag.raw({f"{robot.rstrip('/')}/{PLAN}": TYPES[PLAN]})
             messages = [PlanMsg().deserialize(data) for _, data, _ in recorded]
     except genpy.DeserializationError as error:
-        raise ConstructionTwinError(
-            Sentence("view.bag.unreadable", path=str(path), problem=problem_of(error))
-        ) from error
+        raise ConstructionTwinError(f"{path} cannot be read as a rosbag: {problem_of(error)}") from error
     # a latched plan is recorded once more by whoever listens again
     return list({message.id: plan_from_msg(message) for message in messages}.values())
 

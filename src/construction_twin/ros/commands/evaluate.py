@@ -11,7 +11,6 @@ from rich.console import Console
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.files import write_whole
-from construction_twin.core.sentences import Sentence
 from construction_twin.evaluation.recording import Recording
 from construction_twin.evaluation.report import write_report
 from construction_twin.evaluation.tables import render_tables
@@ -71,7 +70,9 @@ def _write_plans(options: argparse.Namespace, robot: RobotModel, directory: Path
     files: list[Path] = []
     for plan in read_plans(options.bag, options.robot):
         if plan.trajectory.joint_names != robot.joint_names:
-            raise ConstructionTwinError(Sentence("view.evaluate.joints", plan=plan.id, robot=robot.name))
+            raise ConstructionTwinError(
+                f"plan {plan.id} has other joints than {robot.name}; give --robot-xacro and --robot-config"
+            )
         files.append(directory / f"plan_{len(files) + 1}.csv")
         write_whole(files[-1], format_plan(plan, robot.linear))
     return tuple(files)

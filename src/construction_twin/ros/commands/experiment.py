@@ -15,7 +15,6 @@ from rich.progress import Progress
 
 from construction_twin.core.errors import ConstructionTwinError, spoken
 from construction_twin.core.files import check_writable
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import from_wire
 from construction_twin.evaluation.bag import read_recording
 from construction_twin.evaluation.report import Report, write_report
@@ -94,7 +93,7 @@ class Experiment:
         with Recorder(bag, topics, rospy.resolve_name("recorder")) as recorder:
             self._wait(
                 lambda: "" if recorder.connected() else "the recorder to connect",
-                Sentence("view.experiment.wait.recording"),
+                "the recording did not start",
             )
             self._say(f"recording to {bag}")
             for number, goal in enumerate(self._settings.goals_deg, start=1):
@@ -121,7 +120,7 @@ class Experiment:
             source="experiment",
         )
         if not answer.success:
-            raise ConstructionTwinError(Sentence("view.experiment.no_plan", reason=answer.message))
+            raise ConstructionTwinError(f"the task could not be planned: {answer.message}")
         self._say(answer.message)
         return answer.plan_id
 
@@ -131,15 +130,13 @@ class Experiment:
             started = mine and (self._execution.state == Execution.PLAYING or self._execution.outcome)
             return "" if started else f"plan {plan_id} to be approved ({rospy.resolve_name('review_plan')})"
 
-        self._wait(not_started, Sentence("view.experiment.wait.start"))
+        self._wait(not_started, "the plan was not started")
         with ProgressView(self._console, title) as show:
             end = self._follow(plan_id, show)
         if end.plan_id != plan_id:
-            raise ConstructionTwinError(Sentence("view.experiment.replaced", plan=plan_id, other=end.plan_id))
+            raise ConstructionTwinError(f"plan {plan_id} was replaced by {end.plan_id} before it was finished")
         if end.outcome != "finished":
-            raise ConstructionTwinError(
-                Sentence("view.experiment.not_finished", outcome=end.outcome or "dropped", reason=end.reason)
-            )
+            raise ConstructionTwinError(f"the plan was not finished but {end.outcome or 'dropped'}: {end.reason}")
 
     def _follow(self, plan_id: str, show: Callable[[float], None]) -> Execution:
         """Show the progress of a plan until it ends; return the executor's report of that."""
@@ -151,14 +148,16 @@ class Experiment:
                 return now
             played = rospy.get_time() - now.plan_start.to_sec()
             if played > now.duration + self._settings.timeout:
-                raise ConstructionTwinError(Sentence("view.experiment.plays", duration=now.duration, played=played))
+                raise ConstructionTwinError(
+                    f"the plan lasts {now.duration:g} s but plays for {played:.0f} s; is the executor alive?"
+                )
             show(min(1.0, max(0.0, played / now.duration)))
             self._pause()
 
     def _wait_until_ready(self) -> None:
         # 250 Hz streams are only listened to while they matter: the machine's cores belong to the control path.
         subscriber = Subscriber("sync", Sync, self._on_sync, self._refuse, queue_size=1)
-        self._wait(self._not_ready, Sentence("view.experiment.wait.ready"))
+        self._wait(self._not_ready, "the system did not get ready")
         subscriber.unregister()
 
     def _wait_for_rest(self) -> None:
@@ -170,9 +169,7 @@ class Experiment:
             self._refuse,
             queue_size=250,
         )
-        self._wait(
-            lambda: "" if rest.at_rest else "the physical arm to be at rest", Sentence("view.experiment.wait.rest")
-        )
+        self._wait(lambda: "" if rest.at_rest else "the physical arm to be at rest", "the arm does not come to rest")
         subscriber.unregister()
 
     def _not_ready(self) -> str:
@@ -192,7 +189,7 @@ class Experiment:
         def outdated() -> str:
             return "" if self._link.header.stamp.to_sec() >= begin + _REPORT_PERIOD else "the link's next report"
 
-        self._wait(outdated, Sentence("view.experiment.wait.report"))
+        self._wait(outdated, "the bridge does not report any more")
 
     def _wait(self, lacking: Callable[[], str], failure: str) -> None:
         """Wait until `lacking` returns an empty text, printing what it says; raise with `failure` after the timeout."""
@@ -200,9 +197,7 @@ class Experiment:
         said = None
         while text := lacking():
             if time.monotonic() > deadline:
-                raise ConstructionTwinError(
-                    Sentence("view.experiment.in_vain", failure=failure, seconds=self._settings.timeout, what=text)
-                )
+                raise ConstructionTwinError(f"{failure} within {self._settings.timeout:g} s; still waiting for {text}")
             if text != said:
                 self._say(f"waiting for {text}")
                 said = text
@@ -210,7 +205,7 @@ class Experiment:
 
     def _pause(self) -> None:
         if rospy.is_shutdown():
-            raise ConstructionTwinError(Sentence("view.interrupted"))
+            raise ConstructionTwinError("interrupted")
         time.sleep(_POLL)
 
     def _say(self, text: str) -> None:
@@ -298,4 +293,4 @@ def _new_directory(results: Path) -> Path:
         except FileExistsError:
             continue
         return directory
-    raise ConstructionTwinError(Sentence("view.experiment.full", folder=str(results)))
+    raise ConstructionTwinError(f"{results} already holds a hundred results of this second")

@@ -7,7 +7,6 @@ from typing import Annotated
 import pydantic
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import from_wire
 from construction_twin.robot.description import RobotModel
 
@@ -38,6 +37,6 @@ def check_goals(settings: ExperimentSettings, robot: RobotModel) -> None:
     for goal in settings.goals_deg:
         if len(goal) != joints:
             raise ConstructionTwinError(
-                Sentence("view.experiment.goal", found=len(goal), robot=robot.name, count=joints)
+                f"a goal in ~goals_deg has {len(goal)} values; {robot.name} has {joints} joints"
             )
         robot.check_range(from_wire(goal, robot.linear))

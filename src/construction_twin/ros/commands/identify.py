@@ -13,7 +13,6 @@ from rich.table import Table
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.files import write_whole
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.evaluation.alignment import TwinPath
 from construction_twin.evaluation.recording import Recording
@@ -41,7 +40,9 @@ def cycle_of(recording: Recording) -> int:
         advances = np.diff(feedback.command_stamps)[steps & known]
         if len(advances) and np.median(advances) >= NANOSECONDS // 1000:
             return round(float(np.median(advances)) * 1000 / NANOSECONDS) * (NANOSECONDS // 1000)
-    raise ConstructionTwinError(Sentence("view.identify.nothing"))
+    raise ConstructionTwinError(
+        "the recording holds no motion that begins at rest and answers commands as they were given"
+    )
 
 
 def drives_of(recording: Recording, cycle_ns: int) -> list[Drive]:
@@ -58,7 +59,9 @@ def drives_of(recording: Recording, cycle_ns: int) -> list[Drive]:
     """
     feedback, command = recording.feedback, recording.command
     if feedback is None or command is None:
-        raise ConstructionTwinError(Sentence("view.identify.nothing"))
+        raise ConstructionTwinError(
+            "the recording holds no motion that begins at rest and answers commands as they were given"
+        )
     base = int(command.stamps.min())
     path = TwinPath(command, base)
     times = (feedback.command_stamps - base).astype(float)

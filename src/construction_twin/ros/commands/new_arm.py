@@ -20,7 +20,6 @@ import yaml
 from construction_twin.controller.makes import DEFAULT, MODULES, make_of
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, spoken
 from construction_twin.core.files import check_writable
-from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import inverse_kinematics
 from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot, read_robot_files
@@ -187,7 +186,7 @@ def _make(options: argparse.Namespace, command: str) -> list[str]:
         raise ConfigurationError(
             "--full-speed-in, --samples",
             (options.full_speed_in, options.samples),
-            Sentence("expected.positive_numbers"),
+            "positive numbers",
         )
     path = options.urdf.absolute()
     urdf = expand_xacro(path, xacro_arguments(options.xacro_args))
@@ -244,8 +243,10 @@ def _check_folder(folder: Path, files: Mapping[str, Path], force: bool) -> None:
     there = [file for file in files.values() if file.exists()]
     if there and not force:
         raise ConfigurationError(
-            "--output", str(there[0]), Sentence("expected.new_arm.folder"),
-        )  # fmt: skip
+            "--output",
+            str(there[0]),
+            "a folder without these files: what a person has filled in would be lost; give another one, or --force",
+        )
 
 
 def _shipped(relative: str) -> Path:
@@ -287,5 +288,5 @@ def _settle(robot: RobotModel, description: dict[str, Any], home: Home, scene: S
             return _Settled(robot, description, pairs, home)
         home = find_home(world, np.random.default_rng(SEED))
     raise ConfigurationError(
-        "home pose", home.q, Sentence("expected.new_arm.free", samples=samples, attempts=_ATTEMPTS)
+        "home pose", home.q, f"a pose that {samples} samples leave free, within {_ATTEMPTS} attempts"
     )

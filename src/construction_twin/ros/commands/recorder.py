@@ -13,7 +13,6 @@ import rosgraph
 import roslib.packages
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.sentences import Sentence
 
 
 class Recorder:
@@ -33,7 +32,7 @@ class Recorder:
     def __init__(self, path: Path, topics: Sequence[str], name: str):
         programs = roslib.packages.find_node("rosbag", "record")
         if not programs:
-            raise ConstructionTwinError(Sentence("view.recorder.missing"))
+            raise ConstructionTwinError("rosbag's recorder is not installed; install the package python3-rosbag")
         self.path = path
         self._topics = tuple(topics)
         self._name = name
@@ -59,8 +58,9 @@ class Recorder:
             ConstructionTwinError: If the recorder has ended.
         """
         if self._process.poll() is not None:
-            status = self._process.returncode
-            raise ConstructionTwinError(Sentence("view.recorder.ended", path=str(self.path), status=status))
+            raise ConstructionTwinError(
+                f"the recorder of {self.path} ended with status {self._process.returncode}; is the disk full?"
+            )
         try:
             publishers, subscribers, _ = self._master.getSystemState()
             subscribed = {topic for topic, nodes in subscribers if self._name in nodes}
@@ -91,9 +91,8 @@ class Recorder:
         """
         self._end(signal.SIGINT, timeout)
         if not self.path.exists():
-            remedy = Sentence("view.recorder.reindex")
             raise ConstructionTwinError(
-                Sentence("view.recorder.not_closed", path=str(self.path), seconds=timeout, remedy=remedy)
+                f"{self.path} was not closed within {timeout:g} s; `rosbag reindex` can repair the .active file"
             )
 
     def _end(self, number: signal.Signals, timeout: float = 10.0) -> None:

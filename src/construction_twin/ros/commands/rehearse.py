@@ -20,7 +20,6 @@ from construction_twin.core.errors import ConstructionTwinError, FileError, spok
 from construction_twin.core.extras import check_extras
 from construction_twin.core.freshness import Moment
 from construction_twin.core.records import document
-from construction_twin.core.sentences import Sentence
 from construction_twin.evaluation.tables import table_console
 from construction_twin.physics.known_mass import TOOL, body_of, masses_of
 from construction_twin.planning.waypoint_file import parse_waypoints
@@ -62,7 +61,7 @@ def _load_mujoco() -> None:
     try:
         importlib.import_module("mujoco")
     except (ImportError, OSError, RuntimeError) as error:
-        raise ConstructionTwinError(Sentence("rehearsal.no_mujoco", problem=" ".join(str(error).split()))) from error
+        raise ConstructionTwinError(f"MuJoCo cannot be loaded: {' '.join(str(error).split())}") from error
 
 
 def _rehearse(options: argparse.Namespace) -> int:
@@ -166,7 +165,7 @@ def _masses(given: Sequence[str], scene: Scene, bodies: RobotBodies) -> dict[str
         pieces = [item for item in scene.objects if name in (item.name, body_of(item.name))]
         if not pieces:
             raise ConstructionTwinError(
-                Sentence("rehearsal.no_object", found=repr(name), known=", ".join(scene.names) or "-")
+                f"--mass {name!r}: the scene has no object and no body of this name, only {', '.join(scene.names) or '-'}"
             )
         volumes = {item.name: of_object(bodies.place(item, scene.names)).mass for item in pieces}
         found |= {piece: mass * volume / sum(volumes.values()) for piece, volume in volumes.items()}
@@ -192,8 +191,8 @@ def _write_video(options: argparse.Namespace, film, touching, caption: str, cons
     # RuntimeError: there is no ffmpeg. OSError without a number: it ended early, and its own words are on standard error
     except (OSError, RuntimeError) as error:
         ended = isinstance(error, OSError) and error.errno is None
-        problem = Sentence("rehearsal.ffmpeg_ended") if ended else spoken(error)
-        raise ConstructionTwinError(Sentence("rehearsal.no_video", problem=problem)) from error
+        problem = "the program ffmpeg ended early" if ended else spoken(error)
+        raise ConstructionTwinError(f"the video could not be encoded: {problem}") from error
     version = imageio_ffmpeg.get_ffmpeg_version()
     console.print(f"{options.video}: {options.rate:g} pictures/s, H.264 by ffmpeg {version}", soft_wrap=True)
 
@@ -205,10 +204,12 @@ def _trajectory(options: argparse.Namespace, robot: RobotModel) -> tuple[Traject
         if options.plan_id:
             plans = [plan for plan in plans if plan.id == options.plan_id]
         if not plans:
-            raise ConstructionTwinError(Sentence("rehearsal.no_plan", file=str(options.plan)))
+            raise ConstructionTwinError(f"no plan in {options.plan}")
         plan = plans[-1]
         if plan.trajectory.joint_names != robot.joint_names:
-            raise ConstructionTwinError(Sentence("view.evaluate.joints", plan=plan.id, robot=robot.name))
+            raise ConstructionTwinError(
+                f"plan {plan.id} has other joints than {robot.name}; give --robot-xacro and --robot-config"
+            )
         return plan.trajectory, plan.id
     waypoints = parse_waypoints(_text(options.plan), robot)
     start = waypoints.positions[0] if len(waypoints.positions) > 1 else np.array(robot.home)
@@ -258,7 +259,7 @@ def _numbers(option: str, text: str, expected: str) -> list[float]:
 
 
 def _wrong(option: str, found: str, expected: str) -> ConstructionTwinError:
-    return ConstructionTwinError(Sentence("rehearsal.option", option=option, found=repr(found), expected=expected))
+    return ConstructionTwinError(f"{option} {found!r}: expected {expected}")
 
 
 def _rate(text: str) -> float:

@@ -26,7 +26,6 @@ from std_srvs.srv import Trigger
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, ScenarioError, spoken
 from construction_twin.core.files import check_writable
 from construction_twin.core.limits import MotionLimits
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import from_wire
 from construction_twin.evaluation.tables import table_console
 from construction_twin.gateway.trace import read_trace
@@ -165,10 +164,10 @@ class ScenarioDriver:
         if when == "now":
             return self._since
         if when == "rest":
-            self._wait(lambda: self._rest.at_rest, Sentence("view.scenario.wait.stand"), deadline)
+            self._wait(lambda: self._rest.at_rest, "the arm to stand", deadline)
             return rospy.Time.now().to_nsec()
         if when == "motion":
-            self._wait(self._moving, Sentence("view.scenario.wait.motion"), deadline)
+            self._wait(self._moving, "the motion to start", deadline)
             return self._execution.plan_start.to_nsec()
         topic, state = when.split(" ")
         self._wait(lambda: self.now(topic) == state or self._entered(topic, state), when, deadline)
@@ -193,7 +192,7 @@ class ScenarioDriver:
         self._check("plan_to_joints", answer)
 
     def _approve(self, deadline: float, refused: bool) -> None:
-        plan = self._wait(self._new_plan, Sentence("view.scenario.wait.plan"), deadline)
+        plan = self._wait(self._new_plan, "a plan to approve", deadline)
         review = rospy.ServiceProxy("review_plan", ReviewPlan)
 
         def answered():
@@ -205,11 +204,11 @@ class ScenarioDriver:
             return answer if answer.success or not early else None
 
         patience = deadline if refused else min(deadline, time.monotonic() + 2.0)
-        answer = self._wait(answered, Sentence("view.scenario.wait.known"), patience)
+        answer = self._wait(answered, "the executor to know the plan", patience)
         self._approved = plan.id
         if refused:
             if answer.success:
-                raise ScenarioError(Sentence("view.scenario.approved", plan=plan.id))
+                raise ScenarioError(f"plan {plan.id} was approved; expected a refusal")
             self.actions.append(Change(rospy.Time.now().to_nsec(), "refused", plan.id, answer.message))
             return
         self._note("approve", plan.id)
@@ -238,11 +237,9 @@ class ScenarioDriver:
         while not (found := condition()):
             if time.monotonic() > deadline:
                 states = ", ".join(f"{topic} {self.now(topic)}" for topic in STATES)
-                raise ScenarioError(
-                    Sentence("view.scenario.in_vain", what=what, states=states, reasons=self._reasons())
-                )
+                raise ScenarioError(f"waited in vain for {what}; {states}: {self._reasons()}")
             if rospy.is_shutdown():
-                raise ScenarioError(Sentence("view.interrupted"))
+                raise ScenarioError("interrupted")
             time.sleep(_POLL)
         return found
 
@@ -288,7 +285,7 @@ def run_scenario(settings: ScenarioSettings, content: dict, console: Console) ->
         deadline = time.monotonic() + _READY
         while not recorder.connected():
             if time.monotonic() > deadline:
-                raise ScenarioError(Sentence("view.scenario.no_recording", seconds=_READY))
+                raise ScenarioError(f"the recording did not start within {_READY:g} s")
             time.sleep(_POLL)
         failure = driver.run()
         rospy.sleep(0.6)  # the mock's next report belongs to the recording

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.sentences import Sentence
 from construction_twin.evaluation.bag import (
     ARM,
     EXECUTION,
@@ -64,7 +63,7 @@ def read_run(folder: Path, namespace: str | None = None) -> Run:
     messages = {name: [message for _, message in found] for name, found in read.items()}
     for name in (SYNC, EXECUTION, MOCK, ARM):
         if name not in messages:
-            raise ConstructionTwinError(Sentence("view.bag.not_there", path=str(path), topic=f"{prefix}/{name}"))
+            raise ConstructionTwinError(f"{path} holds no {prefix}/{name}; was the mock controller recorded?")
     reports = [json.loads(message.data) for message in messages[MOCK]]
     transitions = messages.get(TRANSITIONS, [])
     changes += [*_states("sync", messages[SYNC][:1]), *_transitions(transitions)]

@@ -19,7 +19,6 @@ from typing import Any
 import rospy
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused, SilenceError
-from construction_twin.core.sentences import Sentence
 from construction_twin.link.requests import GoalRequest, ReviewRequest
 from construction_twin.msg import Execution
 from construction_twin.robot.description import RobotModel
@@ -93,7 +92,7 @@ class Command:
         listener.wait(lambda: listener.newest("plan") is not None, min(LATCHED, options.timeout))
         newest = listener.newest("plan")
         if newest is None:
-            raise RequestRefused(Sentence("view.refused.no_plan_made"))
+            raise RequestRefused("no plan was made since the planner started; plan one, then export it")
         plan = listener.plan(newest.id)
         if plan is None:
             raise RequestRefused(listener.refused)
@@ -127,7 +126,9 @@ class Command:
         listener = self._listener()
         plan = self._under_review(listener)
         if expected and plan.id != expected:
-            raise RequestRefused(Sentence("view.refused.not_of_task", plan=plan.id, expected=expected))
+            raise RequestRefused(
+                f"plan {plan.id} is under review, not {expected} of the task; see `twin show`, `twin work list`"
+            )
         self._print_plan(plan, listener, names)
         seen = self._print_rehearsal(plan) if options.override_rehearsal else None
         if not options.yes and not _confirmed():
@@ -148,9 +149,7 @@ class Command:
         self._await_latched(listener)
         snapshot = listener.snapshot()
         if snapshot.link is snapshot.sync is snapshot.execution is None:
-            raise SilenceError(
-                self._namespace, Sentence("view.silent.no_reports"), Sentence("view.to_do.bringup_or_robot")
-            )
+            raise SilenceError(self._namespace, "no node reports", "start bringup, or give another --robot")
         print("\n".join(status_lines(snapshot)))
         if not self._options.ready:
             return Exit.DONE
@@ -161,8 +160,8 @@ class Command:
     def _watch(self) -> Exit:
         options, listener = self._options, self._listener()
         if not listener.wait(lambda: listener.newest("sync") or listener.newest("link"), options.timeout):
-            nothing = Sentence("view.silent.nothing", seconds=options.timeout)
-            raise SilenceError("sync and link", nothing, Sentence("view.to_do.give_robot"))
+            nothing = f"no report (waited {options.timeout:g} s)"
+            raise SilenceError("sync and link", nothing, "start bringup, or give --robot")
         self._await_latched(listener)
         while not rospy.is_shutdown():
             # on a terminal the last picture is wiped out
@@ -195,15 +194,15 @@ class Command:
         expect_publisher(f"{self._namespace}/execution")
         if not listener.wait(lambda: listener.newest("execution") is not None, self._options.timeout):
             topic = f"{self._namespace}/execution"
-            raise SilenceError(topic, Sentence("view.silent.executor"), Sentence("view.to_do.bringup_or_down"))
+            raise SilenceError(topic, "the executor does not report", "start bringup, or see why the node is down")
         listener.wait(lambda: listener.publishers("plan") > 0, self._options.timeout)
         self._await_latched(listener)
         plan = listener.under_review()
         if plan is None:
-            raise RequestRefused(listener.refused or Sentence("view.refused.no_plan"))
+            raise RequestRefused(listener.refused or "no plan waits for approval; plan one, then review it")
         wanted = getattr(self._options, "plan_id", "")
         if not plan.id.startswith(wanted):
-            raise RequestRefused(Sentence("view.refused.other_plan", wanted=wanted, plan=plan.id))
+            raise RequestRefused(f"plan {wanted} is not under review; {plan.id} is")
         return plan
 
     def _await_latched(self, listener: RobotListener) -> None:
@@ -288,8 +287,8 @@ def connect(options: argparse.Namespace) -> None:
     if not rospy.has_param(f"{namespace}/robot/name"):
         suffix = "/robot/name"
         names = sorted(name.removesuffix(suffix) for name in rospy.get_param_names() if name.endswith(suffix))
-        known = Sentence("view.to_do.robots", robots=", ".join(names)) if names else TO_DO
-        raise SilenceError(namespace, Sentence("view.silent.no_robot"), known)
+        known = f"known here: {', '.join(names)}; give --robot" if names else TO_DO
+        raise SilenceError(namespace, "there is no robot of this name", known)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -6,7 +6,6 @@ from pathlib import Path
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.files import write_whole
-from construction_twin.core.sentences import Sentence
 
 
 def write_or_print(file: str, text: str) -> Path | None:
@@ -18,5 +17,5 @@ def write_or_print(file: str, text: str) -> Path | None:
     try:
         write_whole(path, text)
     except OSError as error:
-        raise ConfigurationError(file, error.strerror or str(error), Sentence("expected.writable")) from error
+        raise ConfigurationError(file, error.strerror or str(error), "a file that can be written") from error
     return path

@@ -7,7 +7,6 @@ import contextlib
 import rospy
 
 from construction_twin.core.errors import ConstructionTwinError, SilenceError
-from construction_twin.core.sentences import Sentence
 from construction_twin.evaluation.tables import table_console
 from construction_twin.msg import Rehearsal
 from construction_twin.physics.report import PASSED, RehearsalReport, is_whole
@@ -29,7 +28,11 @@ def show_rehearsal(namespace: str, timeout: float) -> Exit:
     try:
         report = _read(rospy.wait_for_message(topic, Rehearsal, timeout))
     except rospy.ROSException as error:
-        raise SilenceError(topic, Sentence("view.silent.rehearsal"), Sentence("view.to_do.plan")) from error
+        raise SilenceError(
+            topic,
+            "no plan was rehearsed yet",
+            "have a motion planned, or see on /diagnostics why there is no rehearsal",
+        ) from error
     _print(report)
     return Exit.DONE if report.state == PASSED else Exit.REFUSED
 
@@ -45,7 +48,7 @@ def print_rehearsal(namespace: str, plan_id: str, plan_hash: str, timeout: float
     with contextlib.suppress(rospy.ROSException):  # nothing is latched: no plan was rehearsed yet
         report = _read(rospy.wait_for_message(f"{namespace}/rehearsal", Rehearsal, timeout))
     if report is None or (report.plan_id, report.plan_hash) != (plan_id, plan_hash):
-        print(Sentence("review.rehearsal.missing", plan=plan_id))
+        print(f"plan {plan_id} was not rehearsed yet, and it must be")
         return ""
     _print(report)
     return report.hash
@@ -55,7 +58,7 @@ def _read(message: Rehearsal) -> RehearsalReport:
     """Return the result; ConstructionTwinError for one whose hash is not its own."""
     report = from_msg(RehearsalReport, message)
     if not is_whole(report):
-        raise ConstructionTwinError(Sentence("reason.refused.rehearsal", plan=repr(report.plan_id)))
+        raise ConstructionTwinError(f"the rehearsal of plan {report.plan_id!r} is not what its hash says")
     return report
 
 

@@ -8,7 +8,6 @@ import sys
 import rospy
 
 from construction_twin.core.errors import SilenceError
-from construction_twin.core.sentences import Sentence
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.urdf import parse_urdf
 from construction_twin.ros.commands.twin_output import write_or_print
@@ -54,4 +53,4 @@ class SceneCommand:
         try:
             return scene_from_msg(rospy.wait_for_message(topic, SceneMsg, self._options.timeout))
         except rospy.ROSException as error:
-            raise SilenceError(topic, Sentence("view.silent.scene"), Sentence("view.to_do.down")) from error
+            raise SilenceError(topic, "the scene node does not publish", "see why it is down") from error

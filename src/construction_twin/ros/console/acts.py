@@ -17,7 +17,6 @@ from functools import partial
 import rospy
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.sentences import Sentence
 from construction_twin.link.requests import (
     AnswerRequest,
     LowerSpeed,
@@ -113,7 +112,11 @@ class Acts:
 
     def _give_verdict(self, verdict: Verdict, request: Incoming) -> Outcome:
         if not request.account and self._connection.proves_accounts:
-            raise PayloadError("sender", Sentence("link.payload.nameless"))
+            raise PayloadError(
+                "sender",
+                "a verdict on review names nobody: on a broker with accounts publish it on review/<account>; "
+                "if the broker refuses that, its rules are old: run make_site again",
+            )
         review = verdict.by(request.account)
         fields = request_fields(ReviewPlan, replace(review, reason=review.recorded_reason))
         if review.approve:
@@ -125,8 +128,7 @@ class Acts:
         kind, names = request.kind, (request.account, wanted.id)
         if names in known:
             # it must not start again what was paused since
-            again = {"verb": kind.name, "id": repr(wanted.id), "account": request.account}
-            raise PayloadError(REPEATED, Sentence("link.payload.again", **again))
+            raise PayloadError(REPEATED, f"{kind.name} {wanted.id!r} of account {request.account} came before")
         known.append(names)
         # it asks the master first; when a pause overtakes it, its moment is older than that pause, and it is void
         fields = {"act": kind.name, "person": request.account, "moment": wanted.moment}

@@ -229,7 +229,7 @@ class Incoming:
         refused = None
         try:
             if self.kind.expires and (problem := staleness(self.asked.moment, present())):
-                raise PayloadError(TOO_OLD, Sentence("executor.void.request", problem=problem))
+                raise PayloadError(TOO_OLD, Sentence("the request is {problem}", problem=problem))
             outcome = self._endpoint.act(self.asked, self)
         except ServiceSilentError as error:
             outcome = Outcome(False, str(error))
@@ -338,7 +338,7 @@ class NewestQueue:
         if former is not None:
             former.count("overtaken")
         if not fits:
-            request.refuse("busy", Sentence("link.payload.accounts", count=self._most))
+            request.refuse("busy", f"{self._most} accounts drag poses already; try again")
 
     def run(self, patience: float = 0.0) -> None:
         """Carry out all that wait; wait so long [s] for the first one."""

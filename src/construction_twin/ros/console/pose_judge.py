@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.robot.description import RobotModel
 from construction_twin.scene.objects import Scene
 
@@ -74,9 +73,9 @@ class PoseJudge:
     def _present_world(self) -> CollisionWorld:
         scene = self._scene()
         if not self._path:
-            raise ConfigurationError("self_collision", "", Sentence("expected.pairs_file"))
+            raise ConfigurationError("self_collision", "", "the YAML of the link pairs that are not checked")
         if scene is None:
-            raise ConfigurationError("scene", None, Sentence("expected.scene"))
+            raise ConfigurationError("scene", None, "a scene; see why the scene node is down")
         if self._world is None:
             from construction_twin.scene.collision_world import CollisionWorld
             from construction_twin.scene.self_collision import read_self_collision

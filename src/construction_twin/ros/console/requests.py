@@ -118,7 +118,9 @@ class ConsoleRequests:
             # the node `work` makes the scene right before it has the way back planned
             kind = "work_task"
         if kind == "work_task" and not self._around.has_work():
-            return Outcome(False, Sentence("link.no_work"))
+            return Outcome(
+                False, Sentence("no building model is worked on here; start bringup with work_model and work_cell")
+            )
         # a stop between the message and its turn voids the plan
         source = source_of("", request.account, self._connection.proves_accounts)
         fields = PLAN_SERVICES[kind].fields(asked, source=source, asked=str(request.arrived))
@@ -129,7 +131,7 @@ class ConsoleRequests:
     def _solve(self, asked: IkRequest, _request: Incoming) -> Outcome:
         seed = self._joints.in_order(asked.seed, "seed") if asked.seed else tuple(self._around.twin())
         if not seed:
-            return Outcome(False, Sentence("link.no_seed"))
+            return Outcome(False, Sentence("the twin's pose is not known, and no seed was given"))
         try:
             verdict = self._judge.judge(asked.position, quaternion_to_rotation(asked.orientation), seed)
         except (ConfigurationError, SceneError) as error:

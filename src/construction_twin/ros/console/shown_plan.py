@@ -13,7 +13,6 @@ from dataclasses import replace
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.records import SPACED, dumped
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_review import (
     ClearanceView,
@@ -79,7 +78,7 @@ class ShownPlan:
         """Show what the rehearsal of a plan has found, until the plan is decided."""
         report = from_msg(RehearsalReport, message)
         if not is_whole(report):
-            self._connection.refuse("rehearsal", Sentence("reason.refused.rehearsal", plan=repr(report.plan_id)))
+            self._connection.refuse("rehearsal", f"the rehearsal of plan {report.plan_id!r} is not what its hash says")
             return
         with self._lock:
             self.rehearsal = report

@@ -16,7 +16,6 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.freshness import parse_moment
 from construction_twin.core.motion_errors import TrajectoryError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.kinematics.chain import Pose
 from construction_twin.msg import Plan as PlanMsg
@@ -182,8 +181,10 @@ def _report_from_msg(msg: PlanMsg) -> PlanReport:
     measured = (msg.clearance_time, point.x, point.y, point.z, *msg.velocity_use, *msg.acceleration_use, *msg.jerk_use)
     # an infinite clearance is valid: there is nothing to touch
     if math.isnan(msg.clearance) or not all(map(math.isfinite, measured)):
-        found = {"clearance": msg.clearance, "time": msg.clearance_time, "usage": str([*measured[4:]])}
-        raise TrajectoryError(Sentence("motion.trajectory.measured", plan=msg.id, **found))
+        raise TrajectoryError(
+            f"plan {msg.id} was measured as clearance {msg.clearance} at {msg.clearance_time} s, limit "
+            f"usage {[*measured[4:]]}; expected numbers"
+        )
     return PlanReport(
         Clearance(msg.clearance, tuple(msg.clearance_between), (point.x, point.y, point.z), msg.clearance_time),
         LimitUsage(tuple(msg.velocity_use), tuple(msg.acceleration_use), tuple(msg.jerk_use)),

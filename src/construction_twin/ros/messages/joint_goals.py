@@ -140,7 +140,11 @@ def control_messages() -> ModuleType:
     Raises:
         ConfigurationError: When there is none, or its action is another one; with what to do.
     """
-    to_do = Sentence("expected.control_msgs")
+    to_do = (
+        "the package of ROS (apt-get install ros-noetic-control-msgs), or ours: cp -r $(rospack find "
+        "construction_twin)/setup/control_msgs into the src folder of your workspace, and "
+        "catkin_make; or follow_joint_trajectory:=false"
+    )
     try:
         messages = importlib.import_module("control_msgs.msg")
     except ImportError as error:
@@ -149,9 +153,7 @@ def control_messages() -> ModuleType:
         found = getattr(messages, name)._md5sum
         if found != md5:
             where = f"one in {messages.__file__} whose {name} has the md5 sum {found}"
-            raise ConfigurationError(
-                "the Python package control_msgs", where, Sentence("expected.control_msgs_sum", md5=md5, to_do=to_do)
-            )
+            raise ConfigurationError("the Python package control_msgs", where, f"the md5 sum {md5}: {to_do}")
     return messages
 
 
@@ -170,10 +172,21 @@ def trajectory_goal(goal, goal_id: str, client: str, robot: RobotModel, defaults
     for one in goal.path_tolerance:
         # 0 is the default, below 0 no bound: there is none
         if not (one.position <= 0.0 and one.velocity <= 0.0 and one.acceleration <= 0.0):
-            raise GoalError(Sentence("reason.goal.path_tolerance", joint=one.name))
+            raise GoalError(
+                Sentence(
+                    "path_tolerance asks for a bound on the path of {joint}; expected none: the gate watches the path",
+                    joint=one.name,
+                )
+            )
     seconds = goal.goal_time_tolerance.to_nsec() / NANOSECONDS
     if not 0.0 <= seconds <= LONGEST:
-        raise GoalError(Sentence("reason.goal.time_tolerance", seconds=seconds, longest=LONGEST))
+        raise GoalError(
+            Sentence(
+                "goal_time_tolerance is {seconds:g} s; expected 0 (the default) to {longest:g}",
+                seconds=seconds,
+                longest=LONGEST,
+            )
+        )
     return TrajectoryGoal(
         goal_id,
         client,

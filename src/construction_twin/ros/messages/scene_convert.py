@@ -14,7 +14,6 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from construction_twin.core.motion_errors import SceneError
-from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.msg import SceneObject as ObjectMsg
@@ -81,7 +80,9 @@ def scene_from_msg(msg: SceneMsg) -> Scene:
     """
     scene = Scene(tuple(map(object_from_msg, msg.objects)), msg.padding)
     if scene.hash != msg.hash:
-        raise SceneError("the scene's hash", msg.hash, Sentence("expected.scene_hash", hash=scene.hash))
+        raise SceneError(
+            "the scene's hash", msg.hash, f"{scene.hash}, that of its contents; a mesh file may have changed"
+        )
     return scene
 
 

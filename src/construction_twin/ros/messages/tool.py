@@ -6,7 +6,6 @@ import genpy
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
-from construction_twin.core.sentences import Sentence
 from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.engagement import Engagement
 from construction_twin.msg import Engagement as EngagementMsg
@@ -31,12 +30,13 @@ def tool_report_from_msg(msg: ToolState) -> ToolReport:
     for what, names, values in together:
         if len(names) != len(values):
             raise PayloadError(
-                "tool", Sentence("reason.refused.tool_lengths", names=len(names), what=what, values=len(values))
+                "tool",
+                f"{len(names)} {what} have {len(values)} values; expected as many",
             )
     try:
         states = [SwitchState(state) for state in msg.switch_states]
     except ValueError as error:
-        raise PayloadError("tool", Sentence("reason.refused.switch_state", problem=str(error))) from error
+        raise PayloadError("tool", f"{error}; expected the state of a switch as in ToolState.msg") from error
     return ToolReport(
         known=msg.known,
         tool=msg.tool,

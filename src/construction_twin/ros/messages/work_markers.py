@@ -13,7 +13,6 @@ from geometry_msgs.msg import Pose as PoseMsg
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.work.task_board import Appearance
@@ -62,7 +61,7 @@ def work_markers(
             placed = corners @ one.pose.rotation.T + one.pose.position
             low, high = placed.min(axis=0), placed.max(axis=0)
             x, y = (low + high)[:2] / 2.0
-            text = Sentence("view.next", element=one.name)
+            text = f"next: {one.name}"
             marker = Marker(ns=TEXT, type=Marker.TEXT_VIEW_FACING, action=Marker.ADD, text=text, frame_locked=True)
             marker.header.frame_id = base_frame
             marker.pose = PoseMsg(

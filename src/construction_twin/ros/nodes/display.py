@@ -24,7 +24,6 @@ from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
 from construction_twin.core.reports import HoldReport
-from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Chain, Pose, to_frame, to_kdl
 from construction_twin.monitor.states import SyncState
 from construction_twin.msg import Execution, Hold, Plan, Rehearsal, Review, Scene, Sync
@@ -257,7 +256,7 @@ class DisplayNode:
     def on_sync(self, message: Sync) -> None:
         """Store the monitor's state."""
         if message.state not in SyncState._value2member_map_:
-            self._diagnostics.refuse("sync", Sentence("reason.refused.sync_state", state=message.state))
+            self._diagnostics.refuse("sync", f"sync state {message.state} is unknown; expected one of Sync.msg")
             return
         self._sync = time.monotonic(), message
 
@@ -269,7 +268,7 @@ class DisplayNode:
         """Make the picture of the state anew, and publish it where it has changed."""
         heard, last = self._sync or (-math.inf, None)
         if last is None or time.monotonic() - heard > SYNC_SILENCE:
-            shown = SyncState.WAITING, headline(SyncState.WAITING, Sentence("view.sync_silent"), "")
+            shown = SyncState.WAITING, headline(SyncState.WAITING, "no report on sync: is pca_monitor running?", "")
         else:
             state, cause = SyncState(last.state), hold_cause(self._hold)
             worst = "" if cause else worst_joint(last.name, last.error, last.threshold, self._robot.linear)

@@ -19,7 +19,6 @@ import rospy
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.network import reaches_itself
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import share_folder
 from construction_twin.msg import Feedback, Scene, StartRefused
 from construction_twin.robot.description import RobotModel
@@ -112,7 +111,12 @@ class StartupNode:
         if others:
             rospy.loginfo("%s", others)
         if settings.gateway_kind == "plc" and settings.arm == "real":
-            rospy.logwarn("%s", Sentence("preflight.bare"))
+            rospy.logwarn(
+                "gateway_kind:=plc with arm:=real: a bare PLC is commanded by joint strings alone. "
+                "Configuration, session, sequence and age of strings, stops and speed limits are not "
+                "checked, on neither side; a person is responsible for that, by name: `rosrun "
+                "construction_twin twin arm --responsible NAME`. Read docs/broker.md first"
+            )
         self._listener = RobotListener(namespace, robot)
         self._ports = ports
         self._heard: set[str] = set()

@@ -14,7 +14,6 @@ import rosgraph
 import rospy
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.ros.shared.params import ros_home
 from construction_twin.ros.shared.start_refusal import expect_no_other
 
@@ -32,14 +31,19 @@ def display_problem(display: str, connect: Callable[[str, int], None]) -> str:
         connect: ``connect(host, number)`` reaches display `number`; host "" is this machine. Raises OSError when it cannot.
     """
     if not display:
-        return Sentence("view.display.none")
+        return "there is no display (DISPLAY is not set): rviz is not started, everything else goes on without it"
     found = re.fullmatch(r"(?:unix)?([^:]*):(\d+)(?:\.\d+)?", display)
     if found is None:
-        return Sentence("view.display.wrong", display=repr(display))
+        return (
+            f"DISPLAY is {display!r}, expected HOST:NUMBER or :NUMBER: rviz is not started, everything "
+            "else goes on without it"
+        )
     try:
         connect(found[1], int(found[2]))
     except OSError as error:
-        return Sentence("view.display.silent", display=display, problem=str(error))
+        return (
+            f"the display {display} does not answer ({error}): rviz is not started, everything else goes on without it"
+        )
     return ""
 
 
