@@ -46,10 +46,14 @@ class WithoutPerson:
     def reason(self, source: str) -> str:
         """Return why a plan of this source needs no person, for the record; "" when it needs one."""
         if self.every:
-            return Sentence("review.by_itself")
+            return Sentence("the launch argument auto_approve is on")
         for name in self.sources:
             if source == name or source.endswith(f" from {name}"):
-                return Sentence("review.by_source", name=name, source=repr(source))
+                return Sentence(
+                    "the launch argument auto_approve_sources names {name}, and the plan is of {source}",
+                    name=name,
+                    source=repr(source),
+                )
         return ""
 
 
@@ -90,9 +94,15 @@ class Approval:
         """
         try:
             if plan.asked.origin != self._started.origin:
-                raise ReviewError(Sentence("executor.plan_elsewhere", plan=plan.id))
+                raise ReviewError(
+                    Sentence(
+                        "plan {plan} was asked for on another computer, or before this one was started; plan again, "
+                        "on this computer",
+                        plan=plan.id,
+                    )
+                )
             if plan.asked.at < self._started.at:
-                raise ReviewError(Sentence("executor.plan_older", plan=plan.id))
+                raise ReviewError(Sentence("plan {plan} is older than this executor; plan again", plan=plan.id))
             with self._lock:
                 left = self._executor.engagement.left
             if left is not None:
@@ -138,7 +148,7 @@ class Approval:
         moment = self._clock() if seen is None else seen
         with self._one_verdict_at_a_time:
             try:
-                self._demand_fresh(moment, "approval")
+                self._demand_fresh(moment, "the approval is {problem}")
                 with self._lock:
                     plan = self._executor.under_review.plan
                 if plan is not None and plan.id == plan_id:
@@ -157,7 +167,7 @@ class Approval:
             except ReviewError as error:
                 # something happened while it was written down: the record is corrected
                 if verdict.plan is not None:
-                    reason = Sentence("review.not_started", reason=error.sentence)
+                    reason = Sentence("not started: {reason}", reason=error.sentence)
                     self._record(Ending(verdict.plan, "dropped", reason))
                 raise
 
@@ -187,7 +197,7 @@ class Approval:
             with self._lock:
                 review = self._executor.under_review
                 if review.plan is not None and review.plan.id == plan.id:
-                    reason = Sentence("review.not_by_itself", reason=error.sentence)
+                    reason = Sentence("auto_approve: {reason}", reason=error.sentence)
                     self._executor.tell_withdrawn(review.clear(), reason)
             if isinstance(error, RecordError):
                 raise
@@ -202,32 +212,41 @@ class Approval:
         with self._lock:
             if seen is None:
                 return self._executor.resume()
-            may_wait = self._demand_fresh(seen, "resume")
+            may_wait = self._demand_fresh(seen, "the resume is {problem}")
             if seen.at <= self._executor.rested:
-                raise ExpiredError(Sentence("executor.void.resume_since"))
+                raise ExpiredError(
+                    Sentence("the resume is void: the arm was paused or stopped since; look again, and then ask anew")
+                )
             return self._executor.resume(may_wait)
 
     def release(self, person: str, reason: str) -> str:
         """End an engagement in the name of a person who has freed the arm, after it was recorded; return one sentence."""
         if not person or not reason:
-            raise ExecutionError(Sentence("executor.release.nameless"))
+            raise ExecutionError(Sentence("a release needs the name of a person, and how the arm was freed"))
         with self._lock:
             left = self._executor.check_release()
         release = Release(person, reason, left.plan_id, left.task, left.segment)
         asked = self._clock()
         self._record(release)
         try:
-            self._demand_fresh(asked, "release")
+            self._demand_fresh(asked, "the release is {problem}")
             with self._lock:
                 if self._executor.check_release() is not left:
-                    raise ExecutionError(Sentence("executor.release.another"))
+                    raise ExecutionError(
+                        Sentence("the arm was left inside another engaged segment meanwhile; look at it again")
+                    )
                 self._executor.engagement.end()
         except (ExecutionError, ExpiredError) as error:
             # something happened while it was written down: the record is corrected
             self._record(replace(release, refused=str(error)))
             raise
-        where = {"segment": repr(left.segment), "plan": left.plan_id}
-        return Sentence("executor.release.done", **where, person=person, reason=reason)
+        return Sentence(
+            "the arm, left in segment {segment} of plan {plan}, was freed by {person}: {reason}",
+            segment=repr(left.segment),
+            plan=left.plan_id,
+            person=person,
+            reason=reason,
+        )
 
     def _examine(
         self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str, override: str | None = None
@@ -246,30 +265,44 @@ class Approval:
         """Raise ReviewError when there is nothing to override, or it is not what was seen, or the reviewer does not say why."""
         problem = self._executor.rehearsal_problem(plan)
         if not problem:
-            raise ReviewError(Sentence("review.rehearsal.nothing", plan=plan.id))
+            raise ReviewError(
+                Sentence("there is no rehearsal to override: plan {plan} needs none, or has passed it", plan=plan.id)
+            )
         if not plan_hash:
-            raise ReviewError(Sentence("review.rehearsal.unhashed", plan=plan.id))
+            raise ReviewError(
+                Sentence(
+                    "whoever approves plan {plan} in spite of its rehearsal must name the plan's hash", plan=plan.id
+                )
+            )
         report = self._executor.rehearsal.of(plan)
         if seen != (report.hash if report is not None else ""):
-            raise ReviewError(Sentence("review.rehearsal.unseen", plan=plan.id, now=problem))
+            raise ReviewError(
+                Sentence(
+                    "the rehearsal of plan {plan} says something else than what was seen and overridden: {now}",
+                    plan=plan.id,
+                    now=problem,
+                )
+            )
         if not reason.strip():
-            raise ReviewError(Sentence("review.rehearsal.unreasoned", plan=plan.id))
+            raise ReviewError(
+                Sentence("whoever approves plan {plan} in spite of its rehearsal must say why", plan=plan.id)
+            )
 
-    def _demand_fresh(self, moment: Moment, word: str) -> int:
+    def _demand_fresh(self, moment: Moment, voided: str) -> int:
         """Return how long a person's word may still wait for motion [ns]; ExpiredError when that is over."""
         now = self._clock()
         if problem := staleness(moment, now):
-            raise ExpiredError(Sentence(f"executor.void.{word}", problem=problem))
+            raise ExpiredError(Sentence(voided, problem=problem))
         return LIFETIME - (now.at - moment.at)
 
     def _begin_approved(self, verdict: Verdict, moment: Moment) -> None:
         """Begin what an approval that was recorded is for, if it still may."""
-        left = self._demand_fresh(moment, "approval")
+        left = self._demand_fresh(moment, "the approval is {problem}")
         known = verdict.rehearsal
         override = known.hash if known is not None and known.overridden else None
         self._examine(verdict.plan_id, verdict.plan_hash, True, verdict.reviewer, verdict.reason, override)
         plan = self._executor.under_review.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
-        self._executor.begin(plan, Sentence("executor.approved", reviewer=verdict.reviewer), left)
+        self._executor.begin(plan, Sentence("approved by {reviewer}", reviewer=verdict.reviewer), left)
 
     def _refuse(self, plan_id: str, plan_hash: str, reviewer: str, reason: str) -> None:
         with self._lock:

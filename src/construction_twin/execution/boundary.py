@@ -151,7 +151,11 @@ class Boundary:
             self._wanted_at = now
         self.wants_scene = scene != self.scene_after
         if self.wants_scene and now - self._wanted_at > SCENE_TIMEOUT:
-            late = Sentence("executor.boundary.scene_late", scene=self.scene_after[:12], seconds=_SCENE_TIMEOUT_S)
+            late = Sentence(
+                "the scene did not become {scene} within {seconds:g} s; check that the node that changes it runs",
+                scene=self.scene_after[:12],
+                seconds=_SCENE_TIMEOUT_S,
+            )
             return BoundaryEvent(ExecutorEvent.TIMEOUT, late)
         return None
 
@@ -179,7 +183,13 @@ class Boundary:
         """Tell of a switch that would confirm nothing: a sensor that is stuck reads the same before and after it."""
         for order in self._ordered:
             if order.switch.confirm and not tool.problem(order.switch.confirm):
-                return BoundaryEvent(ExecutorEvent.LOST, Sentence("executor.boundary.stuck", switch=_name(order)))
+                return BoundaryEvent(
+                    ExecutorEvent.LOST,
+                    Sentence(
+                        "what confirms {switch} reads so before it was switched; look at the sensor and at the tool",
+                        switch=_name(order),
+                    ),
+                )
         return None
 
     def _arm(self, which: list[_Order], stamp: int, now: int) -> None:
@@ -206,8 +216,13 @@ class Boundary:
             if order.fired is not None or report is None:
                 continue
             if report.state is SwitchState.REFUSED or (_is_void(report) and not self._voided):
-                word = "refused" if report.state is SwitchState.REFUSED else "forgotten"
-                sentence = Sentence(f"executor.boundary.{word}", switch=_name(order), reason=report.reason)
+                sentence = Sentence(
+                    "the gateway has refused {switch}: {reason}"
+                    if report.state is SwitchState.REFUSED
+                    else "the gateway has forgotten {switch}: {reason}",
+                    switch=_name(order),
+                    reason=report.reason,
+                )
                 return BoundaryEvent(ExecutorEvent.REFUSED, sentence)
         return None
 
@@ -219,14 +234,20 @@ class Boundary:
             if order.fired is None:
                 all_in = False
                 if now - self._armed_at > FIRE_TIMEOUT:
-                    words = Sentence("executor.boundary.not_fired", switch=_name(order), seconds=_FIRE_TIMEOUT_S)
+                    words = Sentence(
+                        "{switch} was not reported as fired within {seconds:g} s",
+                        switch=_name(order),
+                        seconds=_FIRE_TIMEOUT_S,
+                    )
                     late = BoundaryEvent(ExecutorEvent.TIMEOUT, words)
             elif problem := tool.problem(order.switch.confirm):
                 all_in = False
                 if now - order.fired > order.switch.timeout * NANOSECONDS:
-                    waited = order.switch.timeout
                     words = Sentence(
-                        "executor.boundary.unconfirmed", switch=_name(order), seconds=waited, problem=problem
+                        "{switch} has fired, but was not confirmed within {seconds:g} s: {problem}",
+                        switch=_name(order),
+                        seconds=order.switch.timeout,
+                        problem=problem,
                     )
                     late = BoundaryEvent(ExecutorEvent.TIMEOUT, words)
         self._confirmed = all_in
@@ -238,4 +259,7 @@ def _is_void(report: SwitchReport | None) -> bool:
 
 
 def _name(order: _Order) -> str:
-    return Sentence(f"executor.tool.switch_{'on' if order.switch.value else 'off'}", output=order.switch.output)
+    return Sentence(
+        "the switch of {output} to on" if order.switch.value else "the switch of {output} to off",
+        output=order.switch.output,
+    )

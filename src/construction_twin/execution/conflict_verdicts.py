@@ -33,8 +33,14 @@ class ConflictVerdicts:
         if not self.name:
             return ""
         if self._plan_id != plan_id:
-            return Sentence("executor.neighbour.unchecked", name=self.name)
+            return Sentence(
+                "its path was not checked against {name} yet; is the node `neighbour` running?", name=self.name
+            )
         age = self.now - self._at
         if age > VERDICT_TIMEOUT:
-            return Sentence("executor.neighbour.old", name=self.name, age=age / NANOSECONDS)
+            return Sentence(
+                "its path was last checked against {name} {age:.1f} s ago; is the node `neighbour` running?",
+                name=self.name,
+                age=age / NANOSECONDS,
+            )
         return self._problem

@@ -169,8 +169,14 @@ def write_engagement(path: Path, engagement: Engagement | None) -> None:
         rows = [json.dumps([float(time), *(values.tolist() for values in row)]) for time, *row in columns]
         write_whole(path, json.dumps(fields)[:-1] + ', "waypoints": [\n' + ",\n".join(rows) + "\n]}\n")
     except OSError as error:
-        failed = {"path": str(path), "problem": error.strerror or str(error)}
-        raise ExecutionError(Sentence("executor.engagement_not_written", **failed)) from error
+        raise ExecutionError(
+            Sentence(
+                "{path}: {problem}: where the arm may be left is not on the disk, so no engaged segment is "
+                "entered or left; mend it",
+                path=str(path),
+                problem=error.strerror or str(error),
+            )
+        ) from error
 
 
 def read_engagement(path: Path, joint_names: Sequence[str]) -> Engagement | None:
@@ -194,7 +200,11 @@ def read_engagement(path: Path, joint_names: Sequence[str]) -> Engagement | None
         return None
     except (OSError, ValueError, KeyError, TypeError, TrajectoryError) as error:
         problem = f"{type(error).__name__}: {problem_of(error)}"
-        raise ConfigurationError(str(path), problem, Sentence("expected.engagement")) from error
+        raise ConfigurationError(
+            str(path),
+            problem,
+            "the file that an executor of this robot wrote; look at the arm, free it, and only then delete the file",
+        ) from error
     left = Engagement(path=ExecutedPath(trajectory, end), holding=holding, **words)
     # one that was only expected
     return left if left.reason else replace(left, reason="the executor ended before the plan did")
@@ -207,35 +217,78 @@ def check_way_back(plan: Plan, engagement: Engagement) -> None:
     It may start up to `LARGEST_ENTRY` beside the path, where a hold or the gateway has brought the arm to rest, and goes to it
     straight.
     """
-    where = {"segment": repr(engagement.segment), "left": engagement.plan_id}
     segment = plan.segments[0] if len(plan.segments) == 1 else None
     if segment is None or segment.switches or segment.scene_after != segment.scene:
-        raise ReviewError(Sentence("review.back.another", plan=plan.id, **where))
+        raise ReviewError(
+            Sentence(
+                "the arm is engaged in segment {segment} of plan {left}, and plan {plan} is not the way "
+                "back: call plan_way_back, or free the arm by hand and call release_engagement",
+                plan=plan.id,
+                segment=repr(engagement.segment),
+                left=engagement.plan_id,
+            )
+        )
     if all(set(segment.requires) != set(signals) for signals, _ in engagement.holding):
         found = ", ".join(f"{signal.name}={signal.value}" for signal in segment.requires) or "nothing"
-        raise ReviewError(Sentence("review.back.tool", plan=plan.id, found=found, **where))
+        raise ReviewError(
+            Sentence(
+                "plan {plan} requires {found} of the tool, not what the arm was left with in segment "
+                "{segment} of plan {left}: call plan_way_back, or free the arm by hand and call "
+                "release_engagement",
+                plan=plan.id,
+                found=found,
+                segment=repr(engagement.segment),
+                left=engagement.plan_id,
+            )
+        )
     scenes = engagement.scenes_of(segment.requires)
     if plan.scene not in scenes:
-        raise ReviewError(Sentence("review.back.refused", plan=plan.id, problem=scene_problem(plan.scene, scenes)))
+        raise ReviewError(
+            Sentence(
+                "plan {plan} is not the way back: {problem}", plan=plan.id, problem=scene_problem(plan.scene, scenes)
+            )
+        )
     trajectory, path = plan.trajectory, engagement.path
     start = trajectory.positions[0]
     entry = path.entry(start)
     if entry.distance > LARGEST_ENTRY:
         distance = float(entry.distance)
-        raise ReviewError(Sentence("review.back.beside", plan=plan.id, distance=distance, most=LARGEST_ENTRY))
+        raise ReviewError(
+            Sentence(
+                "plan {plan} starts {distance:.4f} rad (or m) beside the executed path, which is more than "
+                "{most:g}: free the arm by hand, then call release_engagement",
+                plan=plan.id,
+                distance=distance,
+                most=LARGEST_ENTRY,
+            )
+        )
     line = np.linspace(0.0, 1.0, 2 + math.ceil(entry.distance / WAY_BACK_TOLERANCE))[:-1, None]
     back = path.points(entry.time)[::-1]
     way = np.vstack((start + line * (back[0] - start), back))
     times = np.append(np.arange(0.0, trajectory.duration, CYCLE), trajectory.duration)
     off = follow(way, trajectory.sample_many(times)[0])
     if off is not None:
-        raise ReviewError(Sentence("review.back.leaves", plan=plan.id, time=float(times[off])))
+        raise ReviewError(
+            Sentence(
+                "plan {plan} leaves the executed path {time:.3f} s after its start; the arm is engaged, and "
+                "only the way back can be reviewed: call plan_way_back, or free the arm and call "
+                "release_engagement",
+                plan=plan.id,
+                time=float(times[off]),
+            )
+        )
 
 
 def scene_problem(scene: str, scenes: Sequence[str]) -> str:
     """Return why an engaged arm cannot go back in a scene, and what to do, as a clause; `scenes`: those in which it can."""
     wanted = " or ".join(each[:12] for each in scenes) or "none that is known"
-    return Sentence("review.back.scene", scene=scene[:12], wanted=wanted)
+    return Sentence(
+        "it is for scene {scene}, which does not say what hangs on the tool; the scene must become "
+        "{wanted} first (the node work makes it so), or free the arm by hand and call "
+        "release_engagement",
+        scene=scene[:12],
+        wanted=wanted,
+    )
 
 
 def follow(way: np.ndarray, poses: np.ndarray) -> int | None:

@@ -14,7 +14,7 @@ from construction_twin.core.errors import ExecutionError, ReviewError
 from construction_twin.core.freshness import LIFETIME
 from construction_twin.core.limits import outside_tolerance
 from construction_twin.core.reports import ExecutionReport, ToolReport
-from construction_twin.core.sentences import Quantity, Sentence, Value, replaced
+from construction_twin.core.sentences import Quantity, Sentence, both, replaced
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.state_table import Machine, Occasion, conditions
 from construction_twin.core.units import NANOSECONDS
@@ -66,7 +66,14 @@ def check_start_pose(plan: Plan, pose: tuple[float, ...], robot: RobotModel) -> 
     if off is not None:
         joint, unit = robot.joint_names[off], "m" if robot.linear[off] else "rad"
         distance = Quantity(start[off] - pose[off], unit)
-        raise ReviewError(Sentence("executor.start.pose", plan=plan.id, distance=distance, joint=joint))
+        raise ReviewError(
+            Sentence(
+                "plan {plan} starts {distance} from the present pose at {joint}; plan again",
+                plan=plan.id,
+                distance=distance,
+                joint=joint,
+            )
+        )
 
 
 class Executor:
@@ -98,7 +105,7 @@ class Executor:
         self._machine = Machine(
             ROWS,
             ExecutorState.WAITING,
-            Sentence("executor.started"),
+            Sentence("started; waits for twin and physical arm to agree"),
             conditions(self._guards()),
             {action: self._with_sentence(act) for action, act in self._actions().items()},
             after=self._after,
@@ -182,7 +189,7 @@ class Executor:
         """
         self._sync, self._agreed, self._policy, self._passed = state, agreed, policy, held_stamp
         if self._closed and state is SyncState.IN_SYNC:
-            self._machine.reason = replaced(self.cause, self._closed, Sentence("executor.gate_open_again"))
+            self._machine.reason = replaced(self.cause, self._closed, Sentence("the gate held, and is open again"))
             self._begin_saying()
         if self.state not in ACTIVE:
             return
@@ -190,7 +197,7 @@ class Executor:
             self._on(ExecutorEvent.GATE_OPENS)
         else:
             ends = policy != RESUME or state not in SURVIVED
-            reason = Sentence("executor.gate_holds", state=state.name)
+            reason = Sentence("the gate holds ({state})", state=state.name)
             self._on(ExecutorEvent.GATE_ENDS if ends else ExecutorEvent.GATE_HOLDS, reason)
 
     def on_link(self, armed: bool, reason: str, session: str = "", now: int = 0) -> None:
@@ -201,23 +208,28 @@ class Executor:
         """
         if session and session != self._session:
             if self._session:
-                self.restart(Sentence("reason.gate.new_session"), now)
+                self.restart(Sentence("new command session"), now)
             self._session = session
         self._unarmed = "" if armed else reason
         if not armed:
-            self._on(ExecutorEvent.DISARMED, Sentence("executor.disarmed", reason=reason))
+            self._on(ExecutorEvent.DISARMED, Sentence("the arm is no longer armed: {reason}", reason=reason))
 
     def on_scene(self, scene: str) -> None:
         """Take the present scene's hash: what was planned for another one is withdrawn, stopped or ended."""
-        change = {"before": self.under_review.scene[:12] or "none", "after": scene[:12]}
-        self.tell_withdrawn(self.under_review.on_scene(scene), Sentence("executor.scene_changed_since", **change))
+        before, after = self.under_review.scene[:12] or "none", scene[:12]
+        self.tell_withdrawn(
+            self.under_review.on_scene(scene),
+            Sentence("the scene changed from {before} to {after}; plan again", before=before, after=after),
+        )
         if self.state not in ACTIVE:
             return
-        reason = Sentence("executor.scene_changed", **change)
+        reason = Sentence("the scene changed from {before} to {after}", before=before, after=after)
         if self.segment_run is not None:
             if not self.segment_run.expects(scene):
                 where = self.segment_run.where
-                self._on(ExecutorEvent.LOST, Sentence("executor.scene_unplanned", change=reason, where=where))
+                self._on(
+                    ExecutorEvent.LOST, Sentence("{change}, which was not planned {where}", change=reason, where=where)
+                )
         elif scene != self._played.plan.scene:
             self._on(ExecutorEvent.STOP, reason)
 
@@ -284,8 +296,8 @@ class Executor:
         """
         left = self.engagement.left
         if left is not None and left is not way_back:
-            raise ReviewError(Sentence("executor.start.engaged", plan=plan.id, reason=self.engaged()))
-        self.tell_withdrawn(self.under_review.offer(plan), Sentence("executor.replaced", plan=plan.id))
+            raise ReviewError(Sentence("plan {plan} cannot be reviewed: {reason}", plan=plan.id, reason=self.engaged()))
+        self.tell_withdrawn(self.under_review.offer(plan), Sentence("replaced by plan {plan}", plan=plan.id))
         self._way_back = None if way_back is None else (plan.id, way_back)
 
     def engaged(self) -> str:
@@ -293,7 +305,13 @@ class Executor:
         left = self.engagement.left
         if left is None:
             return ""
-        return Sentence("executor.engaged", segment=repr(left.segment), plan=left.plan_id, reason=left.reason)
+        return Sentence(
+            "the arm was left in engaged segment {segment} of plan {plan} ({reason}); plan the way back "
+            "with plan_way_back, or free it by hand and call release_engagement",
+            segment=repr(left.segment),
+            plan=left.plan_id,
+            reason=left.reason,
+        )
 
     def _is_way_back(self, plan: Plan) -> bool:
         return self.engagement.engaged and self._way_back == (plan.id, self.engagement.present)
@@ -302,9 +320,15 @@ class Executor:
         """Return the engagement that could be ended now, by a person who has freed the arm."""
         left = self.engagement.left
         if left is None:
-            raise ExecutionError(Sentence("executor.release.nothing"))
+            raise ExecutionError(Sentence("the arm is not engaged; there is nothing to release"))
         if self.state in ACTIVE:
-            raise ExecutionError(self._answer("executor.release.active", state=self.state.name))
+            raise ExecutionError(
+                Sentence(
+                    "plan {plan} is {state}; release the arm when it is at rest",
+                    plan=self._played.plan.id,
+                    state=self.state.name,
+                )
+            )
         return left
 
     def rehearsal_problem(self, plan: Plan) -> str:
@@ -318,11 +342,21 @@ class Executor:
             ReviewError: Naming what is against it.
         """
         if self.state is not ExecutorState.IDLE:
-            raise ReviewError(Sentence("executor.start.state", state=self.state.name, reason=self.reason))
+            raise ReviewError(
+                Sentence(
+                    "the executor is {state} ({reason}); approve when it is idle",
+                    state=self.state.name,
+                    reason=self.reason,
+                )
+            )
         if self._sync is not SyncState.IN_SYNC:
-            raise ReviewError(Sentence("executor.start.sync", state=self._sync.name))
+            raise ReviewError(
+                Sentence(
+                    "twin and physical arm are not in sync ({state}); approve when they are", state=self._sync.name
+                )
+            )
         if self._unarmed:
-            raise ReviewError(Sentence("executor.start.unarmed", reason=self._unarmed))
+            raise ReviewError(Sentence("the arm is not armed ({reason}); approve when it is", reason=self._unarmed))
         problem = self.neighbour.problem(plan.id)
         if not problem and self.engagement.engaged and not self._is_way_back(plan):
             problem = self.engaged()
@@ -330,9 +364,11 @@ class Executor:
             problem = lacks(self.tool, plan) or self.tool.problem(plan.segments[0].requires)
             if not problem and self._way_back is not None and self._is_way_back(plan):
                 if set(plan.segments[0].requires) != set(self._way_back[1].requires(self.tool)):
-                    problem = Sentence("executor.start.tool_changed")
+                    problem = Sentence(
+                        "the tool reads something else than when the way back was planned; call plan_way_back again"
+                    )
         if problem:
-            raise ReviewError(Sentence("executor.start.refused", plan=plan.id, reason=problem))
+            raise ReviewError(Sentence("plan {plan} may not start: {reason}", plan=plan.id, reason=problem))
         self.under_review.check_scene()
         if not override and (unrehearsed := self.rehearsal_problem(plan)):
             raise ReviewError(unrehearsed)
@@ -437,10 +473,10 @@ class Executor:
         Plans asked for until `now` [ns] are void, so that nothing that a person stopped is taken up again by itself.
         """
         self._acted, self.rested = True, now
-        reason = Sentence("executor.stop_asked")
+        reason = Sentence("stop requested")
         waiting = self.under_review.void(now)
         is_active = self.state in ACTIVE
-        sentence = self._stop(reason) if is_active else Sentence("executor.stop.nothing", state=self.state.name)
+        sentence = self._stop(reason) if is_active else Sentence("nothing is playing ({state})", state=self.state.name)
         self.side_effects.run("the verdict on a waiting plan", self.tell_withdrawn, waiting, reason)
         return sentence
 
@@ -448,30 +484,42 @@ class Executor:
         """Brake one plan along its path as `stop` does, and leave the plans alone that wait; return one sentence."""
         self._acted = True
         if self.state not in ACTIVE:
-            present = {"state": self.state.name, "reason": self.reason}
-            raise ExecutionError(Sentence("executor.stop.idle", plan=repr(plan_id), **present))
+            raise ExecutionError(
+                Sentence(
+                    "plan {plan} is not played: the executor is {state} ({reason})",
+                    plan=repr(plan_id),
+                    state=self.state.name,
+                    reason=self.reason,
+                )
+            )
         if self._played.plan.id != plan_id:
-            present = {"present": self._played.plan.id}
-            raise ExecutionError(Sentence("executor.stop.another", plan=repr(plan_id), **present))
+            raise ExecutionError(
+                Sentence(
+                    "plan {plan} is not played: the executor plays plan {present}",
+                    plan=repr(plan_id),
+                    present=self._played.plan.id,
+                )
+            )
         self.rested = now
         return self._stop(reason)
 
     def _stop(self, reason: str) -> str:
         if self.plan_start == 0:
-            self._on(ExecutorEvent.STOP, Sentence("executor.stopped_unbegun"))
-            return self._answer("executor.stop.unbegun")
+            self._on(ExecutorEvent.STOP, Sentence("stopped before it began"))
+            return Sentence("plan {plan} had not begun", plan=self._played.plan.id)
         brakes = self.state is ExecutorState.STOPPING
         self._on(ExecutorEvent.STOP, reason)
         if brakes:
-            return self._answer("executor.stop.again")
+            return Sentence("plan {plan} is braking already", plan=self._played.plan.id)
         if self.state is not ExecutorState.STOPPING:
-            return self._answer("executor.stop.at_rest")
+            return Sentence("plan {plan} ended at rest", plan=self._played.plan.id)
         # also where the setpoints rest already, the gateway still plays what it has put off
-        return self._answer(f"executor.stop.{'trailing' if self.limit.waits else 'braking'}")
-
-    def _answer(self, key: str, **values: Value) -> Sentence:
-        """Return a sentence about the present plan."""
-        return Sentence(key, plan=self._played.plan.id, **values)
+        return Sentence(
+            "braking plan {plan}; the arm trails by much, and goes on until it is there"
+            if self.limit.waits
+            else "braking plan {plan}",
+            plan=self._played.plan.id,
+        )
 
     def braking(self) -> StopForecaster | None:
         """Return what tells where a stop that was just asked for will end, to be computed outside of any lock; else None."""
@@ -480,20 +528,31 @@ class Executor:
     def pause(self, now: int) -> str:
         """Brake along the path smoothly and rest on it. Plans asked for until `now` [ns] and not here are void."""
         if not ROWS[self.state, ExecutorEvent.PAUSE]:
-            raise ExecutionError(Sentence("executor.pause.nothing", state=self.state.name, reason=self.reason))
+            raise ExecutionError(
+                Sentence(
+                    "nothing to pause: the executor is {state} ({reason})", state=self.state.name, reason=self.reason
+                )
+            )
         self._acted, self.rested = True, now
         before = self.state
         if before in (ExecutorState.PLAYING, ExecutorState.AT_BOUNDARY):
             self.under_review.void_coming(now)
-        self._on(ExecutorEvent.PAUSE, Sentence("executor.pause_asked"))
+        self._on(ExecutorEvent.PAUSE, Sentence("pause requested"))
         if self.segment_run is not None and before is ExecutorState.AT_BOUNDARY:
             where = self.side_effects.run("where a pause rests", lambda work: work.where, self.segment_run)
-            return self._answer("executor.pause.boundary", where=where or Sentence("executor.where.boundary"))
+            return Sentence(
+                "plan {plan} rests {where}; resume goes on",
+                plan=self._played.plan.id,
+                where=where or Sentence("at a boundary"),
+            )
         if before is ExecutorState.HELD:
-            return self._answer("executor.pause.held")
+            return Sentence(
+                "plan {plan} is HELD; when twin and arm agree again it stays at rest, and resume goes on",
+                plan=self._played.plan.id,
+            )
         if before is not ExecutorState.PLAYING:
-            return self._answer("executor.pause.again", state=before.name)
-        return self._answer("executor.pause.coming")
+            return Sentence("plan {plan} is {state} already", plan=self._played.plan.id, state=before.name)
+        return Sentence("plan {plan} comes to rest on its path; resume goes on", plan=self._played.plan.id)
 
     def resume(self, may_wait: int = LIFETIME) -> str:
         """Go on along the same path; return one sentence. The approval that started the plan covers it.
@@ -502,14 +561,24 @@ class Executor:
             may_wait: A plan that had not begun to move, and does not for longer than this, ends [ns].
         """
         if not ROWS[self.state, ExecutorEvent.RESUME]:
-            raise ExecutionError(Sentence("executor.resume.nothing", state=self.state.name, reason=self.reason))
+            raise ExecutionError(
+                Sentence(
+                    "nothing to resume: the executor is {state} ({reason})", state=self.state.name, reason=self.reason
+                )
+            )
         if self._sync is not SyncState.IN_SYNC:
-            raise ExecutionError(Sentence("executor.resume.sync", state=self._sync.name))
+            raise ExecutionError(
+                Sentence("twin and physical arm are not in sync ({state}); resume when they are", state=self._sync.name)
+            )
         if self._unarmed:
-            raise ExecutionError(Sentence("executor.resume.unarmed", reason=self._unarmed))
+            raise ExecutionError(Sentence("the arm is not armed ({reason}); resume when it is", reason=self._unarmed))
         self._begin_by = self._now + may_wait
-        self._on(ExecutorEvent.RESUME, Sentence("executor.resumed"))
-        return self._answer("executor.resume.done", rest=self._played.plan.trajectory.duration - self._played.elapsed)
+        self._on(ExecutorEvent.RESUME, Sentence("resumed"))
+        return Sentence(
+            "plan {plan} goes on; {rest:.3f} s of it are left",
+            plan=self._played.plan.id,
+            rest=self._played.plan.trajectory.duration - self._played.elapsed,
+        )
 
     # -- output
 
@@ -518,11 +587,13 @@ class Executor:
         self.neighbour.now = self._now = now
         machine = self._machine
         if machine.state is ExecutorState.WAITING and self._agreed and self._fresh_twin(now) is not None:
-            self._on(ExecutorEvent.AGREED, Sentence("executor.agreed"))
+            self._on(ExecutorEvent.AGREED, Sentence("twin and physical arm agree"))
         if machine.state is ExecutorState.WAITING:
             return None
         if machine.state in _MAY_BEGIN and now > self._begin_by and not self._played.moved:
-            sentence = Sentence("executor.not_begun", waits=self._waits_for(), seconds=_OLDEST)
+            sentence = Sentence(
+                "not begun, {waits}: an approval is void after {seconds:g} s", waits=self._waits_for(), seconds=_OLDEST
+            )
             self._on(ExecutorEvent.TIMEOUT, sentence)
         if machine.state is ExecutorState.AT_BOUNDARY:
             self._wait_at_boundary(stamp, now)
@@ -536,7 +607,7 @@ class Executor:
     def _repeat_twin(self, stamp: int, now: int) -> tuple[float, ...] | None:
         twin = self._fresh_twin(now)
         if twin is None:
-            self._on(ExecutorEvent.TWIN_LOST, Sentence("executor.twin_unknown"))
+            self._on(ExecutorEvent.TWIN_LOST, Sentence("the twin's pose is not known"))
             return None
         # until the twin has executed the last setpoint it has not arrived; repeating its pose would step back
         if twin.stamp >= self._setpoint_stamp:
@@ -546,14 +617,14 @@ class Executor:
     def _waits_for(self) -> str:
         """Return why a plan that was approved stands at its beginning."""
         if self.state is ExecutorState.HELD:
-            return Sentence("executor.gate_holds", state=self._sync.name)
+            return Sentence("the gate holds ({state})", state=self._sync.name)
         if self.segment_run is not None and self.state is ExecutorState.AT_BOUNDARY:
             return self.segment_run.waits_for()
         if self.limit.waits and self.limit.fraction > 0.0:
             return self.limit.sentence("")
         if self.limit.fraction < 1.0:
             return self.limit.reason
-        return Sentence("executor.waits.late")
+        return Sentence("as its motion was due too late")
 
     def _wait_at_boundary(self, stamp: int, now: int) -> None:
         work = self.segment_run
@@ -563,7 +634,7 @@ class Executor:
         if event is not None:
             self._on(event.event, event.reason)
         else:
-            cause = Sentence("executor.stands_and_waits", where=work.where, waits=work.waits_for())
+            cause = Sentence("stands {where}, {waits}", where=work.where, waits=work.waits_for())
             if cause != self.cause:
                 self._machine.reason = cause
                 self._say()
@@ -578,11 +649,11 @@ class Executor:
             self._setpoint = playback.advance(stamp, rate)
         self._setpoint_stamp = stamp
         if self.segment_run is not None and playback.goal_stamp:
-            self._on(ExecutorEvent.SEGMENT_END, Sentence("executor.stopped_at", where=self.segment_run.where))
+            self._on(ExecutorEvent.SEGMENT_END, Sentence("stopped {where}", where=self.segment_run.where))
         elif playback.goal_stamp and machine.state is not ExecutorState.HELD:
             # a hold may still come that takes back the last setpoints: then the plan must be there to go on
             if self._policy != RESUME or self._passed >= playback.goal_stamp:
-                self._on(ExecutorEvent.GOAL, Sentence("executor.goal"))
+                self._on(ExecutorEvent.GOAL, Sentence("goal reached"))
         elif playback.at_rest:
             self._on(ExecutorEvent.AT_REST)
             if machine.state is ExecutorState.PLAYING and not self.limit.standing and self.limit.rate == 0.0:
@@ -703,10 +774,8 @@ class Executor:
         if work is None:
             return sentence
         if action is not Action.FINISH:
-            where = self.side_effects.run("where a work plan ends", lambda: work.where) or Sentence(
-                "executor.where.unknown"
-            )
-            sentence = Sentence("executor.end.dropped", reason=sentence, where=where)
+            where = self.side_effects.run("where a work plan ends", lambda: work.where) or Sentence("where it stands")
+            sentence = Sentence("{reason}; {where} the rest is dropped", reason=sentence, where=where)
         was_engaged = self.engagement.engaged
         self._orders += work.end(action is Action.FINISH, self._played.elapsed, sentence)
         if self.engagement.engaged and not was_engaged:
@@ -714,35 +783,48 @@ class Executor:
             self.side_effects.run("the verdict on a waiting plan", self._withdraw_other, waiting)
         if action is Action.FINISH:
             return sentence
-        return Sentence(f"executor.end.{'engaged' if self.engagement.engaged else 'look'}", end=sentence)
+        return Sentence(
+            "{end}; the arm is engaged: plan the way back, or free it by hand and call release_engagement"
+            if self.engagement.engaged
+            else "{end}: look at arm and tool, then plan the task again from where things are",
+            end=sentence,
+        )
 
     def _withdraw_other(self, plan: Plan | None) -> None:
-        self.tell_withdrawn(plan, Sentence("executor.not_way_back", engaged=self.engaged()))
+        self.tell_withdrawn(plan, Sentence("not the way back: {engaged}", engaged=self.engaged()))
 
     def _sentence(self, row: Row, reason: str) -> str:
         """Return why the next state is entered, in words for the operator."""
         if row.event is ExecutorEvent.GATE_HOLDS:
             if row.state is ExecutorState.STOPPING:
-                return Sentence("executor.both", first=self.cause, second=reason)
+                return both(self.cause, reason)
             if row.action is Action.LOSE:
-                return self._answer("executor.held_elsewhere", hold=reason)
-            return Sentence("executor.held", hold=reason, elapsed=self._played.elapsed)
+                return Sentence(
+                    "{hold} at a setpoint that is not known to be of plan {plan}",
+                    plan=self._played.plan.id,
+                    hold=reason,
+                )
+            return Sentence(
+                "{hold} {elapsed:.3f} s into the plan; goes on by itself when twin and arm agree again",
+                hold=reason,
+                elapsed=self._played.elapsed,
+            )
         if row.target is ExecutorState.AT_BOUNDARY:
             where = self._run_at_boundary.where
             if row.event is ExecutorEvent.APPROVED:
-                return Sentence("executor.approved_stands", reason=reason, where=where)
-            return Sentence("executor.stands", where=where)
+                return Sentence("{reason}; stands {where}", reason=reason, where=where)
+            return Sentence("stands {where}", where=where)
         if row.target is ExecutorState.PAUSED:
-            return Sentence("executor.paused", elapsed=self._played.elapsed)
+            return Sentence("at rest {elapsed:.3f} s into the plan; resume goes on", elapsed=self._played.elapsed)
         if row.event is ExecutorEvent.GATE_OPENS:
-            return Sentence("executor.gate_opens")
+            return Sentence("twin and arm agree again; the same approval covers the rest")
         if row.event is ExecutorEvent.NEXT_SEGMENT:
             work = self._run_at_boundary
             assert work.segment is not None  # it was entered
-            return Sentence("executor.segment", number=work.number, name=repr(work.segment.name))
+            return Sentence("segment {number} ({name})", number=work.number, name=repr(work.segment.name))
         if row.event in (ExecutorEvent.AT_REST, ExecutorEvent.SEGMENT_END) and row.state is ExecutorState.STOPPING:
             path = distance_along(self._stopping).text(self._robot)
-            return Sentence("executor.at_rest", reason=self.cause, path=path)
+            return Sentence("{reason}; at rest after {path}", reason=self.cause, path=path)
         return reason
 
     def _begin_saying(self) -> None:

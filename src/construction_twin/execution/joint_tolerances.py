@@ -16,7 +16,7 @@ from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.robot.description import RobotModel
 
 #: What a tolerance bounds, with what stands behind the joint's unit.
-QUANTITIES = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
+QUANTITIES = {Sentence("position"): "", Sentence("velocity"): "/s", Sentence("acceleration"): "/s^2"}
 
 
 @dataclass(frozen=True)
@@ -53,16 +53,26 @@ class Tolerances:
         for one in asked:
             if one.name not in robot.joint_names:
                 known = ", ".join(robot.joint_names)
-                raise GoalJointsError(Sentence("reason.goal.tolerance_joint", joint=one.name, known=known))
+                raise GoalJointsError(
+                    Sentence(
+                        "goal_tolerance names the joint '{joint}'; expected only {known}", joint=one.name, known=known
+                    )
+                )
             if one.name in named:
-                raise GoalError(Sentence("reason.goal.tolerance_twice", joint=one.name))
+                raise GoalError(Sentence("goal_tolerance names {joint} twice; expected once", joint=one.name))
             named.add(one.name)
             index = robot.joint_names.index(one.name)
             for quantity, column in columns.items():
                 value = getattr(one, quantity)
                 if math.isnan(value):
-                    what = Sentence(f"reason.goal.quantity.{quantity}")
-                    raise GoalError(Sentence("reason.goal.tolerance_nan", quantity=what, joint=one.name))
+                    raise GoalError(
+                        Sentence(
+                            "goal_tolerance: the {quantity} of {joint} is nan; expected a number, 0 for the default, "
+                            "below 0 for no bound",
+                            quantity=quantity,
+                            joint=one.name,
+                        )
+                    )
                 if value:
                     column[index] = value if value > 0.0 else math.inf
         return Tolerances(*(tuple(column) for column in columns.values()))
@@ -81,8 +91,8 @@ class Tolerances:
                 if not abs(error) <= bound:
                     unit = ("m" if robot.linear[index] else "rad") + per
                     return Sentence(
-                        "reason.goal.off",
-                        quantity=Sentence(f"reason.goal.quantity.{quantity}"),
+                        "the {quantity} of {joint} is off by {error}; its tolerance is {bound}",
+                        quantity=quantity,
                         joint=robot.joint_names[index],
                         error=Quantity(abs(error), unit),
                         bound=Quantity(bound, unit),
@@ -99,9 +109,19 @@ def check_joint_names(robot: RobotModel, names: Sequence[str]) -> None:
     known = ", ".join(robot.joint_names)
     for name in names:
         if name not in robot.joint_names:
-            raise GoalJointsError(Sentence("reason.goal.joint_unknown", joint=name, known=known))
+            raise GoalJointsError(
+                Sentence("the goal names the joint '{joint}'; expected each of {known} once", joint=name, known=known)
+            )
         if list(names).count(name) > 1:
-            raise GoalJointsError(Sentence("reason.goal.joint_twice", joint=name, known=known))
+            raise GoalJointsError(
+                Sentence(
+                    "the goal names the joint {joint} twice; expected each of {known} once", joint=name, known=known
+                )
+            )
     for name in robot.joint_names:
         if name not in names:
-            raise GoalJointsError(Sentence("reason.goal.joint_missing", joint=name, known=known))
+            raise GoalJointsError(
+                Sentence(
+                    "the goal does not name the joint {joint}; expected each of {known} once", joint=name, known=known
+                )
+            )

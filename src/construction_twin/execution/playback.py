@@ -41,10 +41,20 @@ class StoppingPath:
                 joint = max(joints, key=lambda index: self.joints[index])
                 most.append((Quantity(self.joints[joint], unit), robot.joint_names[joint]))
         if len(most) == 1:
-            return Sentence("executor.path", time=self.time, distance=most[0][0], joint=most[0][1])
+            return Sentence(
+                "{time:.3f} s and at most {distance:.3} of {joint}",
+                time=self.time,
+                distance=most[0][0],
+                joint=most[0][1],
+            )
         (turn, revolute), (slide, carriage) = most
         return Sentence(
-            "executor.path_of_two", time=self.time, turn=turn, joint=revolute, slide=slide, carriage=carriage
+            "{time:.3f} s and at most {turn:.3} of {joint}, {slide:.3} of {carriage}",
+            time=self.time,
+            turn=turn,
+            joint=revolute,
+            slide=slide,
+            carriage=carriage,
         )
 
 
@@ -81,8 +91,13 @@ class StoppingForecast:
         """Return one clause for the answer to `stop`."""
         path = self.setpoints.text(robot)
         if self.lag <= 0.0:
-            return Sentence("executor.stop.forecast", path=path)
-        return Sentence("executor.stop.forecast_of_arm", path=path, lag=self.lag, arm=self.arm.text(robot))
+            return Sentence("setpoints come to rest after {path}", path=path)
+        return Sentence(
+            "setpoints come to rest after {path}; the arm, {lag:.3f} s behind, after {arm}",
+            path=path,
+            lag=self.lag,
+            arm=self.arm.text(robot),
+        )
 
 
 #: A plan may start this far from the present pose [rad], and has moved when it is further from its start; rounding, not motion.
@@ -197,7 +212,9 @@ class Playback:
                 than is remembered nothing is forecast.
         """
         if lag < 0.0:
-            raise ExecutionError(Sentence("executor.refused.lag", lag=lag))
+            raise ExecutionError(
+                Sentence("a lag of {lag:.3f} s, expected 0 or more: it was measured on a clock that was set", lag=lag)
+            )
         if len(self._history) == HISTORY and lag > (HISTORY - 1) * CYCLE:
             lag = 0.0
         cycles = min(-int(-lag * NANOSECONDS // CYCLE_NS), len(self._history) - 1)
@@ -287,16 +304,30 @@ class PlayRate:
             return False
         # written so that a nan does not pass
         if not 0.0 <= fraction <= 1.0:
-            raise ExecutionError(Sentence("executor.refused.rate", fraction=fraction))
+            raise ExecutionError(
+                Sentence(
+                    "a rate of {fraction} was asked for; expected a fraction of the planned speed, 0 to 1",
+                    fraction=fraction,
+                )
+            )
         self.fraction, self.reason = fraction, reason
         return True
 
     def sentence(self, cause: str) -> str:
         """Return what a playing plan does, and why: always of the present limit. `cause` is why it plays."""
         if self.standing and self.fraction == 0.0:
-            return Sentence("executor.speed.standing", reason=self.reason)
+            return Sentence("stands still on the path, goes on by itself: {reason}", reason=self.reason)
         if self.waits:
-            return Sentence("executor.speed.waits", trails=TRAILS)
+            return Sentence(
+                "waits on the path until the arm has caught up, goes on by itself: the arm trails by more "
+                "than {trails:g} s, because replies to it are lost or it is slowed down",
+                trails=TRAILS,
+            )
         if self.fraction < 1.0:
-            return Sentence("executor.speed.slower", cause=cause, percent=100.0 * self.fraction, reason=self.reason)
+            return Sentence(
+                "{cause}; at {percent:.0f}% of the planned speed: {reason}",
+                cause=cause,
+                percent=100.0 * self.fraction,
+                reason=self.reason,
+            )
         return cause

@@ -47,11 +47,16 @@ class RehearsalCheck:
             return ""
         report = self.of(plan)
         if report is None:
-            return Sentence("review.rehearsal.missing", plan=plan.id)
+            return Sentence("plan {plan} was not rehearsed yet, and it must be", plan=plan.id)
         if report.state == PASSED:
             return ""
-        key = "review.rehearsal.failed" if report.state == FAILED else "review.rehearsal.broken"
-        return Sentence(key, plan=plan.id, reason=first_reason(report.reasons))
+        return Sentence(
+            "plan {plan} has failed its rehearsal: {reason}"
+            if report.state == FAILED
+            else "plan {plan} could not be rehearsed: {reason}",
+            plan=plan.id,
+            reason=first_reason(report.reasons),
+        )
 
     def on_record(self, plan: Plan, overridden: bool) -> Rehearsed | None:
         """Return what the record of a verdict on a plan says of its rehearsal; None: there was none, and none was required."""
@@ -64,4 +69,4 @@ class RehearsalCheck:
 def first_reason(reasons: tuple[str, ...]) -> str:
     """Return the first reason, and how many more there are; empty for none."""
     first, more = reasons[0] if reasons else "", len(reasons) - 1
-    return Sentence("review.rehearsal.more", first=first, count=more) if more > 0 else first
+    return Sentence("{first}; and {count} more", first=first, count=more) if more > 0 else first

@@ -17,7 +17,7 @@ from construction_twin.robot.plan import Plan
 from construction_twin.robot.segments import Segment
 
 #: Why there is none without a physical arm.
-NO_ARM = Sentence("executor.tool.no_arm")
+NO_ARM = Sentence("there is no physical arm (`arm:=none`), so nothing switches or reads a tool")
 
 
 def awaited(report: ToolReport, plan: Plan) -> str:
@@ -32,15 +32,19 @@ def lacks(report: ToolReport, plan: Plan) -> str:
     if problem := awaited(report, plan) or report.unknown():
         return problem
     if not report.tool:
-        return Sentence("executor.tool.none")
+        return Sentence("the gateway's configuration names no tool")
     for segment in plan.segments:
         for switch in segment.switches:
             if switch.output not in report.outputs:
-                return Sentence("executor.tool.no_output", tool=repr(report.tool), signal=repr(switch.output))
+                return Sentence(
+                    "the tool {tool} has no output {signal}", tool=repr(report.tool), signal=repr(switch.output)
+                )
         confirmed = [signal for switch in segment.switches for signal in switch.confirm]
         for signal in (*segment.requires, *confirmed):
             if signal.name not in report.inputs:
-                return Sentence("executor.tool.no_input", tool=repr(report.tool), signal=repr(signal.name))
+                return Sentence(
+                    "the tool {tool} has no input {signal}", tool=repr(report.tool), signal=repr(signal.name)
+                )
     return ""
 
 
@@ -95,19 +99,22 @@ class SegmentRun:
     def where(self) -> str:
         """Where it is, for people: a clause."""
         if self.segment is None:
-            return Sentence("executor.where.before")
-        key = f"executor.where.{'end' if self.at_boundary else 'inside'}"
-        return Sentence(key, number=self.number, name=repr(self.segment.name))
+            return Sentence("before the first segment")
+        return Sentence(
+            "at the end of segment {number} ({name})" if self.at_boundary else "in segment {number} ({name})",
+            number=self.number,
+            name=repr(self.segment.name),
+        )
 
     def waits_for(self) -> str:
         """Return what a boundary waits for, as a clause for the operator."""
         if not self._boundary.confirmed:
-            return Sentence("executor.waits.tool")
+            return Sentence("waits for the tool")
         if self._boundary.wants_scene:
-            return Sentence("executor.waits.scene", scene=self._boundary.scene_after[:12])
+            return Sentence("waits for the scene {scene}", scene=self._boundary.scene_after[:12])
         if self._recording_since is not None and not self._keeper.settled:
-            return Sentence("executor.waits.disk")
-        return Sentence("executor.waits.nothing")
+            return Sentence("waits for the disk")
+        return Sentence("goes on")
 
     # -- events from outside
 
@@ -170,15 +177,20 @@ class SegmentRun:
         if not self._recorded(following, now):
             assert self._recording_since is not None  # `_recorded` has set it
             if now - self._recording_since > RECORD_TIMEOUT:
-                return BoundaryEvent(ExecutorEvent.TIMEOUT, Sentence("executor.boundary.disk"))
+                return BoundaryEvent(
+                    ExecutorEvent.TIMEOUT,
+                    Sentence("the disk did not take what is needed to find the way back; see the executor's log"),
+                )
             return None
         if following is None:
-            return BoundaryEvent(ExecutorEvent.GOAL, Sentence("executor.goal"))
+            return BoundaryEvent(ExecutorEvent.GOAL, Sentence("goal reached"))
         if following.switches and not tool.known:
             return BoundaryEvent(ExecutorEvent.LOST, tool.unknown())
         if problem := tool.problem(following.requires):
-            cannot = {"name": repr(following.name), "problem": problem}
-            return BoundaryEvent(ExecutorEvent.LOST, Sentence("executor.boundary.cannot_begin", **cannot))
+            return BoundaryEvent(
+                ExecutorEvent.LOST,
+                Sentence("segment {name} cannot begin: {problem}", name=repr(following.name), problem=problem),
+            )
         return BoundaryEvent(ExecutorEvent.NEXT_SEGMENT)
 
     def _recorded(self, following: Segment | None, now: int) -> bool:

@@ -30,8 +30,8 @@ STOPPED = 10 * NANOSECONDS
 NOTABLE = 0.001
 #: Plans that were turned down are known for as many more, should the planner's answer be slower than the verdict.
 VERDICTS = 20
-UNKNOWN_REST = Sentence("reason.goal.twin_rest_unknown")
-REPLACED = Sentence("reason.goal.replaced")
+UNKNOWN_REST = Sentence("the twin is not known to be at rest")
+REPLACED = Sentence("replaced by a newer goal")
 #: States in which the executor plays the goal's plan, or has just played it to its end.
 PLAYED = (GoalState.MOVING, GoalState.BRAKING, GoalState.SETTLING)
 
@@ -198,10 +198,12 @@ class TrajectoryGoals:
     def describe(self) -> str:
         """Return the state as one sentence, for operators."""
         if self.state is GoalState.FREE:
-            return Sentence("reason.goal.none")
+            return Sentence("no goal")
         if self._plan is None:
-            return Sentence("reason.goal.state", client=self._client, state=self.state.value)
-        return Sentence("reason.goal.state_with_plan", client=self._client, state=self.state.value, plan=self._plan.id)
+            return Sentence("goal of {client} is {state}", client=self._client, state=self.state.value)
+        return Sentence(
+            "goal of {client} is {state}, plan {plan}", client=self._client, state=self.state.value, plan=self._plan.id
+        )
 
     # -- what clients ask
 
@@ -214,24 +216,26 @@ class TrajectoryGoals:
         """Take a goal without points: it cancels what the same client has asked for, and is done."""
         ours = [each for each in (self.goal, self._next) if each is not None and each.client == goal.client]
         if not ours:
-            sentence = Sentence("reason.goal.nothing_to_stop")
+            sentence = Sentence(
+                "the trajectory has no points, and no goal of yours is there to be stopped; give at least one point"
+            )
             self._effects.append(End(goal.id, Ending.REJECTED, ResultCode.INVALID_GOAL, sentence))
             return
-        self._effects.append(Accept(goal.id, Sentence("reason.goal.stands_still")))
+        self._effects.append(Accept(goal.id, Sentence("no points: your other goal is cancelled")))
         for each in reversed(ours):
             self.on_cancel(each.id, now)
-        sentence = Sentence("reason.goal.stands_still_at_rest")
+        sentence = Sentence("no points: your other goal is cancelled, and ends when the arm is at rest")
         self._effects.append(End(goal.id, Ending.SUCCEEDED, ResultCode.SUCCESSFUL, sentence))
 
     def on_cancel(self, goal_id: str, now: int) -> None:
         """Take a request to cancel a goal; one that has ended is left alone."""
         if self._next is not None and self._next.id == goal_id:
-            sentence = Sentence("reason.goal.cancelled_early")
+            sentence = Sentence("cancelled before it was planned")
             self._end(self._next, Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, sentence)
             self._next = None
         elif self.goal is not None and self.goal.id == goal_id:
             if not self._why:
-                self._why = Sentence("reason.goal.cancelled")
+                self._why = Sentence("cancelled by its client")
             self._on(GoalEvent.CANCEL, now)
 
     # -- what the planner answers
@@ -256,10 +260,25 @@ class TrajectoryGoals:
         """Take a verdict on a plan; an approval counts when the executor begins."""
         if approved:
             if self._plan is not None and plan_id == self._plan.id and self.state is GoalState.REVIEW:
-                self._tell(Sentence("reason.goal.approved", plan=plan_id, reviewer=reviewer))
+                self._tell(Sentence("plan {plan} was approved by {reviewer}", plan=plan_id, reviewer=reviewer))
             return
-        key = f"reason.goal.{'withdrawn' if reviewer == EXECUTOR else 'rejected'}{'_because' if reason else ''}"
-        sentence = Sentence(key, plan=plan_id, reviewer=reviewer, reason=reason)
+        if reviewer == EXECUTOR:
+            sentence = Sentence(
+                "plan {plan} was withdrawn by the executor: {reason}"
+                if reason
+                else "plan {plan} was withdrawn by the executor",
+                plan=plan_id,
+                reason=reason,
+            )
+        else:
+            sentence = Sentence(
+                "plan {plan} was rejected by {reviewer}: {reason}"
+                if reason
+                else "plan {plan} was rejected by {reviewer}",
+                plan=plan_id,
+                reviewer=reviewer,
+                reason=reason,
+            )
         self._turned_down[plan_id] = sentence
         if len(self._turned_down) > VERDICTS:
             del self._turned_down[next(iter(self._turned_down))]
@@ -277,7 +296,11 @@ class TrajectoryGoals:
             if moving and self.state is GoalState.MOVING and before.state is not state:
                 self._tell(f"{state.name}: {reason}")
         elif self.state in PLAYED:
-            self._on(GoalEvent.LOST, now, Sentence("reason.goal.lost", plan=self._plan.id, reason=reason))
+            self._on(
+                GoalEvent.LOST,
+                now,
+                Sentence("the executor no longer plays plan {plan}: {reason}", plan=self._plan.id, reason=reason),
+            )
 
     def on_call_failed(self, now: int) -> None:
         """Take that a call of `stop_plan` or `review_plan` did nothing: it is made again, while it is still needed."""
@@ -297,7 +320,11 @@ class TrajectoryGoals:
             self._retry_at = 0
             self._repeat()
         if self.state is GoalState.WITHDRAWING and now - self._since > WITHDRAWAL:
-            self._why = Sentence("reason.goal.not_withdrawn", why=self._why, plan=self._planned.id)
+            self._why = Sentence(
+                "{why}; the executor does not say that plan {plan} is withdrawn: reject it",
+                why=self._why,
+                plan=self._planned.id,
+            )
             self._on(GoalEvent.TOO_LATE, now)
         if at_rest:
             self._on(GoalEvent.STILL, now)
@@ -311,7 +338,7 @@ class TrajectoryGoals:
 
     def _check_goal(self, sample: Sample | None, now: int) -> None:
         assert self.goal is not None  # it settles
-        problem: str = Sentence("reason.goal.rest_unknown")
+        problem: str = Sentence("twin and arm are not known to be at rest")
         if sample is not None:
             # the twin rests at the path's end, and the arm answers to that: what they show is the goal, and how far off it is
             error = sample.error
@@ -319,7 +346,9 @@ class TrajectoryGoals:
         if not problem:
             self._on(GoalEvent.AT_GOAL, now)
         elif now - self._since > self.goal.time_tolerance * NANOSECONDS:
-            late = Sentence("reason.goal.not_in_time", seconds=self.goal.time_tolerance, problem=problem)
+            late = Sentence(
+                "{seconds:g} s after the plan's end {problem}", seconds=self.goal.time_tolerance, problem=problem
+            )
             self._on(GoalEvent.TOO_LATE, now, late)
 
     # -- the table
@@ -372,10 +401,21 @@ class TrajectoryGoals:
         self._effects.append(Ask(self.goal))
 
     def _turn_away(self, _reason: str) -> None:
-        self._reject_coming(Sentence("reason.goal.taken", client=self._client, state=self.describe()))
+        self._reject_coming(
+            Sentence(
+                "{client} has the arm ({state}); cancel that goal, or send this one when it has ended",
+                client=self._client,
+                state=self.describe(),
+            )
+        )
 
     def _turn_away_busy(self, _reason: str) -> None:
-        self._reject_coming(Sentence("reason.goal.busy", plan=self._report.plan_id))
+        self._reject_coming(
+            Sentence(
+                "the arm follows plan {plan}, which is of no goal of this action; wait for its end",
+                plan=self._report.plan_id,
+            )
+        )
 
     def _line_up(self, _reason: str) -> None:
         if self._next is not None:
@@ -395,8 +435,10 @@ class TrajectoryGoals:
 
     def _withdraw(self, _reason: str) -> None:
         plan = self._planned
-        self._effects.append(Withdraw(plan.id, plan.hash, self._client, self._why or Sentence("reason.goal.unwanted")))
-        self._tell(Sentence("reason.goal.withdrawing", why=self._why, plan=plan.id))
+        self._effects.append(
+            Withdraw(plan.id, plan.hash, self._client, self._why or Sentence("no longer wanted by its client"))
+        )
+        self._tell(Sentence("{why}; plan {plan} is being withdrawn", why=self._why, plan=plan.id))
 
     def _withdraw_for_next(self, _reason: str) -> None:
         self._why = self._why or REPLACED
@@ -407,10 +449,18 @@ class TrajectoryGoals:
         assert self.goal is not None  # it was planned
         plan = self._planned
         late = plan.asked and plan.duration > plan.asked + NOTABLE
-        key = "reason.goal.waits_longer" if late else "reason.goal.waits"
-        waits = Sentence(key, plan=plan.id, seconds=plan.duration, asked=plan.asked, service=self._reviewed_by)
+        waits = Sentence(
+            "plan {plan} of {seconds:.3f} s instead of {asked:.3f} s waits for approval; a person gives or refuses "
+            "it by {service}"
+            if late
+            else "plan {plan} of {seconds:.3f} s waits for approval; a person gives or refuses it by {service}",
+            plan=plan.id,
+            seconds=plan.duration,
+            asked=plan.asked,
+            service=self._reviewed_by,
+        )
         if plan.retimed:
-            waits = Sentence("reason.goal.retimed", waits=waits, why=plan.retimed)
+            waits = Sentence("{waits}; timed anew, because {why}", waits=waits, why=plan.retimed)
         self._effects.append(Accept(self.goal.id, waits))
 
     def _refuse(self, reason: str) -> None:
@@ -425,20 +475,29 @@ class TrajectoryGoals:
     def _abort_path(self, _reason: str) -> None:
         report = self._report
         code = ResultCode.PATH_TOLERANCE_VIOLATED if report.outcome == "held" else ResultCode.GOAL_TOLERANCE_VIOLATED
-        ended = Sentence("reason.goal.ended", plan=self._planned.id, outcome=report.outcome, reason=report.reason)
+        ended = Sentence(
+            "plan {plan} ended as {outcome}: {reason}",
+            plan=self._planned.id,
+            outcome=report.outcome,
+            reason=report.reason,
+        )
         self._finish(Ending.ABORTED, code, ended)
 
     def _abort_goal(self, reason: str) -> None:
         self._finish(Ending.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED, reason)
 
     def _end_stopped(self, _reason: str) -> None:
-        self._end_where(Sentence("reason.goal.on_its_path" if self._report.reason else "reason.goal.at_rest"))
+        self._end_where(Sentence("the arm is at rest on its path" if self._report.reason else "the arm is at rest"))
 
     def _give_up(self, _reason: str) -> None:
         self._end_where(UNKNOWN_REST)
         if self._next is not None:
             seconds = STOPPED // NANOSECONDS
-            sentence = Sentence("reason.goal.next_not_planned", seconds=seconds, unknown=UNKNOWN_REST)
+            sentence = Sentence(
+                "not planned: {seconds} s after the stop {unknown}; see whether it runs, and send the goal again",
+                seconds=seconds,
+                unknown=UNKNOWN_REST,
+            )
             self._end(self._next, Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, sentence)
             self._next = None
 
@@ -447,7 +506,7 @@ class TrajectoryGoals:
 
     def _brake(self, _reason: str) -> None:
         self._effects.append(Brake(self._planned.id))
-        self._tell(Sentence("reason.goal.brakes", why=self._why))
+        self._tell(Sentence("{why}; brakes on the path", why=self._why))
 
     def _brake_for_next(self, _reason: str) -> None:
         self._why = self._why or REPLACED
@@ -458,7 +517,7 @@ class TrajectoryGoals:
         self._tell(f"{self._report.state.name}: {self._report.reason}")
 
     def _succeed(self, _reason: str) -> None:
-        reached = Sentence("reason.goal.reached", plan=self._planned.id)
+        reached = Sentence("plan {plan} was executed; the arm is at the goal", plan=self._planned.id)
         self._finish(Ending.SUCCEEDED, ResultCode.SUCCESSFUL, reached)
 
     def _repeat(self) -> None:

@@ -24,7 +24,7 @@ from construction_twin.core.errors import ConfigurationError, ConstructionTwinEr
 from construction_twin.core.files import check_writable
 from construction_twin.core.freshness import parse_moment
 from construction_twin.core.reports import ExecutionReport, SessionRequest, SpeedChange, ToolReport
-from construction_twin.core.sentences import Sentence
+from construction_twin.core.sentences import Sentence, both
 from construction_twin.core.speed_limit import LimitState, SpeedLimit
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.approval import AUTO_APPROVE, Approval, WithoutPerson
@@ -96,7 +96,7 @@ class Settings(NodeSettings):
     @classmethod
     def _never_with_a_real_arm(cls, names: tuple[str, ...], given: pydantic.ValidationInfo) -> tuple[str, ...]:
         if names and given.data.get("arm") == "real":
-            raise ValueError(Sentence("expected.no_auto_approval"))
+            raise ValueError("none with a real arm: the name of a client proves nothing, a person has to approve")
         return names
 
 
@@ -117,7 +117,7 @@ class ExecutorNode:
         executor.neighbour = ConflictVerdicts(settings.neighbour)
         executor.rehearsal = RehearsalCheck(settings.rehearsal == "require", tool_hash(settings.tool))
         if settings.arm != "none":
-            executor.on_link(False, Sentence("executor.no_link"))
+            executor.on_link(False, Sentence("no report of the link yet"))
         else:
             executor.on_tool(ToolReport(reason=NO_ARM), time.monotonic_ns())
         self._limit = SpeedLimit(
@@ -157,7 +157,7 @@ class ExecutorNode:
                 if now - self._sync_at > SYNC_TIMEOUT:
                     executor.on_sync(SyncState.STALE, False)
                 if stalled:
-                    executor.stall(Sentence("executor.stalled", seconds=stalled / 1e9))
+                    executor.stall(Sentence("this process was not run for {seconds:.3f} s", seconds=stalled / 1e9))
                 executor.limit_rate(self._limit.update(now), self._limit.reason)
                 setpoint = executor.step(stamp, now)
             if setpoint is not None:
@@ -176,7 +176,9 @@ class ExecutorNode:
         try:
             state = SyncState(message.state)
         except ValueError as error:
-            raise PayloadError("sync", Sentence("reason.refused.sync_state", state=message.state)) from error
+            raise PayloadError(
+                "sync", Sentence("sync state {state} is unknown; expected one of Sync.msg", state=message.state)
+            ) from error
         with self._lock:
             self._sync_at = time.monotonic_ns()
             self.executor.on_sync(state, message.agreed, message.policy, from_time(message.held_stamp))
@@ -202,7 +204,10 @@ class ExecutorNode:
         """Take what the rehearsal of a plan has found."""
         report = from_msg(RehearsalReport, message)
         if not is_whole(report):
-            raise PayloadError("rehearsal", Sentence("reason.refused.rehearsal", plan=repr(report.plan_id)))
+            raise PayloadError(
+                "rehearsal",
+                Sentence("the rehearsal of plan {plan} is not what its hash says", plan=repr(report.plan_id)),
+            )
         with self._lock:
             self.executor.rehearsal.on_report(report)
 
@@ -221,7 +226,7 @@ class ExecutorNode:
 
     def on_link(self, message: msg.Link) -> None:
         """Take the link's state, and who is responsible for what is not checked."""
-        reason = Sentence("executor.link", state=message.text, reason=message.reason)
+        reason = Sentence("{state}: {reason}", state=message.text, reason=message.reason)
         with self._lock:
             self.executor.on_link(message.state == msg.Link.ARMED, reason, message.session, self._now())
         who, unchecked = message.responsible, tuple(message.not_checked)
@@ -239,7 +244,12 @@ class ExecutorNode:
     def on_review(self, request: srv.ReviewPlanRequest) -> str:
         """Approve or reject a plan in a person's name; an approval is as old as what its screen had shown, else as the call."""
         if request.reviewer.strip() in (AUTO_APPROVE, EXECUTOR):
-            raise ReviewError(Sentence("review.own_name", name=repr(request.reviewer)))
+            raise ReviewError(
+                Sentence(
+                    "{name} is what the executor calls itself; expected the name of a person",
+                    name=repr(request.reviewer),
+                )
+            )
         verdict = self._approval.review(
             request.plan_id,
             request.plan_hash,
@@ -267,15 +277,14 @@ class ExecutorNode:
             forecast = self.side_effects.run(
                 "the forecast of a stop", lambda: braking.forecast(lambda: time.sleep(PAUSE)).text(self._robot)
             )
-            forecast = forecast or Sentence("executor.stop.no_forecast")
-            sentence = Sentence("executor.both", first=sentence, second=forecast)
+            sentence = both(sentence, forecast or Sentence("how far it goes on is not known"))
         return self._answered("stop", sentence, rospy.logwarn)
 
     def on_stop_plan(self, request: srv.StopPlanRequest) -> str:
         """Brake one plan on its path; what waits is left alone."""
         caller = self.side_effects.run("the name of a caller", caller_of, request) or "a client"
         with self._lock:
-            asked = Sentence("executor.stop_asked_by", client=caller)
+            asked = Sentence("stop requested by {client}", client=caller)
             sentence = self.executor.stop_plan(request.plan_id, asked, self._now())
         return self._answered("stop_plan", sentence, rospy.logwarn)
 
@@ -292,7 +301,7 @@ class ExecutorNode:
     def on_act_as_seen(self, request: srv.ActAsSeenRequest) -> str:
         """Go on after a pause, unless what the person's screen had shown is too old, or older than a pause or stop."""
         if request.act != "resume":
-            raise PayloadError("act", Sentence("executor.void.act", act=repr(request.act)))
+            raise PayloadError("act", Sentence("{act} is nothing that is done here", act=repr(request.act)))
         return self._answered("resume", self._approval.resume(parse_moment(request.moment)))
 
     def on_release(self, request: srv.ReleaseEngagementRequest) -> str:
@@ -456,7 +465,11 @@ def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
         )
     if settings.arm == "real" and robot.estimates:
         keys = " and ".join(ESTIMATES[word] for word in robot.estimates)
-        raise ConfigurationError("estimates", list(robot.estimates), Sentence("expected.no_estimates", keys=keys))
+        raise ConfigurationError(
+            "estimates",
+            list(robot.estimates),
+            f"none with arm:=real: put in the right values of {keys}, then take the words out",
+        )
     tool_hash(settings.tool)
     check_writable(robot_file(settings.review_file, robot.name).parent)
 
