@@ -14,7 +14,7 @@ from construction_twin.core.units import NANOSECONDS, from_people, to_people
 def hold_cause(hold: HoldReport | None) -> str:
     """Return what keeps the gate closed, and since when, by this machine's time of day; "" while nothing does.
 
-    A sentence of a key, which is in deg and mm.
+    A `Sentence`, which is in deg and mm.
     """
     if hold is None or not hold.cause:
         return ""

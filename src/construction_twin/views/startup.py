@@ -146,8 +146,8 @@ class StartUp:
         self._since = self._reason_since = 0.0
         self._said: Missing | None = None
         self._ready = False
-        self._controller = _Beside(Sentence("the controller reports nothing against a motion any more"))
-        self._clock = _Beside(Sentence("the controller's clock is right again"))
+        self._controller = _Beside("the controller reports nothing against a motion any more")
+        self._clock = _Beside("the controller's clock is right again")
 
     def update(self, seen: Seen, now: float) -> list[str]:
         """Take what is seen; return the lines that are news.

@@ -184,9 +184,7 @@ def _make(options: argparse.Namespace, command: str) -> list[str]:
     """Write the files; return what to say."""
     if not 0 < options.full_speed_in < float("inf") or options.samples < 1:
         raise ConfigurationError(
-            "--full-speed-in, --samples",
-            (options.full_speed_in, options.samples),
-            "positive numbers",
+            "--full-speed-in, --samples", (options.full_speed_in, options.samples), "positive numbers"
         )
     path = options.urdf.absolute()
     urdf = expand_xacro(path, xacro_arguments(options.xacro_args))

@@ -29,10 +29,7 @@ def tool_report_from_msg(msg: ToolState) -> ToolReport:
     )
     for what, names, values in together:
         if len(names) != len(values):
-            raise PayloadError(
-                "tool",
-                f"{len(names)} {what} have {len(values)} values; expected as many",
-            )
+            raise PayloadError("tool", f"{len(names)} {what} have {len(values)} values; expected as many")
     try:
         states = [SwitchState(state) for state in msg.switch_states]
     except ValueError as error:
