@@ -80,9 +80,7 @@ class GateSettings:
         """Return the part that the comparison needs, for the joints of `limits` in their order."""
         foreign = [name for name in self.thresholds if name not in limits.names]
         if foreign:
-            raise ConfigurationError(
-                "thresholds", foreign[0], Sentence("expected.joint_names", names=", ".join(limits.names))
-            )
+            raise ConfigurationError("thresholds", foreign[0], f"names of joints: {', '.join(limits.names)}")
         threshold = tuple(
             self.thresholds.get(name, self.threshold_linear if slides else self.threshold)
             for name, slides in zip(limits.names, limits.linear)
@@ -147,7 +145,7 @@ class Gate:
         }
         self._machine = SyncMachine(conditions(guards), actions)
         self._forget()
-        self._machine.on(SyncEvent.STARTED, SyncOccasion(Sentence("reason.gate.started"), now))
+        self._machine.on(SyncEvent.STARTED, SyncOccasion(Sentence("started"), now))
 
     def _forget(self) -> None:
         self.comparison = PoseComparison(self.settings.comparison(self._limits))
@@ -187,7 +185,9 @@ class Gate:
     def reason(self) -> str:
         """Why that state was entered, and why it is not left although the poses agree."""
         reason = self._machine.reason
-        return Sentence("reason.gate.not_opened", reason=reason, obstacle=self._obstacle) if self._obstacle else reason
+        if not self._obstacle:
+            return reason
+        return Sentence("{reason}; not opened: {obstacle}", reason=reason, obstacle=self._obstacle)
 
     @property
     def cause(self) -> Cause | None:
@@ -230,7 +230,7 @@ class Gate:
     def mirror(self, leads: bool, now: int) -> None:
         """Take whether the arm leads: then nothing is sent, and what has been STOPPED stays so. A new session follows."""
         if leads and not self.mirrored:
-            self._fire(SyncEvent.MIRROR, Sentence("reason.gate.mirror"), now)
+            self._fire(SyncEvent.MIRROR, Sentence("the arm leads: nothing is commanded"), now)
         self.mirrored = leads
 
     def rests(self, now: int) -> bool:
@@ -243,13 +243,13 @@ class Gate:
         Raises ConfigurationError.
         """
         if self.mirrored:
-            raise ConfigurationError("the gate", "the arm leads", Sentence("expected.gate.not_led"))
+            raise ConfigurationError("the gate", "the arm leads", "an arm that does not: it can move at any moment")
         if not self.rests(now):
             raise ConfigurationError(
-                "the gate", "in motion", Sentence("expected.gate.still", seconds=REST / NANOSECONDS)
+                "the gate", "in motion", f"a command that has not changed for {REST / NANOSECONDS:g} s"
             )
         if self.state in HELD_STATES:
-            expected = Sentence("expected.gate.open")
+            expected = "WAITING, IN_SYNC or STOPPED: settings must not open a gate that a violation has closed"
             raise ConfigurationError("the gate", self.state.name, expected)
 
     def configure(self, settings: GateSettings, reason: str, now: int) -> None:
@@ -330,7 +330,7 @@ class Gate:
     def _servo_sentence(self, difference: ServoDifference) -> Sentence:
         unit = "m" if self._limits.linear[difference.joint] else "rad"
         return Sentence(
-            "reason.gate.servo",
+            "{joint} is {difference:.6q} from where its servo should have it, threshold {threshold:.6q}",
             joint=self._limits.names[difference.joint],
             difference=Quantity(difference.residual, unit),
             threshold=Quantity(difference.threshold, unit),
@@ -377,7 +377,12 @@ class Gate:
         if not was_open:
             self._try_to_open(stamp, theta_next, late, now)
         elif late > LATEST and self.state is SyncState.IN_SYNC:
-            sentence = Sentence("reason.gate.late", late=late / NANOSECONDS, latest=_LATEST_S)
+            sentence = Sentence(
+                "theta_next is {late:.3f} s late; at most {latest:g} s: the monitor was not run, or the "
+                "executor's clock was set back (then call reset)",
+                late=late / NANOSECONDS,
+                latest=_LATEST_S,
+            )
             self._close(SyncEvent.SETPOINT_STALE, sentence, now)
         passed = self._check.position or None
         if self.state is SyncState.IN_SYNC:
@@ -391,12 +396,14 @@ class Gate:
         if self.state is SyncState.IN_SYNC:
             if self.settings.compares and not self._fresh(now) and self._last_feedback is not None:
                 age = (now - self._last_feedback) / NANOSECONDS
-                self._close(SyncEvent.FEEDBACK_STALE, Sentence("reason.gate.feedback_old", age=age), now)
+                self._close(
+                    SyncEvent.FEEDBACK_STALE, Sentence("last comparable feedback is {age:.3f} s old", age=age), now
+                )
             elif self.watch_of_servos is not None and self.watch_of_servos.refinement.due and self.rests(now):
                 self._refine(self.watch_of_servos, now)
         elif self._held_too_long(now) and self.state in HELD_STATES:
             held = (now - self._closed_at) / NANOSECONDS
-            sentence = Sentence("reason.gate.gave_up", held=held, reason=self._machine.reason)
+            sentence = Sentence("held for {held:.3f} s; {reason}; call reset", held=held, reason=self._machine.reason)
             self._fire(SyncEvent.GAVE_UP, sentence, now)
 
     def _refine(self, watch: ServoWatch, now: int) -> None:
@@ -404,7 +411,7 @@ class Gate:
         changes = watch.refine()
         if changes:
             told = ", ".join(f"{name} {1e3 * change:+.2f} ms" for name, change in changes.items())
-            self._fire(SyncEvent.SERVOS_REFINED, Sentence("reason.gate.refined", lags=told), now)
+            self._fire(SyncEvent.SERVOS_REFINED, Sentence("the servos' lag was refined: {lags}", lags=told), now)
 
     def _held_too_long(self, now: int) -> bool:
         return now - self._closed_at > self.settings.give_up_time * NANOSECONDS
@@ -424,7 +431,7 @@ class Gate:
         joint = comparison.worst()
         unit = "m" if self._limits.linear[joint] else "rad"
         sentence = Sentence(
-            "reason.gate.differs",
+            "{joint} differs by {difference:.6q}, threshold {threshold:.6q}",
             joint=self._limits.names[joint],
             difference=Quantity(comparison.error[joint], unit),
             threshold=Quantity(comparison.threshold[joint], unit),
@@ -441,9 +448,17 @@ class Gate:
         """Take a violation, and see whether that is the end of it."""
         if self._fire(event, reason, now):
             self._violation = Cause(reason, self._closed_at)
-        self._fire(SyncEvent.POLICY_STOP, Sentence("reason.gate.policy_stop", reason=reason), now)
-        often = {"count": len(self._closings), "time": self.settings.escalate_time}
-        self._fire(SyncEvent.ESCALATED, Sentence("reason.gate.escalated", **often, reason=reason), now)
+        self._fire(SyncEvent.POLICY_STOP, Sentence("the policy is to stop; {reason}; call reset", reason=reason), now)
+        self._fire(
+            SyncEvent.ESCALATED,
+            Sentence(
+                "held {count} times in {time:g} s; {reason}; call reset",
+                count=len(self._closings),
+                time=self.settings.escalate_time,
+                reason=reason,
+            ),
+            now,
+        )
 
     def _hold(self, now: int) -> None:
         self.violations += 1
@@ -468,7 +483,11 @@ class Gate:
         if self.state is SyncState.STOPPED or self.mirrored or not self.agreed(now):
             return
         if late > LATEST:
-            self._obstacle = Sentence("reason.gate.late_to_open", latest=_LATEST_S)
+            self._obstacle = Sentence(
+                "theta_next is late; at most {latest:g} s: the monitor was not run, or the executor's clock "
+                "was set back (then call reset)",
+                latest=_LATEST_S,
+            )
             return
         latest = self.comparison.twin.latest
         if latest is None:
@@ -484,7 +503,7 @@ class Gate:
         self._check.start(stamp - CYCLE_NS, self._codec.quantise(held))
         self._before = stamp - CYCLE_NS
         self._violation = None
-        self._fire(SyncEvent.OPENED, Sentence("reason.gate.opened"), now)
+        self._fire(SyncEvent.OPENED, Sentence("poses agree and the stream continues from the held pose"), now)
 
     def _checked(self, stamp: int, theta_next: tuple[float, ...], now: int) -> tuple[float, ...]:
         try:
@@ -492,7 +511,16 @@ class Gate:
             moves = command != self._check.position
             if moves and stamp - self._before > LATEST:
                 gap = (stamp - self._before) / NANOSECONDS
-                self._close(SyncEvent.SETPOINT_STALE, Sentence("reason.gate.gap", gap=gap, latest=_LATEST_S), now)
+                self._close(
+                    SyncEvent.SETPOINT_STALE,
+                    Sentence(
+                        "theta_next moves after {gap:.3f} s without setpoints; at most {latest:g} s: the monitor was "
+                        "not run, or the executor's clock was set back (then call reset)",
+                        gap=gap,
+                        latest=_LATEST_S,
+                    ),
+                    now,
+                )
                 return self._check.position
             self._check.accept(stamp, command)
         except (MotionRefused, PayloadError) as refusal:

@@ -88,7 +88,13 @@ class Monitor:
         self.gate, self._behaviour, self._names = gate, behaviour, names
         self._session = stopped_in
         if stopped_in:
-            gate.stay_stopped(Sentence("reason.gate.stopped_before", session=stopped_in), now)
+            gate.stay_stopped(
+                Sentence(
+                    "a monitor before this one was STOPPED in session {session}; see to the arm, then call reset",
+                    session=stopped_in,
+                ),
+                now,
+            )
         self._goals: dict[str, ReplanGoal] = {}
         self._played = _Played()
         #: The executor's sentence while a plan is being executed, at rest or not; empty otherwise.
@@ -106,7 +112,7 @@ class Monitor:
         self.gate.mirror(leads, now)
         if session and session != self._session:
             if self._session:
-                self.gate.restart(Sentence("reason.gate.new_session"), now)
+                self.gate.restart(Sentence("new command session"), now)
             self._session = session
 
     def configure(self, operator: str, text: str, now: int) -> str:
@@ -116,9 +122,9 @@ class Monitor:
         """
         try:
             if not operator.strip():
-                raise ConfigurationError("operator", operator, Sentence("expected.gate.person"))
+                raise ConfigurationError("operator", operator, "the name of a person: the change is recorded")
             if self._executing:
-                raise ConfigurationError("the executor", self._executing, Sentence("expected.gate.no_plan"))
+                raise ConfigurationError("the executor", self._executing, "no plan that is being executed")
             # before the text is read: whatever reading it costs, it costs at rest
             self.gate.check_rest(now)
             behaviour = self._behaviour.changed(text)
@@ -128,7 +134,7 @@ class Monitor:
             settings = behaviour.gate_settings(self.gate.settings.compares)
             self.gate.configure(settings, f"{operator.strip()} changed {difference}", now)
         except ConfigurationError as error:
-            raise RequestRefused(Sentence("view.refused.unchanged", problem=error.sentence)) from error
+            raise RequestRefused(f"{error.sentence}; nothing was changed") from error
         self._behaviour = behaviour
         return f"changed {difference}"
 
@@ -177,7 +183,10 @@ class Monitor:
         closed = first.source is SyncState.IN_SYNC and first.target is not SyncState.IN_SYNC
         if not closed or self.gate.policy != REPLAN or wanted is None:
             return changes, None
-        asks = self.gate.on_replan(Sentence("reason.gate.replan_asked", plan=wanted.plan_id), first.at)
+        asks = self.gate.on_replan(
+            Sentence("a path to the goal of plan {plan} was asked for, no faster than that plan", plan=wanted.plan_id),
+            first.at,
+        )
         changes += self.gate.take_transitions()
         replan = Replan(self.gate.held, wanted, first.target.name, self.gate.violations)
         return changes, replan if asks else None
@@ -185,7 +194,7 @@ class Monitor:
     def on_replan_failed(self, replan: Replan, problem: str, now: int) -> None:
         """Take that there will be no new plan; in another hold it means nothing."""
         if self.gate.violations == replan.violation:
-            self.gate.on_replan_failed(Sentence("reason.gate.replan_failed", problem=problem), now)
+            self.gate.on_replan_failed(Sentence("re-plan failed: {problem}", problem=problem), now)
 
     # -- what is told
 

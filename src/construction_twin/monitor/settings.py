@@ -8,7 +8,6 @@ import pydantic
 import yaml
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.validation import configuration_error
 from construction_twin.monitor.gate import GateSettings
 
@@ -50,11 +49,9 @@ class Behaviour(pydantic.BaseModel):
             changes = yaml.safe_load(text)
         # a date that does not exist is a ValueError, brackets nested by the thousand are a RecursionError
         except (yaml.YAMLError, ValueError, RecursionError) as error:
-            raise ConfigurationError(
-                "settings", text[:200], Sentence("expected.yaml", problem=" ".join(str(error).split()))
-            ) from error
+            raise ConfigurationError("settings", text[:200], f"YAML ({' '.join(str(error).split())})") from error
         if not isinstance(changes, dict):
-            raise ConfigurationError("settings", text, Sentence("expected.settings", example="{policy: resume}"))
+            raise ConfigurationError("settings", text, "a YAML mapping, e.g. {policy: resume}")
         try:
             return Behaviour.model_validate(self.model_dump() | changes)
         except pydantic.ValidationError as error:

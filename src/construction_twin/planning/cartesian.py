@@ -93,7 +93,9 @@ def plan_cartesian(
         PlanningError: If the path or an argument is invalid.
     """
     if speed is not None and not 0.0 < speed < math.inf:
-        raise PlanningError(Sentence("motion.tool.speed", speed=Quantity(speed, "m/s")))
+        raise PlanningError(
+            Sentence("the requested tool speed is {speed}; expected a positive number", speed=Quantity(speed, "m/s"))
+        )
     chain = inverse.chain
     chain.robot.check_range(start)
     q = np.array(start, dtype=float)
@@ -130,9 +132,9 @@ def _path_in_reach(chain: Chain, start: Pose, waypoints: Sequence[ToolWaypoint])
             raise FarWaypointError(number, what, distance, chain.reach)
 
     for number, waypoint in enumerate(waypoints):
-        demand(number, Sentence("motion.far.position"), waypoint.pose.position[None])
+        demand(number, Sentence("its position"), waypoint.pose.position[None])
         if waypoint.via is not None:
-            demand(number, Sentence("motion.far.via"), waypoint.via[None])
+            demand(number, Sentence("the via point of its arc"), waypoint.via[None])
     path = ToolPath(start, waypoints)
     for number, points in path.arcs():
         demand(number, "the arc that leads there", points)
@@ -173,7 +175,7 @@ class _Part:
             if part.deviation_m <= DEVIATION_M and part.deviation_rad <= DEVIATION_RAD and part.top_speed <= speed:
                 return part
         found = Sentence(
-            "motion.tool.deviates",
+            "the motion deviates by {away:.4}, {turned:.4}, {speed} mm/s; choose a lower speed",
             away=Quantity(part.deviation_m, "m"),
             turned=Quantity(part.deviation_rad, "rad"),
             speed=f"{part.top_speed * 1e3:.1f}",
@@ -199,8 +201,13 @@ class _Part:
         place, contact = found
         s = self.piece.begin + float(self.timed.parameter(np.array([max(math.ceil(place) - 1, 0) * CYCLE]))[0])
         between = contact.between
-        cause = CollisionError(between, Sentence("motion.where.along", distance=Quantity(s, "m")))
-        raise branch.end("collision", s, Sentence("motion.tool.touches", first=between[0], second=between[1]), cause)
+        cause = CollisionError(between, Sentence("{distance:.1} along the path", distance=Quantity(s, "m")))
+        raise branch.end(
+            "collision",
+            s,
+            Sentence("{first} would touch {second}; move the path or the object", first=between[0], second=between[1]),
+            cause,
+        )
 
 
 def _joint_curve(branch: Branch, piece: Piece, q: np.ndarray) -> JointCurve:
@@ -226,7 +233,15 @@ def _joint_curve(branch: Branch, piece: Piece, q: np.ndarray) -> JointCurve:
         s = np.concatenate((s, middle[deviates]))[order]
         joints = np.concatenate((joints, between[deviates]))[order]
     at = float(middle[np.argmax(deviates)])
-    raise branch.end("deviation", at, Sentence("motion.tool.curved", most=Quantity(DEVIATION_M, "m")))
+    raise branch.end(
+        "deviation",
+        at,
+        Sentence(
+            "the joints cannot follow within {most:.1} there; the path's curvature is too large, give "
+            "the corner a larger blend",
+            most=Quantity(DEVIATION_M, "m"),
+        ),
+    )
 
 
 def _time(
@@ -244,5 +259,5 @@ def _time(
         )
     except JointRangeError as error:
         # all samples of the curve are in range, but the motion between two of them leaves it
-        what = Sentence("motion.tool.leaves_range", problem=error.sentence)
+        what = Sentence("{problem}; move the path away from the limit", problem=error.sentence)
         raise branch.end("joint limit", piece.begin, what, error) from error

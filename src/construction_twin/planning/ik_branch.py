@@ -191,11 +191,15 @@ class Branch:
             try:
                 self.chain.robot.check_range(beyond)
             except JointRangeError as error:
-                what = Sentence("motion.tool.limit", joint=error.joint, problem=error.sentence)
+                what = Sentence(
+                    "{joint} reaches its limit ({problem}); start in another configuration or move the path",
+                    joint=error.joint,
+                    problem=error.sentence,
+                )
                 return self.end("joint limit", begin, what, error)
         unreachable = self._unreachable(q, begin)
         if unreachable is not None:
-            what = Sentence("motion.tool.unreachable", problem=unreachable.sentence)
+            what = Sentence("its waypoint cannot be reached: {problem}", problem=unreachable.sentence)
             return self.end("unreachable", begin, what, unreachable)
         if self._singularity(q[None])[0] < 2.0 * SINGULAR:
             return self._singular(begin, q)
@@ -203,7 +207,13 @@ class Branch:
 
     def _singular(self, s: float, q: np.ndarray) -> CartesianPathError:
         measure = self._singularity(q[None])[0]
-        what = Sentence("motion.tool.singular", measure=float(measure), least=str(SINGULAR))
+        what = Sentence(
+            "the arm is at a singularity (smallest singular value {measure:.4f}, expected at least "
+            "{least}), where two configurations meet; start in another configuration, or turn or move "
+            "the path",
+            measure=float(measure),
+            least=str(SINGULAR),
+        )
         return self.end("singularity", s, what)
 
     def _unreachable(self, q: np.ndarray, s: float) -> UnreachableError | None:
@@ -235,7 +245,16 @@ class Branch:
         except NotFoundError as error:
             return self.end("not found", begin, error.sentence, error)
         now, then = self._inverse.configuration(seed), other.configuration
-        return self.end("flip", begin, Sentence("motion.tool.flip", now=str(now), then=str(then)))
+        return self.end(
+            "flip",
+            begin,
+            Sentence(
+                "the next pose needs another configuration ({now} here, {then} there), which no straight "
+                "path reaches; start in that one or move the path",
+                now=str(now),
+                then=str(then),
+            ),
+        )
 
 
 def _error(reached: Pose, target: Pose) -> np.ndarray:

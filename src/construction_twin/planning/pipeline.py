@@ -68,15 +68,28 @@ def way_back(path: ExecutedPath, present: JointValues, robot: RobotModel) -> Tra
     """
     pose = np.array(present, dtype=float)
     if path.trajectory.joint_names != tuple(robot.joint_names):
-        names = {"found": ", ".join(path.trajectory.joint_names), "joints": ", ".join(robot.joint_names)}
-        raise PlanningError(Sentence("motion.back.joints", **names))
+        raise PlanningError(
+            Sentence(
+                "the executed path is one of {found}; expected {joints}",
+                found=", ".join(path.trajectory.joint_names),
+                joints=", ".join(robot.joint_names),
+            )
+        )
     entry = path.entry(pose)
     if entry.distance > LARGEST_ENTRY:
-        distances = {"away": Quantity(entry.distance, "rad"), "most": Quantity(LARGEST_ENTRY, "rad")}
-        raise PlanningError(Sentence("motion.back.beside", **distances))
+        raise PlanningError(
+            Sentence(
+                "the arm is up to {away} (or mm) per joint beside the path that it executed, and can go "
+                "straight to it from at most {most}; free it by hand, then call release_engagement",
+                away=Quantity(entry.distance, "rad"),
+                most=Quantity(LARGEST_ENTRY, "rad"),
+            )
+        )
     begin, there = path.trajectory.positions[0], path.trajectory.sample(entry.time)[0]
     if np.max(np.abs(pose - begin)) <= SAME_POINT:
-        raise PlanningError(Sentence("motion.back.there"))
+        raise PlanningError(
+            Sentence("the arm is at the beginning of the engaged segments already; nothing to go back to")
+        )
     at_begin = np.max(np.abs(there - begin)) <= SAME_POINT
     parts = []
     if entry.distance > WAY_BACK_TOLERANCE / 4 or at_begin:
@@ -268,7 +281,14 @@ class PlanningPipeline:
         kept = np.flatnonzero(distinct(path.positions))
         way = path.way_to(int(kept[np.clip(np.searchsorted(timed.passed, error.time), 1, len(kept) - 1)]))
         first, second = error.between
-        told = Sentence("motion.retimed.along_lines", why=why, first=first, second=second, where=way)
+        told = Sentence(
+            "{why}; on the straight lines between the points, with rounded corners, because on a curve "
+            "through them {first} touches {second} ({where})",
+            why=why,
+            first=first,
+            second=second,
+            where=way,
+        )
         # of equal points at the end the last one is the goal, and its time the motion's
         kept[-1] = len(path.rows) - 1
         made = f"waypoints, timed anew ({told})"

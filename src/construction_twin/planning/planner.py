@@ -75,7 +75,7 @@ class PlannerSettings(pydantic.BaseModel):
     @classmethod
     def _known(cls, name: str) -> str:
         if name not in ompl_planners():
-            raise ValueError(Sentence("expected.one_of", known=", ".join(ompl_planners())))
+            raise ValueError(f"one of {', '.join(ompl_planners())}")
         return name
 
     @classmethod
@@ -228,7 +228,7 @@ class Planner:
         goals = [solution.q for solution in self._solver.all(pose, begin, wanted)]
         free = [goal for goal in goals if world.is_free(goal)]
         if not free:
-            _demand_free(goals[0], world, Sentence("motion.where.goal"))
+            _demand_free(goals[0], world, Sentence("the goal"))
         return self._plan(begin, free, request, world, began)
 
     def _joint_vector(self, name: str, values: JointValues) -> np.ndarray:
@@ -236,8 +236,7 @@ class Planner:
         joints = len(self._robot.joint_names)
         if q.shape != (joints,):
             names = ", ".join(self._robot.joint_names)
-            counts = {"found": q.size, "count": joints}
-            raise PlanningError(Sentence("motion.values", what=name, **counts, names=names))
+            raise PlanningError(f"{name} has {q.size} values; expected {joints}, one for each of {names}")
         self._robot.check_range(q)
         return q
 
@@ -353,7 +352,12 @@ class Planner:
                 if len(path) == 2:
                     return None
                 if request.waypoints is not None:
-                    found = Sentence("motion.leaves_path", count=request.waypoints, problem=error.sentence)
+                    found = Sentence(
+                        "the motion through {count} waypoints leaves the path that was found: {problem}; ask for "
+                        "more waypoints, or leave their number to the planner",
+                        count=request.waypoints,
+                        problem=error.sentence,
+                    )
                     raise PlanningError(found) from error
                 path = with_midpoints(path)
         return None

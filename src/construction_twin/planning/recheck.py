@@ -134,4 +134,4 @@ def _check_range(sampled: SampledUsage, robot: RobotModel) -> None:
 
 
 def _at(seconds: float) -> Sentence:
-    return Sentence("motion.where.time", seconds=float(seconds))
+    return Sentence("at {seconds:.3f} s", seconds=float(seconds))

@@ -65,14 +65,26 @@ def check_request(
         PlanningError: Naming the argument, its value and what was expected.
     """
     if duration is not None and not 0.0 < duration < math.inf:
-        raise PlanningError(Sentence("motion.asked.duration", found=str(duration)))
+        raise PlanningError(
+            Sentence("the requested duration is {found} s; expected a positive number", found=str(duration))
+        )
     for name, scale in (("speed", speed), ("acceleration", acceleration)):
         if not 0.0 < scale <= 1.0:
-            raise PlanningError(Sentence("motion.asked.scale", name=name, found=str(scale)))
+            raise PlanningError(
+                Sentence(
+                    "the requested {name} scale is {found}; expected a fraction of the limits in (0, 1]",
+                    name=name,
+                    found=str(scale),
+                )
+            )
     if waypoints is not None and waypoints < 2:
-        raise PlanningError(Sentence("motion.asked.waypoints", count=waypoints))
+        raise PlanningError(Sentence("{count} waypoints are requested; a motion needs at least 2", count=waypoints))
     if corner_fraction is not None and not 0.0 < corner_fraction <= 1.0:
-        raise PlanningError(Sentence("motion.asked.corner", found=str(corner_fraction)))
+        raise PlanningError(
+            Sentence(
+                "the requested corner fraction is {found}; expected a number in (0, 1]", found=str(corner_fraction)
+            )
+        )
 
 
 def check_path(path: np.ndarray, robot: RobotModel) -> np.ndarray:
@@ -80,17 +92,28 @@ def check_path(path: np.ndarray, robot: RobotModel) -> np.ndarray:
     path = np.array(path, dtype=np.float64)
     joints = len(robot.joint_names)
     if path.ndim != 2 or path.shape[1] != joints or len(path) < 2:
-        raise TrajectoryError(Sentence("motion.path.shape", found=str(path.shape), joints=joints))
+        raise TrajectoryError(
+            Sentence(
+                "the path has shape {found}; expected at least 2 points of {joints} joints",
+                found=str(path.shape),
+                joints=joints,
+            )
+        )
     if not np.all(np.isfinite(path)):
         row, joint = np.argwhere(~np.isfinite(path))[0]
         name = robot.joint_names[joint]
-        found = Sentence("motion.path.finite", row=int(row), joint=name, found=str(path[row, joint]))
+        found = Sentence(
+            "point {row} of the path: {joint} is {found}, not a finite number",
+            row=int(row),
+            joint=name,
+            found=str(path[row, joint]),
+        )
         raise TrajectoryError(found)
     for point in path[np.any((path < robot.lower) | (path > robot.upper), axis=1)]:
         robot.check_range(point)
     apart = distinct(path)
     if not np.any(apart[1:]):
-        raise TrajectoryError(Sentence("motion.path.there"))
+        raise TrajectoryError(Sentence("the arm is already there: the path's points are all the same; nothing to plan"))
     kept = path[apart]
     kept[-1] = path[-1]
     return kept

@@ -217,7 +217,9 @@ class TimeScalingSearch:
         solver.close_solver()
         both = speed[:-1] + speed[1:]
         if not np.all(both > 0.0):
-            raise PlanningError(Sentence("motion.timing.none"))
+            raise PlanningError(
+                Sentence("the path cannot be timed within the limits; choose another goal or points further apart")
+            )
         ds = np.diff(grid)
         half_acceleration = 0.25 * (speed[1:] ** 2 - speed[:-1] ** 2) / ds
         times = np.concatenate(([0.0], np.cumsum(2.0 * ds / both)))

@@ -162,7 +162,13 @@ def time_curve(
     acceleration_scale = speed_scale if acceleration_scale is None else acceleration_scale
     check_request(None, speed_scale, acceleration_scale, None, None)
     if not (top_speed > 0.0 and 0.0 < spacing < math.inf):
-        raise PlanningError(Sentence("motion.timing.speed", speed=str(top_speed), spacing=str(spacing)))
+        raise PlanningError(
+            Sentence(
+                "the requested top speed is {speed}, the spacing {spacing} s; expected positive numbers",
+                speed=str(top_speed),
+                spacing=str(spacing),
+            )
+        )
     fractions = VELOCITY_FRACTION * speed_scale, ACCELERATION_FRACTION * acceleration_scale
     request = _Request(robot, None, *fractions, None, bounds, spacing, CURVE_SLOWING, CURVE_ROUNDS, whole_cycles=True)
     return request.timed(curve, curve(np.array([0.0, curve.length])), top_speed)
@@ -281,7 +287,14 @@ class _Request:
         rest = float(np.max(early))
         if rest > LARGEST_REST:
             row = int(np.argmax(early)) + 1
-            raise PlanningError(Sentence("motion.timing.too_slow", row=row, factor=rest))
+            raise PlanningError(
+                Sentence(
+                    "the path cannot be timed as slowly as asked on the way to point {row}, it would be passed "
+                    "{factor:.1f} times too fast; give more points there, or points without times",
+                    row=row,
+                    factor=rest,
+                )
+            )
         least = max(rest, float(np.max(factor)) * (1.0 + STRETCH_STEP))
         return self._slowed(curve, scaling, ends, least, len(way.times))
 
@@ -310,7 +323,9 @@ class _Request:
                 if factor <= 1.0:
                     return TimedCurve(trajectory, scaling, stretch, sampled)
             stretch *= factor * (1.0 + STRETCH_STEP)
-        raise PlanningError(Sentence("motion.timing.too_fast", factor=factor))
+        raise PlanningError(
+            Sentence("the path cannot be slowed into the limits; {factor:.6f} times too fast remains", factor=factor)
+        )
 
     def _excess(self, sampled: SampledUsage) -> float:
         """Return the factor by which a motion must be slowed to meet the limits at its samples."""

@@ -105,7 +105,9 @@ class ToolPath:
     def __init__(self, start: Pose, waypoints: Sequence[ToolWaypoint]):
         legs = _legs(start, waypoints)
         if not legs:
-            raise PlanningError(Sentence("motion.waypoint.there"))
+            raise PlanningError(
+                Sentence("the tool is already there: no waypoint differs from the start; nothing to plan")
+            )
         trimmed = _trimmed(legs, waypoints)
         self._segments, self._marks = trimmed.segments, trimmed.marks
         self._ends = np.cumsum([segment.length for segment in self._segments])
@@ -178,7 +180,13 @@ def _legs(start: Pose, waypoints: Sequence[ToolWaypoint]) -> list[_Leg]:
     for number, waypoint in enumerate(waypoints):
         if not (0.0 <= waypoint.blend < math.inf):
             blend = Quantity(waypoint.blend, "m")
-            raise PlanningError(Sentence("motion.waypoint.blend", waypoint=number, blend=blend))
+            raise PlanningError(
+                Sentence(
+                    "waypoint {waypoint}: the blend is {blend}; expected 0 or a positive number",
+                    waypoint=number,
+                    blend=blend,
+                )
+            )
         leg = _leg(number, at, waypoint)
         if leg is not None:
             legs.append(_Leg(number, leg))
@@ -191,14 +199,24 @@ def _leg(number: int, start: Pose, waypoint: ToolWaypoint) -> Leg | None:
     for values in (goal.position, goal.rotation, () if waypoint.via is None else waypoint.via):
         if not np.all(np.isfinite(values)):
             raise PlanningError(
-                Sentence("motion.waypoint.finite", waypoint=number, found=str(np.asarray(values).tolist()))
+                Sentence(
+                    "waypoint {waypoint}: {found} are not finite numbers",
+                    waypoint=number,
+                    found=str(np.asarray(values).tolist()),
+                )
             )
     first = Rotation.from_matrix(start.rotation)
     turn = (Rotation.from_matrix(goal.rotation) * first.inv()).as_rotvec()
     if waypoint.via is not None:
         arc = Leg.arc(start.position, waypoint.via, goal.position, first, turn)
         if arc is None:
-            raise PlanningError(Sentence("motion.waypoint.arc", waypoint=number))
+            raise PlanningError(
+                Sentence(
+                    "waypoint {waypoint}: the start, via point and end of its arc are on one line or the same; "
+                    "expected three points of a circle, for a full circle use two arcs",
+                    waypoint=number,
+                )
+            )
         return arc
     if np.linalg.norm(goal.position - start.position) > SAME_PLACE:
         return Leg.line(start.position, goal.position, first, turn)
@@ -213,13 +231,23 @@ def _trimmed(legs: list[_Leg], waypoints: Sequence[ToolWaypoint]) -> _Trimmed:
         number, leg = legs[index].waypoint, legs[index].segment
         cuts[index + 1] = waypoints[number].blend
         if cuts[index + 1] and (leg.turns or legs[index + 1].segment.turns):
-            raise PlanningError(Sentence("motion.waypoint.turn", waypoint=number))
+            raise PlanningError(
+                Sentence(
+                    "waypoint {waypoint}: a turn on the spot has no corner to blend; expected blend 0", waypoint=number
+                )
+            )
     for index, one in enumerate(legs):
         number, leg = one.waypoint, one.segment
         if cuts[index] + cuts[index + 1] > leg.length * (1.0 + 1e-9):
-            lengths = {"length": leg.length, "needed": cuts[index] + cuts[index + 1]}
-            found = {name: Quantity(value, "m") for name, value in lengths.items()}
-            raise PlanningError(Sentence("motion.waypoint.blends", waypoint=number, **found))
+            raise PlanningError(
+                Sentence(
+                    "the segment to waypoint {waypoint} is {length} long; the blends at its ends need {needed}, "
+                    "choose smaller ones",
+                    waypoint=number,
+                    length=Quantity(leg.length, "m"),
+                    needed=Quantity(cuts[index] + cuts[index + 1], "m"),
+                )
+            )
     segments: list[Segment] = []
     stops: list[int] = []
     marks: list[_Mark] = []
@@ -232,7 +260,12 @@ def _trimmed(legs: list[_Leg], waypoints: Sequence[ToolWaypoint]) -> _Trimmed:
         if cuts[index + 1]:
             blend = Blend.between(leg, legs[index + 1].segment, cuts[index + 1])
             if blend is None:
-                raise PlanningError(Sentence("motion.waypoint.back", waypoint=number))
+                raise PlanningError(
+                    Sentence(
+                        "waypoint {waypoint}: the path turns back there and cannot be blended; expected blend 0",
+                        waypoint=number,
+                    )
+                )
             segments.append(blend)
         marks.append(_Mark(number, len(segments) - 1))
         if last or (not cuts[index + 1] and not _goes_on(leg, legs[index + 1].segment)):

@@ -26,7 +26,6 @@ import numpy as np
 
 from construction_twin.core.files import read_file
 from construction_twin.core.motion_errors import PlanningError, WaypointsError
-from construction_twin.core.sentences import Sentence
 from construction_twin.planning.waypoints import Unit, Waypoints, check_finite
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
@@ -57,16 +56,16 @@ def read_waypoints(path: str, robot: RobotModel, columns: str = "") -> Waypoints
         PlanningError: If the file cannot be read.
     """
     if not Path(path).is_absolute():
-        raise PlanningError(Sentence("motion.file.relative", path=repr(path)))
+        raise PlanningError(f"the file is {path!r}; expected an absolute path on the planner's machine")
     try:
         text = read_file(path, _LARGEST_FILE).decode("utf-8")
     except OSError as error:
-        found = Sentence("motion.file.unreadable", path=str(path), problem=str(error.strerror))
+        found = f"{path} cannot be read: {error.strerror}; expected a CSV file on the planner's machine"
         raise PlanningError(found) from error
     except UnicodeDecodeError as error:
-        raise PlanningError(Sentence("motion.file.no_text", path=str(path))) from error
+        raise PlanningError(f"{path} cannot be read: it is not text in UTF-8; save it as CSV") from error
     except ValueError as error:  # a null character in the path
-        raise PlanningError(Sentence("motion.file.bad_path", path=repr(path), problem=str(error))) from error
+        raise PlanningError(f"{path!r} cannot be read: {error}") from error
     return parse_waypoints(text, robot, columns)
 
 
@@ -89,29 +88,32 @@ def parse_waypoints(text: str, robot: RobotModel, columns: str = "") -> Waypoint
     ]
     lines = [(number, line) for number, line in lines if line]
     if not lines:
-        raise WaypointsError(Sentence("motion.file.empty"))
+        raise WaypointsError(
+            "the file is empty; expected a line that names the columns, then one line for each waypoint"
+        )
     first_line, first = lines[0]
     separator = ";" if ";" in first else ","
     cells = [cell.strip() for cell in first.split(separator)]
     numbers_alone = all(_NUMBER.match(cell) or _DECIMAL_COMMA.match(cell) for cell in cells)
     if columns.strip():
         if not numbers_alone:
-            found = Sentence("motion.file.columns_told", line=first_line, found=repr(cells[0]))
+            found = (
+                f"line {first_line} begins with {cells[0]!r}, but columns were told for a file of numbers "
+                "alone; leave them out when the file names its own"
+            )
             raise WaypointsError(found, first_line)
         names = _column_names(columns, robot)
         _check_columns("columns", None, names, robot)
     else:
         if numbers_alone:
-            found = Sentence(
-                "motion.file.numbers_alone",
-                line=first_line,
-                count=len(cells),
-                expected=_expected(robot),
-                time=_TIME,
+            found = (
+                f"line {first_line}: {len(cells)} numbers; {_expected(robot)}; a file of numbers alone, as "
+                f"MATLAB's writematrix makes it, needs its columns told: --columns {_TIME},joints_rad (or "
+                "joints_deg)"
             )
             raise WaypointsError(found, first_line)
         names = cells
-        _check_columns(Sentence("motion.file.place", line=first_line), first_line, names, robot)
+        _check_columns(f"line {first_line}", first_line, names, robot)
         lines = lines[1:]
     values = np.array([_numbers(number, line, separator, names) for number, line in lines])
     values = values.reshape(len(lines), len(names))
@@ -198,22 +200,21 @@ def _check_columns(place: str, line: int | None, columns: list[str], robot: Robo
         else:
             match = _COLUMN.match(name)
             if match is None or match["joint"] not in robot.joint_names:
-                found = Sentence("motion.file.unknown", place=place, name=repr(name), expected=_expected(robot))
+                found = f"{place}: unknown column {name!r}; {_expected(robot)}"
                 raise WaypointsError(found, line, "", name)
             linear = robot.linear[robot.joint_names.index(match["joint"])]
             if (match["unit"] in ("mm", "m")) != linear:
-                kind = "prismatic" if linear else "revolute"
-                found = Sentence(f"motion.file.{kind}", place=place, name=repr(name))
+                kind, units = ("prismatic", "mm or m") if linear else ("revolute", "deg or rad")
+                found = f"{place}: column {name!r} of a {kind} joint; expected its unit to be {units}"
                 raise WaypointsError(found, line, match["joint"], name)
             key = match["joint"] + (match["rate"] or "")
         if key in counts:
-            found = Sentence("motion.file.same", place=place, one=repr(counts[key]), name=repr(name))
+            found = f"{place}: columns {counts[key]!r} and {name!r} are the same; expected one"
             raise WaypointsError(found, line)
         counts[key] = name
     missing = [name for name in robot.joint_names if name not in counts]
     if missing:
-        values = {"place": place, "names": ", ".join(missing), "expected": _expected(robot)}
-        raise WaypointsError(Sentence("motion.file.missing", **values), line, missing[0])
+        raise WaypointsError(f"{place}: no column for {', '.join(missing)}; {_expected(robot)}", line, missing[0])
     needs = {
         "_s": ("velocities", _TIME in counts, _TIME),
         "_s2": ("accelerations", _given(columns, "_s"), "velocities"),
@@ -221,30 +222,30 @@ def _check_columns(place: str, line: int | None, columns: list[str], robot: Robo
     for rate, (kind, there, needed) in needs.items():
         named = [name for name in robot.joint_names if f"{name}{rate}" in counts]
         if named and (len(named) < len(robot.joint_names) or not there):
-            found = Sentence("motion.file.need", place=place, kind=kind, needed=needed)
+            found = f"{place}: {kind} need a column for every joint, and {needed}"
             raise WaypointsError(found, line, named[0])
 
 
 def _expected(robot: RobotModel) -> str:
     names = (f"{name}_{'mm' if linear else 'deg'}" for name, linear in zip(robot.joint_names, robot.linear))
-    return Sentence("motion.file.expected", names=", ".join(names), time=_TIME)
+    return f"expected {', '.join(names)} (or _rad, _m), and {_TIME} if the waypoints are timed"
 
 
 def _numbers(line: int, text: str, separator: str, columns: list[str]) -> list[float]:
     cells = text.split(separator)
     if len(cells) != len(columns):
-        found = Sentence("motion.file.cells", line=line, found=len(cells), count=len(columns))
+        found = f"line {line}: {len(cells)} values; expected {len(columns)}, one for each column"
         if len(cells) == 1 and len(text.split()) > 1:
-            found = Sentence("motion.file.blanks", problem=found)
+            found = f"{found}; they are separated by blanks or tabs, expected commas or semicolons"
         elif len(cells) > len(columns) and separator == "," and "." not in text:
-            found = Sentence("motion.file.comma", problem=found)
+            found = f"{found}; if this is a decimal comma, write a decimal point"
         raise WaypointsError(found, line, "", len(cells))
     numbers = []
     for name, cell in zip(columns, map(str.strip, cells)):
         if not _NUMBER.match(cell):
             match = _COLUMN.match(name)
-            key = f"motion.file.{'number_comma' if _DECIMAL_COMMA.match(cell) else 'number'}"
-            found = Sentence(key, line=line, name=name, found=repr(cell))
+            comma = " with a decimal comma" if _DECIMAL_COMMA.match(cell) else ""
+            found = f"line {line}: {name} is {cell!r}{comma}; expected a number with a decimal point"
             raise WaypointsError(found, line, match["joint"] if match else "", cell)
         numbers.append(float(cell))
     return numbers

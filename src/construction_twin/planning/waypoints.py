@@ -76,17 +76,13 @@ class Waypoints:
         """Return how messages call the way to a waypoint, e.g. ``between point 3 and point 4``."""
         # of a single waypoint the other one is the present pose
         if self.rows[index - 1] == self.rows[index]:
-            return Sentence("motion.where.way", place=self.place(index))
-        return Sentence("motion.where.between", first=self.place(index - 1), second=self.place(index))
+            return Sentence("on the way to {place}", place=self.place(index))
+        return Sentence("between {first} and {second}", first=self.place(index - 1), second=self.place(index))
 
     def place(self, index: int) -> str:
         """Return how messages call a waypoint, e.g. ``line 7``."""
         row = self.rows[index]
-        return (
-            Sentence("motion.file.place", line=row)
-            if self.row_name == "line"
-            else Sentence("motion.points.point", row=row)
-        )
+        return f"line {row}" if self.row_name == "line" else f"point {row}"
 
 
 def from_points(
@@ -111,8 +107,8 @@ def from_points(
     if sorted(joint_names) != sorted(robot.joint_names):
         found, joints = ", ".join(joint_names), ", ".join(robot.joint_names)
         if not found:
-            raise WaypointsError(Sentence("motion.points.unnamed", joints=joints))
-        raise WaypointsError(Sentence("motion.points.joints", found=found, joints=joints))
+            raise WaypointsError(f"the joints are not named; expected each of {joints} once")
+        raise WaypointsError(f"the joints are {found}; expected each of {joints} once")
     order = [list(joint_names).index(name) for name in robot.joint_names]
     timed = times is not None and any(time != 0.0 for time in times)
     units = tuple(Unit("m" if linear else "rad", 1.0) for linear in robot.linear)
@@ -123,7 +119,7 @@ def from_points(
     position_array = arrays["position"]
     assert position_array is not None  # positions are always given
     if timed and times is not None and len(times) != len(positions):
-        raise WaypointsError(Sentence("motion.points.times", times=len(times), points=len(positions)))
+        raise WaypointsError(f"{len(times)} times for {len(positions)} points; expected as many")
     waypoints = Waypoints(
         tuple(range(len(positions))),
         "point",
@@ -144,19 +140,19 @@ def check_finite(waypoints: Waypoints, robot: RobotModel) -> None:
         WaypointsError: Naming row, joint and value.
     """
     if not len(waypoints.positions):
-        raise WaypointsError(Sentence("motion.points.none"))
+        raise WaypointsError("0 waypoints; a motion needs at least one, its goal")
     for name in ("positions", "velocities", "accelerations"):
         values = getattr(waypoints, name)
         wrong = np.argwhere(~np.isfinite(values)) if values is not None else np.empty((0, 2), dtype=int)
         if len(wrong):
             row, joint = wrong[0]
             value, joint_name = values[row, joint], robot.joint_names[joint]
-            values = {"place": waypoints.place(row), "joint": joint_name, "found": str(value), "what": name}
-            raise WaypointsError(Sentence("motion.points.finite", **values), waypoints.rows[row], joint_name, value)
+            found = f"{waypoints.place(row)}: {joint_name} has {value} among the {name}; expected a finite number"
+            raise WaypointsError(found, waypoints.rows[row], joint_name, value)
     if waypoints.times is not None and not np.all(np.isfinite(waypoints.times)):
         row = int(np.argmin(np.isfinite(waypoints.times)))
         value = waypoints.times[row]
-        found = Sentence("motion.points.time_finite", place=waypoints.place(row), found=str(value))
+        found = f"{waypoints.place(row)}: the time is {value}; expected a finite number"
         raise WaypointsError(found, waypoints.rows[row])
 
 
@@ -207,7 +203,7 @@ def plan_waypoints(
     try:
         trajectory = Trajectory(robot.joint_names, times, positions, velocities, accelerations)
     except TrajectoryError as error:
-        raise WaypointsError(Sentence("motion.points.too_close", problem=error.sentence)) from error
+        raise WaypointsError(f"the times are too close together: {error.sentence}") from error
     _check_limits(trajectory, waypoints, robot)
     return trajectory
 
@@ -249,10 +245,10 @@ def time_asked(
 
 def _point_array(name: str, values, points: int, joints: int) -> np.ndarray:
     if len(values) != points:
-        raise WaypointsError(Sentence("motion.points.some", found=len(values), what=name, points=points))
+        raise WaypointsError(f"{len(values)} points have a {name}, {points} a position; expected as many")
     for row, point in enumerate(values):
         if len(point) != joints:
-            found = Sentence("motion.points.row", row=row, found=len(point), what=name, joints=joints)
+            found = f"point {row}: {len(point)} values of {name}; expected {joints}, one for each joint"
             raise WaypointsError(found, row)
     return np.array(values, dtype=float).reshape(points, joints)
 
@@ -264,8 +260,10 @@ def _check_ranges(waypoints: Waypoints, robot: RobotModel) -> None:
         row, joint = outside[0]
         name, unit, value = robot.joint_names[joint], waypoints.units[joint], waypoints.positions[row, joint]
         limit = robot.lower[joint] if value < robot.lower[joint] else robot.upper[joint]
-        ends = {"lower": unit.text(robot.lower[joint]), "upper": unit.text(robot.upper[joint])}
-        found = Sentence("motion.points.range", place=waypoints.place(row), joint=name, found=unit.text(value), **ends)
+        found = (
+            f"{waypoints.place(row)}: {name} is {unit.text(value)}; its range is {unit.text(robot.lower[joint])}"
+            f" to {unit.text(robot.upper[joint])}"
+        )
         raise WaypointsError(found, waypoints.rows[row], name, float(value), limit)
 
 
@@ -292,13 +290,17 @@ def _from_present(waypoints: Waypoints, present: np.ndarray, robot: RobotModel) 
     if np.any(away > tolerance):
         joint = int(np.argmax(away / tolerance))
         name, unit, value = robot.joint_names[joint], waypoints.units[joint], waypoints.positions[0, joint]
-        numbers = {"found": value, "present": present[joint], "tolerance": tolerance[joint]}
-        values = {key: unit.text(number) for key, number in numbers.items()}
-        values |= {"place": waypoints.place(0), "joint": name}
-        found = Sentence("motion.points.start", **values)
+        advice = "plan a motion to it first"
         if waypoints.times is not None and waypoints.times[0] > 0.0:
             # as other controllers understand it: from wherever the arm is to the first point, in its time
-            found = Sentence("motion.points.start_timed", **values, seconds=f"{waypoints.times[0]:.9g}")
+            advice = (
+                f"put the arm's pose before it, at 0 s, and the motion to it in {waypoints.times[0]:.9g} s is part of "
+                f"the plan, or {advice}"
+            )
+        found = (
+            f"{waypoints.place(0)}: {name} is {unit.text(value)}, but the arm is at {unit.text(present[joint])}; the "
+            f"first waypoint must be where the arm is within {unit.text(tolerance[joint])}, {advice}"
+        )
         raise WaypointsError(found, waypoints.rows[0], name, float(value), float(tolerance[joint]))
     positions = waypoints.positions.copy()
     positions[0] = present
@@ -310,8 +312,11 @@ def _check_times(waypoints: Waypoints, times: np.ndarray) -> None:
     if len(late):
         row = int(late[0]) + 1
         before, time = times[row - 1 : row + 1]
-        values = {"place": waypoints.place(row), "time": f"{time:.9g}", "before": f"{before:.9g}"}
-        raise WaypointsError(Sentence("motion.points.order", **values), waypoints.rows[row], "", float(time))
+        found = (
+            f"{waypoints.place(row)}: its time {time:.9g} s is not after the {before:.9g} s of the one before; times "
+            "must increase"
+        )
+        raise WaypointsError(found, waypoints.rows[row], "", float(time))
 
 
 def _moving_end(waypoints: Waypoints, robot: RobotModel) -> WaypointTimesError | None:
@@ -326,8 +331,8 @@ def _moving_end(waypoints: Waypoints, robot: RobotModel) -> WaypointTimesError |
         value = float(values[row, joint])
         name, found = robot.joint_names[joint], waypoints.units[joint].text(value, per)
         if late:
-            found = Sentence("motion.points.moves_little", found=found, milliseconds=LATE_STEP * 1e3)
-        message = Sentence("motion.points.moves", place=waypoints.place(row), joint=name, found=found)
+            found = f"{found}, no more than {LATE_STEP * 1e3:g} ms of its acceleration"
+        message = f"{waypoints.place(row)}: {name} moves there ({found}); the motion must begin and end at rest"
         return message, waypoints.rows[row], name, value, 0.0
 
     found: WaypointTimesError | None = None
@@ -360,12 +365,15 @@ def _check_given_velocities(waypoints: Waypoints, robot: RobotModel) -> None:
     limits = np.array(robot.velocity)
     for row, joint in np.argwhere(needed > BETWEEN_POINTS * limits)[:1].tolist():
         unit, value = waypoints.units[joint], float(needed[row, joint])
-        name, values = (
-            robot.joint_names[joint],
-            {"found": unit.text(value, "/s"), "limit": unit.text(limits[joint], "/s")},
+        message = _too_fast(
+            waypoints.place(row), robot.joint_names[joint], "a velocity", unit, value, limits[joint], "/s"
         )
-        found = Sentence("motion.points.velocity", place=waypoints.place(row), joint=name, **values)
-        raise WaypointsError(found, waypoints.rows[row], name, value, float(limits[joint]))
+        raise WaypointsError(message, waypoints.rows[row], robot.joint_names[joint], value, float(limits[joint]))
+
+
+def _too_fast(place: str, joint: str, what: str, unit: Unit, value: float, limit: float, per: str) -> str:
+    found, most = unit.text(value, per), unit.text(limit, per)
+    return f"{place}: {joint} has {what} of {found}; its limit is {most}, give it more time"
 
 
 def _derivatives(times: np.ndarray, positions: np.ndarray, waypoints: Waypoints) -> tuple[np.ndarray, np.ndarray]:
@@ -400,26 +408,27 @@ def _check_limits(trajectory: Trajectory, waypoints: Waypoints, robot: RobotMode
     """Check every 4 ms sample; an error names the waypoint that the motion goes to at that time."""
     sampled = sampled_usage(trajectory, robot, given_times=True)
 
-    def place(sample: int) -> tuple[int, Sentence]:
+    def place(sample: int) -> tuple[int, str]:
         time = float(sampled.times[sample])
         row = int(np.clip(np.searchsorted(trajectory.times, time), 1, len(waypoints.rows) - 1))
-        return row, Sentence("motion.points.on_path", place=waypoints.place(row), seconds=time)
+        return row, f"{waypoints.place(row)} (on the path to it, {time:.3f} s after the start)"
 
     excess = range_excess(sampled.positions, robot)
     for sample, joint in np.argwhere(excess > 0.0)[:1].tolist():
         row, where = place(sample)
         value, joint_name = float(excess[sample, joint]), robot.joint_names[joint]
-        values = {"place": where, "joint": joint_name, "found": waypoints.units[joint].text(value)}
-        found = Sentence("motion.points.overshoots", **values)
+        found = (
+            f"{where}: {joint_name} overshoots its range by {waypoints.units[joint].text(value)}; give more waypoints or "
+            "more time there"
+        )
         raise WaypointTimesError(found, waypoints.rows[row], joint_name, value, 0.0)
-    for name, per in (("velocity", "/s"), ("acceleration", "/s^2"), ("jerk", "/s^3")):
+    for name, article, per in (("velocity", "a", "/s"), ("acceleration", "an", "/s^2"), ("jerk", "a", "/s^3")):
         fractions, limits = getattr(sampled, name), getattr(robot, name)
         for sample, joint in np.argwhere(fractions > 1.0 + ROUNDING)[:1].tolist():
             row, where = place(sample)
             unit, limit = waypoints.units[joint], limits[joint]
             value = float(fractions[sample, joint] * limit)
-            values = {"found": unit.text(value, per), "limit": unit.text(limit, per)}
-            message = Sentence(f"motion.points.{name}", place=where, joint=robot.joint_names[joint], **values)
+            message = _too_fast(where, robot.joint_names[joint], f"{article} {name}", unit, value, limit, per)
             # more velocity than the joint has was not meant for this arm, whatever the times
             much = name == "velocity" and float(fractions.max()) > BETWEEN_POINTS
             kind = WaypointsError if much else WaypointTimesError

@@ -15,7 +15,7 @@ import numpy as np
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.motion_errors import CollisionError, PlanningError, SegmentError, TrajectoryError
-from construction_twin.core.sentences import Quantity, Sentence, Value
+from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.planning.limit_usage import SAME_POINT
 from construction_twin.planning.planner import PlanRequest
@@ -109,10 +109,10 @@ def in_segment(number: int, name: str) -> Iterator[None]:
 def _check_counts(task: str, segments: Sequence[WorkSegment], bounds: PlanBounds) -> None:
     """Check everything that costs nothing, sizes first."""
     if not task.strip():
-        raise PlanningError(Sentence("motion.work.no_task"))
+        raise PlanningError("a work plan is asked for without a task; say which task it carries out")
     _check_name("the task", task)
     if not 0 < len(segments) <= MOST_SEGMENTS:
-        raise PlanningError(Sentence("motion.work.segments", count=len(segments), most=MOST_SEGMENTS))
+        raise PlanningError(f"a work plan of {len(segments)} segments is asked for; expected 1 to {MOST_SEGMENTS}")
     duration = sum(item.trajectory.duration for item in segments)
     bounds.check(duration, sum(len(item.trajectory.times) for item in segments))
     for number, item in enumerate(segments):
@@ -123,34 +123,42 @@ def _check_counts(task: str, segments: Sequence[WorkSegment], bounds: PlanBounds
 def _check_segment(item: WorkSegment) -> None:
     _check_name("the segment", item.name)
     counts = {
-        "requires": (len(item.requires), MOST_SIGNALS),
+        "required signals": (len(item.requires), MOST_SIGNALS),
         "switches": (len(item.switches), MOST_SWITCHES),
-        "confirm": (max((len(each.confirm) for each in item.switches), default=0), MOST_SIGNALS),
-        "put": (len(item.change.put), MOST_OBJECTS),
-        "remove": (len(item.change.remove), MOST_OBJECTS),
+        "signals that confirm a switch": (max((len(each.confirm) for each in item.switches), default=0), MOST_SIGNALS),
+        "objects to put": (len(item.change.put), MOST_OBJECTS),
+        "objects to remove": (len(item.change.remove), MOST_OBJECTS),
     }
     for what, (count, most) in counts.items():
         if count > most:
-            raise PlanningError(Sentence(f"motion.work.many.{what}", count=count, most=most))
+            raise PlanningError(f"it has {count} {what}; expected at most {most}")
     _check_signals("its required inputs", item.requires)
     _check_once("its switched outputs", [switch.output for switch in item.switches])
     if item.switches and not item.engaged:
         outputs = ", ".join(switch.output for switch in item.switches)
-        raise PlanningError(Sentence("motion.work.not_engaged", outputs=outputs))
+        raise PlanningError(
+            f"it switches {outputs} at its end and is not engaged; the tool is switched only while engaged"
+        )
     for switch in item.switches:
         _check_name("an output", switch.output)
         _check_signals(f"what confirms {switch.output}", switch.confirm)
         if not 0.0 < switch.timeout <= LONGEST_TIMEOUT:
-            values: dict[str, Value] = {"output": switch.output, "found": str(switch.timeout), "most": LONGEST_TIMEOUT}
-            raise PlanningError(Sentence("motion.work.timeout", **values))
+            raise PlanningError(
+                f"{switch.output} has {switch.timeout} s to be confirmed; expected above 0, at most "
+                f"{LONGEST_TIMEOUT:g} s"
+            )
         if set(switch.confirm) <= set(item.requires):
-            raise PlanningError(Sentence("motion.work.confirmed_before", output=switch.output))
+            raise PlanningError(
+                f"what confirms {switch.output} is required before it is switched already, so nothing would "
+                "be confirmed; expected an input that must change"
+            )
 
 
 def _check_name(what: str, name: str) -> None:
     if not name.strip() or len(name) > LONGEST_NAME or not name.isprintable():
-        values: dict[str, Value] = {"what": what, "found": repr(name[:LONGEST_NAME]), "longest": LONGEST_NAME}
-        raise PlanningError(Sentence("motion.work.name", **values))
+        raise PlanningError(
+            f"the name of {what} is {name[:LONGEST_NAME]!r}; expected 1 to {LONGEST_NAME} characters in one line"
+        )
 
 
 def _check_signals(what: str, signals: Sequence[Signal]) -> None:
@@ -162,7 +170,7 @@ def _check_signals(what: str, signals: Sequence[Signal]) -> None:
 def _check_once(what: str, names: Sequence[str]) -> None:
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise PlanningError(Sentence("motion.work.twice", what=what, names=", ".join(map(repr, twice))))
+        raise PlanningError(f"{what} name {', '.join(map(repr, twice))} more than once; expected each once")
 
 
 # -- one trajectory
@@ -182,16 +190,17 @@ def _parts(segments: Sequence[WorkSegment], present: JointValues, robot: RobotMo
 
 def _from_rest_to_rest(given: Trajectory, begin: np.ndarray, robot: RobotModel, at_present: bool) -> Trajectory:
     if given.joint_names != tuple(robot.joint_names):
-        names = {"found": ", ".join(given.joint_names), "joints": ", ".join(robot.joint_names)}
-        raise TrajectoryError(Sentence("motion.work.joints", **names))
+        found, expected = ", ".join(given.joint_names), ", ".join(robot.joint_names)
+        raise TrajectoryError(f"its joints are {found}; expected {expected}, in this order")
     velocities, accelerations = given.velocities.copy(), given.accelerations.copy()
     for name, unit, values in (("velocity", "/s", velocities), ("acceleration", "/s^2", accelerations)):
         for row, where in ((0, "begins"), (-1, "ends")):
             joint = int(np.argmax(np.abs(values[row])))
             if abs(values[row, joint]) > AT_REST:
-                found = Quantity(float(values[row, joint]), ("m" if robot.linear[joint] else "rad") + unit)
-                names = {"what": name, "joint": robot.joint_names[joint]}
-                raise TrajectoryError(Sentence(f"motion.work.{where}", found=found, **names))
+                moves = Quantity(float(values[row, joint]), ("m" if robot.linear[joint] else "rad") + unit)
+                raise TrajectoryError(
+                    f"it {where} with a {name} of {moves} of {robot.joint_names[joint]}; expected rest at both ends"
+                )
             values[row] = 0.0
     missing = begin - given.positions[0]
     _check_begin(missing, robot, at_present)
@@ -215,11 +224,12 @@ def _check_begin(missing: np.ndarray, robot: RobotModel, at_present: bool) -> No
         return
     joint = int(np.argmax(np.abs(missing) / tolerance))
     unit = "m" if robot.linear[joint] else "rad"
-    found: dict[str, Value] = {"found": Quantity(float(abs(missing[joint])), unit), "joint": robot.joint_names[joint]}
+    where = "where the segment before it ends; expected the same pose"
     if at_present:
         within = Quantity(float(tolerance[joint]), unit)
-        raise TrajectoryError(Sentence("motion.work.away", **found, tolerance=within))
-    raise TrajectoryError(Sentence("motion.work.apart", **found))
+        where = f"where the arm is; expected within {within}, plan the task again from there"
+    away = Quantity(float(abs(missing[joint])), unit)
+    raise TrajectoryError(f"it begins {away} of {robot.joint_names[joint]} away from {where}")
 
 
 def joined(parts: Sequence[Trajectory]) -> tuple[Trajectory, list[float]]:
@@ -256,7 +266,7 @@ def _check_end(part: Trajectory, world: CollisionWorld) -> None:
     """Check that nothing touches where a segment ends, once the scene has changed: also after the last one."""
     contact = world.contact(part.positions[-1])
     if contact is not None:
-        raise CollisionError(contact.between, Sentence("motion.where.end"))
+        raise CollisionError(contact.between, Sentence("at its end, after its change of the scene"))
 
 
 def _check_carried(part: Trajectory, before: CollisionWorld, after: CollisionWorld) -> None:
@@ -286,15 +296,13 @@ def _check_carried(part: Trajectory, before: CollisionWorld, after: CollisionWor
                 break
         else:
             if not same_shape:
-                raise PlanningError(Sentence("motion.work.other_shape", item=repr(item.name)))
-            found = Sentence(
-                "motion.work.moved",
-                item=repr(item.name),
-                link=item.link or "nothing",
-                moved=Quantity(moved, "m"),
-                turned=Quantity(turned, "rad"),
-                distance=Quantity(CARRIED_DISTANCE, "m"),
-                angle=Quantity(CARRIED_ANGLE, "rad"),
+                raise PlanningError(
+                    f"{item.name!r} has another shape or size once it hangs on another link; expected the same"
+                )
+            found = (
+                f"{item.name!r} would be {Quantity(moved, 'm')} and {Quantity(turned, 'rad')} away from where "
+                f"it was once {item.link or 'nothing'} carries it; expected it within "
+                f"{Quantity(CARRIED_DISTANCE, 'm')} and {Quantity(CARRIED_ANGLE, 'rad')} of there"
             )
             raise PlanningError(found)
 

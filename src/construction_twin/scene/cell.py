@@ -9,7 +9,6 @@ import numpy as np
 import pydantic
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.validation import wrong_value
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rpy_to_rotation
@@ -39,9 +38,7 @@ class Cell:
     def world_T_root(self, robot: str) -> Pose:  # noqa: N802 (a transform's name)
         """Return where a robot stands."""
         if robot not in self._places:
-            raise ConfigurationError(
-                "the cell's robots", sorted(self._places), Sentence("expected.scene.robot", robot=repr(robot))
-            )
+            raise ConfigurationError("the cell's robots", sorted(self._places), f"one named {robot!r}")
         return self._places[robot]
 
     def root_T_root(self, robot: str, other: str) -> Pose:  # noqa: N802 (a transform's name)

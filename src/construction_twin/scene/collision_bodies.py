@@ -19,7 +19,6 @@ import pinocchio
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import SceneError
-from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.packages import with_mesh_files
@@ -104,7 +103,7 @@ class RobotBodies:
             full = pinocchio.buildModelFromXML(urdf)
             shapes = pinocchio.buildGeomFromUrdfString(full, urdf, pinocchio.GeometryType.COLLISION)
         except (ElementTree.ParseError, ValueError, RuntimeError) as error:
-            raise ConfigurationError("URDF", str(error), Sentence("expected.scene.urdf")) from error
+            raise ConfigurationError("URDF", str(error), "a URDF with readable collision shapes") from error
         following = {other.name: other.following for other in robot.other_joints if other.following is not None}
         wanted = {*robot.joint_names, *following}
         locked = [index for index, name in enumerate(full.names) if index and name not in wanted]
@@ -199,9 +198,7 @@ class RobotBodies:
             SceneError: If the robot has no such link.
         """
         if link not in self.link_joints:
-            raise SceneError(
-                "a link's name", link, Sentence("expected.scene.link", links=str(sorted(self.link_joints)))
-            )
+            raise SceneError("a link's name", link, f"a link of the robot: {sorted(self.link_joints)}")
         data = self.model.createData()
         pinocchio.framesForwardKinematics(self.model, data, self.rows(np.array([q], dtype=float))[0])
         frame = data.oMf[self.model.getFrameId(link, pinocchio.FrameType.BODY)]
@@ -218,15 +215,15 @@ class RobotBodies:
             SceneError: If it names a link or object that does not exist, has a link's name, or its mesh cannot be used.
         """
         if item.link and item.link not in self.link_joints:
-            expected = Sentence("expected.scene.link", links=str(sorted(self.link_joints)))
+            expected = f"a link of the robot: {sorted(self.link_joints)}"
             raise SceneError(f"object {item.name!r} link", item.link, expected)
         for name in item.touch:
             if name not in self.link_joints and (name not in objects or name == item.name):
                 links, others = str(sorted(self.link_joints)), listed(set(objects) - {item.name})
-                expected = Sentence("expected.scene.touch", links=links, names=others)
+                expected = f"a link of the robot: {links}, or another object of the scene: {others}"
                 raise SceneError(f"object {item.name!r} touch", name, expected)
         if item.name in self.link_joints:
-            raise SceneError("an object's name", item.name, Sentence("expected.scene.free_name"))
+            raise SceneError("an object's name", item.name, "a name that no link of the robot has")
         pose = pinocchio.SE3(item.pose.rotation, item.pose.position)
         link, joint, placement = "", 0, self.root_T_base * pose
         if item.link:
@@ -333,7 +330,9 @@ def _mesh(item: SceneObject) -> coal.CollisionGeometry:
     where = f"object {item.name!r} mesh"
     contents = read_mesh_file(item.name, item.mesh)
     if hashlib.sha256(contents).hexdigest() != item.mesh_digest:
-        raise SceneError(where, item.mesh, Sentence("expected.scene.same_mesh"))
+        raise SceneError(
+            where, item.mesh, "the file that the object was made with; it has changed, add the object again"
+        )
     x, y, z = item.size
     vertices, triangles = parse_mesh(where, item.mesh, contents, (x, y, z))
     mesh = surface(vertices, triangles)
@@ -342,7 +341,7 @@ def _mesh(item: SceneObject) -> coal.CollisionGeometry:
             mesh.buildConvexHull(True, "Qt")
         except RuntimeError as error:
             # Qhull's own message is about its internals
-            raise SceneError(where, item.mesh, Sentence("expected.scene.convex")) from error
+            raise SceneError(where, item.mesh, "a closed convex mesh that has a volume") from error
         return mesh.convex
     return mesh
 
@@ -407,7 +406,7 @@ def shape_contents(geometry: coal.CollisionGeometry) -> list:
     elif isinstance(geometry, coal.ConvexBase):
         numbers = geometry.points().ravel()
     else:
-        raise ConfigurationError("URDF collision shape", type(geometry).__name__, Sentence("expected.scene.shapes"))
+        raise ConfigurationError("URDF collision shape", type(geometry).__name__, "a box, cylinder, sphere or mesh")
     return [type(geometry).__name__, *(np.round(np.asarray(numbers, dtype=float), 9) + 0.0).tolist()]
 
 
@@ -435,7 +434,7 @@ def measured(
         if result.min_distance > UNKNOWN:
             result.min_distance -= size
             return result
-    raise SceneError("two shapes that touch", "no depth that Coal can measure", Sentence("expected.scene.depth"))
+    raise SceneError("two shapes that touch", "no depth that Coal can measure", "a pose 0.1 mm from there")
 
 
 def make_reliable(data: pinocchio.GeometryData, margins: Sequence[float] = ()) -> None:

@@ -16,7 +16,6 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.scene.collision_bodies import RobotBodies, is_convex, mesh_triangles
 from construction_twin.scene.mesh_file import binary_stl
 from construction_twin.scene.solids import parts, solid, union
@@ -63,7 +62,7 @@ def mesh_hulls(bodies: RobotBodies) -> list[Hull]:
         except QhullError as error:
             raise ConfigurationError(
                 f"URDF link {body.link} collision mesh", f"{len(triangles)} triangles in one plane",
-                Sentence("expected.scene.volume"),
+                "a mesh that has a volume; mend it, or have no hulls proposed",
             ) from error  # fmt: skip
         closed = solid(vertices, triangles)
         # closed surfaces that reach into each other count once

@@ -15,7 +15,6 @@ import pydantic
 
 from construction_twin.core.files import read_file, write_whole
 from construction_twin.core.motion_errors import SceneError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.validation import wrong_value
 from construction_twin.scene.objects import Scene, SceneObject
 
@@ -61,28 +60,26 @@ class SceneFile:
         except FileNotFoundError:
             return self.start
         except OSError as error:
-            raise self._wrong(str(error.strerror), Sentence("expected.readable")) from error
+            raise self._wrong(str(error.strerror), "a file that can be read") from error
         try:
             found = _File.model_validate_json(contents)
         except pydantic.ValidationError as error:
             wrong = wrong_value(error, _File.model_json_schema())
-            expected = Sentence("expected.scene.edits_form", problem=wrong.expected)
+            expected = f"a scene as the scene node writes it: {wrong.expected}"
             raise self._wrong(f"{wrong.key}: {wrong.value!r:.200}", expected) from error
         if found.run != self.run:
             return self.start
         if found.start != self.start.hash:
             raise self._wrong(
                 f"edits of a scene that began as {found.start[:12]}",
-                Sentence("expected.scene.edits_of", hash=self.start.hash[:12]),
+                f"edits of {self.start.hash[:12]}, the one given now",
             )
         try:
             scene = Scene(_OBJECTS.validate_python(found.objects), found.padding)
         except (SceneError, pydantic.ValidationError) as error:
-            raise self._wrong(str(error), Sentence("expected.scene.edits_objects")) from error
+            raise self._wrong(str(error), "objects that can be used") from error
         if scene.hash != found.hash:
-            raise self._wrong(
-                f"contents with the hash {scene.hash[:12]}", Sentence("expected.scene.edits_hash", hash=found.hash[:12])
-            )
+            raise self._wrong(f"contents with the hash {scene.hash[:12]}", f"{found.hash[:12]}, which it names")
         return scene
 
     def save(self, scene: Scene) -> None:
@@ -96,9 +93,9 @@ class SceneFile:
         try:
             write_whole(self.path, json.dumps(contents, indent=1) + "\n")
         except OSError as error:
-            expected = Sentence("expected.scene.edits_writable")
+            expected = "a file that can be written: an edit that would not survive a restart is refused"
             raise SceneError(str(self.path), error.strerror, expected) from error
 
     def _wrong(self, found: str, expected: str) -> SceneError:
-        to_do = Sentence("expected.scene.edits_wrong", expected=expected)
+        to_do = f"{expected}; look at the scene, move the file away and start again: the scene then begins as given"
         return SceneError(f"the scene's edits in {self.path}", found, to_do)

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Chain
 from construction_twin.scene.collision_world import CollisionWorld
 
@@ -69,7 +68,7 @@ def find_home(world: CollisionWorld, rng: np.random.Generator) -> Home:
         first, second = max(in_contact, key=lambda pair: in_contact[pair])
         raise ConfigurationError(
             "home pose", f"{len(poses)} poses, all in contact, most often {first} with {second}",
-            Sentence("expected.scene.home"),
+            "a pose that is free of contact: look at the collision shapes of these two",
         )  # fmt: skip
     # some links are close to each other whatever the joints do: more than the best of these cannot be asked for
     enough = min(_ENOUGH * chain.reach, 0.8 * max(home.clearance for home in free))

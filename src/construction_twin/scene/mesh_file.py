@@ -10,7 +10,6 @@ import re
 import numpy as np
 
 from construction_twin.core.motion_errors import SceneError
-from construction_twin.core.sentences import Sentence
 
 #: Most triangles: far beyond what a collision shape needs, and still checked and built within seconds.
 MOST_TRIANGLES = 100_000
@@ -44,11 +43,10 @@ def parse_mesh(
     try:
         vertices, triangles = _obj(contents) if path.lower().endswith(".obj") else _stl(contents)
     except (ValueError, IndexError, OverflowError) as error:
-        problem = error.args[0] if error.args and isinstance(error.args[0], Sentence) else str(error)
-        raise SceneError(where, path, Sentence("expected.mesh.well_formed", problem=problem)) from error
+        raise SceneError(where, path, f"a well-formed STL or OBJ file with finite numbers ({error})") from error
     if not 0 < len(triangles) <= MOST_TRIANGLES:
         found = f"{path} with {len(triangles)} triangles"
-        raise SceneError(where, found, Sentence("expected.mesh.triangles", most=MOST_TRIANGLES))
+        raise SceneError(where, found, f"1 to {MOST_TRIANGLES} triangles; simplify or repair the mesh")
     _check(where, path, vertices, triangles, scale)
     return vertices * scale, triangles
 
@@ -71,20 +69,20 @@ def _check(where: str, path: str, vertices: np.ndarray, triangles: np.ndarray, s
     wrong = np.argwhere(~np.isfinite(vertices).all(axis=1))
     if len(wrong):
         row = int(wrong[0, 0])
-        raise SceneError(
-            where, f"{path} with vertex {row} at {vertices[row].tolist()}", Sentence("expected.mesh.finite")
-        )
+        raise SceneError(where, f"{path} with vertex {row} at {vertices[row].tolist()}", "finite numbers everywhere")
     if triangles.min() < 0 or triangles.max() >= len(vertices):
-        raise SceneError(where, path, Sentence("expected.mesh.vertices", count=len(vertices)))
+        raise SceneError(
+            where, path, f"triangles of its {len(vertices)} vertices; one names a vertex that is not there"
+        )
     with np.errstate(over="ignore"):
         corners = vertices[triangles] * scale
     size, far = np.ptp(corners, axis=(0, 1)).max(), np.abs(corners).max()
     if not (size >= SMALLEST and far <= LARGEST):
         found = f"{path}, {size:.6g} m large and up to {far:.6g} m from its origin after scaling"
-        raise SceneError(where, found, Sentence("expected.mesh.size", smallest=SMALLEST, largest=LARGEST))
+        raise SceneError(where, found, f"a size of {SMALLEST:g} to {LARGEST:g} m; check the unit and the scale")
     sides = corners[:, 1:] - corners[:, :1]
     if not (np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) > _FLAT * size**2).any():
-        raise SceneError(where, path, Sentence("expected.mesh.area"))
+        raise SceneError(where, path, "at least one triangle with an area")
 
 
 def _stl(contents: bytes) -> tuple[np.ndarray, np.ndarray]:
@@ -95,11 +93,11 @@ def _stl(contents: bytes) -> tuple[np.ndarray, np.ndarray]:
     else:
         text = contents.decode("ascii")
         if not text.lstrip().lower().startswith("solid"):
-            raise ValueError(Sentence("expected.mesh.neither"))
+            raise ValueError("neither a binary STL of its length nor a text that begins with solid")
         numbers = [line.split() for line in _VERTEX.findall(text.lower())]
         corners = np.array([_numbers(line, 3) for line in numbers]).reshape(-1, 3)
         if len(corners) % 3 or text.lower().count("endfacet") * 3 != len(corners):
-            raise ValueError(Sentence("expected.mesh.per_facet", count=len(corners)))
+            raise ValueError(f"{len(corners)} vertices; expected three for each facet")
     vertices, triangles = np.unique(corners, axis=0, return_inverse=True)
     return vertices, triangles.reshape(-1, 3)
 
@@ -115,17 +113,16 @@ def _obj(contents: bytes) -> tuple[np.ndarray, np.ndarray]:
             elif kind == "f":
                 corners = [int(word.split("/", 1)[0]) for word in words]
                 if len(corners) < 3 or 0 in corners:
-                    raise ValueError(Sentence("expected.mesh.face"))
+                    raise ValueError("a face needs three vertices or more, counted from 1")
                 # negative: counted back from the vertices so far
                 corners = [corner - 1 if corner > 0 else len(vertices) + corner for corner in corners]
                 triangles += [(corners[0], *pair) for pair in zip(corners[1:], corners[2:])]
         except ValueError as error:
-            problem = error.args[0] if isinstance(error.args[0], Sentence) else str(error)
-            raise ValueError(Sentence("expected.line", number=number, problem=problem)) from error
+            raise ValueError(f"line {number}: {error}") from error
     return np.array(vertices, dtype=float).reshape(-1, 3), np.array(triangles, dtype=int).reshape(-1, 3)
 
 
 def _numbers(words: list[str], count: int) -> list[float]:
     if len(words) != count:
-        raise ValueError(Sentence("expected.mesh.numbers", found=len(words), count=count))
+        raise ValueError(f"{len(words)} numbers; expected {count}")
     return [float(word) for word in words]

@@ -18,7 +18,6 @@ import numpy as np
 
 from construction_twin.core.files import read_file
 from construction_twin.core.motion_errors import SceneError
-from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import quaternion_to_rotation, rotation_to_quaternion
 
@@ -29,7 +28,7 @@ _QUATERNION_REFUSED, _QUATERNION_EXACT = 1e-3, 1e-12
 _FARTHEST = 1e4
 #: Numbers in `SceneObject.size` for each shape, and what they are.
 SIZES = {
-    shape: (count, Sentence("expected.scene.size", order=order, most=_FARTHEST))
+    shape: (count, f"{order} [m], above 0, at most {_FARTHEST:g}")
     for shape, count, order in (
         ("box", 3, "x y z"),
         ("cylinder", 2, "radius length"),
@@ -37,9 +36,9 @@ SIZES = {
         ("mesh", 3, "scale x y z"),
     )
 }
-_NEAR = Sentence("expected.scene.position", order="x y z", most=_FARTHEST)
-_PADDING = Sentence("expected.scene.padding", most=_FARTHEST)
-_UNIT = Sentence("expected.scene.unit_quaternion")
+_NEAR = f"x y z [m], at most {_FARTHEST:g}"
+_PADDING = f"0 or more [m], at most {_FARTHEST:g}"
+_UNIT = "a unit quaternion x y z w"
 _MESH_SUFFIXES = (".stl", ".obj")
 #: Largest mesh file [bytes]: enough for the triangles that `mesh_file` takes.
 _LARGEST_MESH = 32 * 2**20
@@ -60,7 +59,7 @@ def relative(a_T_b: Pose, a_T_c: Pose) -> Pose:
 def listed(names: Iterable[str]) -> str:
     """Return names of objects as a person reads them: more than he reads are counted."""
     known = sorted(names)
-    return str(known) if len(known) <= _MOST_NAMES else Sentence("expected.scene.count", count=len(known))
+    return str(known) if len(known) <= _MOST_NAMES else f"{len(known)} objects"
 
 
 def read_mesh_file(name: str, mesh: str) -> bytes:
@@ -72,13 +71,11 @@ def read_mesh_file(name: str, mesh: str) -> bytes:
     path = Path(mesh)
     where = f"object {name!r} mesh"
     if not path.is_absolute() or path.suffix.lower() not in _MESH_SUFFIXES:
-        raise SceneError(where, mesh, Sentence("expected.scene.mesh_path"))
+        raise SceneError(where, mesh, "the absolute path of an STL or OBJ file")
     try:
         return read_file(path, _LARGEST_MESH)
     except (OSError, ValueError) as error:  # ValueError: a path with a null character
-        raise SceneError(
-            where, mesh, Sentence("expected.scene.mesh_readable", problem=str(getattr(error, "strerror", error)))
-        ) from error
+        raise SceneError(where, mesh, f"a readable file ({getattr(error, 'strerror', error)})") from error
 
 
 @dataclass(frozen=True)
@@ -118,9 +115,9 @@ class SceneObject:
 
     def __post_init__(self):
         if not self.name.strip():
-            raise SceneError("an object's name", self.name, Sentence("expected.scene.name"))
+            raise SceneError("an object's name", self.name, "a name that is not empty")
         if self.shape not in SIZES:
-            raise self._wrong("shape", self.shape, Sentence("expected.one_of", known=str(list(SIZES))))
+            raise self._wrong("shape", self.shape, f"one of {list(SIZES)}")
         size = self.size or ((1.0, 1.0, 1.0) if self.shape == "mesh" else ())
         count, meaning = SIZES[self.shape]
         self._set("size", self._numbers("size", size, count, meaning, lambda value: 0 < value <= _FARTHEST))
@@ -130,7 +127,7 @@ class SceneObject:
         self._set("padding", padding)
         self._set("touch", tuple(sorted(set(self.touch))))
         if (self.shape == "mesh") != bool(self.mesh):
-            raise self._wrong("mesh", self.mesh, Sentence("expected.scene.mesh_for_mesh"))
+            raise self._wrong("mesh", self.mesh, "a file for the shape mesh, nothing for the others")
         if self.mesh:
             self._set("mesh_digest", hashlib.sha256(read_mesh_file(self.name, self.mesh)).hexdigest())
 
@@ -144,9 +141,9 @@ class SceneObject:
         try:
             numbers = tuple(map(float, values))
         except (TypeError, ValueError) as error:
-            raise self._wrong(key, values, Sentence("expected.scene.numbers", count=count, meaning=expected)) from error
+            raise self._wrong(key, values, f"{count} numbers: {expected}") from error
         if len(numbers) != count or not all(math.isfinite(number) and allowed(number) for number in numbers):
-            raise self._wrong(key, numbers, Sentence("expected.scene.finite_numbers", count=count, meaning=expected))
+            raise self._wrong(key, numbers, f"{count} finite numbers: {expected}")
         # adding 0.0 turns -0.0 into 0.0: they are equal, but would give different hashes
         return tuple(number + 0.0 for number in numbers)
 
@@ -154,7 +151,7 @@ class SceneObject:
         values = self._numbers("orientation", self.quaternion, 4, _UNIT)
         norm = math.hypot(*values)
         if abs(norm - 1.0) > _QUATERNION_REFUSED:
-            raise self._wrong("orientation", values, Sentence("expected.scene.quaternion"))
+            raise self._wrong("orientation", values, "a quaternion x y z w of length 1")
         return values if abs(norm - 1.0) <= _QUATERNION_EXACT else tuple(value / norm for value in values)
 
     @cached_property
@@ -209,7 +206,7 @@ class Scene:
         seen: set[str] = set()
         for name in self.names:
             if name in seen:
-                raise SceneError("an object's name", name, Sentence("expected.scene.other_name"))
+                raise SceneError("an object's name", name, "a name that no other object of the scene has")
             seen.add(name)
 
     @cached_property
@@ -233,7 +230,7 @@ class Scene:
         for item in self.objects:
             if item.name == name:
                 return item
-        raise SceneError("an object's name", name, Sentence("expected.scene.object", names=listed(self.names)))
+        raise SceneError("an object's name", name, f"one of the scene's {listed(self.names)}")
 
     def add(self, item: SceneObject, replace_existing: bool = False) -> Scene:
         """Return the scene with one more object, or with another one in the place of the one of that name.
@@ -246,7 +243,9 @@ class Scene:
         if item.name not in self.names:
             return replace(self, objects=(*self.objects, item))
         if not replace_existing:
-            raise SceneError("an object's name", item.name, Sentence("expected.scene.new_name"))
+            raise SceneError(
+                "an object's name", item.name, "one that is not in the scene yet, or a request to replace it"
+            )
         return self._with(replace(item, fixed=self.get(item.name).fixed))
 
     def remove(self, name: str) -> Scene:
@@ -268,7 +267,7 @@ class Scene:
             SceneError: If there is no such object, or `link` is empty.
         """
         if not link:
-            raise SceneError(f"object {name!r} link", link, Sentence("expected.scene.carrier"))
+            raise SceneError(f"object {name!r} link", link, "the link that shall carry it")
         return self._with(self.get(name).moved(pose, link, touch))
 
     def detach(self, name: str, pose: Pose) -> Scene:
@@ -279,7 +278,9 @@ class Scene:
         """
         item = self.get(name)
         if not item.link:
-            raise SceneError(f"object {name!r} link", item.link, Sentence("expected.scene.carried"))
+            raise SceneError(
+                f"object {name!r} link", item.link, "a link that carries it; it stands in the world already"
+            )
         return self._with(item.moved(pose))
 
     def clear(self) -> Scene:

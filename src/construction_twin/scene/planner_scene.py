@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.scene.collision_bodies import RobotBodies
@@ -111,7 +110,7 @@ def scene_text(told: PlannerScene, name: str) -> tuple[str, tuple[str, ...]]:
             _write_object(item, product(told.root_T_base, item.pose), out)
     print(".", file=out)
     left_out = tuple(
-        Sentence("scene.told.carried", object=repr(item.name), frame=item.frame)
+        f"{item.name!r} is carried by {item.frame}: the format has no carried objects, attach it in the panel"
         for item in told.objects
         if item.carried
     )
@@ -180,4 +179,4 @@ def _remarks(scene: Scene) -> Iterable[str]:
     for item in scene.objects:
         margin = item.padding + (0.0 if item.link else scene.padding)
         if item.shape == "mesh" and margin > 0.0:
-            yield Sentence("scene.told.mesh", object=repr(item.name), padding=margin * 1e3)
+            yield f"{item.name!r} is a mesh: its padding of {margin * 1e3:g} mm is not in it"

@@ -9,7 +9,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from construction_twin.core.motion_errors import SceneError
-from construction_twin.core.sentences import Sentence
 from construction_twin.scene.objects import Scene, SceneObject, listed
 
 
@@ -53,7 +52,7 @@ class SceneChange:
         objects = {item.name: item for item in scene.objects}
         for name in self.remove:
             if name not in objects:
-                known = Sentence("expected.scene.object_kept", names=listed(scene.names))
+                known = f"one of the scene's {listed(scene.names)}; nothing was changed"
                 raise SceneError("an object to remove", name, known)
         gone = frozenset(self.remove)
         if gone:
@@ -76,14 +75,14 @@ class SceneChange:
             raise SceneError(
                 "the scene to change",
                 scene.hash,
-                Sentence("expected.scene.before", hash=before),
+                f"{before}, that this change was made for; plan it anew from this one",
             )
         changed = self.apply(scene)
         if after and changed.hash != after:
             raise SceneError(
                 "the scene after the change",
                 changed.hash,
-                Sentence("expected.scene.after", hash=after),
+                f"{after}; a mesh file may have changed. Nothing was changed",
             )
         return changed
 
@@ -106,5 +105,5 @@ def _refuse_doubles(key: str, names: Iterable[str]) -> None:
     seen: set[str] = set()
     for name in names:
         if name in seen:
-            raise SceneError(f"a name in {key}", name, Sentence("expected.scene.once"))
+            raise SceneError(f"a name in {key}", name, "each name once")
         seen.add(name)

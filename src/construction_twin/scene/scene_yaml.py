@@ -11,7 +11,6 @@ import yaml
 
 from construction_twin.core.errors import problem_of
 from construction_twin.core.motion_errors import SceneError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.validation import wrong_value
 from construction_twin.robot.frames import rpy_to_quaternion
 from construction_twin.scene.objects import Scene, SceneObject
@@ -79,9 +78,9 @@ def read_scene(path: str | Path) -> Scene:
     try:
         description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise SceneError(str(path), problem_of(error), Sentence("expected.scene.yaml")) from error
+        raise SceneError(str(path), problem_of(error), "a YAML file of a scene") from error
     if not isinstance(description, dict):
-        raise SceneError(str(path), description, Sentence("expected.scene.mapping"))
+        raise SceneError(str(path), description, "a mapping with the keys padding and objects")
     return load_scene(description, Path(path).parent)
 
 

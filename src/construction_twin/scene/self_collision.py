@@ -23,7 +23,6 @@ import yaml
 from urdf_parser_py.urdf import URDF
 
 from construction_twin.core.errors import ConfigurationError, problem_of
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.validation import wrong_value
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.urdf import parse_urdf
@@ -66,9 +65,9 @@ def read_pairs_yaml(path: str | Path) -> dict:
     try:
         description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigurationError(str(path), problem_of(error), Sentence("expected.self_collision.yaml")) from error
+        raise ConfigurationError(str(path), problem_of(error), "a YAML file of self collision pairs") from error
     if not isinstance(description, dict):
-        raise ConfigurationError(str(path), description, Sentence("expected.self_collision.mapping"))
+        raise ConfigurationError(str(path), description, "a mapping with the keys that `self_collision` writes")
     return description
 
 
@@ -296,7 +295,9 @@ def load_self_collision(description: Mapping, bodies: RobotBodies, where: str) -
     if parsed.geometry != found:
         raise ConfigurationError(
             f"{where} geometry", parsed.geometry,
-            Sentence("expected.self_collision.geometry", hash=found, robot=bodies.robot.name, command=WRITE),
+            f"{found}, that of robot {bodies.robot.name}: the file is of another arm, which keeps it, or shapes, joints or "
+            "ranges have changed since. Write a file for the arm as it is, under a name of its own, and give that: "
+            f"`{WRITE}`",
         )  # fmt: skip
     return SelfCollision(parsed.reasons, found)
 

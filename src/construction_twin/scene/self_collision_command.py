@@ -13,7 +13,6 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.core.sentences import Sentence
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.convex_hulls import hull_lines, mesh_hulls, write_proposal
@@ -84,7 +83,7 @@ def _check_owner(output: Path | None, robot: RobotModel) -> None:
         return
     if owner != robot.name:
         raise ConfigurationError(
-            str(output), f"the file of robot {owner}", Sentence("expected.self_collision.own", robot=robot.name)
+            str(output), f"the file of robot {owner}", f"a new file for {robot.name}, or one of its own"
         )
 
 
@@ -144,4 +143,4 @@ def _check_folder(output: Path | None) -> None:
         return
     writable = output if output.exists() else output.parent
     if output.is_dir() or not os.access(writable, os.W_OK):
-        raise ConfigurationError(str(output), "not writable", Sentence("expected.self_collision.folder"))
+        raise ConfigurationError(str(output), "not writable", "a file in a folder that exists and can be written")

@@ -237,7 +237,9 @@ class FollowJointTrajectoryNode:
     def on_execution(self, message: Execution) -> None:
         """Take what the executor does."""
         if message.state not in ExecutorState._value2member_map_:
-            sentence = Sentence("reason.refused.execution_state", state=message.state)
+            sentence = Sentence(
+                "execution state {state} is unknown; expected one of Execution.msg", state=message.state
+            )
             self._diagnostics.refuse("execution", sentence)
             return
         state, start = ExecutorState(message.state), from_time(message.plan_start)

@@ -20,7 +20,6 @@ import rospy
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.files import write_whole
-from construction_twin.core.sentences import Sentence
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.physics.drive import drives_of, read_drives
 from construction_twin.physics.gazebo_world import GazeboWorld, check_serial, world_of
@@ -138,7 +137,7 @@ class GazeboNode:
         if rospy.is_shutdown():
             return
         self._ended, self._how = self._ended + 1, _how(code)
-        rospy.logerr("%s", Sentence("physics.gazebo.ended", how=self._how, count=self._ended))
+        rospy.logerr("%s", self._ending)
         with self._news:
             self._news.wait_for(rospy.is_shutdown, PAUSE)
 
@@ -167,6 +166,10 @@ class GazeboNode:
             rospy.loginfo("%s", remark)
         return path
 
+    @property
+    def _ending(self) -> str:
+        return f"Gazebo's server has ended ({self._how}), and is started again; {self._ended} times so far"
+
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
         present, simulated = self._present, self._simulated
@@ -174,12 +177,13 @@ class GazeboNode:
         if self._problem:
             return Report(ERROR, self._problem, values)
         if not simulated:
-            ended = Sentence("physics.gazebo.ended", how=self._how, count=self._ended) if self._ended else ""
-            return Report(ERROR if ended else WARN, ended or Sentence("physics.gazebo.waits"), values)
+            if self._ended:
+                return Report(ERROR, self._ending, values)
+            return Report(WARN, "Gazebo is started when the scene is known", values)
         if present is not None and present.hash != simulated:
-            hashes = {"simulated": simulated[:12], "present": present.hash[:12]}
-            return Report(WARN, Sentence("physics.gazebo.scene", **hashes), values)
-        return Report(OK, Sentence("physics.gazebo.simulates"), values)
+            other = f"Gazebo simulates the scene of its start, {simulated[:12]}, and not the present one, {present.hash[:12]}"
+            return Report(WARN, other, values)
+        return Report(OK, "simulating", values)
 
 
 def find_gzserver(words: str) -> list[str]:
@@ -189,7 +193,12 @@ def find_gzserver(words: str) -> list[str]:
     except ValueError:
         found = []
     if not found or shutil.which(found[0]) is None:
-        raise ConfigurationError("gzserver", words, Sentence("expected.gzserver"))
+        raise ConfigurationError(
+            "gzserver",
+            words,
+            "a program that starts Gazebo 11's server: install Gazebo 11, or make it a home: "
+            "scripts/gazebo_chroot.sh make (docs/physics.md)",
+        )
     return found
 
 

@@ -16,7 +16,6 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger, TriggerRequest
 
 from construction_twin.core.errors import ConfigurationError, RequestRefused
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import to_wire
 from construction_twin.mock.faults import KINDS, Fault
 from construction_twin.mock.network import MockRsi
@@ -186,7 +185,7 @@ class MockRsiNode:
         """Return the request in the controller's axes."""
         names, axes = self._robot.joint_names, self._robot.axes
         if request.joint and request.joint not in names:
-            raise ConfigurationError(request.fault, request.joint, Sentence("expected.one_of", known=", ".join(names)))
+            raise ConfigurationError(request.fault, request.joint, f"one of {', '.join(names)}")
         axis = axes[names.index(request.joint)] if request.joint else None
         kind, values = KINDS.get(request.fault), tuple(request.value)
         if kind is not None and kind.shift and axis is not None:
@@ -200,7 +199,7 @@ class MockRsiNode:
         try:
             done = self._mock.request(action)
         except TimeoutError as error:
-            raise RequestRefused(Sentence("view.refused.mock_silent")) from error
+            raise RequestRefused("the controller's loop did not answer within 1 s") from error
         rospy.loginfo(done)
         return done
 

@@ -96,7 +96,7 @@ class NeighbourNode:
         except ConstructionTwinError as error:
             problem = error.sentence
         self._publisher.publish(ConflictMsg(plan_id=plan.id, conflict=bool(problem), reason=problem))
-        sentence = problem or Sentence("reason.neighbour.free")
+        sentence = problem or Sentence("its path is free")
         self._state = Report(WARN if problem else OK, sentence)
         if self._said != (plan.id, problem):
             self._said = plan.id, problem
@@ -118,7 +118,7 @@ class NeighbourNode:
         if own is not None and plays and (occupied.claim is None or own < occupied.claim):
             return ""
         if scene is None:
-            return Sentence("reason.neighbour.no_scene")
+            return Sentence("our own scene, with what the arm carries, was not received")
         seen = plan, scene, occupied.obstacles
         if self._checked is None or any(one is not other for one, other in zip(seen, self._checked)):
             world = self._world.with_scene(self._own.carrying(plan, scene))
@@ -127,8 +127,13 @@ class NeighbourNode:
             return ""
         seconds, contact = self._met
         mine, theirs = contact.between
-        too_close = Sentence("reason.neighbour.too_close", mine=mine, theirs=theirs, seconds=seconds)
-        return Sentence(f"reason.neighbour.{'stands' if occupied.claim is None else 'follows_plan'}", contact=too_close)
+        too_close = Sentence(
+            "{mine} would come too close to {theirs} in {seconds:.1f} s", mine=mine, theirs=theirs, seconds=seconds
+        )
+        return Sentence(
+            "{contact}, which stands there" if occupied.claim is None else "{contact}, which follows an approved plan",
+            contact=too_close,
+        )
 
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""

@@ -200,7 +200,9 @@ class PcaMonitorNode:
     def on_plan(self, message: Plan) -> None:
         """Note where a plan ends, for a re-plan."""
         if not message.trajectory.points:
-            self._diagnostics.refuse("plan", Sentence("reason.refused.plan_points", plan=message.id))
+            self._diagnostics.refuse(
+                "plan", Sentence("plan {plan} has no points; expected at least a start and a goal", plan=message.id)
+            )
             return
         if message.segments:
             # its rest is dropped: tool and scene may be in between, so that whoever gave the task plans it anew
@@ -235,12 +237,12 @@ class PcaMonitorNode:
                 start=replan.held,
                 speed_scale=wanted.speed_scale,
                 acceleration_scale=wanted.acceleration_scale,
-                source=Sentence("reason.replan_source", state=replan.state),
+                source=Sentence("re-plan after {state}", state=replan.state),
                 # not now: a person may have called `stop` since then, which this node has not heard of
                 asked=wanted.seen,
             )
         except rospy.ServiceException as error:
-            problem: str = Sentence("reason.gate.planner_silent", problem=str(error))
+            problem: str = Sentence("the planner did not answer: {problem}", problem=str(error))
         else:
             if answer.success:
                 rospy.logwarn("re-planned from the held pose: %s", answer.message)
@@ -317,7 +319,9 @@ def check(settings: Settings, robot: RobotModel, shared: Shared) -> None:
         known = read_servos(settings.servo_model, robot.joint_names).cycle_ns // 1_000_000
         cycle = (shared["gateway"] or {}).get("cycle", known)
         if known != cycle:
-            raise ConfigurationError("cycle_ms", known, Sentence("expected.servo_cycle", cycle=cycle))
+            raise ConfigurationError(
+                "cycle_ms", known, f"{cycle} as the controller has: identify the servos at that cycle"
+            )
     check_writable(robot_file(settings.transition_file, robot.name).parent)
 
 

@@ -90,7 +90,14 @@ def plan_request(request, source: str = "request") -> PlanRequest:
     arrived = present()
     asked = parse_moment(request.asked) if getattr(request, "asked", "") else arrived
     if asked.origin != arrived.origin or asked.at > arrived.at:
-        raise PlanningError(Sentence("motion.asked.elsewhere", asked=str(asked), arrived=str(arrived)))
+        raise PlanningError(
+            Sentence(
+                "the request was asked for at {asked}, expected a moment of this computer before {arrived}; "
+                "repeat the `moment` of `execution`, or give none",
+                asked=str(asked),
+                arrived=str(arrived),
+            )
+        )
     return PlanRequest(
         asked=asked,
         source=request.source or source,
@@ -306,7 +313,12 @@ class PlannerNode:
 
         def read() -> Callable[[], Plan]:
             if left is None:
-                raise PlanningError(Sentence("motion.no_way_back"))
+                raise PlanningError(
+                    Sentence(
+                        "the arm was not left inside an engaged segment: there is no way back, any motion can be "
+                        "planned"
+                    )
+                )
             path = ExecutedPath(trajectory_from_msg(left.trajectory), left.end)
             requires = tuple(from_msg(Signal, signal) for signal in left.requires)
 
@@ -314,7 +326,7 @@ class PlannerNode:
                 made = self._pipeline.way_back(self._present_pose(), left.task, path, requires, asked)
                 if made.scene not in left.scenes:
                     problem = scene_problem(made.scene, left.scenes)
-                    raise PlanningError(Sentence("motion.no_way_back_now", problem=problem))
+                    raise PlanningError(Sentence("there is no way back now: {problem}", problem=problem))
                 return made
 
             return plan

@@ -96,7 +96,7 @@ class RehearsalNode:
         try:
             check_extras("physics")
         except ConfigurationError as error:
-            self._absent = str(Sentence("rehearsal.absent", problem=error.sentence))
+            self._absent = Sentence("plans are not rehearsed: {problem}", problem=error.sentence)
             rospy.loginfo("%s", self._absent)
         self._tool, self._of_tool = tool_hash(settings.tool), tool_mass(settings.tool)
         payload = [settings.payload] if settings.payload else []
@@ -201,11 +201,16 @@ class RehearsalNode:
         report: RehearsalReport
         try:
             if guessed:
-                raise ConstructionTwinError(Sentence("rehearsal.no_tasks", task=job.plan.task))
+                raise ConstructionTwinError(
+                    Sentence(
+                        "what the element of task {task} weighs has not been heard: is the node work running?",
+                        task=job.plan.task,
+                    )
+                )
             report = self._ask(Question.of(job.plan, scene, job.changes, known, placed, self._constant))
         except ConstructionTwinError as error:
-            why = Sentence("rehearsal.late", limit=self._time_limit) if self._late else error.sentence
-            reasons = (Sentence("rehearsal.broke", problem=why),)
+            why = Sentence("it took longer than {limit:g} s", limit=self._time_limit) if self._late else error.sentence
+            reasons = (Sentence("the rehearsal broke off: {problem}", problem=why),)
             broken = RehearsalReport(job.plan.id, job.plan.hash, job.plan.scene, self._tool, "", BROKEN, reasons)
             report = finished(broken, time.monotonic() - began)
         with self._news:
@@ -259,14 +264,19 @@ class RehearsalNode:
         last, running = self._last, self._running
         values: dict[str, object] = {"rehearsals": self._rehearsed, "broken": self._broken, "superseded": self._dropped}
         if running is not None:
-            return Report(OK, Sentence("rehearsal.node.running", plan=running.plan.id), values)
+            return Report(OK, Sentence("rehearses plan {plan}", plan=running.plan.id), values)
         if last is None:
-            return Report(OK, Sentence("rehearsal.node.none"), values)
+            return Report(OK, Sentence("no plan was rehearsed yet"), values)
         values |= {"took": f"{last.took:.2f}", "engine": last.engine}
         if last.state == PASSED:
-            return Report(OK, Sentence("rehearsal.node.passed", plan=last.plan_id), values)
-        key, level = ("rehearsal.node.broken", WARN) if last.state == BROKEN else ("rehearsal.node.failed", OK)
-        return Report(level, Sentence(key, plan=last.plan_id, reason=first_reason(last.reasons)), values)
+            return Report(OK, Sentence("plan {plan}: passed", plan=last.plan_id), values)
+        broken = last.state == BROKEN
+        failed = Sentence(
+            "plan {plan}: the rehearsal broke off: {reason}" if broken else "plan {plan}: failed: {reason}",
+            plan=last.plan_id,
+            reason=first_reason(last.reasons),
+        )
+        return Report(WARN if broken else OK, failed, values)
 
 
 def _put_newest(kept: dict, key: str, value: object) -> None:

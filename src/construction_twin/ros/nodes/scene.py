@@ -17,7 +17,6 @@ from visualization_msgs.msg import MarkerArray
 
 from construction_twin.core.errors import ConfigurationError, PayloadError, PoseUnknownError
 from construction_twin.core.motion_errors import SceneError
-from construction_twin.core.sentences import Sentence, Value
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.convert import pose_from_msg
@@ -84,15 +83,21 @@ class LastingContact:
     moves: bool
 
     @property
-    def sentence(self) -> Sentence:
+    def sentence(self) -> str:
         """What it is, what follows from it, and what to do."""
-        pair: dict[str, Value] = {"object": repr(self.name), "link": repr(self.link), "name": self.link}
         if not self.moves:
-            return Sentence("scene.lasting.base", depth=-self.distance * 1e3, **pair)
-        kept = self.kept * 1e3
-        if self.distance < 0.0:
-            return Sentence("scene.lasting.overlap", depth=-self.distance * 1e3, kept=kept, **pair)
-        return Sentence("scene.lasting.near", distance=self.distance * 1e3, kept=kept, **pair)
+            return (
+                f"object {self.name!r} and link {self.link!r} overlap by {-self.distance * 1e3:.1f} mm; no "
+                "joint moves the link, so this is not checked. If they do not overlap in the cell, correct "
+                f"the object's position or size, or raise the arm; if they do, add `touch: [{self.link}]` to "
+                "the object"
+            )
+        found = f"{'overlap' if self.distance < 0.0 else 'are apart'} by {abs(self.distance) * 1e3:.1f} mm"
+        return (
+            f"object {self.name!r} and link {self.link!r} {found}, expected {self.kept * 1e3:.1f} mm of clearance, in every pose "
+            "of the arm: nothing can be planned. Move the object, raise the arm or lower `padding`; if they may touch, add "
+            f"`touch: [{self.link}]` to the object"
+        )
 
 
 def lasting_contacts(world: CollisionWorld) -> list[LastingContact]:
@@ -223,7 +228,7 @@ class SceneNode:
     def _add(self, request) -> tuple[Scene, str]:
         item = object_from_msg(request.object)
         if item.link:
-            raise SceneError(f"object {item.name!r} link", item.link, Sentence("expected.no_link"))
+            raise SceneError(f"object {item.name!r} link", item.link, "an empty one; attach it once it is in the scene")
         if self._frames.tf_name(request.frame_id) != self._frames.base:
             item = item.moved(product(self._frames.in_base(request.frame_id, rospy.Time(0)), item.pose))
         known = item.name in self._world.scene.names
@@ -330,7 +335,7 @@ class SceneNode:
 def _scene_file(start: Scene, run: str) -> SceneFile:
     """Return the file of this run's edits: one per node and ROS master, so that two masters of one user do not meet in it."""
     if not run:
-        raise ConfigurationError(_RUN, run, Sentence("expected.run_id"))
+        raise ConfigurationError(_RUN, run, "the id of this run, as roscore and roslaunch set it")
     name = re.sub(r"\W+", "_", f"{rosgraph.get_master_uri()} {rospy.get_name()}")
     return SceneFile(ros_home() / f"{name}_edits.json", run, start)
 

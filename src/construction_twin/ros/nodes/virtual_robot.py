@@ -17,7 +17,6 @@ from sensor_msgs.msg import JointState
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.extras import check_extras
 from construction_twin.core.limits import MotionLimits
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.msg import Link, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
@@ -198,7 +197,7 @@ class VirtualRobotNode:
             if gazebo.answer(stamp):
                 self._twin.publish(stamp, q)
                 return
-        self._diagnostics.refuse("answer", Sentence("physics.twin.answer"))
+        self._diagnostics.refuse("answer", "a simulated pose with the stamp of no command, or of one answered before")
 
     def on_scene(self, message: SceneMsg) -> None:
         """Take the scene: what is carried and what stands around. In rospy's thread of this connection, which may wait."""
@@ -237,7 +236,9 @@ class VirtualRobotNode:
                     self._cycles.begin_at(stamp)
                 self._advance(stamp, q, self._clock.on_command(stamp, self._cycles.reach(stamp)))
                 return
-        self._diagnostics.refuse("order", Sentence("physics.twin.order"))
+        self._diagnostics.refuse(
+            "order", "command before the arm's pose was taken over, away from it, or not newer than the last"
+        )
 
     def on_physical(self, stamp: int, q: tuple[float, ...]) -> None:
         """Take the arm's pose [rad] with its stamp [ns]; waits while the twin needs none."""
@@ -283,8 +284,8 @@ class VirtualRobotNode:
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
         if self._robot.pose is None:
-            return Report(WARN, Sentence("physics.twin.waits"))
-        said = Sentence("physics.twin.follows" if self._robot.mirrors else "physics.twin.executes")
+            return Report(WARN, "waiting for the physical arm's pose")
+        said = "following the physical arm" if self._robot.mirrors else "executing"
         if self._gazebo is not None:
             problem = self._backend.problem
             return Report(WARN if problem else OK, problem or said)
@@ -293,9 +294,7 @@ class VirtualRobotNode:
         contacts = ", ".join(f"{first} + {second}" for first, second in self._backend.contacts)
         values = {"simulated scene": self._scene, "contacts": contacts or "none"}
         problem = (
-            self._scene_problem
-            or self._backend.problem
-            or (contacts and Sentence("physics.twin.touches", bodies=contacts))
+            self._scene_problem or self._backend.problem or (contacts and f"the simulated arm touches: {contacts}")
         )
         return Report(WARN, problem, values) if problem else Report(OK, said, values)
 
@@ -350,7 +349,9 @@ INTERFACE = Interface(
 def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
     """Check that a twin with mass can be simulated; see `NodeShell`."""
     if settings.twin == "gazebo" and settings.payload:
-        raise ConfigurationError("payload", settings.payload, Sentence("expected.gazebo_payload"))
+        raise ConfigurationError(
+            "payload", settings.payload, "none with twin:=gazebo, whose world knows no payload; twin:=mujoco does"
+        )
     if is_simulated_here(settings):
         check_extras("physics")
         # only here: what simulates is not everywhere, and takes long to load

@@ -123,7 +123,7 @@ class ArmListener:
         """
         last = self._execution
         if last is None:
-            raise NeighbourUnknownError(self.robot.name, Sentence("reason.neighbour.executor_silent"))
+            raise NeighbourUnknownError(self.robot.name, Sentence("its executor has said nothing yet"))
         if ExecutorState(last.state) not in ACTIVE:
             return None
         return Claim(from_time(last.plan_start) or math.inf, self.robot.name, last.plan_id)
@@ -133,7 +133,9 @@ class ArmListener:
         with self._lock:
             if plan_id in self._plans:
                 return self._plans[plan_id][0]
-        raise NeighbourUnknownError(self.robot.name, Sentence("reason.neighbour.earlier_plan", plan=plan_id))
+        raise NeighbourUnknownError(
+            self.robot.name, Sentence("it follows plan {plan}, which came before this node was started", plan=plan_id)
+        )
 
     def carrying(self, plan: PlanValue, scene: SceneValue) -> SceneValue:
         """Return a scene in which the arm carries at once all that it will carry during a plan."""
@@ -210,7 +212,7 @@ class OtherArm:
         """
         name, scene, claim = self._arm.name, self._listener.scene, self._listener.claim()
         if scene is None:
-            raise NeighbourUnknownError(name, Sentence("motion.neighbour.no_scene"))
+            raise NeighbourUnknownError(name, Sentence("its scene, with what it carries, was not received"))
         known = scene, "" if claim is None else claim.plan_id
         if self._known != known:
             plan = None if claim is None else self._listener.plan(claim.plan_id)
@@ -218,7 +220,9 @@ class OtherArm:
             try:
                 self._shape = self._arm.carrying(carried.objects)
             except SceneError as error:
-                raise NeighbourUnknownError(name, Sentence("motion.neighbour.load", problem=error.sentence)) from error
+                raise NeighbourUnknownError(
+                    name, Sentence("what it carries cannot be used: {problem}", problem=error.sentence)
+                ) from error
             self._path = () if plan is None else self._shape.along(plan_rows(plan)[1])
             self._known = known
         if claim is not None:
@@ -235,7 +239,9 @@ def await_robot(name: str) -> None:
     space = f"{rosgraph.names.namespace(rospy.get_namespace())}{name}"
     needed = (f"{space}/robot_description", f"{space}/executor/arm")
     if not all(map(rospy.has_param, needed)):
-        rospy.logwarn("%s", Sentence("startup.other_robot", space=space))
+        rospy.logwarn(
+            "%s", Sentence("waiting for {space}, the other robot of the cell: nobody has launched it", space=space)
+        )
     while not all(map(rospy.has_param, needed)):
         rospy.sleep(0.5)
 

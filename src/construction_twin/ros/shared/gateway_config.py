@@ -12,7 +12,6 @@ import rospy
 from construction_twin.controller.makes import DEFAULT, make_of
 from construction_twin.controller.tool import GatewayTool, ToolOutput
 from construction_twin.core.errors import ConfigurationError, PayloadError
-from construction_twin.core.sentences import Sentence
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.robot.description import RobotModel
@@ -41,11 +40,11 @@ def config_of_link(robot: RobotModel, settings: Mapping | None, needs_file: bool
             a bare PLC.
     """
     if settings is None:
-        raise ConfigurationError(f"{robot.name}/gateway", None, Sentence("expected.link_settings"))
+        raise ConfigurationError(f"{robot.name}/gateway", None, "link settings, as launch/bringup.launch loads them")
     form = make_of(settings.get("make", DEFAULT)).file
     if "ethernet_xml" not in settings and needs_file and form is not None:
         where = f"{robot.name}/gateway/ethernet_xml"
-        raise ConfigurationError(where, None, Sentence("expected.form_loaded", file=form.name))
+        raise ConfigurationError(where, None, f"the controller's {form.name}, as launch/bringup.launch loads it")
     return gateway_config(robot, settings)
 
 
@@ -72,7 +71,7 @@ def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
         settings["tool"] = gateway_tool(tool_of(tool, "tool"))
     timeout, cycle = settings.pop("timeout", TIMEOUT), settings.get("cycle", 4)
     if type(timeout) is not int or timeout < 1:
-        expected = Sentence("expected.timeout", words=make.words.timeout)
+        expected = f"a whole number of cycles, 1 or more, as {make.words.timeout}"
         raise ConfigurationError("timeout", timeout, expected)
     ends = [
         sorted((axis.sign * low + axis.offset, axis.sign * high + axis.offset))
@@ -92,7 +91,7 @@ def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
             **settings,
         )
     except TypeError as error:
-        raise ConfigurationError("gateway", settings, Sentence("expected.gateway_keys", problem=str(error))) from error
+        raise ConfigurationError("gateway", settings, f"the keys of config/gateway.yaml ({error})") from error
     _check_format(robot, config)
     return config
 
@@ -111,5 +110,5 @@ def _check_format(robot: RobotModel, config: GatewayConfig) -> None:
             codec.encode(q)
         except PayloadError as error:
             raise ConfigurationError(
-                f"{end} limits of {robot.name}", q, Sentence("expected.wire_range", problem=str(error))
+                f"{end} limits of {robot.name}", q, f"a range the wire can carry ({error})"
             ) from error

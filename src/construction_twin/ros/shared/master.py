@@ -14,7 +14,6 @@ from typing import Any
 import rosgraph
 
 from construction_twin.core.errors import ConfigurationError, SilenceError
-from construction_twin.core.sentences import Sentence
 
 #: How long a command waits for the master [s].
 TIMEOUT = 5.0
@@ -23,7 +22,7 @@ NODE_TIMEOUT = 2.0
 #: The same for a command's two questions to a node without which it can do nothing: in all less than a second [s].
 ANSWER = 0.4
 #: What to do when there is none.
-TO_DO = Sentence("view.to_do.master")
+TO_DO = "start bringup, or set ROS_MASTER_URI"
 #: The parameter by which ROS takes its time from the topic /clock.
 SIMULATED = "/use_sim_time"
 #: How often a master that does not answer is asked again [s].
@@ -49,9 +48,9 @@ class RunningNode:
 
     def __str__(self) -> str:
         if self.pid is None:
-            return Sentence("preflight.node_mute", name=self.name, host=self.host)
-        key = "preflight.node" if self.tells_name else "preflight.node_nameless"
-        return Sentence(key, name=self.name, host=self.host, pid=self.pid)
+            return f"{self.name} on {self.host} (does not answer; if it has ended, `rosnode cleanup` removes it)"
+        nameless = "" if self.tells_name else " (which tells no name; if it has ended, `rosnode cleanup` removes it)"
+        return f"{self.name} on {self.host}, process {self.pid}{nameless}"
 
 
 class _Transport(xmlrpc.client.Transport):
@@ -95,7 +94,7 @@ def await_master(timeout: float = TIMEOUT) -> None:
     try:
         ask(uri, timeout, "getPid")
     except FAILURES as error:
-        problem = Sentence("view.silent.no_master", problem=str(error))
+        problem = f"no ROS master answers ({error})"
         raise SilenceError(uri, problem, TO_DO) from error
 
 
@@ -129,7 +128,12 @@ def expect_wall_clock(uri: str) -> None:
     except FAILURES:
         return
     if is_simulated is True:
-        raise ConfigurationError(SIMULATED, True, Sentence("expected.wall_clock"))
+        raise ConfigurationError(
+            SIMULATED,
+            True,
+            "false: the twin and the arm go by this machine's clock; rosparam set use_sim_time false, or start on "
+            "another master (roslaunch -p 11312)",
+        )
 
 
 def publishing_nodes(topic: str) -> list[str]:
@@ -138,7 +142,7 @@ def publishing_nodes(topic: str) -> list[str]:
     try:
         _, (publishers, _, _) = ask(uri, TIMEOUT, "getSystemState")
     except FAILURES as error:
-        raise SilenceError(uri, Sentence("view.silent.no_master", problem=str(error)), TO_DO) from error
+        raise SilenceError(uri, f"no ROS master answers ({error})", TO_DO) from error
     return [name for published, nodes in publishers if published == topic for name in nodes]
 
 
@@ -156,8 +160,8 @@ def expect_publisher(topic: str, patience: float = ANSWER) -> None:
     answers = (node.pid for _ in range(2) for node in running(names, rosgraph.get_master_uri(), patience))
     if not any(answers):
         who = " and ".join(names)
-        problem = Sentence("view.silent.ended", nodes=who) if names else Sentence("view.silent.unpublished")
-        raise SilenceError(topic, problem, Sentence("view.to_do.bringup_or_down"))
+        problem = f"{who} has ended, or does not answer" if names else "no node publishes it"
+        raise SilenceError(topic, problem, "start bringup, or see why the node is down")
 
 
 def running(names: Iterable[str], uri: str, patience: float = NODE_TIMEOUT) -> list[RunningNode]:

@@ -8,7 +8,6 @@ import rospy
 from std_srvs.srv import Trigger
 
 from construction_twin.core.errors import RequestRefused, SilenceError
-from construction_twin.core.sentences import Sentence
 from construction_twin.link.requests import GoalRequest, ReviewRequest
 from construction_twin.ros.messages.plan_services import PLAN_SERVICES, request_fields
 from construction_twin.ros.shared.outcome import Outcome
@@ -69,13 +68,13 @@ class OperatorClient:
         try:
             rospy.wait_for_service(service, self._timeout)
         except rospy.ROSException as error:
-            problem = Sentence("view.silent.no_service", seconds=self._timeout)
-            raise SilenceError(service, problem, Sentence("view.to_do.bringup_or_down")) from error
+            problem = f"no node offers this service (waited {self._timeout:g} s)"
+            raise SilenceError(service, problem, "start bringup, or see why the node is down") from error
         try:
             return _done(rospy.ServiceProxy(service, kind)(**fields))
         except rospy.ServiceException as error:
-            problem = Sentence("view.silent.no_answer", problem=str(error))
-            raise SilenceError(service, problem, Sentence("view.to_do.log")) from error
+            problem = f"the node gave no answer ({error})"
+            raise SilenceError(service, problem, "look at its log") from error
 
 
 def _done(answer: Any) -> Outcome:

@@ -11,7 +11,6 @@ import pydantic
 import rospy
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.validation import configuration_error
 from construction_twin.robot.description import RobotModel, load_robot
 
@@ -76,7 +75,7 @@ def robot_from_parameters(namespace: str = "", parameters: Parameters = rospy) -
     values = [parameters.get_param(name, None) for name in names]
     for name, value in zip(names, values):
         if value is None:
-            raise ConfigurationError(rospy.resolve_name(name), None, Sentence("expected.robot_loaded"))
+            raise ConfigurationError(rospy.resolve_name(name), None, "a robot, as launch/robot.launch loads it")
     return load_robot(*values)
 
 

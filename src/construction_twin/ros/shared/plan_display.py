@@ -106,7 +106,10 @@ class PlanDisplay:
         """Show what the rehearsal of the plan under review has found."""
         report = from_msg(RehearsalReport, message)
         if not is_whole(report) or len(report.worst_pose) not in (0, len(self._robot.joint_names)):
-            self._refuse("rehearsal", Sentence("reason.refused.rehearsal", plan=repr(report.plan_id)))
+            self._refuse(
+                "rehearsal",
+                Sentence("the rehearsal of plan {plan} is not what its hash says", plan=repr(report.plan_id)),
+            )
             return
         with self._news:
             # it may come before its plan

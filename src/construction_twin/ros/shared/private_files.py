@@ -15,7 +15,6 @@ from xml.etree import ElementTree
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.files import read_file, write_whole
-from construction_twin.core.sentences import Sentence
 from construction_twin.robot.packages import Packages
 from construction_twin.scene.mesh_file import binary_stl, parse_mesh
 from construction_twin.scene.objects import Scene, read_mesh_file
@@ -76,13 +75,11 @@ def shown_urdf(urdf: str, folder: str) -> ShownUrdf:
 def _read(path: Path) -> tuple[str, bytes]:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
-        raise ConfigurationError(
-            str(path), f"a mesh that ends in {suffix!r}", Sentence("expected.one_of", known=", ".join(SUFFIXES))
-        )
+        raise ConfigurationError(str(path), f"a mesh that ends in {suffix!r}", f"one of {', '.join(SUFFIXES)}")
     try:
         contents = read_file(path, _LARGEST)
     except OSError as error:
-        raise ConfigurationError(str(path), error.strerror, Sentence("expected.robot.mesh_file")) from error
+        raise ConfigurationError(str(path), error.strerror, "a readable mesh file") from error
     return hashlib.sha256(contents).hexdigest() + suffix, contents
 
 
@@ -111,7 +108,7 @@ class PrivateFiles:
         try:
             shown = shown_urdf(urdf, MESHES)
         except ElementTree.ParseError as error:
-            raise ConfigurationError("robot_description", str(error), Sentence("expected.urdf")) from error
+            raise ConfigurationError("robot_description", str(error), "a URDF") from error
         for name, contents in shown.meshes.items():
             self._keep(f"mesh/{name}", contents)
         self._write(f"{self._robot}/robot.urdf", shown.text)
@@ -154,4 +151,4 @@ class PrivateFiles:
 
     def _refused(self, error: OSError) -> ConfigurationError:
         found = f"{error.filename or self._folder}: {error.strerror}"
-        return ConfigurationError("private", found, Sentence("expected.writable_folder"))
+        return ConfigurationError("private", found, "a folder that files can be written into")

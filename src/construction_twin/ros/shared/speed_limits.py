@@ -92,7 +92,10 @@ class SpeedLimitService:
                 with self._file_lock:
                     self._write(limits.asked(*given, present(), now_ns()))
                     if self._file_problem:
-                        raise PayloadError("file", Sentence("link.speed.not_raised", problem=self._file_problem))
+                        raise PayloadError(
+                            "file",
+                            Sentence("the speed limit of people is not raised: {problem}", problem=self._file_problem),
+                        )
             with self._lock:
                 before, sentence = limits.people, limits.set(*given, present(), now_ns())
                 self._publish()

@@ -165,10 +165,13 @@ def joint_values(message: JointState, names: tuple[str, ...]) -> tuple[float, ..
             or set(message.name) != set(names)
             or len(message.name) != len(names)
         ):
-            found, expected = str(message.name), str(list(names))
-            count = len(message.position)
-            key = "reason.refused.joint_state_names"
-            raise PayloadError("names", Sentence(key, found=found, count=count, expected=expected))
+            sentence = Sentence(
+                "joint state names {found}, {count} positions; expected {expected}",
+                found=str(message.name),
+                count=len(message.position),
+                expected=str(list(names)),
+            )
+            raise PayloadError("names", sentence)
         by_name = dict(zip(message.name, message.position))
         q = tuple(by_name[name] for name in names)
     if not all(map(math.isfinite, q)):
@@ -177,7 +180,7 @@ def joint_values(message: JointState, names: tuple[str, ...]) -> tuple[float, ..
 
 
 def _not_finite(q: tuple[float, ...]) -> PayloadError:
-    return PayloadError("values", Sentence("reason.refused.joint_state_values", found=str(q)))
+    return PayloadError("values", Sentence("joint state with positions {found}; expected finite numbers", found=str(q)))
 
 
 class JointPublisher:

@@ -13,7 +13,6 @@ from rospy.exceptions import TransportException
 from rospy.impl.tcpros_base import TCPROSTransport
 
 from construction_twin.core.errors import ServiceSilentError
-from construction_twin.core.sentences import Sentence
 
 #: The errors of a call whose node is not there, or goes away.
 NO_ANSWER = (rospy.ServiceException, TransportException, OSError)
@@ -93,7 +92,7 @@ class PersistentService(rospy.ServiceProxy):
             return self.call(**request)
         except NO_ANSWER as error:
             self._forget()
-            raise rospy.ServiceException(Sentence("view.no_answer_twice", problem=str(error))) from error
+            raise rospy.ServiceException(f"no answer twice: {error}") from error
 
     def _forget(self) -> None:
         self.close()

@@ -13,7 +13,6 @@ from collections.abc import Callable
 import rospy
 
 from construction_twin.core.errors import ConfigurationError, ProtocolError
-from construction_twin.core.sentences import Sentence
 
 #: The node that publishes a stream, by its name in the robot's namespace. The parameter `publishers` there names others. A topic
 #: that is neither here nor in `FOR_ANYBODY` is heard from everybody.
@@ -70,7 +69,7 @@ def publisher_of(topic: str) -> str | None:
     named = rospy.get_param(f"{namespace}publishers", {})
     known = isinstance(named, dict) and named.keys() <= set(streams)
     if not known or not all(isinstance(name, str) and name for name in named.values()):
-        expected = Sentence("expected.publishers", streams=", ".join(streams))
+        expected = f"a mapping from streams ({', '.join(streams)}) to names of nodes"
         raise ConfigurationError(rospy.resolve_name(f"{namespace}publishers"), named, expected)
     name = named.get(stream, PUBLISHERS.get(stream))
     if name is None:
