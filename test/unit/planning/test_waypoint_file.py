@@ -10,10 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from sentence_checks import says
 
 from construction_twin.core.motion_errors import WaypointsError
-from construction_twin.core.sentences import Sentence
 from construction_twin.planning.timing import time_path
 from construction_twin.planning.waypoint_file import format_waypoints, parse_waypoints
 from construction_twin.planning.waypoints import from_points, plan_waypoints
@@ -116,16 +114,8 @@ def test_messages_about_limits_are_in_the_file_s_units():
     assert "line 3: joint_a2 is 12 deg; its range is -140 deg to -5 deg" in str(caught.value)
     assert (caught.value.row, caught.value.joint) == (3, "joint_a2")
     timed = f"time_s,{HEADER}\n0,0,-90,90,0,90,0\n0.2,90,-90,90,0,90,0\n"
-    with pytest.raises(
-        WaypointsError,
-        check=says(
-            "motion.points.velocity",
-            joint="joint_a1",
-            limit="123 deg/s",
-        ),
-    ) as caught:
+    with pytest.raises(WaypointsError, match="^line 3 .*: joint_a1 has a velocity of .* deg/s; its limit is 123 deg/s"):
         plan_waypoints(parse_waypoints(timed, ROBOT), HOME, ROBOT)
-    assert caught.value.sentence.values["place"].values["place"] == Sentence("motion.file.place", line=3)
 
 
 # -- numbers alone, as MATLAB's writematrix makes them

@@ -230,10 +230,11 @@ def test_a_motion_beyond_a_limit_is_refused_with_segment_time_and_joint():
 
 @pytest.mark.parametrize("gap", [2e-9, 1e-3])
 def test_a_gap_between_segments_is_refused(gap):
-    with pytest.raises(SegmentError, check=says("motion.segment", number=2)) as caught:
+    with pytest.raises(
+        SegmentError, match="^segment 2 .*it begins .* of joint_a3 away from where the segment"
+    ) as caught:
         planned(asked_with(2, trajectory=motion(LEFT + gap * np.eye(6)[2], HOME)))
     assert isinstance(caught.value.cause, TrajectoryError)
-    assert caught.value.cause.sentence.values["joint"] == "joint_a3"
 
 
 def test_rounding_between_segments_is_made_exact():

@@ -37,9 +37,8 @@ def test_a_base_in_the_floor_says_how_deep_and_what_to_do():
     (contact,) = found(floor(0.03))
     assert (contact.name, contact.link, contact.moves) == ("floor", "pedestal", False)
     assert contact.distance == pytest.approx(-0.03, abs=1e-6)
-    said = contact.sentence
-    assert (said.key, said.values["object"], said.values["name"]) == ("scene.lasting.base", "'floor'", "pedestal")
-    assert said.values["depth"] == pytest.approx(30.0, abs=1e-3)
+    assert "object 'floor' and link 'pedestal' overlap by 30.0 mm; no joint moves the link" in contact.sentence
+    assert "add `touch: [pedestal]` to the object" in contact.sentence
 
 
 def test_a_base_of_meshes_is_measured_too(tmp_path, monkeypatch):
@@ -60,16 +59,16 @@ def test_a_link_that_every_pose_leaves_in_contact_means_that_nothing_can_be_plan
     contact, hinge = found(floor(0.0), padding=0.11)
     assert (contact.name, contact.link, contact.moves) == ("floor", "shoulder", True)
     assert (contact.distance, hinge.distance) == pytest.approx((0.095, 0.095), abs=1e-6)
-    said = contact.sentence
-    assert (said.key, said.values["link"], said.values["name"]) == ("scene.lasting.near", "'shoulder'", "shoulder")
-    assert (said.values["distance"], said.values["kept"]) == pytest.approx((95.0, 110.0), abs=1e-3)
+    told = "link 'shoulder' are apart by 95.0 mm, expected 110.0 mm of clearance, in every pose"
+    assert told in contact.sentence and "add `touch: [shoulder]` to the object" in contact.sentence
     assert found(floor(0.0, touch=("shoulder", "upper_arm")), padding=0.11) == []
 
 
 def test_a_link_inside_of_an_object_overlaps():
     contacts = found(floor(0.2))
     assert [(contact.link, contact.moves) for contact in contacts][:2] == [("pedestal", False), ("shoulder", True)]
-    assert contacts[1].sentence.key == "scene.lasting.overlap" and contacts[1].sentence.values["depth"] > 0.0
+    depth = -contacts[1].distance * 1e3
+    assert depth > 0.0 and f"overlap by {depth:.1f} mm, expected 20.0 mm of clearance" in contacts[1].sentence
 
 
 def test_an_object_that_some_pose_frees_is_not_told():
