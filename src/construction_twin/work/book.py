@@ -10,7 +10,6 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import LedgerError
 from construction_twin.work.task_memory import (
     ACCEPTED,
@@ -95,7 +94,7 @@ class Book:
         if entry.event in OF_NO_TASK:
             return
         if entry.task not in self.tasks and not entry.former and entry.event != TaskEvent.FOUND.value:
-            raise LedgerError("ledger", Sentence("work.ledger.no_task", task=repr(entry.task), count=len(self.tasks)))
+            raise LedgerError("ledger", f"no task {entry.task!r}; expected one of the schedule's {len(self.tasks)}")
         self.tasks.get(entry.task, TaskMemory(entry.task)).then(entry)
 
     # -- what is known
@@ -157,7 +156,7 @@ class Book:
         for task, memory in self.tasks.items():
             if task not in present or memory.element in ("", present[task].element) or memory.stays:
                 continue
-            reason = Sentence("work.event.task_changed")
+            reason = "the model was changed, and its task"
             if memory.touched:
                 own = memory.element if memory.element not in self.tasks else f"{memory.element} {task}"
                 found.append(placed_elsewhere("found" if memory.placed else "unknown", own, memory, reason=reason))
@@ -183,7 +182,7 @@ class Book:
             if not memory.touched or (no_more and memory.stays):
                 continue
             if heir and self.tasks[heir].state in (TaskState.WAITING, TaskState.READY):
-                event, reason = "found" if memory.placed else "unknown", Sentence("work.event.task_changed")
+                event, reason = "found" if memory.placed else "unknown", "the model was changed, and its task"
                 if stands and heir in present and memory.seen == present[heir].digest:
                     event = "same"
                 found.append(placed_elsewhere(event, heir, memory, reason=reason))
@@ -196,7 +195,7 @@ class Book:
             elif self.model != model or (no_more and not stands):
                 # what is on its way out stands; only then can it be asked about
                 times = 2 if memory.state is TaskState.RETREATING else 1
-                reason = Sentence("work.event.model_changed")
+                reason = "the model was changed"
                 found += [Entry("unknown", task, memory.element, reason=reason)] * times
         return found
 

@@ -12,7 +12,6 @@ from functools import cached_property
 
 import numpy as np
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.work.names import labels, named
@@ -164,7 +163,7 @@ class BuildingModel:
         """Return the element of that GlobalId."""
         if global_id not in self.elements:
             raise BuildingError(
-                self.file, f"element {global_id!r}", "none of that GlobalId", Sentence("expected.work.element")
+                self.file, f"element {global_id!r}", "none of that GlobalId", "one of the model's elements"
             )
         return self.elements[global_id]
 

@@ -13,7 +13,6 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from construction_twin.core.motion_errors import SceneError
-from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.collision_bodies import is_convex
 from construction_twin.scene.mesh_file import parse_mesh
@@ -132,7 +131,7 @@ def _local_hull(name: str, shape: str, size: tuple[float, ...], mesh: str, diges
     try:
         hull = ConvexHull(_corners(name, shape, size, mesh))
     except QhullError as error:
-        raise SceneError(f"object {name!r}", shape, Sentence("expected.work.volume")) from error
+        raise SceneError(f"object {name!r}", shape, "a body that has a volume") from error
     points = hull.points[hull.vertices]
     middle = points.mean(axis=0)
     corners = hull.points[hull.simplices] - middle

@@ -21,7 +21,6 @@ from scipy.spatial import ConvexHull, QhullError
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.files import read_file, write_whole
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BodyError, WorkError
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.scene.containment import excess, extra_volume, lost
@@ -106,7 +105,7 @@ def box_of(element: Element) -> SceneObject:
 
 def _shape(element: str, bodies: tuple[Body, ...], folder: Path, settings: BodySettings) -> ElementShape:
     if not bodies:
-        raise BodyError(element, Sentence("work.body.none"))
+        raise BodyError(element, "found no geometry, expected at least one body; leave it out or give it a shape")
     objects: list[SceneObject] = []
     ways, most = [], 0.0
     for body in bodies:
@@ -119,9 +118,7 @@ def _shape(element: str, bodies: tuple[Body, ...], folder: Path, settings: BodyS
         except ConstructionTwinError as error:
             raise BodyError(element, error.sentence) from error
         except OSError as error:
-            raise BodyError(
-                element, Sentence("work.body.unkept", folder=str(folder), problem=str(error.strerror))
-            ) from error
+            raise BodyError(element, f"its mesh files cannot be kept in {folder}: {error.strerror}") from error
         ways.append(way)
         most = max(most, reach)
     return ElementShape(element, tuple(objects), most, tuple(ways))
@@ -166,9 +163,9 @@ def _made(body: Body, folder: Path, settings: BodySettings) -> tuple[str, float,
     vertices = np.asarray(body.vertices, dtype=float)
     triangles = np.asarray(body.triangles, dtype=np.int64)
     if not len(triangles) or not np.isfinite(vertices).all():
-        raise WorkError(Sentence("work.body.corners", count=len(triangles)))
+        raise WorkError(f"found a body of {len(triangles)} triangles, expected triangles with finite corners")
     if len(triangles) > MOST_TRIANGLES:
-        raise WorkError(Sentence("work.body.size", count=len(triangles), most=MOST_TRIANGLES))
+        raise WorkError(f"found a body of {len(triangles)} triangles, expected at most {MOST_TRIANGLES}; simplify it")
     closed = solid(vertices, triangles)
     if closed is None and len(triangles) <= _MOST_DIVIDED:
         corners, faces = welded(vertices, triangles)
@@ -181,7 +178,7 @@ def _made(body: Body, folder: Path, settings: BodySettings) -> tuple[str, float,
         why.append(f"{way}: {problem}")
     vertices, triangles = welded(vertices, triangles)
     if not len(triangles):
-        raise WorkError(Sentence("work.body.area", problem="; ".join(why) or "flat"))
+        raise WorkError(f"found a body without area, expected one that can be checked ({'; '.join(why) or 'flat'})")
     mesh = _write_mesh(vertices, triangles, folder)
     place = {"size": [1.0, 1.0, 1.0], "position": [0.0, 0.0, 0.0], "quaternion": [0.0, 0.0, 0.0, 1.0]}
     return "surface", settings.margin, [{"shape": "mesh", **place, "padding": settings.margin, "mesh": mesh}]
@@ -240,23 +237,23 @@ def _judged(
 ) -> tuple[str, float]:  # fmt: skip
     """Return what is wrong with pieces, empty if nothing is, and how far they reach beyond the body [m]."""
     if any(hull_solid(points).is_empty() for points in pieces):
-        return Sentence("work.body.flat"), 0.0
+        return "a flat piece", 0.0
     if exact and closed is not None:
         difference = extra_volume(closed, pieces)
         if difference:
-            return Sentence("work.body.more", volume=difference), 0.0
+            return f"{difference:g} m^3 more than the body", 0.0
     # manifold3d is not asked where faces lie in the same planes: with the same volume, points on the surface suffice
     outside = lost(vertices, triangles, None if exact else closed, pieces)
     if outside:
-        return Sentence("work.body.outside", distance=outside * 1e3), 0.0
+        return f"{outside * 1e3:g} mm of the body are outside of the pieces", 0.0
     if closed is None:
         # of what has no inside only a hull that is the body itself is known to reach no further
         if _is_closed_hull(vertices, triangles, pieces):
             return "", 0.0
-        return Sentence("work.body.open"), 0.0
+        return "the body is not closed, so that nobody knows what the pieces have more", 0.0
     reach = 0.0 if exact else excess(closed, pieces)
     if reach > bound:
-        return Sentence("work.body.beyond", reach=reach * 1e3, most=bound * 1e3), reach
+        return f"a piece reaches {reach * 1e3:g} mm beyond the body, expected at most {bound * 1e3:g} mm", reach
     return "", reach
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.reports import EngagementReport
-from construction_twin.core.sentences import Sentence, Value
+from construction_twin.core.sentences import Sentence
 from construction_twin.robot.segments import Segment
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
@@ -51,9 +51,21 @@ def due(
         if wanted is not None:
             return _lead(left, scene, wanted, mine)
     scenes = " or ".join(each[:12] for each in left.scenes) or "none is known"
-    if segments:
-        return _why_not(left, "none", scene=scene.hash[:12], scenes=scenes)
-    return _why_not(left, "forgotten", plan=left.plan_id, scene=scene.hash[:12], scenes=scenes)
+    return Due(
+        sentence=Sentence(
+            "{left}; no change of the work's objects makes the present scene {scene} the one in which it may go back "
+            "({scenes}): look at what hangs on the tool, undo what was changed in the scene since, or free the arm by hand "
+            "and call release_engagement"
+            if segments
+            else "{left}; plan {plan} is not known any more, and no change of the work's objects makes the present scene "
+            "{scene} the one in which it may go back ({scenes}): look at what hangs on the tool, undo what was changed in "
+            "the scene since, or free the arm by hand and call release_engagement",
+            left=_left(left),
+            plan=left.plan_id,
+            scene=scene.hash[:12],
+            scenes=scenes,
+        )
+    )
 
 
 def confirmed(left: EngagementReport, segment: Segment) -> bool:
@@ -102,20 +114,50 @@ def _lead(left: EngagementReport, scene: Scene, wanted: Scene, mine: set[str]) -
         )
 
     added = [name for name in remove if foreign(name)]
+    where = _left(left)
     if added:
-        return _why_not(left, "added", names=_names(added))
+        return Due(
+            sentence=Sentence(
+                "{left}; {names} came into the scene since, and blocks the way back: take it out again, or free the arm by "
+                "hand and call release_engagement",
+                left=where,
+                names=_names(added),
+            )
+        )
     others = [item.name for item in put if foreign(item.name)]
     if others:
-        return _why_not(left, "changed", names=_names(others))
+        return Due(
+            sentence=Sentence(
+                "{left}; {names} was changed or taken out of the scene since: put it back as it was, or free the arm by "
+                "hand and call release_engagement",
+                left=where,
+                names=_names(others),
+            )
+        )
     change = SceneChange(tuple(put), tuple(remove))
     try:
         made = change.apply(scene).hash
     except SceneError as error:
-        return _why_not(left, "broken", problem=error.sentence)
+        return Due(
+            sentence=Sentence("{left}; the scene cannot be restored: {problem}", left=where, problem=error.sentence)
+        )
     if made != wanted.hash and scene.padding != wanted.padding:
-        return _why_not(left, "padding", padding=wanted.padding)
+        return Due(
+            sentence=Sentence(
+                "{left}; the scene's padding was changed since: set it back to {padding:g} m, or free the arm by hand and "
+                "call release_engagement",
+                left=where,
+                padding=wanted.padding,
+            )
+        )
     if made != wanted.hash:
-        return _why_not(left, "by_hand")
+        return Due(
+            sentence=Sentence(
+                "{left}; the scene cannot be restored by putting and removing objects: do it by hand, or free the arm by "
+                "hand and call release_engagement",
+                left=where,
+            )
+        )
     return Due(change, wanted.hash)
 
 
@@ -123,9 +165,8 @@ def _differ(one: SceneObject, other: SceneObject) -> bool:
     return one.contents() != other.contents()
 
 
-def _why_not(left: EngagementReport, why: str, **values: Value) -> Due:
-    where = Sentence("work.left", segment=repr(left.segment), plan=left.plan_id)
-    return Due(sentence=Sentence(f"work.back.{why}", left=where, **values))
+def _left(left: EngagementReport) -> str:
+    return f"the arm was left in engaged segment {left.segment!r} of plan {left.plan_id}"
 
 
 def _names(names: Sequence[str]) -> str:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 from construction_twin.core.errors import PayloadError, PoseUnknownError
 from construction_twin.core.reports import EngagementReport, ExecutionReport
-from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Chain
 from construction_twin.review.record import Fate
 from construction_twin.robot.segments import Segment
@@ -161,18 +160,18 @@ def after_restart(memory: TaskMemory, fate: Fate, grip: GripReading) -> list[Ent
             if not memory.plan:
                 events.add(TaskEvent.PLANNED)
         elif fate.approved is False:
-            events.add(TaskEvent.DROPPED, Sentence("work.event.never_approved"))
+            events.add(TaskEvent.DROPPED, "it was never approved")
         elif grip.surely_open and not memory.in_grip and not memory.stays:
             # nothing can have been carried: the line that must be written before is not there
-            events.add(TaskEvent.DROPPED, Sentence("work.event.nothing_gripped"))
+            events.add(TaskEvent.DROPPED, "nothing was gripped")
         else:
-            events.add(TaskEvent.UNKNOWN, Sentence("work.event.plan_unknown"))
+            events.add(TaskEvent.UNKNOWN, "whether the plan was carried out is not known")
     elif memory.state is TaskState.WORKING and grip.surely_open and not memory.stays:
-        events.add(TaskEvent.STOPPED, Sentence("work.event.nothing_gripped"))
+        events.add(TaskEvent.STOPPED, "nothing was gripped")
     elif memory.state is TaskState.GRIPPING and grip.surely_open:
-        events.add(TaskEvent.NOT_GRIPPED, Sentence("work.event.nothing_gripped"))
+        events.add(TaskEvent.NOT_GRIPPED, "nothing was gripped")
     elif memory.state in UNDER_WAY:
-        events.add(TaskEvent.UNKNOWN, Sentence("work.event.end_unknown", state=memory.state.value))
+        events.add(TaskEvent.UNKNOWN, f"what became of the plan is not known; the last known was {memory.state.value}")
     return events.entries
 
 
@@ -345,4 +344,4 @@ class Follower:
         if memory is not None and memory.state is TaskState.PLANNED and said is not None and not said.approved:
             who, why = said.reviewer, said.reason
             self._board.add(Entry("dropped", memory.task, plan=memory.plan, reason=f"{who}: {why}"))
-            self._board.failures[memory.task] = Sentence("work.task.turned_down", who=who, reason=why)
+            self._board.failures[memory.task] = f"its plan was turned down by {who}: {why}"

@@ -18,7 +18,6 @@ from types import MappingProxyType
 from construction_twin.core.append_only import AppendOnlyFile, read_lines
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.files import write_whole
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import LedgerError
 from construction_twin.scene.objects import SceneObject
 from construction_twin.work.book import Book, Present, fold
@@ -57,7 +56,7 @@ class Ledger:
         try:
             # read in full before every use: a ledger of this size is no ledger
             if self.path.exists() and self.path.stat().st_size > LARGEST:
-                raise LedgerError(str(path), Sentence("work.ledger.size", most=LARGEST / 2**20))
+                raise LedgerError(str(path), f"larger than {LARGEST / 2**20:g} MiB; move it away")
             self._file = AppendOnlyFile(self.path, LedgerError, "work node")
         except ConfigurationError as error:
             raise LedgerError(str(path), _problem(error, str(path))) from error
@@ -134,7 +133,7 @@ class Ledger:
         try:
             content = path.read_bytes()
             if hashlib.sha256(content).hexdigest() != digest:
-                raise ValueError(Sentence("work.ledger.body_changed"))
+                raise ValueError("it is not what it was when it was written; restore the folder")
             pieces = tuple(
                 SceneObject(
                     f"{element}/{number}", **{**kept, "mesh": kept["mesh"] and str(self._bodies / kept["mesh"])}
@@ -142,7 +141,7 @@ class Ledger:
                 for number, kept in enumerate(json.loads(content))
             )
             if any(item.mesh and item.mesh_digest != Path(item.mesh).stem for item in pieces):
-                raise ValueError(Sentence("work.ledger.body_changed"))
+                raise ValueError("it is not what it was when it was written; restore the folder")
         except (OSError, ValueError, ConstructionTwinError) as error:
             raise LedgerError(str(path), str(error)) from error
         return pieces
@@ -170,8 +169,7 @@ def _problem(error: ConfigurationError, path: str) -> str:
     """Return what is wrong without the path, which the error of a ledger names itself."""
     if error.where != path:
         return error.sentence
-    found = Sentence("expected.nothing") if error.value is None else repr(error.value)
-    return Sentence("expected.found", found=found, expected=error.expected)
+    return f"found {'nothing' if error.value is None else repr(error.value)}, expected {error.expected}"
 
 
 def replay(path: Path, after: Mapping[str, tuple[str, ...]]) -> Book:
@@ -179,11 +177,11 @@ def replay(path: Path, after: Mapping[str, tuple[str, ...]]) -> Book:
     book = fold(after)
     for number, entry in enumerate(read_entries(path), start=1):
         if number == 1 and entry.event != OPENED:
-            raise LedgerError(str(path), Sentence("work.ledger.first", found=repr(entry.event), opened=repr(OPENED)))
+            raise LedgerError(str(path), f"line 1 is {entry.event!r}; expected {OPENED!r}: this is no ledger")
         try:
             book = book.then(entry)
         except NotNow as error:
-            raise LedgerError(str(path), Sentence("expected.line", number=number, problem=error.sentence)) from error
+            raise LedgerError(str(path), f"line {number}: {error.sentence}") from error
     return book
 
 
@@ -197,4 +195,4 @@ def read_entries(path: Path) -> Iterator[Entry]:
         try:
             yield entry_of(fields)
         except (ValueError, TypeError, AttributeError) as error:
-            raise LedgerError(str(path), Sentence("work.ledger.strange", number=number, problem=str(error))) from error
+            raise LedgerError(str(path), f"line {number} is none of a ledger: {error}") from error

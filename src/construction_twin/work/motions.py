@@ -158,7 +158,16 @@ class Search:
             contact = world.contact(found[0])
             assert contact is not None
             one, other = contact.between
-            raise Failed(stage, method, Sentence("work.cannot.touches", where=where, first=one, second=other))
+            raise Failed(
+                stage,
+                method,
+                Sentence(
+                    "{where}, {first} touches {second} or is closer than the padding",
+                    where=where,
+                    first=one,
+                    second=other,
+                ),
+            )
         return free
 
     def line(self, start: np.ndarray, pose: Pose, scale: float, scene: Scene, stage: str, method: str) -> Trajectory:
@@ -184,7 +193,16 @@ class Search:
         contact = self.worlds.of(scene).contact(q)
         if contact is not None:
             one, other = contact.between
-            raise Failed(stage, method, Sentence("work.cannot.touches_there", where=where, first=one, second=other))
+            raise Failed(
+                stage,
+                method,
+                Sentence(
+                    "{where} {first} touches {second} or is closer than the padding",
+                    where=where,
+                    first=one,
+                    second=other,
+                ),
+            )
 
     def nearest(self, solutions: Sequence[np.ndarray]) -> list[int]:
         """Return the numbers of joint solutions, those that the arm gets to soonest first."""
@@ -203,9 +221,8 @@ class Search:
         if found is not None and found[0].distance < -recipe.penetration:
             one, other = found[0].between
             raise PlanningError(
-                Sentence(
-                    "work.deeper", one=one, depth=-1e3 * found[0].distance, other=other, most=1e3 * recipe.penetration
-                )
+                f"{one} would be {-1e3 * found[0].distance:.1f} mm inside of {other}; at most "
+                f"{1e3 * recipe.penetration:g} mm are allowed"
             )
         return trajectory
 

@@ -55,4 +55,4 @@ def first_few(names: Iterable[str], most: int = 10) -> str:
     """Return the first `most` names with commas between them, and how many more there are."""
     every = tuple(names)
     first = ", ".join(every[:most])
-    return Sentence("work.and_more", listed=first, count=len(every) - most) if len(every) > most else first
+    return f"{first} and {len(every) - most} more" if len(every) > most else first

@@ -14,7 +14,6 @@ from importlib import import_module
 from typing import Any
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.robot.tool import Tool
 from construction_twin.work.jobs import TaskMotions, WorkJob
 from construction_twin.work.recipe import DEFAULT, Override, Recipe
@@ -60,5 +59,5 @@ MODULES = {DEFAULT: "construction_twin.work.place.process"}
 def process_of(name: str) -> Process:
     """Return a process by its name; ConfigurationError for one that is not known."""
     if name not in MODULES:
-        raise ConfigurationError("process", name, Sentence("expected.one_of", known=", ".join(MODULES)))
+        raise ConfigurationError("process", name, f"one of {', '.join(MODULES)}")
     return import_module(MODULES[name]).PROCESS

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import ScheduleError
 from construction_twin.work.building import BuildingModel, Element, Sequence, Task
 from construction_twin.work.names import first_few
@@ -64,7 +63,7 @@ def propose(model: BuildingModel) -> ProposedSchedule:
     """Return an order in which a model's elements can be built."""
     solids = [_Solid(model.elements[identifier]) for identifier in workpieces(model)]
     if not solids:
-        raise ScheduleError(Sentence("work.order.nothing", file=model.file))
+        raise ScheduleError(f"{model.file}: it has no workpiece with geometry; an order cannot be proposed")
     notes: list[str] = []
     before = _supports(solids)
     notes += _held_at_the_side(solids, before)
@@ -187,7 +186,7 @@ def _held_at_the_side(solids: list[_Solid], before: dict[int, set[int]]) -> list
             loose.append(solid.element.id)
     if not loose:
         return []
-    return [Sentence("work.order.held_by_nothing", elements=first_few(loose))]
+    return [f"Nothing in the model holds {first_few(loose)}: what it stands on or hangs from must be there before."]
 
 
 def _waits_for(element: int, other: int, before: dict[int, set[int]]) -> bool:
@@ -219,7 +218,10 @@ def _built(solids: list[_Solid], before: dict[int, set[int]], notes: list[str]) 
             number = min((n for n in waiting if n not in done), key=lambda n: keys[n])
             cut = [solids[first].element.id for first in sorted(waiting[number])]
             others = first_few(cut)
-            notes.append(Sentence("work.order.rests_in_circle", element=solids[number].element.id, others=others))
+            notes.append(
+                f"{solids[number].element.id} rests on {others} and these, in a circle, on it: it comes "
+                "first, being lowest."
+            )
             before[number] -= waiting[number]
             waiting[number] = set()
             heapq.heappush(heap, keys[number])

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rpy_to_rotation
@@ -112,7 +111,7 @@ def _rack_of(site: Site, element: Element) -> str:
     raise ConfigurationError(
         f"{site.path}/racks for element {element.name!r} ({element.id}), {element.ifc_class}",
         None,
-        Sentence("expected.work.rack"),
+        "a rack that holds it",
     )
 
 
@@ -134,7 +133,7 @@ class _Filling:
             raise ConfigurationError(
                 self._where,
                 f"{slots} slots for {count} elements, none for {element.name!r} ({element.id})",
-                Sentence("expected.work.slots"),
+                "a slot for each, or `refill: true`",
             )
         base_T_slot = product(self._frame(), self._rack_T_slot(at, min(slots, count - load * slots)))
         return Slot(element.id, self._name, at, load, self._standing(element, base_T_slot), self._rack.surface)
@@ -187,7 +186,7 @@ class _Filling:
                 self._model_file,
                 f"element {element.name!r} ({element.id})",
                 f"no {rack.property}",
-                Sentence("expected.work.delivered", rack=self._where),
+                f"where it is delivered, as {self._where} asks; or give that rack an offset",
             )
         offset, built = pose_of(rack.offset), element.model_T_element
         moved = Pose(built.position + offset.position, offset.rotation @ built.rotation)
@@ -203,7 +202,7 @@ class _Filling:
                 self._model_file,
                 f"element {element.name!r} ({element.id}), {path}",
                 repr(value),
-                Sentence("expected.work.place"),
+                "the text `x y z` or `x y z roll pitch yaw` in m and deg",
             )
         turn = numbers[3:] or [0.0, 0.0, 0.0]
         return Pose(np.array(numbers[:3]), rpy_to_rotation(turn))

@@ -85,9 +85,7 @@ class Recipes:
         if name is None:
             return ""
         if name not in self.recipes:
-            raise _wrong(
-                job, RECIPE, name, Sentence("expected.work.recipe", known=", ".join(self.recipes), file=str(self.file))
-            )
+            raise _wrong(job, RECIPE, name, f"one of {', '.join(self.recipes)} in {self.file}")
         return str(name)
 
     def _first(self, job: WorkJob) -> str:
@@ -96,8 +94,16 @@ class Recipes:
             if recipe.match.fits(element):
                 return name
         kind = f"{element.ifc_class} {element.type_name!r}" if element.type_name else element.ifc_class
-        values = {"file": str(self.file), "element": job.called, "kind": kind, "property_set": PROPERTY_SET}
-        raise TaskPlanningError(job.task, Sentence("work.cannot.no_recipe", **values))
+        raise TaskPlanningError(
+            job.task,
+            Sentence(
+                "no recipe of {file} fits {element}, {kind}; add one, or name one in {property_set}",
+                file=str(self.file),
+                element=job.called,
+                kind=kind,
+                property_set=PROPERTY_SET,
+            ),
+        )
 
     def _overridden(self, job: WorkJob, recipe: Recipe, own: Mapping[str, Value]) -> Recipe:
         overrides = process_of(recipe.process).overrides
@@ -106,11 +112,7 @@ class Recipes:
                 continue
             if name not in overrides:
                 near = difflib.get_close_matches(name, [*overrides, RECIPE, DELIVERED], n=1)
-                known = (
-                    Sentence("expected.work.no_property_near", near=near[0])
-                    if near
-                    else Sentence("expected.work.no_property")
-                )
+                known = f"no such property; did you mean {near[0]}?" if near else "no such property"
                 raise _wrong(job, name, value, known)
             override = overrides[name]
             if isinstance(value, bool) != (override.ifc_type == "IfcBoolean") or not isinstance(
@@ -126,9 +128,7 @@ class Recipes:
                 recipe = type(recipe).model_validate(document)
             except pydantic.ValidationError as error:
                 wrong = wrong_value(error, type(recipe).model_json_schema())
-                raise _wrong(
-                    job, name, value, Sentence("building.of_type", expected=wrong.expected, type=override.ifc_type)
-                ) from error
+                raise _wrong(job, name, value, f"{wrong.expected} ({override.ifc_type})") from error
         return recipe
 
 
@@ -137,7 +137,9 @@ def read_recipes(path: str | Path) -> Recipes:
     try:
         description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigurationError(str(path), " ".join(str(error).split()), Sentence("expected.work.recipes")) from error
+        raise ConfigurationError(
+            str(path), " ".join(str(error).split()), "a YAML file of recipes, as config/work/recipes.yaml"
+        ) from error
     entries = description.get("recipes") if isinstance(description, dict) else None
     if not isinstance(entries, dict) or not entries:
         return Recipes(str(path), _read(path, DEFAULT, description))
@@ -153,9 +155,7 @@ def _process(path: str | Path, recipe: str, entry: object) -> str:
     """Return the process that a recipe of the file names; what is wrong with the rest of it the process finds."""
     name = entry.get("process", DEFAULT) if isinstance(entry, dict) else DEFAULT
     if not isinstance(name, str) or name not in MODULES:
-        raise ConfigurationError(
-            f"{path}/recipes/{recipe}/process", name, Sentence("expected.one_of", known=", ".join(MODULES))
-        )
+        raise ConfigurationError(f"{path}/recipes/{recipe}/process", name, f"one of {', '.join(MODULES)}")
     return name
 
 
@@ -171,5 +171,13 @@ def _read(path: str | Path, process: str, description: object) -> dict[str, Any]
 
 
 def _wrong(job: WorkJob, name: str, value: object, expected: str) -> TaskPlanningError:
-    values = {"element": job.called, "property": f"{PROPERTY_SET}.{name}", "value": repr(value), "expected": expected}
-    return TaskPlanningError(job.task, Sentence("work.cannot.property", **values))
+    return TaskPlanningError(
+        job.task,
+        Sentence(
+            "{element}, {property}: found {value}, expected {expected}",
+            element=job.called,
+            property=f"{PROPERTY_SET}.{name}",
+            value=repr(value),
+            expected=expected,
+        ),
+    )

@@ -24,7 +24,6 @@ from datetime import datetime
 from graphlib import CycleError, TopologicalSorter
 from types import MappingProxyType
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import ScheduleError
 from construction_twin.work.building import BuildingModel, Element, Sequence, Task
 from construction_twin.work.names import first_few
@@ -95,9 +94,8 @@ class Blocker:
     def text(self) -> str:
         """One sentence's part for people: ``after 'Place stud 1' (2xF...) has finished``."""
         done, job = "finished" if self.finished else "started", f"{self.job.name!r} ({self.job.id})"
-        if self.remaining is None:
-            return Sentence(f"work.lag.{done}", job=job)
-        return Sentence(f"work.lag.since_{done}", seconds=self.remaining, job=job)
+        since = f"after {job} has {done}"
+        return since if self.remaining is None else f"{self.remaining:.0f} s from now, its lag {since}"
 
 
 class Schedule:
@@ -155,7 +153,7 @@ class Schedule:
     def job(self, identifier: str) -> Job:
         """Return the job of that id."""
         if identifier not in self._by_id:
-            raise ScheduleError(Sentence("work.order.no_job", id=repr(identifier)))
+            raise ScheduleError(f"job {identifier!r}: the schedule has none of that id")
         return self._by_id[identifier]
 
     def blockers(
@@ -195,7 +193,9 @@ class _Reading:
         self.guessed = False
         self._standing: set[str] = set()
         if not model.tasks:
-            raise ScheduleError(Sentence("work.order.no_tasks", file=model.file))
+            raise ScheduleError(
+                f"{model.file}: it has no tasks; have an order proposed from the geometry and accept it"
+            )
         self._children: dict[str, list[str]] = {identifier: [] for identifier in model.tasks}
         self._check_nesting()
         self._sequences = self._checked_sequences()
@@ -229,7 +229,8 @@ class _Reading:
             if job.id in self.removals:
                 name = self._model.elements[job.element].name or job.element
                 self.notes.append(
-                    Sentence("work.order.taken_down", name=name, element=job.element, task=job.name, id=job.id)
+                    f"{job.element} is to be taken down ({job.name}): it is an obstacle until a person says that "
+                    f"it is gone (`twin work removed {job.id}`)."
                 )
         return tuple(jobs)
 
@@ -248,7 +249,9 @@ class _Reading:
         made = {job.element for job in jobs} | self._standing
         left = tuple(identifier for identifier in workpieces(self._model) if identifier not in made)
         if left:
-            self.notes.append(Sentence("work.order.unmade", count=len(left), elements=self._called(left)))
+            self.notes.append(
+                f"No task makes {len(left)} of the elements: {self._called(left)}; the arm leaves them alone."
+            )
         return left
 
     def _called(self, ids: Iterable[str]) -> str:
@@ -284,7 +287,7 @@ class _Reading:
                 continue
             if task.parent not in self._tasks:
                 raise ScheduleError(
-                    Sentence("work.order.nests_nowhere", id=identifier, name=repr(task.name), parent=task.parent)
+                    f"task {identifier} ({task.name!r}) nests in {task.parent}, which is no task of the model"
                 )
             self._children[task.parent].append(identifier)
         for identifier in self._tasks:
@@ -295,7 +298,7 @@ class _Reading:
                 at = self._tasks[at].parent
             if at:
                 circle = tuple(chain)[tuple(chain).index(at) :]
-                raise ScheduleError(Sentence("work.order.nests_circle", tasks=", ".join(circle)))
+                raise ScheduleError(f"tasks nest in each other in a circle: {', '.join(circle)}")
 
     def _above(self, identifier: str) -> tuple[str, ...]:
         """Return the task and those that it nests in, from inside."""
@@ -316,28 +319,31 @@ class _Reading:
             ids = (sequence.before, sequence.after)
             missing = [identifier for identifier in ids if identifier not in self._tasks]
             if missing:
-                raise ScheduleError(Sentence("work.order.names_none", before=ids[0], after=ids[1], missing=missing[0]))
+                raise ScheduleError(f"a sequence from {ids[0]} to {ids[1]} names {missing[0]}, which is no task")
             if sequence.kind not in _KINDS:
                 expected = ", ".join(_KINDS)
                 raise ScheduleError(
-                    Sentence("work.order.kind", before=ids[0], after=ids[1], kind=repr(sequence.kind), known=expected)
+                    f"the sequence from {ids[0]} to {ids[1]} is of kind {sequence.kind!r}; expected {expected}"
                 )
             if sequence.before in self._above(sequence.after) or sequence.after in self._above(sequence.before):
                 if sequence.kind not in ("START_START", "FINISH_FINISH") or ids[0] == ids[1]:
-                    raise ScheduleError(Sentence("work.order.itself", before=ids[0], after=ids[1]))
+                    raise ScheduleError(
+                        f"the sequence from {ids[0]} to {ids[1]} makes a task wait for itself: they are the same, or "
+                        "one nests in the other"
+                    )
                 needless.append(ids)
                 continue
             if not math.isfinite(sequence.lag):
-                raise ScheduleError(Sentence("work.order.lag", before=ids[0], after=ids[1], lag=sequence.lag))
+                raise ScheduleError(f"the sequence from {ids[0]} to {ids[1]} has a lag of {sequence.lag:g} s")
             if sequence.lag < 0.0:
                 leads.append(ids)
             if sequence.lag > 0.0 and self._is_completed(sequence.before):
-                self.notes.append(Sentence("work.order.lag_over", before=ids[0], after=ids[1]))
+                self.notes.append(f"The lag after {ids[0]}, which is completed, is not waited for by {ids[1]}.")
             into[sequence.after].append(sequence)
         for ids in needless:
-            self.notes.append(Sentence("work.order.needless", before=ids[0], after=ids[1]))
+            self.notes.append(f"The sequence from {ids[0]} to {ids[1]} is left out: one of them nests in the other.")
         for ids in leads:
-            self.notes.append(Sentence("work.order.lead", before=ids[0], after=ids[1]))
+            self.notes.append(f"The lead from {ids[0]} to {ids[1]} is not used: the arm waits as if its lag were 0.")
         return into
 
     def _checked_products(self) -> dict[str, tuple[str, ...]]:
@@ -354,13 +360,11 @@ class _Reading:
             if unknown and not nested:
                 elements = first_few(unknown)
                 self.notes.append(
-                    Sentence("work.order.not_read", id=identifier, name=repr(task.name), elements=elements)
+                    f"Task {identifier} makes {elements}, which the arm cannot place: no such element was read."
                 )
             if nested and known:
                 self.notes.append(
-                    Sentence(
-                        "work.order.from_nested", id=identifier, name=repr(task.name), elements=self._called(known)
-                    )
+                    f"What task {identifier} makes is taken from the tasks that nest in it: {self._called(known)}."
                 )
             if nested:
                 continue
@@ -374,13 +378,8 @@ class _Reading:
                     continue
                 if element in maker:
                     raise ScheduleError(
-                        Sentence(
-                            "work.order.twice",
-                            element=element,
-                            name=repr(self._model.elements[element].name),
-                            first=maker[element],
-                            second=identifier,
-                        ),
+                        f"element {element} ({self._model.elements[element].name!r}) is made twice, by tasks "
+                        f"{maker[element]} and {identifier}; it can be placed once"
                     )
                 maker[element] = identifier
             found[identifier] = known
@@ -395,9 +394,9 @@ class _Reading:
             tasks = self._called(idle)
             several = len(idle) > 1
             self.notes.append(
-                Sentence("work.order.idle", count=len(idle), tasks=tasks)
+                f"{len(idle)} tasks without element: {tasks}; kept for the order, no time is waited for."
                 if several
-                else Sentence("work.order.idle_one", tasks=tasks)
+                else f"1 task without element: {tasks}; kept for the order, no time is waited for."
             )
         return found
 
@@ -418,7 +417,8 @@ class _Reading:
         if there:
             self._standing |= set(there)
             self.notes.append(
-                Sentence("work.order.stands", id=identifier, name=repr(task.name), elements=self._called(there))
+                f"Task {identifier} makes {self._called(there)}, which the model has as existing or to be "
+                "taken down: not placed."
             )
         found: list[str] = []
         for one in known:
@@ -458,11 +458,12 @@ class _Reading:
             proposal = propose(alone)
             wanted = [one for part in proposal.tasks for one in part.products]
             self.guessed = self.guessed or len(wanted) > 1
-        told = {"id": identifier, "name": repr(task.name), "element": model.elements[element].name or element}
+        assembly = f"Task {identifier} makes {model.elements[element].name or element}, which has no body of its own:"
         self.notes.append(
-            Sentence("work.order.assembly", parts=self._called(wanted), **told)
+            f"{assembly} what is in it is placed one after the other, in an order from the geometry that a person must "
+            f"accept: {self._called(wanted)}."
             if wanted
-            else Sentence("work.order.assembly_empty", **told)
+            else f"{assembly} nothing that is in it is left for this task."
         )
         return tuple(wanted)
 
@@ -474,8 +475,10 @@ class _Reading:
             twice = [element for element in found[identifier] if element in removed]
             removed |= set(found[identifier])
             if placed:
-                name, elements = repr(self._tasks[identifier].name), self._called(placed)
-                self.notes.append(Sentence("work.order.temporary", id=identifier, name=name, elements=elements))
+                self.notes.append(
+                    f"Task {identifier} takes down {self._called(placed)}, which another task places: not read, it stays; "
+                    "what comes after does not wait for it to be gone."
+                )
             left = tuple(element for element in found[identifier] if element not in {*placed, *twice})
             if left:
                 found[identifier] = left
@@ -525,7 +528,7 @@ class _Reading:
         except CycleError as error:
             circle = tuple(dict.fromkeys(identifier for identifier, _ in error.args[1]))
             names = ", ".join(f"{identifier} ({self._tasks[identifier].name!r})" for identifier in circle)
-            raise ScheduleError(Sentence("work.order.circle", tasks=names)) from error
+            raise ScheduleError(f"tasks wait for each other in a circle: {names}") from error
 
 
 def _merged(first: _Waits, second: _Waits, lag: float) -> _Waits:
@@ -578,14 +581,21 @@ def _order_notes(jobs: tuple[Job, ...], tasks: Mapping[str, Task], proposed: boo
     without = [identifier for identifier, start in starts.items() if not start]
     if without and len(without) < len(starts):
         named = first_few(_called(tasks[one].name, one) for one in without)
-        return [Sentence("work.order.no_dates", count=len(without), all=len(starts), tasks=named)]
+        return [
+            (
+                f"Dates are not used for the order, because there is no start for {len(without)} of {len(starts)}"
+                f" tasks: {named}. What no sequence orders comes as it stands in the file."
+            )
+        ]
     if not without and len({_has_zone(start) for start in starts.values()}) > 1:
-        return [Sentence("work.order.zones")]
+        return ["Dates are not used for the order, because some starts have a time zone and others have none."]
     on = {job.id: job.element for job in jobs}
     # of the jobs of one task, and of one element, the file need not say an order
     free = all(wait.job.startswith(f"{job.task}/") or on[wait.job] == job.element for job in jobs for wait in job.after)
     if len(starts) > 1 and without and free and not proposed:
-        return [Sentence("work.order.unsaid")]
+        return [
+            "The file says no order of its tasks, neither sequences nor dates: they come as they stand in the file."
+        ]
     return []
 
 

@@ -186,21 +186,23 @@ class WorkSession:
         """
         heard, left, board = self._heard, self._heard.left, self.board
         if left is None:
-            return Sentence("work.back.unsaid")
+            return Sentence(
+                "the executor has not said yet where the arm was left engaged; its log says whether the disk takes it"
+            )
         with self.lock:
             scene = heard.scene
             if scene is None:
-                return Sentence("work.scene_unknown")
+                return "the scene is not known; see why the scene node is down"
             if scene.hash in left.scenes:
                 self._blocked, self._blocked_in = "", None
                 return ""
             if heard.playing:
-                return Sentence("work.back.playing")
+                return Sentence("a plan is under way, and the scene is not the one for the way back; wait for its end")
             self._follower.follow(heard.execution)
             self._follower.settle_if_lost()
             memory = board.book.tasks.get(left.task)
             if memory is not None and memory.plan == left.plan_id and memory.state in UNDER_WAY:
-                return Sentence("work.back.unwritten", task=board.title(left.task))
+                return Sentence("{task}: how its plan ended is not written yet; ask again", task=board.title(left.task))
             known = heard.work_plan(left.plan_id)
             segments, changes = (known.plan.segments, known.changes) if known is not None else ((), ())
             about = (left.plan_id, left.scenes, scene.hash, bool(segments), memory.state if memory else None)
@@ -226,7 +228,7 @@ class WorkSession:
             self._calls.refuse("edit_scene", str(error))
             return str(error)
         if not heard.wait_for(lambda: heard.scene is not None and heard.scene.hash == made, SCENE_TIME):
-            return Sentence("work.scene_unpublished")
+            return "the scene was changed, but is not published"
         return ""
 
     # -- planning
@@ -239,7 +241,7 @@ class WorkSession:
             patience: Longest time that another planning is waited for [s].
         """
         if not self._planning.acquire(timeout=patience):
-            raise WorkRefused(Sentence("work.busy"))
+            raise WorkRefused("a task is being planned already; wait for it")
         heard = self._heard
         try:
             if problem := self._left_closed():
@@ -274,9 +276,11 @@ class WorkSession:
             held = memory.tool0_T_element if memory.state is TaskState.CARRIED else ()
             scene = self._heard.scene
             if scene is None:
-                raise WorkRefused(Sentence("work.scene_unknown"))
+                raise WorkRefused("the scene is not known; see why the scene node is down")
             if change(scene, *board.wanted_scene()) != SceneChange():
-                raise WorkRefused(Sentence("work.scene_wrong"))
+                raise WorkRefused(
+                    "the scene could not be made what the ledger says; /diagnostics of the node work says why"
+                )
         start = self._calls.twin_pose()
         try:
             plan = self._calls.plan(task=task, element=board.element_of(task), start=start, scene=scene, held=held)
@@ -314,24 +318,30 @@ class WorkSession:
                 raise WorkRefused(str(problem)) from problem
             if unnamed:
                 board.add(Entry("planned", task, plan=answer.plan_id, offer=offer))
-        sentence = Sentence("work.plan", task=title, plan=answer.plan_id, duration=answer.duration, method=plan.method)
+        sentence = f"{title}: plan {answer.plan_id} of {answer.duration:.1f} s with {plan.method} waits for approval"
         return replace(answer, message=sentence)
 
     def _plan_way_back(self, asked: str) -> UnderReview:
         heard = self._heard
         if problem := self._make_for_way_back():
-            raise WorkRefused(Sentence("work.back.not_yet", problem=problem))
+            raise WorkRefused(
+                Sentence(
+                    "the arm is engaged, only the way back can be planned, and not yet: {problem}", problem=problem
+                )
+            )
         before = heard.plan.plan.id if heard.plan is not None else ""
         try:
             said = self._calls.plan_way_back()
         except ConstructionTwinError as error:
-            raise WorkRefused(Sentence("work.back.refused", problem=str(error))) from error
+            raise WorkRefused(
+                Sentence("the arm is engaged, only the way back can be planned: {problem}", problem=str(error))
+            ) from error
         heard.wait_for(lambda: heard.plan is not None and heard.plan.plan.id != before, SCENE_TIME)
         known = heard.plan
         if known is None or known.plan.id == before:
-            raise WorkRefused(Sentence("work.back.unpublished"))
+            raise WorkRefused(Sentence("the way back was planned, but is not published"))
         plan = known.plan
-        sentence = Sentence("work.back.planned", answer=said)
+        sentence = Sentence("the arm is engaged: the way back comes first; {answer}", answer=said)
         return UnderReview(sentence, asked, plan.id, plan.hash, plan.trajectory.duration)
 
     # -- people
@@ -348,11 +358,11 @@ class WorkSession:
                 case "answer":
                     sentence = board.answer(task, answer, person, reason, question)
                     if problem := self._left_closed():
-                        sentence = Sentence("executor.both", first=sentence, second=problem)
+                        sentence = Sentence("{first}; {second}", first=sentence, second=problem)
                 case "skip" | "redo" | "removed":
                     sentence = getattr(board, decision)(task, person, reason)
                 case _:
-                    raise WorkRefused(Sentence("work.decision", decision=repr(decision)))
+                    raise WorkRefused(f"decision {decision!r}; expected skip, redo, answer, removed or accept_schedule")
         self._calls.log(f"{sentence} ({person})")
         self._heard.announce()
         return sentence
@@ -371,7 +381,11 @@ class WorkSession:
         if self._heard.execution is None or not self._heard.execution.engaged:
             return report
         blocked = self._blocked
-        reason = Sentence("work.back.blocked", problem=blocked) if blocked else Sentence("work.back.only")
+        reason = (
+            Sentence("the arm is engaged: only the way back can be planned, and not yet: {problem}", problem=blocked)
+            if blocked
+            else Sentence("the arm is engaged: only the way back can be planned")
+        )
         return replace(report, engaged=True, reason=reason)
 
     def appearances(self) -> tuple[Appearance, ...]:

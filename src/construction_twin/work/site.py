@@ -15,7 +15,6 @@ import pydantic
 import yaml
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.validation import configuration_error
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rpy_to_rotation
@@ -130,7 +129,7 @@ class CellFile(Strict):
     @pydantic.model_validator(mode="after")
     def _one_place(self) -> CellFile:
         if (self.model_T_base is None) == (not self.base_element):
-            raise ValueError(Sentence("expected.work.one_place"))
+            raise ValueError("either model_T_base or base_element")
         return self
 
 
@@ -160,7 +159,7 @@ class Site:
             raise ConfigurationError(
                 f"{self.path}/base_element",
                 asked,
-                Sentence("expected.work.one_element", file=building.file, count=len(found)),
+                f"GlobalId or name of one element of {building.file}; {len(found)} have this name",
             )
         return found[0]
 
@@ -170,7 +169,9 @@ def read_site(path: str | Path) -> Site:
     try:
         description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigurationError(str(path), " ".join(str(error).split()), Sentence("expected.work.cell")) from error
+        raise ConfigurationError(
+            str(path), " ".join(str(error).split()), "a YAML file of a cell, as config/work/timber_panel.yaml"
+        ) from error
     try:
         cell = CellFile.model_validate(description)
     except pydantic.ValidationError as error:
@@ -184,7 +185,7 @@ def read_site(path: str | Path) -> Site:
 
 
 def _check_names(path: str, cell: CellFile, scene: Scene) -> None:
-    known = Sentence("expected.work.scene_object", names=", ".join(scene.names) or Sentence("expected.work.has_none"))
+    known = f"one of the scene's objects: {', '.join(scene.names) or 'it has none'}"
     for name in cell.supports:
         if name not in scene.names:
             raise ConfigurationError(f"{path}/supports", name, known)
@@ -193,7 +194,9 @@ def _check_names(path: str, cell: CellFile, scene: Scene) -> None:
             raise ConfigurationError(f"{path}/racks/{rack}/surface", description.surface, known)
     for item in scene.objects:
         if "/" in item.name:
-            raise ConfigurationError(f"{path}/scene", item.name, Sentence("expected.work.plain_names"))
+            raise ConfigurationError(
+                f"{path}/scene", item.name, "objects without / in their names, which belong to elements and tool"
+            )
 
 
 def pose_of(place: FilePose) -> Pose:

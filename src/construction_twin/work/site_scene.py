@@ -72,7 +72,9 @@ class Layout:
         for element in order:
             if element not in corners:
                 name = building.element(element).name
-                raise TaskPlanningError(element, Sentence("work.cannot.no_geometry", element=repr(name)))
+                raise TaskPlanningError(
+                    element, Sentence("element {element} has no geometry; leave it out of the work", element=repr(name))
+                )
         own = (Job(one, "", "", one, (), (), site.recipes.process(building.element(one))) for one in order)
         self._jobs = {job.id: job for job in jobs or own}
         placed = {job.element for job in self._jobs.values() if job.moves}

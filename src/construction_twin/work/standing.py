@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import PlacementError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.objects import SceneObject, product
@@ -30,7 +29,7 @@ def check_placement(model: BuildingModel, model_T_base: Pose, reach: float, base
     """
     boxes = {one.id: _box(one) for one in model.elements.values() if one.bodies and one.id != base}
     if not boxes:
-        raise PlacementError(Sentence("work.place.no_geometry", file=model.file))
+        raise PlacementError(f"{model.file}: no element has geometry, so nothing can be placed")
     at = model_T_base.position
     distances = {
         identifier: float(np.linalg.norm(np.maximum(np.maximum(low - at, at - high), 0.0)))
@@ -40,21 +39,21 @@ def check_placement(model: BuildingModel, model_T_base: Pose, reach: float, base
     if len(far) == len(boxes):
         nearest = min(distances, key=lambda one: distances[one])
         raise PlacementError(
-            Sentence(
-                "work.place.far",
-                count=len(boxes),
-                reach=reach,
-                nearest=_named(model, (nearest,)),
-                distance=distances[nearest],
-                base=_figures(model_T_base.position),
-                low=_figures(np.min([box[0] for box in boxes.values()], axis=0)),
-                high=_figures(np.max([box[1] for box in boxes.values()], axis=0)),
-            )
+            f"all {len(boxes)} elements are out of the robot's reach of {reach:.2f} m: the nearest, "
+            f"{_named(model, (nearest,))}, is {distances[nearest]:.2f} m from its base at "
+            f"{_figures(model_T_base.position)}. The elements stand at "
+            f"{_figures(np.min([box[0] for box in boxes.values()], axis=0))} to "
+            f"{_figures(np.max([box[1] for box in boxes.values()], axis=0))}."
         )
     if not far:
         return ()
     most = max(distances[one] for one in far)
-    return (Sentence("work.place.some_far", elements=_named(model, far), distance=most, reach=reach),)
+    return (
+        (
+            f"{_named(model, far)} out of reach whatever the arm does: up to {most:.2f} m from the base, "
+            f"reach {reach:.2f} m."
+        ),
+    )
 
 
 def _box(element: Element) -> np.ndarray:
@@ -71,8 +70,8 @@ def _figures(values: np.ndarray) -> str:
 
 def _named(model: BuildingModel, ids: tuple[str, ...]) -> str:
     if len(ids) == 1:
-        return Sentence("ifc.element", id=model.labels.get(ids[0], ids[0]))
-    return Sentence("work.place.elements", count=len(ids), listed=first_few(model.labels.get(one, one) for one in ids))
+        return f"element {model.labels.get(ids[0], ids[0])}"
+    return f"{len(ids)} elements ({first_few(model.labels.get(one, one) for one in ids)})"
 
 
 #: What is carried reaches further than the tool: half of the longest element that an arm carries, and something [m].
@@ -111,7 +110,11 @@ def standing(building: BuildingModel, made: Collection[str], site: Site, reach: 
             near.append(element)
     shapes, failures = element_shapes(near, folder)
     notes = tuple(
-        Sentence("work.body.box", element=name, problem=failure.sentence) for name, failure in failures.items()
+        (
+            f"{name} cannot be divided into bodies, its box is the obstacle, and the arm does not place "
+            f"it: {failure.sentence}"
+        )
+        for name, failure in failures.items()
     )
     boxes = {name: (box_of(building.element(name)),) for name in failures}
     return Standing({name: shape.objects for name, shape in shapes.items()} | boxes, notes)

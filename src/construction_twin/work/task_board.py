@@ -121,10 +121,11 @@ class TaskBoard:
     def accept(self, person: str, reason: str) -> str:
         """Take a person's word that the proposed schedule is right."""
         if self.schedule_word != PROPOSED:
-            raise WorkRefused(Sentence(f"work.accept_nothing.{self.schedule_word}"))
+            origin = "the model's own" if self.schedule_word == FROM_MODEL else "accepted already"
+            raise WorkRefused(f"the schedule is {origin}: there is nothing to accept")
         self._named(person)
         self.ledger.add(Entry(ACCEPTED, person=person, reason=reason, schedule=self.prepared.schedule_digest))
-        return Sentence("work.accepted", person=person, count=len(self.prepared.schedule.jobs))
+        return f"{person} accepts the proposed schedule of {len(self.prepared.schedule.jobs)} tasks"
 
     # -- what can be planned
 
@@ -140,42 +141,44 @@ class TaskBoard:
         """
         book = self.book
         if task not in book.after:
-            return Sentence("work.no_task", task=repr(task))
+            return f"there is no task {task!r}; `twin work list` names them"
         if self.schedule_word == PROPOSED:
-            return Sentence("work.proposed")
+            return "the schedule is a proposal from the geometry: look at it, then accept it (`twin work accept`)"
         if book.asking:
-            return self._asking("work.asks_first", book.asking[0])
+            return f"{self.title(book.asking[0])} asks first: {self._question(book.asking[0])}"
         for name, memory in book.former.items():
             if not memory.body:
-                return Sentence("work.shapeless", element=self._element(name).name, command=removed_command(name))
+                return (
+                    f"{self._element(name).name} was placed and is not in the model any more, and its shape was "
+                    f"not kept: take it away and say {removed_command(name)}, before anything else is planned"
+                )
         busy = book.busy
         if busy:
-            what = "under_review" if book.tasks[busy].state is TaskState.PLANNED else "under_way"
-            return Sentence(f"work.{what}", task=self.title(busy))
+            what = "under review" if book.tasks[busy].state is TaskState.PLANNED else "under way"
+            return f"{self.title(busy)} is {what}"
         held = book.in_state(TaskState.CARRIED)
         if held and held[0] != task:
-            return Sentence("work.in_grip", element=self._element(held[0]).name, task=self.title(held[0]))
+            return f"{self._element(held[0]).name} is in the grip: {self.title(held[0])} comes first"
         state = book.tasks[task].state
         if state is TaskState.WAITING:
-            return Sentence("work.waits", task=self.title(task), tasks=self._missing(task))
+            return Sentence("{task} waits for {tasks}", task=self.title(task), tasks=self._missing(task))
         if state not in PLANNABLE:
-            return Sentence(f"work.is.{state.value}", task=self.title(task))
+            return f"{self.title(task)} is {state.value}"
         if task in self.prepared.removals:
-            return Sentence(
-                "work.taken_down_by_people",
-                element=self._element(task).name,
-                command=removed_command(self._typed(task)),
+            return (
+                f"{self._element(task).name} is to be taken down by people; when it is gone, a person says "
+                f"so: {removed_command(self._typed(task))}"
             )
         robots = self.prepared.schedule.job(task).robots
         if robots and self._robot not in robots:
-            return Sentence("work.other_robot", task=self.title(task), robots=" or ".join(robots), robot=self._robot)
+            return f"{self.title(task)} is for {' or '.join(robots)}, not for {self._robot}"
         element = self.prepared.schedule.job(task).element
         if element in self.prepared.unplannable:
-            return Sentence("work.unplannable", task=self.title(task), reason=self.prepared.unplannable[element])
+            return f"{self.title(task)} cannot be planned: {self.prepared.unplannable[element]}; skip it when it stands"
         if self.prepared.stays(task):
             return self._not_there(task) or self._lag(task, now)
         if state is TaskState.READY and element not in self._present():
-            return Sentence("work.not_delivered", element=self._element(task).name)
+            return f"{self._element(task).name} is not delivered yet: its slot in the rack is taken by another element"
         return self._lag(task, now)
 
     def _not_there(self, task: str) -> str:
@@ -183,11 +186,12 @@ class TaskBoard:
         element, name = self.element_of(task), self._element(task).name
         placing = self.prepared.schedule.placing.get(element)
         if element in self._gone():
-            return Sentence("work.taken_down", element=name, task=self.title(task))
+            return f"{name} was taken down; skip {self.title(task)}"
         if placing and not self.book.tasks[placing].placed:
             state = self.book.tasks[placing].state.value
-            return Sentence(
-                "work.not_placed", element=name, placing=self.title(placing), state=state, task=self.title(task)
+            return (
+                f"{name} does not count as placed: {self.title(placing)} is {state}; if it stands, say where "
+                f"(`twin work measured`), else skip {self.title(task)}, too"
             )
         return ""
 
@@ -210,7 +214,11 @@ class TaskBoard:
             for name in commanded
             if name in self.prepared.tool.release.set
         )
-        return Sentence("work.left_closed", names=names, values=values or names)
+        return (
+            f"nothing counts as held, but the tool is commanded to grip ({names}): look at it, and hold "
+            f"what may fall; at the controller end the RSI program, switch {values or names} by hand, "
+            "start the program anew, then ask again"
+        )
 
     def element_of(self, task: str) -> str:
         """Return the GlobalId of a task's element."""
@@ -226,56 +234,60 @@ class TaskBoard:
         """Take a task out: others no longer wait for it."""
         state = self._memory(task, person).state
         if state is TaskState.ASKS:
-            raise WorkRefused(self._asking("work.asks_first", task))
+            raise WorkRefused(f"{self.title(task)} asks first: {self._question(task)}")
         if state not in (TaskState.WAITING, TaskState.READY, TaskState.HELD):
-            raise self._not_in(state, "work.no_skip", task)
+            raise WorkRefused(f"{self.title(task)} is {state.value} and cannot be skipped")
         self.add(Entry("skipped", task, person=person, reason=reason))
+        skipped = f"{self.title(task)} is skipped: what comes after it no longer waits"
         if task in self.prepared.removals:
-            return Sentence("work.skipped_removal", task=self.title(task), element=self._element(task).name)
-        key = "work.skipped" if self.prepared.stays(task) else "work.skipped_stock"
-        return Sentence(key, task=self.title(task))
+            return f"{skipped}; {self._element(task).name} stays"
+        return skipped if self.prepared.stays(task) else f"{skipped}; take its element out of the stock"
 
     def removed(self, task: str, person: str, reason: str) -> str:
         """Take a person's word that what a removal takes down, or what was placed, is gone, and no obstacle."""
         memory = self._memory(task, person, former=True)
         if task in self.prepared.removals:
             if memory.state is TaskState.DONE:
-                raise WorkRefused(Sentence("work.removed_already", element=self._element(task).name))
+                raise WorkRefused(f"{self._element(task).name} is gone already")
         elif not memory.placed:
-            raise WorkRefused(Sentence("work.removed_nothing", task=self.title(task)))
+            raise WorkRefused(
+                f"{self.title(task)} has placed nothing and takes nothing down: `removed` is for what stands"
+            )
         name, answer = self._element(task).name, "gone" if memory.state is TaskState.ASKS else ""
         self.add(Entry("answered" if answer else "removed", task, answer=answer, person=person, reason=reason))
-        return Sentence("work.removed", person=person, element=name)
+        return f"{person} says that {name} is gone: it is no obstacle from now on"
 
     def redo(self, task: str, person: str, reason: str) -> str:
         """Have a task done again, its element back in stock; of one that counts as carried, have it asked about."""
         state = self._memory(task, person).state
         if state is TaskState.CARRIED:
-            self.add(Entry("unknown", task, person=person, reason=reason or Sentence("work.redo_doubt")))
-            return self._asking("work.asks", task)
+            self.add(Entry("unknown", task, person=person, reason=reason or "a person doubts that it is in the grip"))
+            return f"{self.title(task)} asks: {self._question(task)}"
         if state not in (TaskState.DONE, TaskState.SKIPPED, TaskState.HELD):
-            raise self._not_in(state, "work.redo_not_yet", task)
+            raise WorkRefused(f"{self.title(task)} is {state.value}; it was not done or skipped yet")
         later = self.book.followers(task)
         if later:
-            raise WorkRefused(Sentence("work.redo_later", later=self.title(later[0]), task=self.title(task)))
+            raise WorkRefused(f"{self.title(later[0])} came after {self.title(task)}: redo that first")
         taken_down, stays = task in self.prepared.removals, self.prepared.stays(task)
         if not taken_down and not stays:
             self._slot_free(task)
         self.add(Entry("redone", task, person=person, reason=reason))
         if taken_down:
-            return Sentence("work.redo_removal", element=self._element(task).name)
+            return (
+                f"{self._element(task).name} counts as standing again: an obstacle until a person says that it is gone"
+            )
         if stays:
-            return Sentence("work.redo", task=self.title(task))
-        return Sentence("work.redo_stock", task=self.title(task), element=self._element(task).name)
+            return f"{self.title(task)} is to be done again"
+        return f"{self.title(task)} is to be done again; {self._element(task).name} counts as back in its stock"
 
     def lost(self) -> str:
         """Take note that the tool is surely open: what counts as carried is asked about; return a sentence, empty: nothing is."""
         held = self.book.in_state(TaskState.CARRIED)
         if not held:
             return ""
-        reason = Sentence("work.lost")
+        reason = "the tool says that it holds nothing"
         self.add(Entry("unknown", held[0], reason=reason))
-        return self._asking("work.lost_asks", held[0], reason=reason)
+        return f"{reason}: {self.title(held[0])} asks: {self._question(held[0])}"
 
     def answer(self, task: str, answer: str, person: str, reason: str, shown: str = "") -> str:
         """Take the answer to a task's question; return a sentence.
@@ -286,18 +298,31 @@ class TaskBoard:
         memory = self._memory(task, person, former=True)
         possible = self._answers(task)
         if not possible:
-            raise self._not_in(memory.state, "work.answer_nothing", task)
+            raise WorkRefused(f"{self.title(task)} is {memory.state.value} and asks nothing")
         question = self._question(task)
         if shown and shown != question:
-            raise WorkRefused(Sentence("work.answer_other", question=question))
+            raise WorkRefused(
+                Sentence(
+                    "another question is open by now: {question}; look again, and answer that one", question=question
+                )
+            )
         if answer not in possible:
             raise WorkRefused(
-                Sentence("work.answer_wrong", answer=repr(answer), question=question, answers=", ".join(possible))
+                Sentence(
+                    "{answer} is no answer to: {question}; expected one of {answers}",
+                    answer=repr(answer),
+                    question=question,
+                    answers=", ".join(possible),
+                )
             )
         if answer == "in_stock":
             self._slot_free(task)
-        meaning, name = Sentence(f"work.answer.{answer}"), self._element(task).name
-        sentence = Sentence("work.answered", task=self.title(task), element=name, answer=meaning)
+        sentence = Sentence(
+            "{task}: {element}: {answer}",
+            task=self.title(task),
+            element=self._element(task).name,
+            answer=_MEANINGS[answer],
+        )
         if answer == SAME:
             self._take_as(task, self._counterpart(task), person, reason)
         else:
@@ -309,7 +334,13 @@ class TaskBoard:
         """Answer, with what leaves it an obstacle, what is asked of all that was placed and can be answered so."""
         self._named(person)
         if answer not in ANSWERS_FOR_ALL:
-            raise WorkRefused(Sentence("work.answer_one", answer=repr(answer), answers=", ".join(ANSWERS_FOR_ALL)))
+            raise WorkRefused(
+                Sentence(
+                    "{answer} is answered for one task at a time; for all at once only {answers}",
+                    answer=repr(answer),
+                    answers=", ".join(ANSWERS_FOR_ALL),
+                )
+            )
         count = 0
         for task in self.book.asking:
             # each is looked at when it is its turn: what was answered before may have taken its counterpart
@@ -317,7 +348,12 @@ class TaskBoard:
                 self.answer(task, answer, person, reason)
                 count += 1
         left = len(self.book.asking)
-        return Sentence("work.answered_all", count=count, answer=Sentence(f"work.answer.{answer}"), left=left)
+        return Sentence(
+            "{count} answered ({answer}), {left} still ask",
+            count=count,
+            answer=_MEANINGS[answer],
+            left=left,
+        )
 
     def _take_as(self, task: str, heir: str, person: str, reason: str) -> None:
         """Count what a task that is no more has placed as placed by one of the schedule."""
@@ -364,14 +400,17 @@ class TaskBoard:
         self._named(person)
         task = self.prepared.schedule.placing.get(element)
         if task is None:
-            raise WorkRefused(Sentence("work.measured_no_task", element=repr(element)))
+            raise WorkRefused(f"no task places element {element!r}; `twin work list` names them")
         state = self.book.tasks[task].state
         if state not in SETTLED:
-            raise self._not_in(state, "work.measured_not_placed", task, element=self._element(task).name)
+            raise WorkRefused(f"{self._element(task).name} is not placed yet: {self.title(task)} is {state.value}")
         found = deviation(pose, self._element(task).base_T_goal)
         if not (found.distance <= _FARTHEST and np.isfinite(found.angle)):
             distance, name = f"{found.distance:.3g}", self._element(task).name
-            raise WorkRefused(Sentence("work.measured_far", distance=distance, element=name, most=_FARTHEST))
+            raise WorkRefused(
+                f"the pose is {distance} m from where the model has {name}; expected within {_FARTHEST:g} m, "
+                "in the robot's base_link"
+            )
         self.add(Entry("measured", task, pose=pose_tuple(pose), person=person, reason=reason))
         return found
 
@@ -541,11 +580,11 @@ class TaskBoard:
         """Return one sentence: what the work waits for."""
         book = self.book
         if not book.tasks:
-            return Sentence("work.no_tasks")
+            return "the model has no task for this arm"
         following = self.next(now)
         if following:
-            return Sentence("work.can_plan", task=self.title(following))
-        return self.obstacle(book.open[0], now) if book.open else Sentence("work.all_over")
+            return f"{self.title(following)} can be planned"
+        return self.obstacle(book.open[0], now) if book.open else "every task is done or skipped"
 
     def _row(self, task: str, now: int) -> TaskReport:
         job, memory = self._job(task), self.book.tasks[task]
@@ -583,33 +622,39 @@ class TaskBoard:
         reason = self._stands(task, now)
         if self.book.tasks[task].state is not TaskState.DONE:
             for remark in self.prepared.schedule.remarks.get(task, ()):
-                before = {"reason": reason} if reason else {}
-                reason = Sentence("work.noted" if before else "work.note", remark=remark, **before)
+                reason = Sentence(
+                    "{reason}. Note: {remark}" if reason else "Note: {remark}",
+                    remark=remark,
+                    **({"reason": reason} if reason else {}),
+                )
         return reason
 
     def _stands(self, task: str, now: int) -> str:
         memory = self.book.tasks[task]
         if task not in self.book.after:
-            return "" if memory.state is TaskState.ASKS else Sentence("work.task.not_in_model")
+            asks = memory.state is TaskState.ASKS
+            return (
+                "" if asks else "placed, and not in the model: an obstacle until a person says that it was taken away"
+            )
         if memory.state is TaskState.WAITING:
-            return Sentence("work.task.waits", tasks=self._missing(task))
+            return f"waits for {self._missing(task)}"
         if memory.state in PLANNABLE:
-            return self.failures.get(task) or self.obstacle(task, now) or Sentence("work.task.ready")
+            return self.failures.get(task) or self.obstacle(task, now) or "can be planned"
         if memory.state is TaskState.PLANNED:
-            return Sentence("work.task.planned")
+            return "its plan waits for a person's approval"
         if memory.state is TaskState.HELD:
-            return Sentence("work.task.held")
+            return "its element is gone: skip it, or put another into its stock and redo it"
         if memory.state is TaskState.DONE and memory.gone:
-            return Sentence("work.task.taken_down")
+            return "taken down, as a person says"
         if memory.state is TaskState.DONE and self.prepared.stays(task):
-            return Sentence("work.task.done")
+            return "done"
         if memory.state is TaskState.DONE:
             if memory.as_planned:
-                return Sentence("work.task.as_planned")
+                return "placed; as planned, not measured"
             if not memory.base_T_element:
-                return Sentence("work.task.unknown")
+                return "placed; where exactly is not known"
             by = memory.measured
-            return Sentence("work.task.measured", person=by) if by else Sentence("work.task.by_arm")
+            return f"placed, measured by {by}" if by else "placed, by the arm's own pose"
         return ""
 
     def _question(self, task: str) -> str:
@@ -617,7 +662,17 @@ class TaskBoard:
         if task in self.book.after or memory.state is not TaskState.ASKS:
             return memory.question(self._element(task).name)
         first = self._answers(task)[0]
-        return Sentence(f"work.question.{first}", element=self._element(task).name, known=memory.known)
+        return Sentence(
+            "is the {element} of the model the one that stands there? It has another id now, but the same name, class and "
+            "place. The last that is known of it: {known}"
+            if first == SAME
+            else "was {element} taken out of the grip and away? The model does not have it any more. The last that is known "
+            "of it: {known}"
+            if first == "taken_away"
+            else "does {element} still stand? The model does not have it. The last that is known of it: {known}",
+            element=self._element(task).name,
+            known=memory.known,
+        )
 
     def _answers(self, task: str) -> tuple[str, ...]:
         """Return what can be answered to a task's question; of what has no task any more, whether it stands."""
@@ -627,12 +682,6 @@ class TaskBoard:
         if not memory.placed:
             return ("taken_away",)
         return (*((SAME,) if self._counterpart(task) else ()), *ANSWERS_OF_FORMER)
-
-    def _asking(self, key: str, task: str, **values: str) -> str:
-        return Sentence(key, task=self.title(task), question=self._question(task), **values)
-
-    def _not_in(self, state: TaskState, key: str, task: str, **values: str) -> WorkRefused:
-        return WorkRefused(Sentence(key, task=self.title(task), state=state.value, **values))
 
     def _missing(self, task: str) -> str:
         return ", ".join(map(self.title, self.book.missing(task)))
@@ -646,8 +695,7 @@ class TaskBoard:
         blockers = self.prepared.schedule.blockers(task, started, finished, now / 1e9)
         if not blockers:
             return ""
-        until = named(blockers[0].text, self.prepared.titles)
-        return Sentence("work.lag.waits", task=self.title(task), until=until)
+        return f"{self.title(task)} waits {named(blockers[0].text, self.prepared.titles)}"
 
     def _stock(self, element: str) -> Pose | None:
         """Return where an element lies before it is taken; None: it has no slot."""
@@ -664,8 +712,10 @@ class TaskBoard:
         if not other:
             return
         later = self.prepared.schedule.placing[other]
-        names = {"other": self.prepared.elements[other].name, "element": self._element(task).name}
-        raise WorkRefused(Sentence("work.slot_taken", later=self.title(later), **names))
+        raise WorkRefused(
+            f"{self.prepared.elements[other].name} counts as delivered in the slot of {self._element(task).name}"
+            f": take it out and skip {self.title(later)} first; redo that afterwards"
+        )
 
     def _taken(self) -> list[str]:
         """Return the elements that do not lie in their stock any more."""
@@ -689,19 +739,34 @@ class TaskBoard:
     def _memory(self, task: str, person: str, former: bool = False) -> TaskMemory:
         """Return what is known of a task of which a person says something; refuse one that there is not, or nobody's word."""
         if task not in self.book.after and task not in self.book.former:
-            raise WorkRefused(Sentence("work.no_task", task=repr(task)))
+            raise WorkRefused(f"there is no task {task!r}; `twin work list` names them")
         if task not in self.book.after and not former:
             name = self._element(task).name
-            raise WorkRefused(Sentence("work.not_in_model", element=name, command=removed_command(name)))
+            raise WorkRefused(
+                f"{name} is not in the model any more, so nothing is done with it; once it is taken away, say "
+                f"{removed_command(name)}"
+            )
         self._named(person)
         return self.book.tasks[task]
 
     @staticmethod
     def _named(person: str) -> None:
         if not person.strip():
-            raise WorkRefused(Sentence("work.nameless"))
+            raise WorkRefused("who says so? Give the name of a person: it is kept with the record")
 
 
+#: What answers mean.
+_MEANINGS = {
+    "in_stock": Sentence("it lies in its stock, and the grip is empty"),
+    "in_grip": Sentence("it is in the grip, as it was taken"),
+    "placed": Sentence("it stands at its place, and the grip is empty"),
+    "gone": Sentence("it is none of these: it was taken away; it waits until it is skipped or done again"),
+    SAME: Sentence("it is the one that stands there: it counts as placed"),
+    "stands": Sentence("it stands there: an obstacle until a person says that it was taken away"),
+    "taken_away": Sentence("it was taken away: it is no obstacle any more"),
+    "done": Sentence("it was done"),
+    "not_done": Sentence("it was not done: it is to be done again from its beginning"),
+}
 #: Events by which what the model says of an element is seen by the arm, or by a person.
 _SEEING = ("offered", "answered")
 #: Boxes whose sides are all closer than this are at the same place; boxes that reach further than that into each other overlap [m].

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from construction_twin.core.sentences import Sentence, has
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.state_table import row_of
 from construction_twin.core.work_errors import WorkError
 from construction_twin.work.process import MODULES, process_of
@@ -33,6 +33,24 @@ OF_NO_TASK = (OPENED, ACCEPTED, MENDED, CHANGED)
 MEASURED, PLANNED = "measured", "planned"
 #: What a person has seen of an element of which they said that it stands, and is not in the model.
 NOT_IN_MODEL = "not in the model"
+
+#: What is known last, by state.
+_KNOWN = {
+    TaskState.WAITING: Sentence("another version of the model was worked on"),
+    TaskState.DONE: Sentence("it was placed, for another version of the model"),
+    TaskState.SKIPPED: Sentence("it was measured at its place, for another version of the model"),
+    TaskState.CARRIED: Sentence("it was in the grip"),
+    TaskState.PLANNED: Sentence("it was to be fetched"),
+    TaskState.WORKING: Sentence("it was being fetched"),
+    TaskState.GRIPPING: Sentence("the grip was being closed on it"),
+    TaskState.CARRYING: Sentence("it was carried"),
+    TaskState.RELEASING: Sentence("it was being let go at its place"),
+}
+_KNOWN_OF_STAYING = {
+    TaskState.DONE: Sentence("it was done, for another version of the model"),
+    TaskState.PLANNED: Sentence("it was to be begun"),
+    TaskState.WORKING: Sentence("it was under way"),
+}
 
 
 @dataclass(frozen=True)
@@ -96,13 +114,13 @@ def entry_of(fields: Mapping[str, Any]) -> Entry:
     pose, goal = (tuple(map(float, known.pop(name, ()))) for name in ("pose", "goal"))
     for each in (pose, goal):
         if len(each) not in (0, 7) or not all(map(math.isfinite, each)):
-            raise ValueError(Sentence("expected.work.finite_pose", pose=str(each)))
+            raise ValueError(f"a pose of {each}; expected seven finite numbers")
     time_ns = int(known.pop("time_ns", 0))
     if not all(isinstance(value, str) for value in known.values()):
-        raise ValueError(Sentence("expected.work.texts"))
+        raise ValueError("expected texts")
     process = known.get("process", DEFAULT)
     if process not in MODULES:
-        raise ValueError(Sentence("expected.work.process", process=repr(process), known=", ".join(MODULES)))
+        raise ValueError(f"process {process!r}; expected one of {', '.join(MODULES)}")
     event = known.get("event", "")
     if event not in OF_NO_TASK:
         TaskEvent(event)
@@ -121,7 +139,7 @@ class NotNow(WorkError):
 
     def __init__(self, task: str, state: TaskState, event: TaskEvent):
         self.task, self.state, self.event = task, state, event
-        super().__init__(Sentence("work.not_now", task=task, state=state.value, event=repr(event.value)))
+        super().__init__(f"task {task} is {state.value}; {event.value!r} does not follow from that")
 
 
 @dataclass(frozen=True)
@@ -216,20 +234,25 @@ class TaskMemory:
         """Return what a person is asked; empty: nothing."""
         if self.state is not TaskState.ASKS:
             return ""
-        return Sentence(f"work.question.{'done' if self.stays else 'where'}", element=element_name, known=self.known)
+        return Sentence(
+            "was the task on {element} carried out? The last that is known of it: {known}"
+            if self.stays
+            else "where is {element} now? The last that is known of it: {known}",
+            element=element_name,
+            known=self.known,
+        )
 
     @property
     def known(self) -> str:
         """What is known last of a task that asks: of where its element is, or of what was done with it."""
         if self.source and not self.stays:
-            return Sentence("work.known.elsewhere", ledger=self.source)
+            return Sentence("the ledger {ledger} in the same folder says that it was placed", ledger=self.source)
         before = self.before
         if before in (TaskState.WAITING, TaskState.READY) and not self.stays:
             # the state says as little of an element that waits as of one that is ready; unless another task has placed it
             before = TaskState.DONE if self.placed else TaskState.WAITING
-        key = f"work.known.{'stays.' if self.stays else ''}{before.value}"
         # where there are no words for a state, its own
-        return Sentence(key) if has(key) else before.value
+        return (_KNOWN_OF_STAYING if self.stays else _KNOWN).get(before, before.value)
 
     @property
     def touched(self) -> bool:

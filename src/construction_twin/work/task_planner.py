@@ -99,15 +99,30 @@ class TaskPlanner:
         for item in tool_objects(self._tool, self._robot.tip_link):
             found = present.get(item.name)
             if found is None or found.contents() != item.contents():
-                key = "work.cannot.tool_missing" if found is None else "work.cannot.tool_other"
-                raise TaskPlanningError(job.task, Sentence(key, body=repr(item.name)))
+                raise TaskPlanningError(
+                    job.task,
+                    Sentence(
+                        "the tool's {body} is not in the scene; put the tool into the scene first"
+                        if found is None
+                        else "the tool's {body} is in the scene, but not as the tool file has it; put the tool into the scene "
+                        "first",
+                        body=repr(item.name),
+                    ),
+                )
 
     def _check_start(self, job: WorkJob, start: np.ndarray, world: CollisionWorld) -> None:
         try:
             self._robot.check_range(start)
         except KinematicsError as error:
-            raise TaskPlanningError(job.task, Sentence("work.cannot.start", problem=error.sentence)) from error
+            raise TaskPlanningError(job.task, Sentence("the arm's pose: {problem}", problem=error.sentence)) from error
         contact = world.contact(start)
         if contact is not None:
             one, other = contact.between
-            raise TaskPlanningError(job.task, Sentence("work.cannot.start_touches", first=one, second=other))
+            raise TaskPlanningError(
+                job.task,
+                Sentence(
+                    "where the arm stands {first} touches {second}, or is closer than the padding",
+                    first=one,
+                    second=other,
+                ),
+            )

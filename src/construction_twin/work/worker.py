@@ -20,7 +20,6 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import WorkError
 
 #: Added to the process's nice value.
@@ -74,7 +73,7 @@ class Worker:
             except (OSError, EOFError) as error:
                 code = self._end(_ENDING)
                 how = f"signal {-code}" if code < 0 else f"exit code {code}"
-                raise WorkerError("", Sentence("work.ended", how=how)) from error
+                raise WorkerError("", f"the process that reads and plans has ended ({how}); ask again") from error
         if "failure" in answer:
             raise WorkerError(*answer["failure"])
         return answer["result"]
@@ -159,7 +158,7 @@ def _answered(question: bytes, functions: Mapping[str, Callable]) -> bytes:
 
 def _unforeseen(error: Exception) -> tuple[str, str]:
     kind = type(error).__name__
-    return kind, Sentence("work.unforeseen", kind=kind, problem=str(error))
+    return kind, f"it cannot be computed ({kind}: {error}); please report it"
 
 
 def rss_mb() -> float:

@@ -110,7 +110,7 @@ def prepare(
         *stands.notes,
     ]
     notes += [
-        Sentence("work.body.larger", element=element, excess=1e3 * shape.excess)
+        f"{element} is planned with bodies up to {1e3 * shape.excess:.1f} mm larger than it is."
         for element, shape in shapes.items()
         if shape.excess > _TOLD
     ]
@@ -177,7 +177,7 @@ def plan(task: str, element: str, start: tuple[float, ...], scene: Scene, held: 
     Raises TaskPlanningError.
     """
     if not _SESSIONS:
-        raise TaskPlanningError(task, Sentence("work.cannot.unread"))
+        raise TaskPlanningError(task, Sentence("the model has not been read in this process yet"))
     session = _SESSIONS[0]
     job = session.layout.job_for(element, scene, task)
     try:

@@ -100,7 +100,7 @@ def test_a_plan_that_nobody_knows_any_more_is_asked_about():
     found = due(left(GRIPPED), BEFORE, *UNKNOWN)
     assert found.change is None
     assert found.sentence.key == "work.back.forgotten"
-    assert found.sentence.values["left"].values == {"segment": "'lower'", "plan": "p1"}
+    assert "in engaged segment 'lower' of plan p1; plan p1 is not known" in found.sentence
 
 
 def test_a_plans_change_that_leads_elsewhere_is_not_made():

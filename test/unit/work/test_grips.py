@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from work_samples import BRICK, recipes, tool
@@ -55,7 +54,7 @@ def test_cups_that_stand_out_are_not_counted_and_too_few_are_a_reason():
     brick = (BRICK, (0, 0, 0.0355))
     assert grips(brick).grips[0].cups == 2
     found = grips(brick, min_cups=3)
-    assert not found.grips and (found.reason.values["count"], found.reason.values["needed"]) == (2, 3)
+    assert not found.grips and found.reason.endswith(": 2 cups lie on the face; 3 are needed")
     assert grips(brick, along=(0.115,), min_cups=3).grips[0].cups == 3
 
 
@@ -69,16 +68,15 @@ def test_the_mass_decides_how_many_cups_must_hold():
     assert grips(BEAM, mass=60.0).grips
     few = ((0.3, 0.06, 0.12), (0, 0, 0.06))
     assert grips(few, mass=48.0).grips[0].cups == 4
-    reason = grips(few, mass=48.1).reason
-    assert (reason.key, reason.values.get("count"), reason.values.get("needed")) == ("work.grip.cups", 4, 5)
+    assert grips(few, mass=48.1).reason.endswith(": 4 cups lie on the face; 5 are needed")
     reason = grips(BEAM, mass=73.0).reason
-    assert (reason.key, reason.values.get("needed"), reason.values.get("count")) == ("work.grip.mass", 7, 6)
+    assert "need 7 cups" in reason and reason.endswith(" has 6")
 
 
 def test_the_centre_of_gravity_has_to_be_near_the_cups():
     assert grips(BEAM, along=(0.2,), lever=0.05).grips
     found = grips(BEAM, along=(0.3,), lever=0.05)
-    assert not found.grips and found.reason.values["away"] == pytest.approx(120.0)
+    assert not found.grips and "the centre of gravity is 120 mm beside" in found.reason
 
 
 def test_faces_come_in_the_order_of_the_recipe_each_once():
@@ -131,4 +129,4 @@ def test_a_body_that_is_not_closed_or_not_convex_has_no_grip(tmp_path):
         found.append(find_grips(Pieces([body]), UP, 3.0, recipe, tool().tool))
     closed, open_above = found
     assert closed.grips
-    assert not open_above.grips and open_above.reason.key == "work.grip.open"
+    assert not open_above.grips and "is not closed" in open_above.reason

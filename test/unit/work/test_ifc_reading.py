@@ -114,25 +114,21 @@ def test_a_damaged_cache_is_made_anew(path, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "said", "key"),
+    ("change", "said"),
     [
-        ({"indices": np.array([0, 1, 10**6], dtype=np.int32)}, "array 'indices' shorter", "short_array"),
-        ({"numbers": np.full(10**6, np.nan)}, "no finite numbers", "not_finite"),
-        ({"numbers": np.zeros(1, dtype=object)}, "array|pickle|allow_pickle", ""),
-        ({"numbers": np.zeros((3, 3))}, r"array 'numbers' of float64 and shape \(3, 3\)", "array"),
-        ({"text": np.frombuffer(b"[]", dtype=np.uint8)}, "TypeError", ""),
-        ({"text": np.frombuffer(b"[" * 10**6, dtype=np.uint8)}, "RecursionError", ""),
-        ({"indices": np.full(10**6, 10**6, dtype=np.int32)}, "corners that are not there", "no_corners"),
-        ({"indices": np.full(10**6, -1, dtype=np.int32)}, "corners that are not there", "no_corners"),
+        ({"indices": np.array([0, 1, 10**6], dtype=np.int32)}, "array 'indices' shorter"),
+        ({"numbers": np.full(10**6, np.nan)}, "no finite numbers"),
+        ({"numbers": np.zeros(1, dtype=object)}, "array|pickle|allow_pickle"),
+        ({"numbers": np.zeros((3, 3))}, r"array 'numbers' of float64 and shape \(3, 3\)"),
+        ({"text": np.frombuffer(b"[]", dtype=np.uint8)}, "TypeError"),
+        ({"text": np.frombuffer(b"[" * 10**6, dtype=np.uint8)}, "RecursionError"),
+        ({"indices": np.full(10**6, 10**6, dtype=np.int32)}, "corners that are not there"),
+        ({"indices": np.full(10**6, -1, dtype=np.int32)}, "corners that are not there"),
         # a sentence that would be longer than what is said of a file
-        (
-            {"numbers": np.zeros(1, dtype=[("x" * 1000, "f8")])},
-            "ValueError: array 'numbers' of .{0,170}, expected a",
-            "",
-        ),
+        ({"numbers": np.zeros(1, dtype=[("x" * 1000, "f8")])}, "found array 'numbers' of .{0,182}, expected a"),
     ],
 )
-def test_what_the_process_wrote_is_checked(tmp_path, path, change, said, key):
+def test_what_the_process_wrote_is_checked(tmp_path, path, change, said):
     model = read_ifc(path, 1 << 24)
     kept = tmp_path / "model.npz"
     model_file.save(model, kept)
@@ -142,7 +138,6 @@ def test_what_the_process_wrote_is_checked(tmp_path, path, change, said, key):
     with pytest.raises(BuildingError, match=said) as caught:
         model_file.load(kept, model.file, model.digest)
     assert "\n" not in str(caught.value)
-    assert getattr(caught.value.found, "key", "") == (key and f"ifc.found.{key}")
 
 
 NOT_WHOLE = {
@@ -220,23 +215,17 @@ def test_however_the_process_ends_it_is_one_sentence(path, monkeypatch, program,
 def test_a_file_that_is_written_meanwhile_is_not_read(path, monkeypatch):
     read_file = reading.read_file
     monkeypatch.setattr(reading, "read_file", lambda *asked: read_file(*asked) + b"\n")
-    with pytest.raises(BuildingError, match="other contents when it was read again") as caught:
+    said = "the file: found other contents when it was read again, expected a file that nobody writes"
+    with pytest.raises(BuildingError, match=said):
         read_building(path)
-    # the reading process sends texts, and their keys are found again
-    found = caught.value
-    assert [each.key for each in (found.what, found.found, found.expected)] == [
-        "ifc.file", "ifc.found.changed_again", "ifc.nobody_writes",
-    ]  # fmt: skip
 
 
-def test_what_the_reading_process_refuses_keeps_its_key_and_values(path):
+def test_what_the_reading_process_refuses_is_said_by_the_error(path):
     text = path.read_text()
     number = re.search(r"#(\d+)=IFCWALL\(", text)[1]
     path.write_text(re.sub(rf"#{number}=IFCWALL\([^;]*;\n", "", text))
-    with pytest.raises(BuildingError, match=f"refers to #{number}, which is not there") as caught:
+    with pytest.raises(BuildingError, match=f"refers to #{number}, which is not there"):
         read_building(path)
-    found = caught.value.sentence.values["found"]
-    assert (found.key, found.values["missing"]) == ("ifc.found.missing", number)
 
 
 def test_a_process_that_takes_too_long_is_ended(path, monkeypatch):

@@ -205,7 +205,7 @@ def test_a_task_of_a_group_or_a_storey_makes_what_is_in_it(read, kind, inputs):
         (task.GlobalId, lower.GlobalId), (task.GlobalId, upper.GlobalId),
     ]  # fmt: skip
     assert schedule.proposed and not schedule.unmade
-    assert any(has_parts(note, "work.order.assembly", "takt") for note in schedule.notes)
+    assert any(has_parts(note, "work.order.assembly", task.GlobalId) for note in schedule.notes)
 
 
 def test_of_groups_that_share_elements_the_smaller_one_has_them_or_else_the_first(read):

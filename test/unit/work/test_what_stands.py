@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sentence_checks import says
+from sentence_checks import key_of, says
 
 from construction_twin.core.work_errors import LedgerError
 from construction_twin.kinematics.chain import Pose
@@ -109,10 +109,10 @@ def test_what_was_deleted_from_the_model_stands_and_is_asked_about_before_anythi
         "stands",
         "taken_away",
     )
-    assert board.obstacle("ToldX", NOW).key == "work.asks_first" and "B" in board.obstacle("ToldX", NOW)
+    assert key_of(board.obstacle("ToldX", NOW)) == "work.asks_first" and "B" in board.obstacle("ToldX", NOW)
     board.answer("ToldB", "stands", "eva", "")
     of_b(board)
-    assert board.next(NOW) == "ToldX" and row(board, "B").reason.key == "work.task.not_in_model"
+    assert board.next(NOW) == "ToldX" and key_of(row(board, "B").reason) == "work.task.not_in_model"
     assert board.called("set down: oldX/0 would touch oldB/0") == "set down: oldX/0 would touch 'B'"
 
 
@@ -136,7 +136,7 @@ def test_it_is_no_obstacle_when_a_person_has_taken_it_away(two_placed, asked):
         board.answer("ToldB", "taken_away", "eva", "")
     else:
         board.answer("ToldB", "stands", "eva", "")
-        assert board.removed("ToldB", "eva", "rotten").key == "work.removed"
+        assert key_of(board.removed("ToldB", "eva", "rotten")) == "work.removed"
     board.ledger.close()
     again = opened(two_placed, changed)
     assert stands(again, "oldB") is None and "ToldB" not in again.book.former

@@ -20,7 +20,6 @@ from rich.table import Table
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused
 from construction_twin.core.files import check_writable
 from construction_twin.core.reports import TaskReport
-from construction_twin.core.sentences import Sentence
 from construction_twin.link.requests import GoalRequest, ReviewRequest
 from construction_twin.msg import Execution, Link, Plan, Sync, ToolState, WorkTask, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
@@ -83,7 +82,7 @@ class Builder:
 
     def __init__(self, settings: Settings, console: Console):
         if settings.arm != "mock":
-            raise ConfigurationError("arm", settings.arm, Sentence("expected.mock_arm"))
+            raise ConfigurationError("arm", settings.arm, "mock: nobody looks at the plans that this command approves")
         self._settings, self._console = settings, console
         self._client = OperatorClient(rospy.get_namespace(), settings.timeout, PERSON)
         self._news = threading.Condition()
@@ -116,7 +115,7 @@ class Builder:
         results = Path(self._settings.results_dir).expanduser()
         check_writable(results)
         began = time.monotonic()
-        self._wait(self._ready, Sentence("view.build.wait.ready"))
+        self._wait(self._ready, "the system to get ready")
         self._wait_for_model(began)
         self._accept()
         self._say(f"{self._tasks.model}: {len(self._tasks.tasks)} tasks, ready after {time.monotonic() - began:.0f} s")
@@ -130,19 +129,11 @@ class Builder:
         # also of a session that a task ended
         files = self._report(results, wanted)
         if failure is not None:
-            raise ConstructionTwinError(
-                Sentence("view.build.see", failure=str(failure), file=str(files[0]))
-            ) from failure
+            raise ConstructionTwinError(f"{failure}; see {files[0]}") from failure
         missing = [self._row(task).name for task in wanted if self._row(task).state != "done"]
         if missing:
             raise ConstructionTwinError(
-                Sentence(
-                    "view.build.not_done",
-                    missing=len(missing),
-                    count=len(wanted),
-                    tasks=", ".join(missing),
-                    file=str(files[0]),
-                )
+                f"{len(missing)} of {len(wanted)} tasks are not done: {', '.join(missing)}; see {files[0]}"
             )
         return files
 
@@ -171,16 +162,12 @@ class Builder:
     def _plan_and_play(self, task: str, title: str) -> None:
         times = self._times.setdefault(task, _Times())
         if len(times.plans) >= _MOST_PLANS:
-            raise ConstructionTwinError(
-                Sentence("view.build.many_plans", title=title, task=self._row(task).name, plans=_MOST_PLANS)
-            )
+            raise ConstructionTwinError(f"{title}: {self._row(task).name} is not done after {_MOST_PLANS} plans")
         asked = time.monotonic()
         try:
             plan = self._client.plan(GoalRequest("work_task", task=task)).fields
         except RequestRefused as error:
-            raise ConstructionTwinError(
-                Sentence("view.build.cannot_plan", title=title, task=self._row(task).name, problem=str(error))
-            ) from error
+            raise ConstructionTwinError(f"{title}: {self._row(task).name} cannot be planned: {error}") from error
         times.planning, plan_id, plan_hash = time.monotonic() - asked, str(plan["plan_id"]), str(plan["plan_hash"])
         times.plans.append(plan_id)
         self._approve(plan_id, plan_hash)
@@ -191,7 +178,7 @@ class Builder:
         patience = self._settings.timeout + _SLOWER * self._duration(plan_id)
         self._wait(
             lambda: self._execution.plan_id == plan_id and self._over(),
-            Sentence("view.build.wait.end", plan=plan_id),
+            f"plan {plan_id} to end",
             patience,
         )
         times.motion = time.monotonic() - began
@@ -199,7 +186,7 @@ class Builder:
             # a hold that the executor did not show as a state of its own
             self._held += self._held == held
             self._say(f"{title}: {self._execution.outcome}: {self._execution.reason}")
-        self._wait(lambda: self._row(task).state not in _UNDER_WAY, Sentence("view.build.wait.known", task=task))
+        self._wait(lambda: self._row(task).state not in _UNDER_WAY, f"the ledger to know what became of {task}")
 
     def _approve(self, plan_id: str, plan_hash: str) -> None:
         """Approve a plan; repeated while it, which travels on a topic of its own, has not reached the executor."""
@@ -215,37 +202,37 @@ class Builder:
                 raise
             return True
 
-        self._wait(approved, Sentence("view.build.wait.approval", plan=plan_id))
+        self._wait(approved, f"plan {plan_id} to be approved")
 
     def _answer(self, row: WorkTask) -> None:
         """Answer as a person would who looks at the mock's gripper."""
         tool: ToolState = self._newest.get("tool")
         if tool is None or not tool.known:
-            raise ConstructionTwinError(Sentence("view.build.grip_unknown", task=row.name, question=row.question))
+            raise ConstructionTwinError(f"{row.name}: {row.question}: what the gripper holds is not known")
         answer = answer_of(
             dict(zip(tool.inputs, tool.input_values)), self._confirm, self._last.get(row.id, ""), row.answers
         )
         if not answer:
             raise ConstructionTwinError(
-                Sentence("view.build.no_answer", task=row.name, question=row.question, answers=", ".join(row.answers))
+                f"{row.name}: {row.question}: none of {', '.join(row.answers)} is known to be true"
             )
         self._say(f"asked: {row.question} Answer: {answer}")
         self._decide(row.id, "answer", answer)
         self._decided(f"answered {answer} for {row.name}: {row.question}")
-        self._wait(lambda: self._row(row.id).state != "asks", Sentence("view.build.wait.answer", task=row.id))
+        self._wait(lambda: self._row(row.id).state != "asks", f"the answer to task {row.id} to be taken")
 
     def _remove(self, row: WorkTask) -> None:
         """Say that what people take down is gone, as a person would who sees that nothing stands at a mock arm."""
         self._say(row.reason)
         self._decide(row.id, "removed")
         self._decided(f"said that {row.element_name} is gone: {row.name}")
-        self._wait(lambda: self._row(row.id).state == "done", Sentence("view.build.wait.done", task=row.id))
+        self._wait(lambda: self._row(row.id).state == "done", f"task {row.id} to be done")
 
     def _accept(self) -> None:
         if self._tasks.schedule == "proposed":
             self._decide("", "accept_schedule")
             self._decided(f"accepted the proposed schedule of {len(self._tasks.tasks)} tasks")
-            self._wait(lambda: self._tasks.schedule == "accepted", Sentence("view.build.wait.accepted"))
+            self._wait(lambda: self._tasks.schedule == "accepted", "the schedule to be accepted")
 
     def _decide(self, task: str, decision: str, answer: str = "") -> None:
         fields = {"task": task, "decision": decision, "answer": answer, "person": PERSON, "reason": "a mock arm"}
@@ -261,11 +248,13 @@ class Builder:
         while self._tasks is None or not self._tasks.schedule:
             now = time.monotonic()
             if self._tasks is not None and not self._tasks.reading:
-                raise ConstructionTwinError(Sentence("view.build.no_model", reason=self._tasks.reason))
+                raise ConstructionTwinError(f"the model cannot be read: {self._tasks.reason}")
             if self._tasks is not None and reader.get_num_connections() > 0:
                 heard = now
             if now - heard > self._settings.timeout:
-                raise ConstructionTwinError(Sentence("view.build.no_reader", seconds=self._settings.timeout))
+                raise ConstructionTwinError(
+                    f"waited {self._settings.timeout:g} s in vain for a work node that reads the model"
+                )
             if now - told >= _LINE:
                 told = now
                 self._say(f"reading the model: {now - began:.0f} s")
@@ -274,7 +263,7 @@ class Builder:
     def _pause(self) -> None:
         """Wait for the next message."""
         if rospy.is_shutdown():
-            raise ConstructionTwinError(Sentence("view.interrupted"))
+            raise ConstructionTwinError("interrupted")
         with self._news:
             self._news.wait(_POLL)
 
@@ -292,9 +281,7 @@ class Builder:
         return next(one for one in self._tasks.tasks if one.id == task)
 
     def _duration(self, plan_id: str) -> float:
-        self._wait(
-            lambda: self._newest.get("plan", Plan()).id == plan_id, Sentence("view.build.wait.plan", plan=plan_id)
-        )
+        self._wait(lambda: self._newest.get("plan", Plan()).id == plan_id, f"plan {plan_id} to be told")
         return self._newest["plan"].duration
 
     def _over(self) -> bool:
@@ -334,9 +321,9 @@ class Builder:
         while not condition():
             if time.monotonic() > deadline:
                 tasks = self._tasks
-                said = tasks.reason if tasks is not None else Sentence("view.build.silent")
+                said = tasks.reason if tasks is not None else "the work node says nothing"
                 raise ConstructionTwinError(
-                    Sentence("view.build.in_vain", seconds=limit, what=what, executor=self._execution.reason, work=said)
+                    f"waited {limit:g} s in vain for {what}; executor: {self._execution.reason}; work: {said}"
                 )
             self._pause()
 

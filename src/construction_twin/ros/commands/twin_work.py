@@ -11,7 +11,6 @@ from geometry_msgs.msg import PoseStamped
 
 from construction_twin.core.errors import RequestRefused, SilenceError
 from construction_twin.core.reports import TaskReport, WorkReport
-from construction_twin.core.sentences import Sentence
 from construction_twin.link.requests import GoalRequest
 from construction_twin.msg import WorkTasks
 from construction_twin.ros.messages.convert import pose_to_msg
@@ -40,15 +39,13 @@ def chosen(tasks: Sequence[TaskReport], text: str) -> TaskReport:
         return found[0]
     if found:
         several = ", ".join([*(task.name or task.id for task in found[:5]), *(["..."] if len(found) > 5 else [])])
-        raise RequestRefused(Sentence("view.work.several", text=repr(text), count=len(found), several=several))
-    raise RequestRefused(Sentence("view.work.none", text=repr(text)))
+        raise RequestRefused(f"{text!r} fits {len(found)} tasks: {several}; give more of it")
+    raise RequestRefused(f"no task has the id or name {text!r}; `twin work list` shows them")
 
 
 def list_lines(work: WorkReport) -> list[str]:
     """Return the tasks in their order, after two lines about the whole; the notes behind them."""
-    schedule = work.schedule or Sentence("view.work.not_read")
-    model = Sentence("view.work.schedule", model=work.model, schedule=schedule)
-    lines = [f"model      {model}", f"work       {work.reason}"]
+    lines = [f"model      {work.model}, schedule: {work.schedule or 'not read'}", f"work       {work.reason}"]
     names = [task.name for task in work.tasks]
     # the id of what has no name, and beside a name that others have
     called = [
@@ -61,8 +58,7 @@ def list_lines(work: WorkReport) -> list[str]:
         far = f"  {task.deviation_mm:.2f} mm {task.deviation_deg:.3f} deg" if math.isfinite(task.deviation_mm) else ""
         lines.append(f"{mark}{number:4} {name:{wide}} {task.state:10}{far}".rstrip())
         if task.question:
-            asked = Sentence("view.work.answers", question=task.question, answers=", ".join(task.answers))
-            lines.append(f"        {asked}")
+            lines.append(f"        {task.question} Answers: {', '.join(task.answers)}")
     return [*lines, *note_lines(work)]
 
 
@@ -78,14 +74,13 @@ def show_lines(work: WorkReport, task: TaskReport) -> list[str]:
         f"task       {task.name} ({task.id})",
         f"element    {task.element_name} ({task.element})",
         f"state      {task.state}{f': {task.reason}' if task.reason else ''}",
-        f"after      {', '.join(names.get(one) or one for one in task.after) or Sentence('view.work.nothing')}",
-        f"robot      {task.robot or Sentence('view.work.any')}",
+        f"after      {', '.join(names.get(one) or one for one in task.after) or 'nothing'}",
+        f"robot      {task.robot or 'any'}",
     ]
     if task.plan_id:
         lines.append(f"plan       {task.plan_id}")
     if math.isfinite(task.deviation_mm):
-        off = Sentence("view.work.deviation", mm=task.deviation_mm, deg=task.deviation_deg)
-        lines.append(f"deviation  {off}")
+        lines.append(f"deviation  {task.deviation_mm:.3f} mm, {task.deviation_deg:.4f} deg from the model")
     if task.question:
         lines += [f"question   {task.question}", f"answers    {', '.join(task.answers)}"]
     return lines
@@ -126,7 +121,7 @@ class WorkCommand:
         work = self._work()
         found = next((task.plan_id for task in work.tasks if task.state == "planned" and task.plan_id), "")
         if not found:
-            raise RequestRefused(Sentence("view.refused.no_task_plan", reason=work.reason))
+            raise RequestRefused(f"no plan of a task is under review: {work.reason}; `twin work next` has one planned")
         return found, labels({task.element: task.element_name for task in work.tasks})
 
     def _list(self) -> None:
@@ -171,6 +166,6 @@ class WorkCommand:
         try:
             message = rospy.wait_for_message(topic, WorkTasks, self._options.timeout)
         except rospy.ROSException as error:
-            to_do = Sentence("view.to_do.work")
-            raise SilenceError(topic, Sentence("view.silent.work"), to_do) from error
+            to_do = "start bringup with work_model and work_cell, or see why the node is down"
+            raise SilenceError(topic, "the work node does not report", to_do) from error
         return from_msg(WorkReport, message)

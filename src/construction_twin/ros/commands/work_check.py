@@ -32,7 +32,6 @@ from rich.table import Table
 from construction_twin.core.errors import ConstructionTwinError, spoken
 from construction_twin.core.extras import check_extras
 from construction_twin.core.files import check_writable, write_whole
-from construction_twin.core.sentences import Sentence
 from construction_twin.evaluation.tables import table_console
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.commands.evaluate import package_file
@@ -64,7 +63,10 @@ def main(arguments: list[str]) -> int:
             prepared = checked.prepared
             notes = [*prepared.notes, *prepared.schedule.notes]
             if prepared.schedule.proposed:
-                notes.insert(0, Sentence("work.order.proposed"))
+                notes.insert(
+                    0,
+                    "This order, or a part of it, is proposed from the model's geometry, and a person must accept it.",
+                )
             for note in notes:
                 console.print(note, markup=False, soft_wrap=True)
             about = {
@@ -270,7 +272,7 @@ def cell_picture(tasks: Sequence[CheckedTask], prepared: Prepared) -> bytes:
 def _processes(text: str) -> int:
     value = int(text)
     if not 1 <= value <= 64:
-        raise argparse.ArgumentTypeError(Sentence("view.argument.range", value=value, lowest=1, largest=64))
+        raise argparse.ArgumentTypeError(f"{value}: expected 1 to 64")
     return value
 
 

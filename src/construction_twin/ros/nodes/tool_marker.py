@@ -212,7 +212,7 @@ class ToolMarkerNode:
         self._world: CollisionWorld | None = None
         self._place: Pose | None = None
         self._verdict: PoseVerdict | None = None
-        self._problem: str = Sentence("view.tool.no_pose")
+        self._problem: str = "the twin's pose is not known yet"
         self._drawn: MarkerArray | None = None
         self._finished = ""
         namespace = rospy.get_namespace()
@@ -268,11 +268,18 @@ class ToolMarkerNode:
     def _read(self, feedback: InteractiveMarkerFeedback) -> Pose:
         frame = feedback.header.frame_id
         if frame not in ("", self._frame):
-            raise PayloadError("pose", Sentence("reason.refused.marker_frame", frame=frame, expected=self._frame))
+            raise PayloadError(
+                "pose",
+                Sentence(
+                    "marker pose in frame {frame}; expected {expected}, as the marker is",
+                    frame=frame,
+                    expected=self._frame,
+                ),
+            )
         pose = pose_from_msg(feedback.pose)
         if not np.isfinite(pose.position).all():
             found = str(pose.position.tolist())
-            raise PayloadError("pose", Sentence("reason.refused.marker_position", found=found))
+            raise PayloadError("pose", Sentence("marker at {found} m; expected finite numbers", found=found))
         return pose
 
     def on_click(self, feedback: InteractiveMarkerFeedback) -> None:
@@ -339,7 +346,7 @@ class ToolMarkerNode:
         self._place = pose
         try:
             if scene is None:
-                raise SceneError("the scene", None, Sentence("expected.scene_topic"))
+                raise SceneError("the scene", None, "one on the topic scene; is the scene node running?")
             seed = self._twin.pose(MAX_POSE_AGE)
             self._verdict = judge_pose(pose, seed, self._solver, self._world_of(scene))
         except ConstructionTwinError as error:

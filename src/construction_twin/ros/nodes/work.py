@@ -25,7 +25,6 @@ from construction_twin.core.errors import ConfigurationError, ConstructionTwinEr
 from construction_twin.core.extras import check_extras
 from construction_twin.core.motion_errors import FrameError, SceneError, TrajectoryError
 from construction_twin.core.reports import EngagementReport, ExecutionReport
-from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.msg import Engagement, Execution, Plan, Review, Scene, ToolState, WorkTasks
 from construction_twin.planning.work_segment import WorkSegment
@@ -166,7 +165,7 @@ class WorkNode:
         self._diagnostics = diagnostics
         self.session: WorkSession | None = None
         #: Why there is no work, and whether there will be none any more.
-        self._problem: str = Sentence("work.reading")
+        self._problem: str = "the model is being read"
         self._broken = False
         self._told: WorkTasks | None = None
         self._drawn: set[str] = set()
@@ -275,7 +274,7 @@ class WorkNode:
         pose = self._pose_in_base(request)
         found = self._opened().measured(request.element, pose, request.person, request.reason)
         distance, angle = found.distance * 1e3, math.degrees(found.angle)
-        sentence = Sentence("work.measured", element=request.element, distance=distance, angle=angle)
+        sentence = f"{request.element} is {distance:.2f} mm and {angle:.3f} deg from where the model has it"
         return Outcome(True, sentence, fields={"deviation_mm": distance, "deviation_deg": angle})
 
     def _pose_in_base(self, request: WorkMeasuredRequest) -> Pose:
@@ -355,7 +354,7 @@ def _call(timeout: float, name: str, kind: type, **fields: object) -> Any:
         rospy.wait_for_service(service, timeout)
         answer = rospy.ServiceProxy(service, kind)(**fields)
     except (rospy.ROSException, rospy.ServiceException) as error:
-        raise NoAnswer(Sentence("work.silent", service=service, problem=str(error))) from error
+        raise NoAnswer(f"{service} does not answer: {error}") from error
     if not answer.success:
         raise RequestRefused(answer.message)
     return answer
@@ -428,9 +427,7 @@ def check(settings: Settings, _robot: RobotModel, _shared: Shared) -> None:
         wanted = (Path(settings.cell).parent / named).resolve()
         if Path(given).resolve() != wanted:
             path, cell = str(wanted), settings.cell
-            raise ConfigurationError(
-                name, given, Sentence("expected.as_cell", wanted=path, cell=cell, name=name, path=path)
-            )
+            raise ConfigurationError(name, given, f"{path}, as {cell} says; give {name}:={path}")
 
 
 NODE = NodeShell("work", Settings, start, INTERFACE, check)

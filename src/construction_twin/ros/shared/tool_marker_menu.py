@@ -14,7 +14,6 @@ from interactive_markers.menu_handler import MenuHandler
 from visualization_msgs.msg import InteractiveMarkerFeedback
 
 from construction_twin.core.errors import ConstructionTwinError, RequestRefused
-from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.link.requests import GoalRequest, ReviewRequest
 from construction_twin.robot.plan import Plan
@@ -163,7 +162,7 @@ class ToolMarkerMenu:
     def _plan(self, request: Callable[[], GoalRequest]) -> Outcome:
         """Ask for a plan, unless another request is under way."""
         if not self._planning.acquire(blocking=False):
-            raise RequestRefused(Sentence("view.tool.busy"))
+            raise RequestRefused("a plan is being made already; wait for it")
         try:
             return self._client.plan(request())
         finally:
@@ -172,18 +171,18 @@ class ToolMarkerMenu:
     def _pose_request(self, kind: str) -> GoalRequest:
         pose = self._goal.pose
         if pose is None:
-            raise RequestRefused(Sentence("view.tool.at_tool"))
+            raise RequestRefused("the marker is at the tool; drag it to a goal first")
         return GoalRequest(kind, **pose_fields(pose))
 
     def _review(self, verdict: str) -> Outcome:
         plan = self._under_review()
         if plan is None:
-            raise RequestRefused(Sentence("view.tool.no_plan"))
+            raise RequestRefused("no plan waits for approval; plan one first")
         shown = self._shown
         if shown.plan_id != plan.id or time.monotonic() - shown.since < SHOWN:
-            raise RequestRefused(Sentence("view.tool.too_new", plan=plan.id[:8]))
+            raise RequestRefused(f"plan {plan.id[:8]} has only just come; look at it, then choose again")
         return self._client.review(ReviewRequest(plan.id, plan.hash, verdict, self._reviewer, "by the marker's menu"))
 
     def _back(self) -> Outcome:
         self._goal.drop()
-        return Outcome(True, Sentence("view.tool.dropped"))
+        return Outcome(True, "the marker follows the tool")

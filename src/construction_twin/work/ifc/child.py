@@ -27,7 +27,6 @@ def main(arguments: list[str]) -> int:
     resource.setrlimit(resource.RLIMIT_CPU, (cpu, cpu + 5))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     # after the limits: what is imported is C++ of several hundred MB
-    from construction_twin.core.sentences import Sentence
     from construction_twin.core.work_errors import BuildingError
     from construction_twin.work.ifc.model_file import save
     from construction_twin.work.ifc.reader import read_ifc
@@ -39,14 +38,14 @@ def main(arguments: list[str]) -> int:
     try:
         model = read_ifc(path, most_bytes)
         if model.digest != digest:
-            return say(Sentence("ifc.file"), Sentence("ifc.found.changed_again"), Sentence("ifc.nobody_writes"))
+            return say("the file", "other contents when it was read again", "a file that nobody writes")
         save(model, Path(output))
     except BuildingError as error:
         return say(error.what, error.found, error.expected)
     except MemoryError:
-        return say(Sentence("ifc.file"), Sentence("ifc.found.memory", memory=memory >> 20), Sentence("ifc.smaller"))
+        return say("the file", f"more than {memory >> 20} MiB of memory needed", "a smaller model")
     except OSError as error:
-        return say(Sentence("ifc.result"), error.strerror or str(error), Sentence("ifc.room"))
+        return say("the result", error.strerror or str(error), "room on the disk for it")
     return 0
 
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import ifcopenshell
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 
 _LOGGED = re.compile(r"^\[(error|warning)\](?: \[(\w+)\])? \[[^\]]*\] (?:\{([^}]*)\} ?)?(.*)$")
@@ -74,11 +73,11 @@ def check_complete(said: Iterable[Said], contents: bytes, name: str) -> None:
     dropped = {line_at(contents, entry.offset)[0] for entry in said if entry.offset is not None}
     for entry in said:
         if "'ENDSEC'" in entry.text:
-            raise BuildingError(name, Sentence("ifc.file"), Sentence("ifc.found.last_line"), Sentence("ifc.whole_file"))
+            raise BuildingError(name, "the file", "a last line that is broken off", "a whole IFC file")
         missing = _MISSING.search(entry.text)
         if missing is not None and int(missing.group(1)) not in dropped:
-            broken = Sentence("ifc.found.missing", line=f"#{missing.group(2)}", missing=missing.group(1))
-            raise BuildingError(name, Sentence("ifc.file"), broken, Sentence("ifc.whole_file"))
+            broken = f"#{missing.group(2)} refers to #{missing.group(1)}, which is not there: the file is not whole"
+            raise BuildingError(name, "the file", broken, "a whole IFC file")
 
 
 def line_at(contents: bytes, offset: int) -> tuple[int, frozenset[int]]:
@@ -136,7 +135,7 @@ class Doubts:
 
     def add(self, numbers: Collection[int], why: str) -> None:
         """Doubt every element that reaches an instance, or everything if none does, or if it says where something is."""
-        said = Sentence("ifc.doubt.said", problem=why)
+        said = f"the reader of the file says of what it needs: {why}"
         found = False
         left, seen = list(numbers), set(numbers)
         while left:
@@ -161,7 +160,10 @@ class Doubts:
                 continue
             found = True
         if not found:
-            self.everything = self.everything or Sentence("ifc.doubt.file", problem=why)
+            self.everything = (
+                self.everything
+                or f"the reader of the file says, of what holds for all elements or for nobody knows which: {why}"
+            )
 
     def _has(self, number: int) -> bool:
         try:

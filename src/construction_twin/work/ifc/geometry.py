@@ -17,7 +17,6 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.scene.solids import mesh_of, solid
 from construction_twin.work.building import Body
@@ -113,7 +112,10 @@ def shapes(
     for number, representation in missing.items():
         # one of lines alone has nothing to touch
         if any(_has_surface(part) for part in file.traverse(representation)):
-            yield Shape(number, (), None).doubted(Sentence("ifc.doubt.nothing"), bounds(representation) * unit)
+            yield Shape(number, (), None).doubted(
+                "the geometry kernel cannot make its shape; a box that holds it stands as an obstacle",
+                bounds(representation) * unit,
+            )
 
 
 @dataclass(frozen=True)
@@ -162,19 +164,29 @@ def _shape(
     bodies = tuple(_bodies(made, [] if openings else items, about, notes))
     shape = Shape(made.id, bodies, made.matrix)
     if less := _less(items, made.owners):
-        return shape.doubted(Sentence("ifc.doubt.less", problem=less), *(bounds(item) * unit for item in items))
+        return shape.doubted(
+            (
+                f"the geometry kernel cannot make a part of its shape ({less}); a box that holds that too "
+                "stands as an obstacle"
+            ),
+            *(bounds(item) * unit for item in items),
+        )
     if not all(map(_is_simple, bodies)):
-        return shape.doubted(Sentence("ifc.doubt.within"))
+        return shape.doubted("parts of its shape lie within each other; its box stands as an obstacle")
     if openings:
         cut = _cut(shape, openings, holes)
         if cut is None:
-            return shape.doubted(Sentence("ifc.doubt.uncut"))
+            return shape.doubted(
+                "its openings take nothing from it, or all of it, or cannot be cut out; its box stands as an obstacle"
+            )
         shape = replace(shape, bodies=cut)
         if (pieces := pieces_of(cut)) > 1:
-            return replace(shape, doubt=Sentence("ifc.doubt.in_pieces", count=pieces))
+            return replace(
+                shape, doubt=f"it is in {pieces} pieces that do not touch, after its openings; it stands as an obstacle"
+            )
     whole = sum(body.volume for body in shape.bodies if body.is_closed)
     if whole > _hull_volume(made.vertices) * (1.0 + _OVERLAP):
-        return shape.doubted(Sentence("ifc.doubt.more"))
+        return shape.doubted("its bodies have more volume than the hull around them; its box stands as an obstacle")
     return shape
 
 
@@ -296,11 +308,11 @@ def _arrays(geometry: object) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def check_mesh(name: str, product: ifcopenshell.entity_instance, vertices: np.ndarray, total: int) -> None:
     """Check what the kernel made."""
-    what = Sentence("ifc.element", id=repr(product.GlobalId))
+    what = f"element {product.GlobalId!r}"
     if total > MOST_TRIANGLES:
-        raise BuildingError(name, what, Sentence("ifc.found.triangles", most=MOST_TRIANGLES), Sentence("ifc.less"))
+        raise BuildingError(name, what, f"more than {MOST_TRIANGLES} triangles up to it", "less")
     if len(vertices) and not (np.isfinite(vertices).all() and np.abs(vertices).max() <= FARTHEST):
-        raise BuildingError(name, what, Sentence("ifc.found.corners"), Sentence("ifc.at_most", most=FARTHEST))
+        raise BuildingError(name, what, "corners that are no finite numbers, or too far", f"at most {FARTHEST:g} m")
 
 
 def _bodies(made: _Made, items: list[ifcopenshell.entity_instance], about: str, notes: Notes) -> Iterator[Body]:
@@ -327,11 +339,11 @@ def _split(triangles: np.ndarray) -> list[np.ndarray]:
 def _oriented(vertices: np.ndarray, triangles: np.ndarray, about: str, notes: Notes) -> Body | None:
     body = _welded(vertices, triangles)
     if len(body.triangles) and not body.is_closed:
-        notes.add(Sentence("ifc.note.not_closed"), about)
+        notes.add("Bodies that are not closed (their triangles stand as they are, without a volume)", about)
         return body
     enclosed = body.volume
     if abs(enclosed) < 1e-15:
-        notes.add(Sentence("ifc.note.no_extent"), about)
+        notes.add("Bodies without any extent are left out", about)
         return None
     return body if enclosed > 0 else Body(body.vertices, np.ascontiguousarray(body.triangles[:, ::-1]))
 

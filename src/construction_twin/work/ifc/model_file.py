@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from pydantic import ConfigDict, TypeAdapter
 
-from construction_twin.core.sentences import Sentence, understood
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.building import BuildingModel, Element
 
@@ -54,9 +53,9 @@ def save(model: BuildingModel, path: Path) -> None:
     if size > MOST_BYTES // 2:
         raise BuildingError(
             model.file,
-            Sentence("ifc.model"),
-            Sentence("ifc.found.mib", size=size / 2**20),
-            Sentence("ifc.at_most_mib", most=MOST_BYTES >> 21),
+            "the model",
+            f"{size / 2**20:.0f} MiB as arrays",
+            f"at most {MOST_BYTES >> 21} MiB",
         )
     joined = {name: np.concatenate(parts).astype(_KINDS[name]) for name, parts in arrays.items()}
     with path.open("wb") as file:
@@ -81,32 +80,30 @@ def load(path: Path, file: str, digest: str) -> BuildingModel:
         NotImplementedError,
         RecursionError,
     ) as error:
-        raise BuildingError(file, Sentence("ifc.written"), _said(error), Sentence("ifc.whole_model")) from error
+        raise BuildingError(file, "what the reading process wrote", _said(error), "a whole model") from error
+
+
+class _NotWhole(ValueError):
+    """What the reading process wrote is no whole model; says why."""
 
 
 def _said(error: Exception) -> str:
-    """Return what an exception says, short: one of ours its sentence, with its key."""
-    own = next(iter(error.args), None)
-    if isinstance(own, Sentence) and len(own) <= _LONGEST:
-        return own
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"[:_LONGEST]
+    """Return what an exception says, short."""
+    said = " ".join(str(error).split())
+    return (said if isinstance(error, _NotWhole) else f"{type(error).__name__}: {said}")[:_LONGEST]
 
 
 def _load(path: Path, file: str, digest: str) -> BuildingModel:
     with zipfile.ZipFile(path) as archive:
         if sum(member.file_size for member in archive.infolist()) > MOST_BYTES:
-            raise ValueError(Sentence("ifc.found.stored_size", most=MOST_BYTES >> 20))
+            raise _NotWhole(f"more than {MOST_BYTES >> 20} MiB")
     with np.load(path, allow_pickle=False) as stored:
         arrays = {name: stored[name] for name in _KINDS}
     for name, kind in _KINDS.items():
         if arrays[name].dtype != kind or arrays[name].ndim != 1:
-            raise ValueError(
-                Sentence(
-                    "ifc.found.array", name=repr(name), kind=str(arrays[name].dtype), shape=str(arrays[name].shape)
-                )
-            )
+            raise _NotWhole(f"array {name!r} of {arrays[name].dtype} and shape {arrays[name].shape}")
     if not np.isfinite(arrays["numbers"]).all():
-        raise ValueError(Sentence("ifc.found.not_finite"))
+        raise _NotWhole("values that are no finite numbers")
 
     def undescribed(item: dict[str, Any]) -> Any:
         if item.keys() != {digest}:
@@ -114,29 +111,16 @@ def _load(path: Path, file: str, digest: str) -> BuildingModel:
         name, start, *shape = item[digest]
         stop = start + math.prod(shape)
         if not 0 <= start <= stop <= len(arrays[name]):
-            raise ValueError(Sentence("ifc.found.short_array", name=repr(name)))
+            raise _NotWhole(f"array {name!r} shorter than its elements")
         return arrays[name][start:stop].reshape(shape)
 
     document = json.loads(arrays["text"].tobytes(), object_hook=undescribed)
     if document["version"] != VERSION or document["model"]["digest"] != digest:
-        raise ValueError(Sentence("ifc.found.other_version"))
+        raise _NotWhole("another version, or of another file")
     (model,) = _MODEL.validate_python(({**document["model"], "file": file},))
     for element in model.elements.values():
         _check(element)
-    return dataclasses.replace(
-        model,
-        elements={
-            name: dataclasses.replace(element, doubt=_with_key(element.doubt)) if element.doubt else element
-            for name, element in model.elements.items()
-        },
-        notes=tuple(map(_with_key, model.notes)),
-        remarks={name: tuple(map(_with_key, remarks)) for name, remarks in model.remarks.items()},
-    )
-
-
-def _with_key(text: str) -> str:
-    """Return a note with its key and values, which its text alone has crossed the file."""
-    return understood(text) or text
+    return model
 
 
 def _check(element: Element) -> None:
@@ -147,11 +131,9 @@ def _check(element: Element) -> None:
         wanted += [(body.vertices, (-1, 3)), (body.triangles, (-1, 3))]
     for array, shape in wanted:
         if array.ndim != len(shape) or any(size not in (-1, have) for size, have in zip(shape, array.shape)):
-            raise ValueError(
-                Sentence("ifc.found.shape", shape=str(array.shape), id=repr(element.id), expected=str(shape))
-            )
+            raise _NotWhole(f"an array of shape {array.shape} instead of {shape} in element {element.id!r}")
     for body in element.bodies:
         if body.triangles.dtype.kind != "i" or body.vertices.dtype.kind != "f":
-            raise ValueError(Sentence("ifc.found.no_indices"))
+            raise _NotWhole("triangles that are no indices, or corners that are no numbers")
         if body.triangles.size and not 0 <= body.triangles.min() <= body.triangles.max() < len(body.vertices):
-            raise ValueError(Sentence("ifc.found.no_corners"))
+            raise _NotWhole("triangles with corners that are not there")

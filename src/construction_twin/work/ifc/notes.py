@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.names import first_few
 
@@ -62,7 +61,7 @@ def _sentence(text: str, named: list[str]) -> str:
     named = list(dict.fromkeys(named))
     if not named:
         return text
-    return Sentence("ifc.note.of", note=text, names=first_few(named, _NAMED))
+    return f"{text}: see {first_few(named, _NAMED)}"
 
 
 class Misread(BuildingError):
@@ -86,7 +85,7 @@ class Where:
     def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
         if isinstance(error, Exception) and not isinstance(error, (BuildingError, MemoryError)):
             found = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-            raise Misread(self._file, label(self._entity), found, Sentence("ifc.schema_says")) from error
+            raise Misread(self._file, label(self._entity), found, "what the IFC schema says") from error
 
 
 def label(entity: object) -> str:
@@ -96,4 +95,4 @@ def label(entity: object) -> str:
     try:
         return f"#{entity.id()}={entity.is_a().upper()}"  # type: ignore[attr-defined]
     except (AttributeError, RuntimeError):
-        return Sentence("ifc.entity")
+        return "an entity"

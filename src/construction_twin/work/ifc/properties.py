@@ -8,7 +8,6 @@ from collections.abc import Collection
 import ifcopenshell
 import ifcopenshell.util.element
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.building import Body, Value
 from construction_twin.work.ifc.notes import Notes, Where, label
@@ -53,7 +52,7 @@ def read_properties(product: ifcopenshell.entity_instance, at: str, units: Units
                     if name is not None and isinstance(value, dict)
                 }
     except BuildingError:
-        notes.add(Sentence("ifc.note.property_sets"), label(product), at)
+        notes.add("Property sets that cannot be read are left out", label(product), at)
     return sets
 
 
@@ -64,12 +63,12 @@ def _value(entry: dict, units: Units, what: str, product: ifcopenshell.entity_in
         return value
     if isinstance(value, (int, float)):
         if not math.isfinite(value):
-            notes.add(Sentence("ifc.note.not_finite"), "", at)
+            notes.add("Values that are no finite numbers are left out", "", at)
             return None
         factor = _factor(product.file.by_id(entry["id"]), measure, units) if "id" in entry else units.factor(measure)
         if factor is None:
             about = f"{product.Name or at} ({what})"
-            notes.add(Sentence("ifc.note.own_unit"), about, at)
+            notes.add("Values with a unit of their own that is none of theirs are left out", about, at)
             return None
         return value if factor == 1.0 else value * factor
     if isinstance(value, str):
@@ -100,7 +99,7 @@ def read_material(product: ifcopenshell.entity_instance, at: str, notes: Notes) 
             materials = ifcopenshell.util.element.get_materials(product)
             return ", ".join(dict.fromkeys(material.Name for material in materials if material.Name))
     except BuildingError:
-        notes.add(Sentence("ifc.note.materials"), label(product), at)
+        notes.add("Materials that cannot be read are left out", label(product), at)
     return ""
 
 
@@ -121,11 +120,14 @@ def read_status(product: ifcopenshell.entity_instance, at: str, sets: Sets, note
                 status = _status(words)
                 found = found or status or ("new" if words == {"NEW"} else "")
                 for word in () if status else sorted(words - _MADE):
-                    notes.add(Sentence("ifc.note.status", status=repr(word)), about, at)
+                    notes.add(f"Elements with the status {word!r}, taken as still to be made", about, at)
             elif any(word in key.casefold() for word in _STATUS_NAMES) and _stands(key, given):
                 where = name if key == "Status" else f"{name} ({key})"
                 notes.add(
-                    Sentence("ifc.note.status_elsewhere", status=repr(given[:40]), where=where),
+                    (
+                        f"Elements with the status {given[:40]!r} in {where}, which is no `Status` of a set "
+                        "Pset_...Common: not used, taken as still to be made"
+                    ),
                     about,
                     at,
                 )
@@ -166,17 +168,20 @@ def read_mass(
                 continue
             if isinstance(value, (int, float)) and not isinstance(value, bool):
                 if value <= 0:
-                    notes.add(Sentence("ifc.note.no_weight"), product.Name or label(product), at)
+                    notes.add("Weights that are not above 0 are left out", product.Name or label(product), at)
                     continue
                 if not units.weighs and not _has_own_unit(product, name, quantity):
                     if not _is_power_of_ten(units.length):
                         notes.add(
-                            Sentence("ifc.note.weight_unit", weight=f"{value:.6g}"),
+                            (
+                                f"A weight of {value:.6g} without a unit can be kilograms or pounds, and is not used: the "
+                                "project has no unit of mass, and its unit of length is not metric"
+                            ),
                             product.Name or label(product),
                             at,
                         )
                         continue
-                    notes.add(Sentence("ifc.note.kilograms"))
+                    notes.add("The project has no unit of mass; weights are taken as kilograms")
                 return _noted(float(value), whole, product, at, notes)
     density = _density(product, at, units, notes)
     return None if density is None or whole <= 0.0 else _noted(density * whole, whole, product, at, notes)
@@ -184,9 +189,11 @@ def read_mass(
 
 def _noted(mass: float, whole: float, product: ifcopenshell.entity_instance, at: str, notes: Notes) -> float:
     if whole > 0.0 and not _LIKELY[0] <= mass / whole <= _LIKELY[1]:
-        shown = {"mass": f"{mass:.3g}", "litres": f"{1e3 * whole:.3g}", "density": f"{mass / whole:.3g}"}
         notes.add(
-            Sentence("ifc.note.mass", lightest=f"{_LIKELY[0]:g}", heaviest=f"{_LIKELY[1]:g}", **shown),
+            (
+                f"THE MASS IS DOUBTFUL: {mass:.3g} kg for {1e3 * whole:.3g} l is {mass / whole:.3g} kg/m³, "
+                f"expected {_LIKELY[0]:g} to {_LIKELY[1]:g}"
+            ),
             product.Name or at,
             at,
         )
@@ -207,13 +214,17 @@ def _density(product: ifcopenshell.entity_instance, at: str, units: Units, notes
     shown = f"{found[0]:g}"
     if factor is None:
         notes.add(
-            Sentence("ifc.note.density_unit", density=shown),
+            (
+                f"The mass is not known: a density of {shown} without a unit can be kg/m³ or of the project's "
+                "units of mass and volume (pounds where it has feet or inches and no unit of mass), or is "
+                "none of either"
+            ),
             product.Name or label(product),
             at,
         )
         return None
     if units.density is None and found[1] is None and factor == 1.0 and not _is_metric(units):
-        notes.add(Sentence("ifc.note.density", density=shown))
+        notes.add(f"The project has no unit of density; {shown} is taken as kg/m³")
     return float(found[0] * factor)
 
 

@@ -16,7 +16,6 @@ import ifcopenshell.util.placement
 import numpy as np
 
 from construction_twin.core.files import read_file
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.work.building import Body, BuildingModel, Element, Task
@@ -56,7 +55,7 @@ class Placements:
         while placement is not None and placement.id() not in self._known:
             if placement.id() in chain:
                 raise BuildingError(
-                    self._name, label(placement), Sentence("ifc.found.relative"), Sentence("ifc.no_loop")
+                    self._name, label(placement), "placed relative to itself", "placements without a loop"
                 )
             chain[placement.id()] = placement
             with Where(self._name, placement):
@@ -85,29 +84,31 @@ class Placements:
 def check_rigid(name: str, entity: object, matrix: np.ndarray) -> None:
     """Check that a matrix is a rotation and a shift that a building can have."""
     if not np.isfinite(matrix).all() or not np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-6):
-        raise BuildingError(name, label(entity), Sentence("ifc.found.axes"), Sentence("ifc.no_axes"))
+        raise BuildingError(
+            name, label(entity), "axes or a location that are no placement", "finite, axes not parallel"
+        )
     if np.abs(matrix[:3, 3]).max() > FARTHEST:
-        far = Sentence("ifc.found.far", distance=float(np.abs(matrix[:3, 3]).max()))
-        raise BuildingError(name, label(entity), far, Sentence("ifc.at_most", most=FARTHEST))
+        far = f"{float(np.abs(matrix[:3, 3]).max()):g} m from the origin"
+        raise BuildingError(name, label(entity), far, f"at most {FARTHEST:g} m")
 
 
 #: Entities whose meaning the work would need, and what is not done with them.
 _UNREAD = {
-    "IfcWorkCalendar": Sentence("ifc.unread.calendars"),
-    "IfcTaskTimeRecurring": Sentence("ifc.unread.recurring"),
-    "IfcEvent": Sentence("ifc.unread.events"),
-    "IfcProcedure": Sentence("ifc.unread.procedures"),
-    "IfcOrderAction": Sentence("ifc.unread.orders"),
-    "IfcRelConnectsElements": Sentence("ifc.unread.connections"),
-    "IfcRelConnectsStructuralActivity": Sentence("ifc.unread.loads"),
-    "IfcRelInterferesElements": Sentence("ifc.unread.interferences"),
-    "IfcConstraint": Sentence("ifc.unread.constraints"),
+    "IfcWorkCalendar": "calendars: lags and durations count around the clock",
+    "IfcTaskTimeRecurring": "times of tasks that are repeated: only the first is read",
+    "IfcEvent": "events: what comes after one does not wait until it has happened",
+    "IfcProcedure": "procedures: what comes after one does not wait until it is done",
+    "IfcOrderAction": "actions of an order (IFC2x3), of which only what every task has is read",
+    "IfcRelConnectsElements": "connections of elements: what holds what is seen from the shapes only",
+    "IfcRelConnectsStructuralActivity": "loads",
+    "IfcRelInterferesElements": "interferences that their author knows of",
+    "IfcConstraint": "constraints",
 }
 
 
 def note_unread(file: ifcopenshell.file, name: str, elements: dict[str, Element], notes: Notes) -> None:
     """Note what is in a file and not read, and what has no body and so is no obstacle."""
-    with Where(name, Sentence("ifc.file")):
+    with Where(name, "the file"):
         for kind, meaning in _UNREAD.items():
             try:
                 count = len(file.by_type(kind))
@@ -115,11 +116,11 @@ def note_unread(file: ifcopenshell.file, name: str, elements: dict[str, Element]
                 # not of this schema
                 continue
             if count:
-                notes.add(Sentence("ifc.note.unread", count=count, kind=kind, meaning=meaning))
+                notes.add(f"Not read: {count} {kind}, {meaning}")
     wholes = {element.assembly for element in elements.values()}
     for element in elements.values():
         if not element.bodies and element.id not in wholes:
-            notes.add(Sentence("ifc.note.no_body"), element.name or element.id, element.id)
+            notes.add("Elements without a body are no obstacle", element.name or element.id, element.id)
 
 
 #: Elements of a file.
@@ -134,8 +135,10 @@ _NOT_THERE = (
     "IfcExternalSpatialStructureElement",
 )
 _STATUS = {
-    "existing": Sentence("ifc.note.existing"),
-    "demolish": Sentence("ifc.note.demolish"),
+    "existing": "Existing elements: obstacles, never placed",
+    "demolish": (
+        "Elements that are to be taken down: obstacles until a person says that they are gone (`twin work removed`)"
+    ),
 }
 _SPATIAL = ("IfcSpatialElement", "IfcSpatialStructureElement")
 
@@ -161,11 +164,11 @@ def read_ifc(path: str | Path, most_bytes: int) -> BuildingModel:
     file = _open(contents, name)
     doubts = Doubts(file)
     log = tuple(entries(ifcopenshell.get_log()))
-    with Where(name, Sentence("ifc.file")):
+    with Where(name, "the file"):
         check_complete(log, contents, name)
         doubts.take_parser(log, contents)
         for entry in log:
-            notes.add(Sentence("ifc.note.parser"), entry.text)
+            notes.add("The parser says", entry.text)
         doubts.drop_broken_relations(log)
     # it can be large, and the geometry needs room
     del contents
@@ -207,7 +210,7 @@ def _in_one_piece(
     file: ifcopenshell.file, elements: dict[str, Element], ids: dict[int, str], tasks: dict[str, Task], found: _Found
 ) -> dict[str, Element]:
     """Return what comes in one piece, as `in_one_piece` does, and note it."""
-    with Where(found.name, Sentence("ifc.file")):
+    with Where(found.name, "the file"):
         factory = {
             ids[each.id()]
             for each in file.by_type("IfcElementAssembly")
@@ -216,9 +219,13 @@ def _in_one_piece(
     changed = in_one_piece(elements, tasks, factory)
     for name, element in changed.items():
         if element.bodies:
-            found.notes.add(Sentence("ifc.note.one_piece"), element.name or name, name)
+            found.notes.add("Comes in one piece: its parts are a body and a mass with it", element.name or name, name)
             if element.mass is None:
-                found.notes.add(Sentence("ifc.note.one_piece_mass"), element.name or name, name)
+                found.notes.add(
+                    "Comes in one piece with something whose mass is not known: its mass is not known either",
+                    element.name or name,
+                    name,
+                )
     return changed
 
 
@@ -226,9 +233,7 @@ def _contents(path: str | Path, name: str, most_bytes: int) -> bytes:
     try:
         return read_file(path, most_bytes)
     except OSError as error:
-        raise BuildingError(
-            name, Sentence("ifc.file"), error.strerror or str(error), Sentence("ifc.readable")
-        ) from error
+        raise BuildingError(name, "the file", error.strerror or str(error), "an IFC file that can be read") from error
 
 
 def _open(contents: bytes, name: str) -> ifcopenshell.file:
@@ -240,14 +245,14 @@ def _open(contents: bytes, name: str) -> ifcopenshell.file:
         written.write(contents)
         written.flush()
         try:
-            with Where(name, Sentence("ifc.file")):
+            with Where(name, "the file"):
                 file = ifcopenshell.open(f"/proc/self/fd/{copy}", format=".ifc")
                 count = len(file.types())
         except Misread as error:
             why = next((entry.text for entry in entries(ifcopenshell.get_log())), error.found)
-            raise BuildingError(name, Sentence("ifc.file"), why, Sentence("ifc.a_file")) from error
+            raise BuildingError(name, "the file", why, "an IFC file (ISO 10303-21)") from error
     if count == 0:
-        raise BuildingError(name, Sentence("ifc.file"), Sentence("ifc.found.no_entities"), Sentence("ifc.a_file"))
+        raise BuildingError(name, "the file", "no entities", "an IFC file (ISO 10303-21)")
     return file
 
 
@@ -259,7 +264,10 @@ def _note_map(file: ifcopenshell.file, found: _Found) -> None:
             shift = [conversion.Eastings, conversion.Northings, conversion.OrthogonalHeight]
             turned = (conversion.XAxisOrdinate or 0.0) != 0.0
         shown = ", ".join(f"{value:.3f}" for value in shift)
-        found.notes.add(Sentence("ifc.note.map_turned" if turned else "ifc.note.map", shift=shown))
+        found.notes.add(
+            f"The map conversion (eastings, northings, height {shown}{', turned' * turned}) is left out: poses are the "
+            "model's own"
+        )
 
 
 def _note_origin(file: ifcopenshell.file, found: _Found) -> None:
@@ -273,7 +281,10 @@ def _note_origin(file: ifcopenshell.file, found: _Found) -> None:
         if not np.allclose(matrix, np.eye(4), atol=1e-9):
             shift = ", ".join(f"{value * found.units.length:.3f}" for value in matrix[:3, 3])
             turned = not np.allclose(matrix[:3, :3], np.eye(3), atol=1e-9)
-            found.notes.add(Sentence("ifc.note.origin_turned" if turned else "ifc.note.origin", shift=shift))
+            found.notes.add(
+                f"The world coordinate system of the model's context ({shift} m{', turned' * turned}) is left out: "
+                "poses are those of the placements"
+            )
 
 
 def _elements(file: ifcopenshell.file, found: _Found) -> tuple[dict[str, Element], dict[int, str]]:
@@ -292,7 +303,10 @@ def _elements(file: ifcopenshell.file, found: _Found) -> tuple[dict[str, Element
             except Misread as error:
                 # it stands nobody knows where
                 matrices[product.id()] = None
-                found.doubts.everything = Sentence("ifc.doubt.file", problem=error.sentence)
+                found.doubts.everything = (
+                    "the reader of the file says, of what holds for all elements or for nobody knows which: "
+                    f"{error.sentence}"
+                )
             if (body := body_of(product)) is not None:
                 bodies[product.id()] = body
                 _note_more(product, body, ids[product.id()], found.notes)
@@ -319,7 +333,9 @@ def _elements(file: ifcopenshell.file, found: _Found) -> tuple[dict[str, Element
         elements = {one: replace(each, doubt=each.doubt or found.doubts.everything) for one, each in elements.items()}
     for one, element in elements.items():
         if element.doubt:
-            found.notes.add(Sentence("ifc.note.doubtful", doubt=element.doubt), element.name or one, one)
+            found.notes.add(
+                f"THE BODY IS DOUBTFUL: {element.doubt}, the arm does not place it", element.name or one, one
+            )
     _hand_down_status(elements, found.notes)
     return _without_doubles(elements, found.notes), {
         entity: element for entity, element in ids.items() if element in elements
@@ -338,22 +354,30 @@ def _note_more(
     ]
     if len(same) > 1:
         notes.add(
-            Sentence("ifc.note.more_bodies", count=len(same)),
+            f"Elements with {len(same)} bodies of one kind, of which the first is taken and the others are not",
             about,
             element_id,
         )
     voids = getattr(product, "HasOpenings", None) or ()
     if any(body_of(relation.RelatedOpeningElement) is None for relation in voids):
-        notes.add(Sentence("ifc.note.openings"), about, element_id)
+        notes.add("Openings without a body are not cut out", about, element_id)
 
 
 def _take_kernel_log(found: _Found) -> None:
     """Note what the kernel said of shapes, and doubt those that it said it of."""
     for entry in entries(ifcopenshell.get_log()):
         if entry.code in NO_UNIT_CODES:
-            raise BuildingError(found.name, Sentence("ifc.project_units"), entry.text, Sentence("ifc.kernel_unit"))
+            raise BuildingError(
+                found.name,
+                "units of the project",
+                entry.text,
+                (
+                    "one project whose unit of length the geometry kernel can read: of the SI, or converted to "
+                    "that in one step"
+                ),
+            )
         found.doubts.take_kernel(entry)
-        found.notes.add(Sentence("ifc.note.kernel", problem=entry.text), entry.about)
+        found.notes.add(f"The geometry kernel says: {entry.text}", entry.about)
 
 
 def _products(file: ifcopenshell.file, found: _Found) -> list[ifcopenshell.entity_instance]:
@@ -369,9 +393,9 @@ def _products(file: ifcopenshell.file, found: _Found) -> list[ifcopenshell.entit
     if len(products) > MOST_ELEMENTS:
         raise BuildingError(
             found.name,
-            Sentence("ifc.elements"),
+            "elements",
             str(len(products)),
-            Sentence("ifc.at_most_elements", most=MOST_ELEMENTS),
+            f"at most {MOST_ELEMENTS}",
         )
     return products
 
@@ -392,18 +416,21 @@ def _element(
     bodies: tuple[Body, ...] = ()
     if matrix is None:
         if shape is None or shape.model_T_shape is None:
-            found.notes.add(Sentence("ifc.note.grid_without_body"), element_id)
+            found.notes.add("Placed on a grid or an alignment, without a body: left out", element_id)
             if shape is not None:
-                found.doubts.everything = Sentence("ifc.doubt.file", problem=Sentence("ifc.note.grid_without_body"))
+                found.doubts.everything = (
+                    "the reader of the file says, of what holds for all elements or for nobody knows which: "
+                    "Placed on a grid or an alignment, without a body: left out"
+                )
             return None
         matrix = shape.model_T_shape
         check_rigid(found.name, product, matrix)
-        found.notes.add(Sentence("ifc.note.grid"), element_id)
+        found.notes.add("Placed on a grid or an alignment, as the geometry kernel says", element_id)
     if shape is not None:
         bodies = _in_frame(shape, matrix)
         if product.ObjectPlacement is None:
             found.notes.add(
-                Sentence("ifc.note.no_placement"),
+                "HAS A BODY AND NO PLACEMENT: where it is nobody says, taken at the model's origin",
                 product.Name or element_id,
                 element_id,
             )
@@ -421,7 +448,7 @@ def _element(
     if mass is not None and bodies and not doubt:
         litres = 1e3 * float(np.ptp(np.concatenate([body.vertices for body in bodies]), axis=0).prod())
         if mass > HEAVIEST * litres / 1e3:
-            doubt = Sentence("ifc.doubt.heavy", mass=f"{mass:.3g}", litres=f"{litres:.3g}")
+            doubt = f"its mass is more than that of its box ({mass:.3g} kg in {litres:.3g} l); it stands as an obstacle"
     return Element(
         id=element_id,
         ifc_class=product.is_a(),
@@ -473,7 +500,7 @@ def _without_doubles(elements: dict[str, Element], notes: Notes) -> dict[str, El
     for whole, parts in filled.items():
         own = _volume(elements[whole]) if whole in elements else 0.0
         if own > 0 and parts >= own / 2:
-            notes.add(Sentence("ifc.note.parts"), whole)
+            notes.add("Has a body and parts that fill it; only the parts' bodies are taken", whole)
             elements[whole] = replace(elements[whole], bodies=())
     return elements
 

@@ -18,7 +18,6 @@ from pathlib import Path
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.files import read_file
-from construction_twin.core.sentences import Sentence, understood
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.building import BuildingModel
 from construction_twin.work.ifc.model_file import VERSION, load
@@ -79,7 +78,7 @@ def read_building(
             model = _read(path, digest, written, bounds)
             os.replace(written, kept)
     except OSError as error:
-        raise ConfigurationError(str(kept.parent), error.strerror or str(error), Sentence("ifc.cache")) from error
+        raise ConfigurationError(str(kept.parent), error.strerror or str(error), "a folder for the cache") from error
     return model
 
 
@@ -88,7 +87,7 @@ def _digest(path: Path, bounds: Bounds) -> str:
         contents = read_file(path, bounds.file_bytes)
     except OSError as error:
         raise BuildingError(
-            path.name, Sentence("ifc.file"), error.strerror or str(error), Sentence("ifc.readable")
+            path.name, "the file", error.strerror or str(error), "an IFC file that can be read"
         ) from error
     check_form(contents, path.name)
     return hashlib.sha256(contents).hexdigest()
@@ -96,12 +95,12 @@ def _digest(path: Path, bounds: Bounds) -> str:
 
 def _read(path: Path, digest: str, output: Path, bounds: Bounds) -> BuildingModel:
     if importlib.util.find_spec("ifcopenshell") is None:
-        raise ConfigurationError("ifcopenshell", None, Sentence("expected.extras.installed", group="work"))
+        raise ConfigurationError("ifcopenshell", None, "that it is installed; run setup/setup.sh work")
     _run(path, digest, output, bounds)
     try:
         return load(output, path.name, digest)
     except OSError as error:
-        raise BuildingError(path.name, Sentence("ifc.written"), str(error), Sentence("ifc.whole_model")) from error
+        raise BuildingError(path.name, "what the reading process wrote", str(error), "a whole model") from error
 
 
 def _run(path: Path, digest: str, output: Path, bounds: Bounds) -> None:
@@ -125,11 +124,12 @@ def _run(path: Path, digest: str, output: Path, bounds: Bounds) -> None:
         pass  # no code
     error = _error(Path(f"{output}.error"))
     if error is not None:
-        # texts cross the file; what they say is found in them again
-        raise BuildingError(path.name, *(understood(text) or text for text in error))
+        raise BuildingError(path.name, *error)
     if code != 0 or not output.exists():
         how = _how_it_ended(code, bounds)
-        raise BuildingError(path.name, Sentence("ifc.process"), how, Sentence("ifc.within_bounds"))
+        raise BuildingError(
+            path.name, "the process that read the file", how, "a file that can be read within its bounds"
+        )
 
 
 def _error(path: Path) -> tuple[str, str, str] | None:
@@ -144,9 +144,9 @@ def _error(path: Path) -> tuple[str, str, str] | None:
 
 def _how_it_ended(code: int | None, bounds: Bounds) -> str:
     if code is None:
-        return Sentence("ifc.found.wall", seconds=bounds.wall)
+        return f"more than {bounds.wall:g} s"
     if code == -signal.SIGXCPU:
-        return Sentence("ifc.found.cpu", seconds=bounds.cpu)
+        return f"more than {bounds.cpu:g} s of processor time"
     if code < 0:
-        return Sentence("ifc.found.signal", number=-code, name=signal.Signals(-code).name)
-    return Sentence("ifc.found.code", code=code)
+        return f"an end by signal {-code} ({signal.Signals(-code).name})"
+    return f"an end with code {code} and no result"

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import ifcopenshell
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.ifc.notes import Where, label
 
@@ -127,8 +126,8 @@ def _refuse_loops(file: ifcopenshell.file, name: str, whole: dict[int, ifcopensh
                 raise BuildingError(
                     name,
                     label(file.by_id(at)),
-                    Sentence("ifc.found.part_of_itself", loop=shown),
-                    Sentence("ifc.no_part_loop"),
+                    f"part of itself ({shown} ...)",
+                    "no loop of parts",
                 )
             seen[at] = None
             parent = whole.get(at)

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 import ifcopenshell
 import numpy as np
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.ifc.notes import Where, label
 
@@ -73,22 +72,16 @@ class Items:
         if (known := self._counts.get(node.id())) is not None:
             return known
         if node.id() in path:
-            raise BuildingError(
-                self._name, label(node), Sentence("ifc.found.contains_itself"), Sentence("ifc.no_geometry_loop")
-            )
+            raise BuildingError(self._name, label(node), "geometry that contains itself", "geometry without a loop")
         if len(path) >= DEEPEST:
-            raise BuildingError(
-                self._name, label(node), Sentence("ifc.found.deep", depth=DEEPEST), Sentence("ifc.less")
-            )
+            raise BuildingError(self._name, label(node), f"geometry nested {DEEPEST} deep", "less")
         count = 1
         with Where(self._name, node):
             parts = _parts(node)
         for part in parts:
             count += self._count(part, (*path, node.id()))
             if count > MOST_ITEMS:
-                raise BuildingError(
-                    self._name, label(node), Sentence("ifc.found.items", most=MOST_ITEMS), Sentence("ifc.less")
-                )
+                raise BuildingError(self._name, label(node), f"more than {MOST_ITEMS} items by mapping", "less")
         self._counts[node.id()] = count
         return count
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import codecs
 import re
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.ifc.notes import Notes
 
@@ -20,12 +19,12 @@ _MARK = b"\xef\xbb\xbf"
 _SPACE = b" \t\r\n\0\x1a"
 #: What other forms of IFC begin with, and what to do with one.
 _OTHERS = {
-    b"PK": Sentence("ifc.found.zip"),
-    b"<": Sentence("ifc.found.xml"),
-    b"\xff\xfe": Sentence("ifc.found.utf16"),
-    b"\xfe\xff": Sentence("ifc.found.utf16"),
-    b"I\0": Sentence("ifc.found.utf16"),
-    b"\0I": Sentence("ifc.found.utf16"),
+    b"PK": "a ZIP archive (IFCZIP): unpack it and give the .ifc file in it",
+    b"<": "XML (ifcXML): export the model as STEP text (.ifc) instead",
+    b"\xff\xfe": "text in UTF-16: save it as UTF-8",
+    b"\xfe\xff": "text in UTF-16: save it as UTF-8",
+    b"I\0": "text in UTF-16: save it as UTF-8",
+    b"\0I": "text in UTF-16: save it as UTF-8",
 }
 _SCHEMA = re.compile(rb"FILE_SCHEMA\s*\(\s*\(\s*'([^']*)'")
 
@@ -34,12 +33,12 @@ def check_form(contents: bytes, name: str) -> None:
     """Check that contents are a STEP file from its beginning to its end."""
     begun = _from_start(contents)
     if not begun.startswith(_MAGIC):
-        shown = Sentence("ifc.found.begins", contents=repr(contents[:20])) if contents else Sentence("ifc.found.empty")
+        shown = f"{contents[:20]!r} at its beginning" if contents else "nothing in it"
         found = next((said for begins, said in _OTHERS.items() if begun.startswith(begins)), shown)
-        raise BuildingError(name, Sentence("ifc.file"), found, Sentence("ifc.begins", magic=_MAGIC.decode()))
+        raise BuildingError(name, "the file", found, f"an IFC file, which begins with {_MAGIC.decode()}")
     if not contents.rstrip(_SPACE).endswith(_END):
-        found = Sentence("ifc.found.no_end", end=_END.decode())
-        raise BuildingError(name, Sentence("ifc.file"), found, Sentence("ifc.whole_file"))
+        found = f"no {_END.decode()} at its end: it is not whole"
+        raise BuildingError(name, "the file", found, "a whole IFC file")
 
 
 def _from_start(contents: bytes) -> bytes:
@@ -61,8 +60,8 @@ def _of_last_publication(contents: bytes, name: str) -> bytes:
     base, _, publication = given.partition("_")
     if found is None or base not in SCHEMAS or publication.startswith("RC"):
         raise BuildingError(
-            name, Sentence("ifc.schema"), given or Sentence("ifc.found.none"),
-            Sentence("ifc.published", schemas=", ".join(SCHEMAS)),
+            name, "schema", given or "none",
+            (f"one of {', '.join(SCHEMAS)} as published (IFC4_ADD2 and the like too), no release " "candidate: export it so"),
         )  # fmt: skip
     if SCHEMAS[base] == found.group(1):
         return contents
@@ -82,7 +81,9 @@ def _in_ascii(contents: bytes, notes: Notes) -> bytes:
     except UnicodeDecodeError:
         text, code = contents.decode("cp1252", errors="replace"), "Latin-1 (Windows-1252)"
     letters = sorted(letter for letter in set(text) if not letter.isascii())
-    notes.add(Sentence("ifc.note.letters", code=code, letters="".join(letters[:20])))
+    notes.add(
+        f"The file has letters that are not ASCII, which IFC does not allow; taken as {code}: {''.join(letters[:20])}"
+    )
     return text.encode("ascii", errors="ifc")
 
 

@@ -17,7 +17,6 @@ import ifcopenshell.util.element
 import isodate
 import numpy as np
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.work.building import Element, Sequence, Task
@@ -27,7 +26,7 @@ from construction_twin.work.ifc.relations import Relations
 from construction_twin.work.ifc.units import Units
 from construction_twin.work.recipe import PROPERTY_SET, RECIPE
 
-_NO_TIME = Sentence("ifc.note.no_time_unit")
+_NO_TIME = "The project has no unit of time: a lag or duration that is a number is taken as seconds"
 #: A ratio above this is counted in percent: nobody waits ten times as long as something took.
 _MOST_RATIO = 10.0
 #: Dates of a task, the first that is said counts.
@@ -129,7 +128,14 @@ def read_tasks(
     for entity in entities:
         if calendar := _calendar(entity, assigned):
             about = entity.Name or task_ids[entity.id()]
-            notes.add(Sentence("ifc.note.calendar", calendar=calendar), about, task_ids[entity.id()])
+            notes.add(
+                (
+                    "Calendars are not read: lags and durations count around the clock, holidays and nights "
+                    f"included, of tasks of one ({calendar})"
+                ),
+                about,
+                task_ids[entity.id()],
+            )
         with Where(name, entity):
             task = _task(entity, name, task_ids, assigned, groups, set(given), units, notes)
             tasks[task.id] = _as_recorded(task, recorded, notes)
@@ -153,7 +159,7 @@ def unique_id(entity: ifcopenshell.entity_instance, taken: Collection[str], note
     )
     if allowed and given not in taken:
         return given
-    notes.add(Sentence("ifc.note.numbered"), label(entity))
+    notes.add("Named by the number in the file, because the GlobalId is missing, wrong or another one's", label(entity))
     return f"#{entity.id()}"
 
 
@@ -194,11 +200,11 @@ def _assigned(file: ifcopenshell.file, name: str, notes: Notes) -> _Assigned:
                     found.schedules.setdefault(each.id(), relation.RelatingControl)
                 if getattr(relation, "TimeForTask", None) is not None:
                     found.times[each.id()] = relation.TimeForTask
-    with Where(name, Sentence("ifc.file")):
+    with Where(name, "the file"):
         times = [*found.times.values(), *(getattr(each, "TaskTime", None) for each in file.by_type("IfcTask"))]
         if any((_completion(time) or 0.0) > 1.0 for time in times):
             found.whole = 100.0
-            notes.add(Sentence("ifc.note.percent"))
+            notes.add("Parts that are done are counted in percent, as one of them is more than 1: 1 is 1 %")
     return found
 
 
@@ -227,7 +233,7 @@ def _scheduled(
             top = parent
         schedule = assigned.schedules.get(top.id())
         if schedule is None:
-            key, schedules[0] = 0, (Sentence("ifc.note.without_schedule"), "")
+            key, schedules[0] = 0, ("(tasks without a schedule)", "")
         else:
             key = schedule.id()
             schedules[key] = (schedule.Name or "", _schedule_kind(schedule))
@@ -235,10 +241,16 @@ def _scheduled(
     kept = [key for key, (_, kind) in schedules.items() if kind not in _OTHER_SCHEDULES] or list(schedules)
     for key in schedules.keys() - set(kept):
         name, kind = schedules[key]
-        notes.add(Sentence("ifc.note.other_schedules", kind=kind), name)
+        notes.add(
+            (
+                f"Schedules of the kind {kind}, left out with their tasks and the orders of these because "
+                "there is another"
+            ),
+            name,
+        )
     if len(kept) > 1:
         names = ", ".join(schedules[key][0] for key in kept)
-        notes.add(Sentence("ifc.note.schedules", count=len(kept), names=names))
+        notes.add(f"{len(kept)} schedules, whose tasks are all read: {names}")
     wanted = {entity.id() for key in kept for entity in by_schedule[key]}
     return [entity for entity in entities if entity.id() in wanted]
 
@@ -282,10 +294,17 @@ def _as_recorded(task: Task, recorded: set[str], notes: Notes) -> Task:
     if task.kind != "makes" or task.completed or not made:
         return task
     if made == set(task.products):
-        sentence = Sentence("ifc.note.recorded")
+        sentence = "Tasks that a schedule of the kind ACTUAL says are completed: not done again, what they made stands"
         notes.add(sentence, task.name or task.id, task.id)
         return replace(task, completed=True)
-    notes.add(Sentence("ifc.note.recorded_part"), task.name or task.id, task.id)
+    notes.add(
+        (
+            "TASKS OF WHICH A SCHEDULE OF THE KIND ACTUAL SAYS THAT A PART IS DONE, taken as still to be "
+            "done; skip what stands already"
+        ),
+        task.name or task.id,
+        task.id,
+    )
     return task
 
 
@@ -308,7 +327,7 @@ def _task(
     by_recipe = properties.get(RECIPE) is not None
     kind = _kind(entity, assigned, task_id, shown, by_recipe, notes) if not cancelled else "other"
     if cancelled:
-        sentence = Sentence("ifc.note.cancelled")
+        sentence = "Tasks that the file says are cancelled: not done, nothing waits for them but what comes before"
         notes.add(sentence, shown, task_id)
     if by_recipe and not products and kind == "makes":
         products, inputs = inputs, []
@@ -319,7 +338,7 @@ def _task(
         and (made := [each for each in inputs if each in given or each in groups.elements])
     ):
         notes.add(
-            Sentence("ifc.note.inputs_only"),
+            "Tasks whose workpieces are assigned as inputs only (IfcRelAssignsToProcess); taken as what they make",
             shown,
             task_id,
         )
@@ -355,18 +374,20 @@ def _kind(
         said = _said_kind(each)
         if said:
             break
-    shown_kind = said if said and said == _said_kind(entity) else Sentence("ifc.note.kind_nested", kind=said)
+    shown_kind = said if said and said == _said_kind(entity) else f"{said} (said of what they nest in)"
     if said in _TAKES_DOWN or any(word in said.casefold() for word in _TAKES_DOWN_WORDS):
-        notes.add(Sentence("ifc.note.takes_down", kind=shown_kind), shown, task_id)
+        notes.add(
+            f"Tasks of the kind {shown_kind}: the arm takes nothing down, a person says when it is gone", shown, task_id
+        )
         return "takes_down"
     if by_recipe:
         return "makes"
     if said and said not in _MAKES:
-        notes.add(Sentence("ifc.note.places_nothing", kind=shown_kind), shown, task_id)
+        notes.add(f"Tasks of the kind {shown_kind}, which places nothing; kept for the order", shown, task_id)
         return "other"
     own = _own_word(entity)
     if own and own.upper() not in _MAKES:
-        notes.add(Sentence("ifc.note.own_kind", kind=repr(own)), shown, task_id)
+        notes.add(f"Tasks of a kind of their own ({own!r}), taken as placing", shown, task_id)
     return "makes"
 
 
@@ -438,29 +459,36 @@ def _completed(
     """Return whether the file says that a task is done; one that is under way, or says both, is noted."""
     time, status = _time_of(entity, assigned), _status_word(entity)
     if _says_completed(entity, assigned):
-        sentence = Sentence("ifc.note.completed")
+        sentence = "Tasks that the file says are completed: not done again, what they made stands"
         notes.add(sentence, shown, task_id)
         if status and status not in _DONE_WORDS:
-            notes.add(Sentence("ifc.note.completed_by_times", status=repr(entity.Status)), shown, task_id)
+            notes.add(
+                f"Tasks with the status {entity.Status!r} whose times say that they are completed", shown, task_id
+            )
         return True
     begun = getattr(time, "ActualStart", None) is not None or (_completion(time) or 0.0) > 0.0
-    by_status = Sentence("ifc.note.begun_status", status=repr(entity.Status))
-    said = by_status if status else Sentence("ifc.note.begun_times")
+    said = f"status {entity.Status!r}" if status else "a start or a part that is done"
     whole = next((each for each in _above(entity, assigned) if _says_completed(each, assigned)), None)
     if whole is not None:
-        because = Sentence("ifc.note.nest_in", name=whole.Name or whole.GlobalId)
+        because = f"what they nest in ({whole.Name or whole.GlobalId}) is"
         if status or begun:
             notes.add(
-                Sentence("ifc.note.maybe_not_completed", said=said, because=because),
+                (
+                    f"TASKS THAT MAY NOT BE COMPLETED ({said}), taken as completed because {because}: what they "
+                    "make counts as standing"
+                ),
                 shown,
                 task_id,
             )
         else:
-            notes.add(Sentence("ifc.note.completed_by_whole", because=because), shown, task_id)
+            notes.add(f"Tasks taken as completed because {because}: what they made stands", shown, task_id)
         return False
     if begun or (status and status not in _NOT_BEGUN_WORDS):
         notes.add(
-            Sentence("ifc.note.maybe_begun", said=said),
+            (
+                f"TASKS THAT MAY HAVE BEGUN ({said}), taken as still to be done; if what they make stands "
+                "already, skip them"
+            ),
             shown,
             task_id,
         )
@@ -475,7 +503,7 @@ def _elements(
         if own := groups.named(entity):
             found[own] = None
         else:
-            notes.add(Sentence("ifc.note.no_element", kind=entity.is_a()), task, at)
+            notes.add(f"Assigned to a task but no element ({entity.is_a()}); left out", task, at)
     return list(found)
 
 
@@ -491,7 +519,7 @@ def _times(
     starts = (_moment(getattr(time, f"{said}Start"), task, task_id, notes) for said in _DATES)
     start = next(filter(None, starts), "")
     if start and time.ScheduleStart is None:
-        notes.add(Sentence("ifc.note.other_start"), task, task_id)
+        notes.add("No scheduled start: the early one is taken, or else the late one", task, task_id)
     given = time.ScheduleDuration
     if isinstance(given, str):
         return start, _seconds(given, task, (task_id,), notes)
@@ -509,7 +537,7 @@ def _moment(value: str | ifcopenshell.entity_instance | None, task: str, task_id
                 return str(ifcopenshell.util.date.ifc2datetime(value).isoformat())  # type: ignore[union-attr]
             return _date_and_time(value).isoformat()
     except BuildingError:
-        notes.add(Sentence("ifc.note.no_date"), task, task_id)
+        notes.add("A time that is no date is left out", task, task_id)
         return ""
 
 
@@ -529,11 +557,11 @@ def _seconds(value: str, about: str, at: Iterable[str], notes: Notes) -> float |
     try:
         parsed = isodate.parse_duration(value)
     except (ValueError, TypeError, OverflowError, ArithmeticError):
-        sentence = Sentence("ifc.note.no_duration", value=repr(value[:40]))
+        sentence = f"{value[:40]!r} is no duration of ISO 8601, and is left out"
     else:
         if isinstance(parsed, timedelta):
             return parsed.total_seconds()
-        sentence = Sentence("ifc.note.years", value=repr(value[:40]))
+        sentence = f"A duration in years or months ({value[:40]!r}) has no length in seconds, and is left out"
     _told(sentence, about, at, notes)
     return None
 
@@ -584,10 +612,17 @@ def _sequence(
         return None
     process = relation.RelatingProcess
     if not process.is_a("IfcTask"):
-        notes.add(Sentence("ifc.note.between", kind=process.is_a()), process.Name or before, after)
+        notes.add(
+            (
+                f"Comes after what the arm does not see happen ({process.is_a()}): only what is before that "
+                "is waited for"
+            ),
+            process.Name or before,
+            after,
+        )
     kind = relation.SequenceType
     if kind not in _KINDS:
-        sentence = Sentence("ifc.note.order_kind")
+        sentence = "Orders without one of the four kinds, taken as finish to start"
         _told(sentence, label(relation), (before, after), notes)
         kind = _KINDS[0]
     return Sequence(before, after, kind, _lag(relation, tasks[before], after, time_unit, notes))
@@ -608,16 +643,25 @@ def _lag(
         value = lag.LagValue
         if value.is_a("IfcRatioMeasure"):
             if before.duration is None:
-                _told(Sentence("ifc.note.lag_unknown"), about, at, notes)
+                _told("A lag that is a part of a duration that is not known is left out", about, at, notes)
                 return 0.0
             percent = value.wrappedValue > _MOST_RATIO
             seconds = value.wrappedValue * before.duration / (100.0 if percent else 1.0)
-            _told(Sentence("ifc.note.lag_percent" if percent else "ifc.note.lag_part"), about, at, notes)
+            _told(
+                (
+                    "A lag that is more than ten times the duration of the task before is taken as percent of it"
+                    if percent
+                    else "A lag that is a part of the duration of the task before"
+                ),
+                about,
+                at,
+                notes,
+            )
         else:
             seconds = _seconds(value.wrappedValue, about, at, notes)
         if lag.DurationType == "WORKTIME" and seconds:
             _told(
-                Sentence("ifc.note.lag_working"),
+                "A lag in working time is waited for around the clock (no calendar is read)",
                 about,
                 at,
                 notes,

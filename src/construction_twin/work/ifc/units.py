@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import ifcopenshell
 import ifcopenshell.util.unit
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.ifc.notes import Notes, Where
 
@@ -71,27 +70,27 @@ def read_units(file: ifcopenshell.file, name: str, notes: Notes) -> Units:
     """Read the project's units."""
     projects = file.by_type("IfcProject")
     if not projects:
-        raise BuildingError(name, "IFCPROJECT", Sentence("ifc.found.none"), Sentence("ifc.a_project"))
+        raise BuildingError(name, "IFCPROJECT", "none", "a project, which says in which units the model is")
     if len(projects) > 1:
-        raise BuildingError(name, "IFCPROJECT", str(len(projects)), Sentence("ifc.one_project"))
+        raise BuildingError(
+            name, "IFCPROJECT", str(len(projects)), "one project, which says in which units the model is"
+        )
     with Where(name, projects[0]):
         assignment = projects[0].UnitsInContext
         given = [getattr(unit, "UnitType", None) for unit in assignment.Units] if assignment else []
     if "LENGTHUNIT" not in given:
         raise BuildingError(
-            name, Sentence("ifc.project_units"), Sentence("ifc.found.no_length_unit"), Sentence("ifc.one_unit")
+            name, "units of the project", "no length unit", "one, or no length of the model has a meaning"
         )
     if given.count("LENGTHUNIT") > 1:
-        raise BuildingError(
-            name, Sentence("ifc.project_units"), Sentence("ifc.found.length_units"), Sentence("expected.one")
-        )
+        raise BuildingError(name, "units of the project", "several length units", "one")
     length = _scale(file, name, "LENGTHUNIT")
     if not _SMALLEST <= length <= _LARGEST:
         raise BuildingError(
-            name, Sentence("ifc.length_unit"), Sentence("ifc.found.metres", length=length), Sentence("ifc.drawn_in")
+            name, "length unit of the project", f"{length:g} m", "a unit of length that buildings are drawn in"
         )
     if "PLANEANGLEUNIT" not in given:
-        notes.add(Sentence("ifc.note.radians"))
+        notes.add("The project has no unit of angles; radians are assumed")
     return Units(
         length,
         _scale(file, name, "AREAUNIT") if "AREAUNIT" in given else length**2,
@@ -110,9 +109,7 @@ def _density(assignment: ifcopenshell.entity_instance, name: str) -> float:
     with Where(name, unit):
         factor = si_factor(unit)
     if factor is None or not (math.isfinite(factor) and factor > 0):
-        raise BuildingError(
-            name, Sentence("ifc.unit_of", kind="MASSDENSITYUNIT"), str(factor), Sentence("ifc.known_unit")
-        )
+        raise BuildingError(name, "MASSDENSITYUNIT of the project", str(factor), "a unit of known units")
     return factor
 
 
@@ -137,8 +134,8 @@ def si_factor(unit: ifcopenshell.entity_instance) -> float | None:
 
 
 def _scale(file: ifcopenshell.file, name: str, kind: str) -> float:
-    with Where(name, Sentence("ifc.unit_of", kind=kind)):
+    with Where(name, f"{kind} of the project"):
         scale = float(ifcopenshell.util.unit.calculate_unit_scale(file, kind))
     if not (math.isfinite(scale) and scale > 0):
-        raise BuildingError(name, Sentence("ifc.unit_of", kind=kind), f"{scale:g}", Sentence("ifc.factor"))
+        raise BuildingError(name, f"{kind} of the project", f"{scale:g}", "a finite factor above 0")
     return scale

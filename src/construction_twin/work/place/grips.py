@@ -18,7 +18,6 @@ import numpy as np
 import shapely
 from scipy.spatial import ConvexHull, QhullError
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.tool import Cups, Tool
 from construction_twin.work.convex_bodies import Pieces
@@ -74,17 +73,15 @@ def find_grips(pieces: Pieces, up: np.ndarray, mass: float, recipe: PlaceRecipe,
     """
     wanted = recipe.grips
     if tool.cups is None:
-        return GripSearch((), Sentence("work.grip.no_cups", tool=repr(tool.name)))
+        return GripSearch((), f"tool {tool.name!r} has no cups")
     needed = max(wanted.min_cups, math.ceil(mass / tool.cups.holds - 1e-9))
     if needed > len(tool.cups.at):
-        return GripSearch(
-            (), Sentence("work.grip.mass", mass=mass, needed=needed, tool=repr(tool.name), count=len(tool.cups.at))
-        )
+        return GripSearch((), f"{mass:.1f} kg need {needed} cups; tool {tool.name!r} has {len(tool.cups.at)}")
     if not pieces.solid:
-        return GripSearch((), Sentence("work.grip.open"))
+        return GripSearch((), "its body is not closed (or not convex): no grip is known")
     faces = _faces(pieces, up, wanted.faces)
     if not faces:
-        return GripSearch((), Sentence("work.grip.no_face", faces=" or ".join(wanted.faces)))
+        return GripSearch((), f"it has no flat face {' or '.join(wanted.faces)}")
     grips: list[Grip] = []
     reasons: list[tuple[int, str]] = []
     for face in faces:
@@ -100,7 +97,7 @@ def find_grips(pieces: Pieces, up: np.ndarray, mass: float, recipe: PlaceRecipe,
                     continue
                 named = f"{place.name}, element turned {turn:g} deg" if turn else place.name
                 grips.append(Grip(f"{named}, {len(cups)} cups", place.element_T_tcp, face.turned(turn), len(cups)))
-    return GripSearch(tuple(grips), max(reasons, default=(0, Sentence("work.grip.turns")))[1])
+    return GripSearch(tuple(grips), max(reasons, default=(0, "its shape does not allow the turns"))[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,13 +216,16 @@ def _same(pieces: Pieces, face: _Face, turn_deg: float) -> bool:
 def _problem(place: _Place, cups: np.ndarray, needed: int, lever: float, pieces: Pieces) -> tuple[int, str] | None:
     """Return why a place does not hold the element, with how far it came; None: it does."""
     if len(cups) < needed:
-        return len(cups), Sentence("work.grip.cups", place=place.name, count=len(cups), needed=needed)
+        return len(cups), f"{place.name}: {len(cups)} cups lie on the face; {needed} are needed"
     pose = place.element_T_tcp
     flat = (cups - pose.position) @ pose.rotation[:, :2]
     centre = (pieces.centre - pose.position) @ pose.rotation[:, :2]
     away = shapely.MultiPoint(flat).convex_hull.distance(shapely.Point(centre))
     if away > lever:
-        return 1000, Sentence("work.grip.lever", place=place.name, away=1e3 * away, most=1e3 * lever)
+        return 1000, (
+            f"{place.name}: the centre of gravity is {1e3 * away:.0f} mm beside the cups that hold; at "
+            f"most {1e3 * lever:.0f} mm are allowed"
+        )
     return None
 
 

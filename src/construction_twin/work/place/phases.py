@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.tool import ToolFile
 from construction_twin.scene.objects import Scene, SceneObject, product
@@ -88,7 +87,7 @@ def direction(asked: Direction, base_T_element: Pose) -> np.ndarray:
     vector = np.array(asked, dtype=float)
     length = float(np.linalg.norm(vector))
     if length == 0.0:
-        raise ConfigurationError("direction of a recipe", asked, Sentence("expected.work.vector"))
+        raise ConfigurationError("direction of a recipe", asked, "a vector that is not zero")
     return vector / length
 
 

@@ -46,14 +46,16 @@ def check(search: Search) -> None:
     job = search.job
     mass_of(job, search.name, search.recipe, search.tool.tool)
     if job.base_T_stock is None:
-        raise TaskPlanningError(job.task, Sentence("work.cannot.no_stock", element=job.called))
+        raise TaskPlanningError(job.task, Sentence("{element} has no place in stock", element=job.called))
     if search.held is None:
         _check_stock(search)
         return
     carried = {item.name for item in search.scene.objects if item.link}
     for item in job.bodies:
         if item.name not in carried:
-            raise TaskPlanningError(job.task, Sentence("work.cannot.not_carried", body=item.name))
+            raise TaskPlanningError(
+                job.task, Sentence("{body} is not carried in the scene; expected it in the grip", body=item.name)
+            )
     if falls := _falls(search):
         raise TaskPlanningError(job.task, falls, SET_DOWN)
 
@@ -78,13 +80,20 @@ def _whole(search: Search) -> TaskMotions:
         raise TaskPlanningError(job.task, str(error), GRIP) from error
     if not grips.grips:
         raise TaskPlanningError(
-            job.task, Sentence("work.cannot.no_grip", recipe=repr(search.name), reason=grips.reason), GRIP
+            job.task,
+            Sentence("recipe {recipe} finds no grip: {reason}", recipe=repr(search.name), reason=grips.reason),
+            GRIP,
         )
-    furthest = Failed(GRIP, "", Sentence("work.cannot.none_tried"))
+    furthest = Failed(GRIP, "", Sentence("no grip"))
     for tried, grip in enumerate(grips.grips):
         if tried and search.late:
-            values = {"tried": tried, "count": len(grips.grips), "seconds": search.limits.budget}
-            reason = Sentence("work.cannot.tried", reason=furthest.reason, **values)
+            reason = Sentence(
+                "{reason} ({tried} of {count} grips tried in {seconds:g} s)",
+                reason=furthest.reason,
+                tried=tried,
+                count=len(grips.grips),
+                seconds=search.limits.budget,
+            )
             furthest = Failed(furthest.stage, furthest.method, reason)
             break
         try:
@@ -120,16 +129,29 @@ def _check_stock(search: Search) -> None:
     assert job.base_T_stock is not None
     present = {item.name: item for item in search.scene.objects}
     if not job.bodies:
-        raise TaskPlanningError(job.task, Sentence("work.cannot.no_bodies", element=job.element.id))
+        raise TaskPlanningError(
+            job.task, Sentence("element {element} has no bodies; it cannot be gripped", element=job.element.id)
+        )
     for item in job.bodies:
         found = present.get(item.name)
         if found is None:
-            raise TaskPlanningError(job.task, Sentence("work.cannot.not_in_stock", body=item.name))
+            raise TaskPlanningError(
+                job.task, Sentence("{body} is not in the scene; the element has to be in stock", body=item.name)
+            )
         away = float(np.linalg.norm(product(job.base_T_stock, item.pose).position - found.pose.position))
         if found.link:
-            raise TaskPlanningError(job.task, Sentence("work.cannot.carried", body=item.name, link=found.link))
+            raise TaskPlanningError(
+                job.task, Sentence("{body} is carried by {link}; expected in stock", body=item.name, link=found.link)
+            )
         if away > _ELSEWHERE:
-            raise TaskPlanningError(job.task, Sentence("work.cannot.elsewhere", body=item.name, away=1e3 * away))
+            raise TaskPlanningError(
+                job.task,
+                Sentence(
+                    "{body} is {away:.1f} mm from its place in stock; expected in stock",
+                    body=item.name,
+                    away=1e3 * away,
+                ),
+            )
 
 
 def _falls(search: Search) -> str:
@@ -139,7 +161,13 @@ def _falls(search: Search) -> str:
     others = [item for item in search.scene.objects if not item.link and item.name not in own]
     if recipe.place.fastened or search.shapes.holder(job.bodies, job.base_T_goal, others, np.array(job.up)):
         return ""
-    return Sentence("work.cannot.falls", element=job.element.name or job.element.id, gap=1e3 * FALL)
+    return Sentence(
+        "nothing holds {element} when the tool lets go: nothing that stands is under it within "
+        "{gap:.0f} mm. If it is fastened before, by what the model does not show, say so: `fastened: "
+        "true` in the recipe's `place`, or the property CTwin_RobotTask.Fastened",
+        element=job.element.name or job.element.id,
+        gap=1e3 * FALL,
+    )
 
 
 def _with_grip(search: Search, grip: Grip) -> TaskMotions:
@@ -196,7 +224,13 @@ def _check_bodies(search: Search, at: Ways, there: Scenes, grip: Grip) -> None:
     for stage, scene, pose in places:
         found = search.shapes.obstruction(scene, pose)
         if found is not None:
-            raise Failed(stage, grip.name, Sentence("work.cannot.would_touch", first=found[0], second=found[1]))
+            raise Failed(
+                stage,
+                grip.name,
+                Sentence(
+                    "{first} would touch {second}, or come closer than the padding", first=found[0], second=found[1]
+                ),
+            )
 
 
 def _options(directions: tuple, lengths: tuple[float, ...], base_T_element: Pose) -> list[np.ndarray]:

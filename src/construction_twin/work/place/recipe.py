@@ -37,7 +37,7 @@ _Face = Literal["up", "+x", "-x", "+y", "-y", "+z", "-z", "any"]
 
 def _not_zero(asked: str | tuple[float, float, float]) -> str | tuple[float, float, float]:
     if not isinstance(asked, str) and not any(asked):
-        raise ValueError(Sentence("expected.work.vector"))
+        raise ValueError("a vector that is not zero")
     return asked
 
 
@@ -169,16 +169,41 @@ def mass_of(job: WorkJob, name: str, recipe: PlaceRecipe, tool: Tool) -> float:
     if mass is None:
         raise TaskPlanningError(
             job.task,
-            Sentence("work.cannot.mass_unknown", element=job.called, property_set=PROPERTY_SET, recipe=repr(name)),
+            Sentence(
+                "the mass of {element} is not known: give it a weight or a density in the model, "
+                "{property_set}.Mass, or recipe {recipe} a mass",
+                element=job.called,
+                property_set=PROPERTY_SET,
+                recipe=repr(name),
+            ),
         )
     if not mass > 0.0:
-        raise TaskPlanningError(job.task, Sentence("work.cannot.mass_zero", element=job.called, mass=mass))
-    names = {"element": job.called, "tool": repr(tool.name)}
+        raise TaskPlanningError(
+            job.task, Sentence("{element} has a mass of {mass:g} kg; expected above 0", element=job.called, mass=mass)
+        )
     if mass > tool.payload:
-        raise TaskPlanningError(job.task, Sentence("work.cannot.payload", mass=mass, payload=tool.payload, **names))
+        raise TaskPlanningError(
+            job.task,
+            Sentence(
+                "{element} has {mass:.1f} kg; tool {tool} carries at most {payload:g} kg",
+                mass=mass,
+                payload=tool.payload,
+                element=job.called,
+                tool=repr(tool.name),
+            ),
+        )
     if tool.mass + mass > tool.load:
         both = tool.mass + mass
-        raise TaskPlanningError(job.task, Sentence("work.cannot.load", mass=both, load=tool.load, **names))
+        raise TaskPlanningError(
+            job.task,
+            Sentence(
+                "{element} and tool {tool} together have {mass:.1f} kg; the controller's load data are for {load:g} kg",
+                mass=both,
+                load=tool.load,
+                element=job.called,
+                tool=repr(tool.name),
+            ),
+        )
     return mass
 
 
@@ -188,6 +213,4 @@ def check_tool(recipe: PlaceRecipe, tool: Tool, where: str) -> None:
         for shape in shapes:
             if shape not in tool.shapes:
                 known = ", ".join(tool.shapes)
-                raise ConfigurationError(
-                    f"{where}/grips/{key}", shape, Sentence("expected.work.shape_of_tool", shapes=known)
-                )
+                raise ConfigurationError(f"{where}/grips/{key}", shape, f"one of the tool's shapes: {known}")
