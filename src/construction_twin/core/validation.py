@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 
 Schema = Mapping[str, Any]
 
@@ -110,9 +109,7 @@ def _expected(
         return f"no such key; did you mean {near[0]}?" if near else f"no such key; known are {', '.join(known)}"
     if kind in ("value_error", "assertion_error"):
         # of our own validators
-        error = problem.get("ctx", {}).get("error", "another value")
-        own = next(iter(getattr(error, "args", ())), None)
-        return own if isinstance(own, Sentence) else str(error).removeprefix("expected ")
+        return str(problem.get("ctx", {}).get("error", "another value")).removeprefix("expected ")
     if kind == "json_invalid":
         return f"JSON ({problem['ctx']['error']})"
     said = _described(place, root) if place is not None else "another value"
