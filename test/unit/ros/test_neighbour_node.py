@@ -124,13 +124,51 @@ def test_of_two_plans_approved_at_the_same_moment_the_later_one_stops(bench):
     assert not bench.verdict().conflict, "neither has begun: a comes before b"
 
 
-def test_what_only_stands_or_is_not_known_stops_no_plan_that_is_played(bench):
+def test_what_is_not_known_stops_no_plan_that_is_played_and_what_stands_in_its_path_does(bench):
+    """The later one of two may come to rest in the path of the earlier one."""
     bench.own.offer(OURS)
     bench.own.follow(ExecutorState.PLAYING, OURS, 20)
-    for bench.pose in (TOWARDS, None):
-        assert not bench.verdict().conflict
+    bench.pose = None
+    assert not bench.verdict().conflict
+    for bench.pose, stops in ((AWAY, False), (TOWARDS, True)):
+        assert bench.verdict().conflict == stops
+    bench.own.say("scene", Scene(hash="wrong"))
+    assert not bench.verdict().conflict, "as of a node that was started again"
     bench.own.follow(ExecutorState.IDLE, OURS, 20)
     assert bench.verdict().conflict
+
+
+def test_a_node_that_was_started_again_stops_nothing_before_it_knows_what_is_played(bench):
+    bench.own.listener._execution = None
+    bench.own.offer(OURS)
+    bench.node.check()
+    assert not bench.said and bench.node.report().level == WARN
+    bench.own.follow(ExecutorState.PLAYING, OURS, 20)
+    assert not bench.verdict().conflict
+
+
+def test_a_plan_that_was_approved_during_the_comparison_counts(bench, monkeypatch):
+    compare = module.first_meeting
+
+    def slow(*given):
+        found = compare(*given)
+        bench.other.follow(ExecutorState.PLAYING, THEIRS, 10)
+        return found
+
+    monkeypatch.setattr(module, "first_meeting", slow)
+    bench.own.offer(PASSES)
+    bench.other.offer(THEIRS)
+    assert "follows an approved plan" in bench.verdict().reason
+
+
+def test_an_arm_whose_plan_is_held_while_it_is_beside_its_path_or_silent_lets_nothing_start(bench):
+    bench.own.offer(OURS)
+    away = plan(AWAY, AWAY - np.radians([20, 0, 0, 0, 0, 0]), "away")
+    bench.other.offer(away)
+    bench.other.follow(ExecutorState.HELD, away, 10)
+    assert not bench.verdict().conflict
+    for bench.pose, why in ((AWAY + 0.02, "0.020 beside the path of plan away"), (None, "/b/twin/joint_states")):
+        assert why in bench.verdict().reason
 
 
 def test_while_the_other_arm_is_not_known_nothing_starts(bench):

@@ -18,6 +18,7 @@ from construction_twin.ros.shared.arm_listener import (
     ARM_POSES,
     ARM_TOPICS,
     ArmListener,
+    Claim,
     NeighbourSettings,
     OtherArm,
     await_robot,
@@ -92,7 +93,13 @@ class NeighbourNode:
         if plan is None:
             return
         try:
-            problem = self._problem(plan)
+            own = self._own.claim()
+        except NeighbourUnknownError as error:
+            # whether it is played is not known: without a word nothing starts, and nothing stops
+            self._state = Report(WARN, error.sentence)
+            return
+        try:
+            problem = self._problem(plan, own)
         except ConstructionTwinError as error:
             problem = error.sentence
         self._publisher.publish(ConflictMsg(plan_id=plan.id, conflict=bool(problem), reason=problem))
@@ -102,27 +109,30 @@ class NeighbourNode:
             self._said = plan.id, problem
             (rospy.logwarn if problem else rospy.loginfo)("plan %s: %s", plan.id, sentence)
 
-    def _problem(self, plan: Plan) -> str:
+    def _problem(self, plan: Plan, own: Claim | None) -> str:
         """Return why a plan must not start, or not go on; empty: nothing is against it.
 
-        A plan that is played ends when the other arm's was begun before it and the two meet: both were approved at the same moment.
+        A plan that is played ends when it meets the other arm's that was begun before it, as both were approved at the same moment,
+        or the other arm where it stands, as after that.
         """
-        scene, own = self._own.scene, self._own.claim()
-        plays = own is not None and own.plan_id == plan.id
+        scene, plays = self._own.scene, own is not None and own.plan_id == plan.id
         try:
             occupied = self._other.occupied()
         except NeighbourUnknownError:
             if plays:
                 return ""
             raise
-        if own is not None and plays and (occupied.claim is None or own < occupied.claim):
+        if own is not None and plays and occupied.claim is not None and own < occupied.claim:
             return ""
         if scene is None:
-            return Sentence("our own scene, with what the arm carries, was not received")
+            return "" if plays else Sentence("our own scene, with what the arm carries, was not received")
         seen = plan, scene, occupied.obstacles
         if self._checked is None or any(one is not other for one, other in zip(seen, self._checked)):
             world = self._world.with_scene(self._own.carrying(plan, scene))
             self._met, self._checked = first_meeting(world, plan, occupied.obstacles, self._padding), seen
+            if self._other.claim() != occupied.claim:
+                # one of its plans was approved, or ended, during the comparison
+                return self._problem(plan, self._own.claim())
         if self._met is None:
             return ""
         seconds, contact = self._met

@@ -35,6 +35,8 @@ from construction_twin.scene.objects import SceneObject
 Refuse = Callable[[str, str], None]
 #: Oldest pose of the other arm that counts [s since its reception]. The poses come 250 times a second.
 OTHER_POSE_AGE = 0.5
+#: A joint that is no further from a path is on it [rad] or [m]; the paddings cover that.
+ON_PATH = 0.01
 #: Plans kept: the one that is played, the one under review, and a few that were replaced meanwhile.
 _KEPT = 8
 
@@ -201,7 +203,7 @@ class OtherArm:
         self._poses = poses
         self._arm = arm
         self._shape = arm
-        self._path: tuple[Obstacle, ...] = ()
+        self._rows, self._path = np.empty(0), tuple[Obstacle, ...]()
         self._known: tuple[SceneValue, str] | None = None
 
     def occupied(self) -> Occupied:
@@ -223,15 +225,24 @@ class OtherArm:
                 raise NeighbourUnknownError(
                     name, Sentence("what it carries cannot be used: {problem}", problem=error.sentence)
                 ) from error
-            self._path = () if plan is None else self._shape.along(plan_rows(plan)[1])
+            self._rows = np.empty(0) if plan is None else plan_rows(plan)[1]
+            self._path = () if plan is None else self._shape.along(self._rows)
             self._known = known
-        if claim is not None:
-            return Occupied(claim, self._path)
         try:
             ends = [stream.pose(OTHER_POSE_AGE) for stream in self._poses]
         except (PoseUnknownError, PayloadError) as error:
             raise NeighbourUnknownError(name, str(error)) from error
-        return Occupied(None, self._shape.between(ends[0], ends[-1]))
+        if claim is None:
+            return Occupied(None, self._shape.between(ends[0], ends[-1]))
+        away = max(float(np.abs(self._rows - end).max(axis=1).min()) for end in ends)
+        if away > ON_PATH:
+            beside = Sentence("a joint is {away:.3f} beside the path of plan {plan}", away=away, plan=claim.plan_id)
+            raise NeighbourUnknownError(name, beside)
+        return Occupied(claim, self._path)
+
+    def claim(self) -> Claim | None:
+        """Return its claim; raises like `ArmListener.claim`."""
+        return self._listener.claim()
 
 
 def await_robot(name: str) -> None:
