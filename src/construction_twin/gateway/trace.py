@@ -2,8 +2,8 @@
 
 The file gets all its blocks at the start, and is mapped into memory: recording is one write into memory, without a system call in
 the cycle, and nothing is lost when the process is killed. A disk without room for all of it is refused at the start: a block that
-is missing later would end the process in the middle of a motion, without an exception (SIGBUS). For the same reason a file in which
-another gateway records is refused, before it is changed. Standard library only; rad and ns.
+is missing later would end the process in the middle of a motion, without an exception (SIGBUS). For the same reason a file that
+exists is replaced, not emptied: another gateway may record in it. Standard library only; rad and ns.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ def check_trace(path: str, axes: int, cycles: int = DEFAULT_CYCLES) -> None:
             path,
             "a regular file, or a path where none is yet; this is a device, a folder, a pipe or a socket",
         )
-    if not os.access(file.parent, os.W_OK):
+    # in /tmp nobody replaces what is another user's
+    if not os.access(file.parent, os.W_OK) or (file.exists() and not os.access(file, os.W_OK)):
         problem = "no such folder" if not file.parent.is_dir() else "Permission denied"
         raise ConfigurationError("--trace", path, f"a file that can be written ({problem})")
     there = file.stat().st_blocks * 512 if file.exists() else 0
@@ -107,6 +108,9 @@ class TraceWriter:
         try:
             file.unlink(missing_ok=True)
             self._file = file.open("x+b")
+        except OSError as error:
+            raise ConfigurationError("--trace", path, f"a file that can be written ({error.strerror})") from error
+        try:
             os.posix_fallocate(self._file.fileno(), 0, self._end)
         except OSError as error:
             file.unlink(missing_ok=True)

@@ -7,13 +7,14 @@ import math
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from gateway_cell import START, following
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.gateway.gateway import State
-from construction_twin.gateway.trace import TraceEntry, TraceWriter, read_trace
+from construction_twin.gateway.trace import TraceEntry, TraceWriter, check_trace, read_trace
 
 
 def test_it_holds_what_was_answered_cycle_by_cycle(tmp_path):
@@ -82,6 +83,24 @@ def test_a_disk_without_room_for_the_whole_trace_is_refused_and_nothing_is_left(
     with pytest.raises(ConfigurationError, match=r"MB of room, reserved at the start \(No space left on device\)"):
         TraceWriter(str(tmp_path / "trace"), 1)
     assert os.listdir(tmp_path) == []
+
+
+def test_a_file_of_another_user_is_refused_by_name_also_before_the_start(tmp_path, monkeypatch):
+    """As in /tmp, where who may make files may not replace those of others."""
+
+    def denied(*_given, **_options):
+        raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+
+    path = tmp_path / "trace"
+    path.write_bytes(b"of another user")
+    with monkeypatch.context() as folder:
+        folder.setattr(Path, "unlink", denied)
+        with pytest.raises(ConfigurationError, match="--trace.*Operation not permitted"):
+            TraceWriter(str(path), 1)
+    monkeypatch.setattr(os, "access", lambda place, _mode: Path(place).is_dir())
+    with pytest.raises(ConfigurationError, match="--trace.*Permission denied"):
+        check_trace(str(path), 1)
+    assert path.read_bytes() == b"of another user"
 
 
 def test_another_gateway_with_the_same_path_takes_nothing_from_the_first(tmp_path):
