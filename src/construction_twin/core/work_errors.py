@@ -50,10 +50,8 @@ class TaskPlanningError(WorkError):
 
     def __init__(self, task: str, reason: str, stage: str = "", method: str = ""):
         self.task, self.reason, self.stage, self.method = task, reason, stage, method
-        at = (", {stage}" if stage else "") + (" with {method}" if method else "")
-        super().__init__(
-            Sentence("task {task}" + at + ": {reason}", task=task, stage=stage, method=repr(method), reason=reason)
-        )
+        where = (f", {stage}" if stage else "") + (f" with {method!r}" if method else "")
+        super().__init__(Sentence("task {task}{where}: {reason}", task=task, where=where, reason=reason))
 
 
 class LedgerError(WorkError):

@@ -216,17 +216,22 @@ class ControllerClock:
     @staticmethod
     def _off_sentence(off: float) -> str:
         fast = off > 0.0
-        ends = ", and a long motion ends in a stop ({cause}): it cannot be followed" if abs(off) > FOLLOWED else ""
+        ends = (
+            Sentence(
+                ", and a long motion ends in a stop ({cause}): it cannot be followed",
+                cause="silence" if fast else "lead",
+            )
+            if abs(off) > FOLLOWED
+            else ""
+        )
         return Sentence(
-            "the controller's clock is {percent:.2f} % "
-            + ("fast" if fast else "slow")
-            + " against this PC's: the arm is as much "
-            + ("faster" if fast else "slower")
-            + " than planned"
-            + ends
-            + "; right clocks agree within 0.02 %, so one of them is simulated, virtual, or being set",
+            "the controller's clock is {percent:.2f} % fast against this PC's: the arm is as much faster than planned{ends}; "
+            "right clocks agree within 0.02 %, so one of them is simulated, virtual, or being set"
+            if fast
+            else "the controller's clock is {percent:.2f} % slow against this PC's: the arm is as much slower than planned{ends}; "
+            "right clocks agree within 0.02 %, so one of them is simulated, virtual, or being set",
             percent=100.0 * abs(off),
-            cause="silence" if fast else "lead",
+            ends=ends,
         )
 
     def _sentence(self, step: float, rate: float) -> str:
