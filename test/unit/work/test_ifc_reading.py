@@ -12,6 +12,7 @@ import resource
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -244,7 +245,9 @@ def test_a_process_that_computes_too_long_or_needs_too_much_is_ended(path):
 
 
 def _read_in_fork(path, pipe):
-    resource.setrlimit(resource.RLIMIT_AS, (3 << 30, 3 << 30))
+    # beside what the tests before this one have mapped
+    mapped = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (mapped + (2 << 30), mapped + (2 << 30)))
     resource.setrlimit(resource.RLIMIT_CPU, (20, 25))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     try:
