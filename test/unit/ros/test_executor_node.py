@@ -381,6 +381,9 @@ class TestAge:
         with monkeypatch.context() as broken:
             broken.setattr(module, "present", lambda: 1 // 0)
             assert world.ask("pause").success
+            world.run(1)
+        world.run(1)
+        assert [message[0].text for name, message in world.said if name == "execution"][-1] == "PAUSING"
         world.run(100)
         assert not world.resume_from_screen(world.shown()).success
         assert world.executor.state is ExecutorState.PAUSED and world.ask("resume").success

@@ -122,6 +122,11 @@ def test_of_two_plans_approved_at_the_same_moment_the_later_one_stops(bench):
         assert bench.verdict().conflict == stops, other
     bench.own.follow(ExecutorState.PLAYING, PASSES, 0)
     assert not bench.verdict().conflict, "neither has begun: a comes before b"
+    bench.own.offer(plan(CLEAR, NEAR, "next"))
+    bench.own.follow(ExecutorState.PLAYING, PASSES, 20)
+    bench.other.follow(ExecutorState.PLAYING, THEIRS, 10)
+    found = bench.verdict()
+    assert (found.plan_id, found.conflict) == (PASSES.id, True), "a newer plan waits for its end"
 
 
 def test_what_is_not_known_stops_no_plan_that_is_played_and_what_stands_in_its_path_does(bench):

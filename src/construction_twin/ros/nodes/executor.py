@@ -431,8 +431,10 @@ class ExecutorNode:
             return None, lines
         if news[0] != self._news[0]:
             lines.append((rospy.loginfo, "%s: %s", executor.state.name, executor.reason))
+        report = executor.report(now_ns(), str(present()))
+        # after what may fail: what was not reported is news in the next cycle, too
         self._news = news
-        return executor.report(now_ns(), str(present())), lines
+        return report, lines
 
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""

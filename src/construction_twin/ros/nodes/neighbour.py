@@ -1,4 +1,4 @@
-"""neighbour: says on `conflict` whether the newest plan of our arm meets the other arm."""
+"""neighbour: says on `conflict` whether the plan that our arm plays, else its newest, meets the other arm."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def first_meeting(
 
 
 class NeighbourNode:
-    """Two arms' topics in, verdicts on our newest plan out; `start` gives it parameters and topics.
+    """Two arms' topics in, verdicts on a plan of ours out; `start` gives it parameters and topics.
 
     Args:
         world: Of our arm, in any scene.
@@ -88,15 +88,15 @@ class NeighbourNode:
             rate.sleep()
 
     def check(self) -> None:
-        """Publish the verdict on our newest plan."""
-        plan = self._own.newest
-        if plan is None:
-            return
+        """Publish the verdict on the plan that is played, else on our newest."""
         try:
             own = self._own.claim()
+            plan = self._own.newest if own is None else self._own.plan(own.plan_id)
         except NeighbourUnknownError as error:
             # whether it is played is not known: without a word nothing starts, and nothing stops
             self._state = Report(WARN, error.sentence)
+            return
+        if plan is None:
             return
         try:
             problem = self._problem(plan, own)
