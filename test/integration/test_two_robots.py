@@ -83,7 +83,7 @@ class Arm:
 
         def answered() -> bool:
             answers.append(service(plan.plan_id, plan.plan_hash, True, "tester", "integration test", False, "", ""))
-            not_yet = ("is not under review", "not checked against")
+            not_yet = ("is not under review", "not checked against", "is being compared")
             return answers[-1].success or not any(text in answers[-1].message for text in not_yet)
 
         self.wait(answered, "the executor to know the plan", 5.0)

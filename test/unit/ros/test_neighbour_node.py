@@ -109,6 +109,8 @@ def test_a_plan_waits_until_the_plan_that_it_meets_has_ended(bench):
         bench.other.follow(state, THEIRS, since)
         found = bench.verdict()
         assert found.conflict and "follows an approved plan" in found.reason, state
+    # before the word on a comparison that takes its time nothing starts by the word of before
+    assert ["is being compared" in said.reason for said in bench.said] == [False, True, False, False, False]
     bench.other.follow(ExecutorState.IDLE, THEIRS, 10)
     assert not bench.verdict().conflict
 

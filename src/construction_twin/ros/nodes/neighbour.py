@@ -102,12 +102,15 @@ class NeighbourNode:
             problem = self._problem(plan, own)
         except ConstructionTwinError as error:
             problem = error.sentence
-        self._publisher.publish(ConflictMsg(plan_id=plan.id, conflict=bool(problem), reason=problem))
+        self._publish(plan, problem)
         sentence = problem or Sentence("its path is free")
         self._state = Report(WARN if problem else OK, sentence)
         if self._said != (plan.id, problem):
             self._said = plan.id, problem
             (rospy.logwarn if problem else rospy.loginfo)("plan %s: %s", plan.id, sentence)
+
+    def _publish(self, plan: Plan, problem: str) -> None:
+        self._publisher.publish(ConflictMsg(plan_id=plan.id, conflict=bool(problem), reason=problem))
 
     def _problem(self, plan: Plan, own: Claim | None) -> str:
         """Return why a plan must not start, or not go on; empty: nothing is against it.
@@ -128,6 +131,11 @@ class NeighbourNode:
             return "" if plays else Sentence("our own scene, with what the arm carries, was not received")
         seen = plan, scene, occupied.obstacles
         if self._checked is None or any(one is not other for one, other in zip(seen, self._checked)):
+            if occupied.claim is not None and not plays:
+                # this takes about a second, in which no earlier word may start it
+                self._publish(
+                    plan, Sentence("its path is being compared with a plan of the other arm; approve it after that")
+                )
             world = self._world.with_scene(self._own.carrying(plan, scene))
             self._met, self._checked = first_meeting(world, plan, occupied.obstacles, self._padding), seen
             if self._other.claim() != occupied.claim:
