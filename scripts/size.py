@@ -32,7 +32,7 @@ CORE = {
     "robot, kinematics": ("robot", "kinematics"),
     "scene, planning": ("scene", "planning"),
     "monitor, servo": ("monitor", "servo"),
-    "execution, review, coordination": ("execution", "review", "coordination"),
+    "execution, review": ("execution", "review"),
     "mqtt, link, broker": ("mqtt", "link", "broker"),
     "controller, rsi, gateway": ("controller", "rsi", "gateway"),
     "twin, mock": ("twin", "mock"),
