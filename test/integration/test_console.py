@@ -4,7 +4,9 @@
 import hashlib
 import http.client
 import json
+import re
 import sys
+import time
 import uuid
 from urllib.parse import urljoin
 from xml.etree import ElementTree
@@ -73,18 +75,21 @@ class Console:
         self.client.publish(topic, json.dumps(document), qos=qos)
 
     def ask(self, topic: str, ack: str, document: dict) -> dict:
-        """Send a request with an id of its own; return the answer to it. One that came too soon is sent again."""
-        name = ""
+        """Send a request with an id of its own; return the answer to it. One that came too soon is sent again when it may be."""
+        name, again = "", 0.0
         found: list[dict] = []
 
         def answered() -> bool:
-            nonlocal name, found
+            nonlocal name, again, found
             found = [answer for answer in self.heard[ack] if answer["id"] == name]
-            if not name or (found and "try again in" in found[0].get("reason", "")):
-                name, found = uuid.uuid4().hex, []
+            soon = re.search(r"try again in ([0-9.]+) s", found[0].get("reason", "")) if found else None
+            if soon and not again:
+                again = time.monotonic() + float(soon[1])
+            if not name or (soon and time.monotonic() > again):
+                name, again, found = uuid.uuid4().hex, 0.0, []
                 moment = {"moment": self.moment} if ack == "plan_request_ack" else {}
                 self.send(topic, {"id": name} | moment | document)
-            return bool(found)
+            return bool(found) and not soon
 
         wait(answered, f"the answer to {document} on {ack}")
         return found[0]
