@@ -7,10 +7,13 @@ given in metres and written in the model's unit. The same in IFC2X3, IFC4 and IF
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable
 from pathlib import Path
 
 import ifcopenshell
 import ifcopenshell.guid
+
+from construction_twin.work.building import BuildingModel
 
 #: Metres per unit.
 UNITS = {"m": 1.0, "mm": 0.001, "foot": 0.3048, "inch": 0.0254}
@@ -288,6 +291,16 @@ class IfcModel:
     def inputs(self, task: Entity, *products: Entity) -> Entity:
         """Assign products to a task as what it works on."""
         return self.root("IfcRelAssignsToProcess", RelatedObjects=list(products), RelatingProcess=task)
+
+
+def noted(texts: Iterable[str], *parts: str) -> bool:
+    """Whether one of these texts has all of these parts."""
+    return any(all(part in text for part in parts) for text in texts)
+
+
+def remarked(model: BuildingModel, one: Entity, *parts: str) -> bool:
+    """Whether a remark on this element or task has all of these parts."""
+    return noted(model.remarks.get(one.GlobalId, ()), *parts)
 
 
 def two_studs(schema="IFC4"):

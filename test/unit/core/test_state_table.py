@@ -6,7 +6,6 @@ from enum import Enum
 
 import pytest
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.state_table import Machine, Occasion, Rows, by_cause, cells, conditions, row_of
 
 
@@ -88,7 +87,7 @@ def test_an_action_may_say_itself_why_the_next_state_is_entered():
 
 def test_an_event_that_no_row_takes_is_refused_in_a_sentence():
     refused = machine(refusal="gateway is {state}: {reason}").on(Event.WAIT, Occasion())
-    assert refused == Sentence("gateway is {state}: {reason}", state="REST", reason="just built")
+    assert refused == "gateway is REST: just built"
     only = Machine(by_cause(TABLE[:1]), Number.REST, "", {Guard.ALLOWED: lambda occasion: "no key"}, HONKS)
     assert only.on(Event.GO, Occasion()) == "no key" and only.state is Number.REST
 

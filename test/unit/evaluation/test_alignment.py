@@ -144,27 +144,23 @@ def test_streams_that_do_not_meet_are_refused():
     late = Stream(
         recording.physical.stamps + 60 * NANOSECONDS, recording.physical.positions, recording.physical.received
     )
-    with pytest.raises(
-        ConstructionTwinError, match="twin and physical samples do not overlap in time; were they recorded"
-    ):
+    with pytest.raises(ConstructionTwinError, match="twin and physical samples do not overlap in time"):
         evaluate(dataclasses.replace(recording, physical=late))
-    with pytest.raises(ConstructionTwinError, match=": no physical sample inside the evaluated time meets the twin's"):
+    with pytest.raises(ConstructionTwinError, match="no physical sample inside the evaluated time"):
         evaluate(dataclasses.replace(run(duration=1.0), physical=late, feedback=None))
 
 
 def test_stopped_clock_is_refused():
     recording = run(duration=1.0)
     frozen = Stream(np.full_like(recording.twin.stamps, BASE), recording.twin.positions, recording.twin.received)
-    with pytest.raises(ConstructionTwinError, match="the twin's stamps do not increase; was the recording made with a"):
+    with pytest.raises(ConstructionTwinError, match="the twin's stamps do not increase"):
         evaluate(dataclasses.replace(recording, twin=frozen, feedback=None))
 
 
 def test_damaged_values_are_refused():
     twin = twin_stream(1.0)
     twin.positions[7, 2] = np.nan
-    with pytest.raises(
-        ConstructionTwinError, match="a recorded joint position is not a finite number; the recording is"
-    ):
+    with pytest.raises(ConstructionTwinError, match="a recorded joint position is not a finite number"):
         Stream(twin.stamps, twin.positions, twin.received)
     with pytest.raises(ConstructionTwinError, match="stamps, positions and received have shapes"):
         Stream(twin.stamps[:-1], twin.positions, twin.received)

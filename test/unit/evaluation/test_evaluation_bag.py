@@ -138,27 +138,19 @@ def write_bag(path, topic=None, message=None):
 
 def test_bags_that_cannot_be_used_say_why(tmp_path):
     path = tmp_path / "x.bag"
-    with pytest.raises(
-        ConstructionTwinError, match="is not there; check the name, and the folder that it is sought in"
-    ):
+    with pytest.raises(ConstructionTwinError, match="is not there; check the name"):
         read_recording(path)
     path.write_text("not a bag")
     with pytest.raises(ConstructionTwinError, match="cannot be read as a rosbag:"):
         read_recording(path)
     write_bag(path)
-    with pytest.raises(
-        ConstructionTwinError, match=r"the bag holds no topic \.\.\./twin/joint_states; record at least \.\.\./"
-    ):
+    with pytest.raises(ConstructionTwinError, match=r"the bag holds no topic \.\.\./twin/joint_states"):
         read_recording(path)
     write_bag(path, "/a/twin/joint_states", JointState(name=["j"], position=[0.0]))
-    with pytest.raises(
-        ConstructionTwinError, match=r"the bag holds no messages on /a/physical/joint_states; is that side recorded\?"
-    ):
+    with pytest.raises(ConstructionTwinError, match="the bag holds no messages on /a/physical/joint_states"):
         read_recording(path)
     write_bag(path, "/a/twin/joint_states", String("x"))
-    with pytest.raises(
-        ConstructionTwinError, match="in the bag is a std_msgs/String; expected a sensor_msgs/JointState"
-    ):
+    with pytest.raises(ConstructionTwinError, match="is a std_msgs/String; expected a sensor_msgs/JointState"):
         read_recording(path)
 
 
@@ -248,7 +240,7 @@ def test_another_definition_of_a_known_type_is_refused_in_one_sentence(tmp_path,
             bag.write(f"/a/{topic}/joint_states", other(), at(BASE))
     with pytest.raises(
         ConstructionTwinError,
-        match=r"bag was recorded with another definition of sensor_msgs/JointState \(md5 .*, installed is",
+        match=r"another definition of sensor_msgs/JointState \(md5 .*, installed",
     ):
         read_recording(tmp_path / "x.bag")
     assert not generated

@@ -24,11 +24,9 @@ from executor_bench import (
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sentence_checks import says
 
 from construction_twin.core.errors import ConfigurationError, ExecutionError, ReviewError
 from construction_twin.core.reports import ToolReport
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.execution.engagement import (
     Engagement,
@@ -159,10 +157,7 @@ class TestEngaged:
         keeper.leave_inside(replace(keeper.present, reason="again"))
         with pytest.raises(
             ReviewError,
-            check=says(
-                "executor.start.refused",
-                reason=Sentence("executor.engaged", segment="'lift'", plan="w", reason="again"),
-            ),
+            match=r"may not start: the arm was left in engaged segment 'lift' of plan w \(again\)",
         ):
             bench.review(plan.id, plan.hash, True, "Ada")
 
@@ -210,7 +205,7 @@ class TestEngaged:
         offer_back(bench, plan)
         with pytest.raises(
             ReviewError,
-            check=says("executor.start.refused", reason=Sentence("executor.tool.reads_off", signal="gripped")),
+            match="may not start: gripped reads off, not on",
         ):
             bench.review(plan.id, plan.hash, True, "Ada")
 
@@ -224,7 +219,7 @@ class TestEngaged:
         bench.record = lambda record: (
             bench.records.append(record) or bench.executor.engagement.leave_inside(replace(left))
         )
-        with pytest.raises(ExecutionError, check=says("executor.release.another")):
+        with pytest.raises(ExecutionError, match="left inside another engaged segment meanwhile"):
             bench.approval.release("Ada", "by hand")
         assert [record.refused == "" for record in bench.records[-2:]] == [True, False]
 
@@ -378,7 +373,7 @@ class TestWayBack:
         side -= way * (side @ way) / max(way @ way, 1e-12)
         positions[middle] += bump * 2.0 * WAY_BACK_TOLERANCE * side / np.abs(side).max()
         bent = type(motion)(motion.joint_names, motion.times, positions, motion.velocities, motion.accelerations)
-        with pytest.raises(ReviewError, check=says("review.back.leaves")):
+        with pytest.raises(ReviewError, match="leaves the executed path .* after its start; the arm is engaged"):
             check_way_back(plan_back(bent), left)
 
 

@@ -7,7 +7,7 @@ import math
 import pytest
 from executor_bench import ROBOT
 
-from construction_twin.core.sentences import Sentence, both
+from construction_twin.core.sentences import both
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.execution.goal_states import TABLE, Action, GoalEvent, GoalState
@@ -36,7 +36,7 @@ from construction_twin.execution.trajectory_goals import (
 CLOSE = Tolerances.default(ROBOT, 0.01, 0.005)
 PLAN = GoalPlan("plan-1", "hash-1", 2.5)
 REST = (0.0,) * 6
-CANCELLED = Sentence("reason.goal.cancelled")
+CANCELLED = "cancelled by its client"
 
 
 def goal(name: str = "a", client: str = "/move_group", motion: str = "") -> TrajectoryGoal:
@@ -164,15 +164,13 @@ class TestToTheGoal:
             "a",
             Ending.ABORTED,
             ResultCode.INVALID_GOAL,
-            Sentence("reason.goal.rejected_because", plan="plan-1", reviewer="Anna", reason="too close to the wall"),
+            "plan plan-1 was rejected by Anna: too close to the wall",
         )
 
     def test_a_plan_that_the_executor_withdraws_ends_its_goal(self, desk):
         end = desk.under_review().rejects("executor", "replaced by plan plan-2").end()
         assert end.code is ResultCode.INVALID_GOAL
-        assert end.sentence == Sentence(
-            "reason.goal.withdrawn_because", plan="plan-1", reason="replaced by plan plan-2"
-        )
+        assert end.sentence == "plan plan-1 was withdrawn by the executor: replaced by plan plan-2"
 
     def test_verdicts_and_executions_of_other_plans_change_nothing(self, desk):
         desk.under_review().rejects(plan="other").executes(ExecutorState.PLAYING, plan="other")
@@ -214,20 +212,18 @@ class TestToTheGoal:
     def test_an_execution_that_ends_early_aborts_with_its_reason(self, desk, outcome, code):
         end = desk.moving().executes(ExecutorState.IDLE, outcome, "the gate holds (HOLDING)").end()
         assert (end.ending, end.code) == (Ending.ABORTED, code)
-        assert end.sentence == Sentence(
-            "reason.goal.ended", plan="plan-1", outcome=outcome, reason="the gate holds (HOLDING)"
-        )
+        assert end.sentence == f"plan plan-1 ended as {outcome}: the gate holds (HOLDING)"
 
     def test_an_executor_that_was_restarted_plays_nothing(self, desk):
         end = desk.moving().executes(ExecutorState.WAITING, reason="started", plan="").end()
         assert end.code is ResultCode.GOAL_TOLERANCE_VIOLATED
-        assert end.sentence == Sentence("reason.goal.lost", plan="plan-1", reason="started")
+        assert end.sentence == "the executor no longer plays plan plan-1: started"
 
     def test_another_plan_that_begins_while_the_arm_settles_ends_the_goal(self, desk):
         desk.moving().executes(ExecutorState.IDLE, "finished").effects()
         end = desk.executes(ExecutorState.PLAYING, reason="approved by Anna", plan="plan-2").end()
         assert (end.ending, end.code) == (Ending.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED)
-        assert end.sentence == Sentence("reason.goal.lost", plan="plan-1", reason="approved by Anna")
+        assert end.sentence == "the executor no longer plays plan plan-1: approved by Anna"
         assert desk.state is GoalState.FREE
 
     def test_a_pause_is_told_and_ends_nothing(self, desk):
@@ -242,9 +238,7 @@ class TestTolerances:
         assert desk.after(1.9, off_by(error), at_rest=True).effects() == []
         end = desk.after(late - 1.9, off_by(error), at_rest=True).end()
         assert (end.ending, end.code) == (Ending.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED)
-        assert (end.sentence.key, end.sentence.values["seconds"]) == ("reason.goal.not_in_time", 2.0)
-        off = end.sentence.values["problem"].values
-        assert (off["quantity"].key, off["joint"]) == ("reason.goal.quantity.position", "joint_a2")
+        assert end.sentence.startswith("2 s after the plan's end the position of joint_a2 is off by ")
 
     def test_an_arm_that_comes_late_but_in_time_succeeds(self, desk):
         desk.moving().executes(ExecutorState.IDLE, "finished").after(1.5, off_by(0.5), at_rest=True)
@@ -260,9 +254,7 @@ class TestTolerances:
         desk.moving().executes(ExecutorState.IDLE, "finished")
         end = desk.after(2.1, off_by(0.0), at_rest=True, settled=False).end()
         assert (end.ending, end.code) == (Ending.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED)
-        assert end.sentence == Sentence(
-            "reason.goal.not_in_time", seconds=2.0, problem=Sentence("reason.goal.rest_unknown")
-        )
+        assert end.sentence == "2 s after the plan's end twin and arm are not known to be at rest"
 
     def test_a_pose_that_is_not_known_is_no_success(self, desk):
         desk.moving().executes(ExecutorState.IDLE, "finished")
@@ -272,7 +264,7 @@ class TestTolerances:
 class TestCancel:
     def test_while_moving_brakes_on_the_path_and_is_preempted_at_rest(self, desk):
         brake, told = desk.moving().cancel().effects()
-        assert brake == Brake(PLAN.id) and told.text == Sentence("reason.goal.brakes", why=CANCELLED)
+        assert brake == Brake(PLAN.id) and told.text == f"{CANCELLED}; brakes on the path"
         desk.executes(ExecutorState.STOPPING, reason="stop requested").executes(
             ExecutorState.IDLE, "stopped", "at rest"
         )
@@ -280,7 +272,7 @@ class TestCancel:
         end = desk.after(0.02, at_rest=True).end()
         assert (end.ending, end.sentence) == (
             Ending.CANCELED,
-            both(CANCELLED, Sentence("reason.goal.on_its_path"), "at rest"),
+            both(CANCELLED, "the arm is at rest on its path", "at rest"),
         )
 
     def test_a_stop_that_failed_is_asked_for_again_until_it_brakes(self, desk):
@@ -302,9 +294,8 @@ class TestCancel:
         desk.goals.on_call_failed(desk.now)
         assert len(desk.after(RETRY / NANOSECONDS).effects(Withdraw)) == 1
         end = desk.after(WITHDRAWAL / NANOSECONDS + 0.1).end()
-        assert end.ending is Ending.CANCELED and end.sentence == Sentence(
-            "reason.goal.not_withdrawn", why=CANCELLED, plan="plan-1"
-        )
+        assert end.ending is Ending.CANCELED
+        assert end.sentence == f"{CANCELLED}; the executor does not say that plan plan-1 is withdrawn: reject it"
 
     def test_an_approval_that_crosses_the_withdrawal_is_stopped(self, desk):
         desk.under_review().cancel().effects()
@@ -329,7 +320,7 @@ class TestCancel:
         assert (first.goal_id, first.ending) == ("a", Ending.CANCELED)
         assert first.sentence == both(CANCELLED, UNKNOWN_REST, "as approved")
         assert (waiting.goal_id, waiting.ending) == ("b", Ending.CANCELED)
-        assert waiting.sentence == Sentence("reason.goal.next_not_planned", seconds=10, unknown=UNKNOWN_REST)
+        assert waiting.sentence.startswith(f"not planned: 10 s after the stop {UNKNOWN_REST};")
         assert desk.state is GoalState.FREE and desk.after(1.0, at_rest=True).effects() == []
 
     def test_of_a_goal_that_has_ended_changes_nothing(self, desk):
@@ -340,11 +331,7 @@ class TestAnotherGoal:
     def test_of_another_client_is_turned_away_naming_who_has_the_arm(self, desk):
         end = desk.moving().send(goal("b", "/matlab")).end()
         assert (end.goal_id, end.ending, end.code) == ("b", Ending.REJECTED, ResultCode.INVALID_GOAL)
-        assert end.sentence == Sentence(
-            "reason.goal.taken",
-            client="/move_group",
-            state=Sentence("reason.goal.state_with_plan", client="/move_group", state="MOVING", plan="plan-1"),
-        )
+        assert end.sentence.startswith("/move_group has the arm (goal of /move_group is MOVING, plan plan-1);")
         assert desk.state is GoalState.MOVING
 
     @pytest.mark.parametrize("state", [state for state in GoalState if state is not GoalState.FREE])
@@ -393,14 +380,14 @@ class TestAnotherGoal:
         desk.executes(ExecutorState.IDLE, "stopped", "at rest")
         end, ask = desk.after(0.02, at_rest=True).effects()
         assert (end.goal_id, end.ending) == ("a", Ending.CANCELED) and end.sentence == both(
-            REPLACED, Sentence("reason.goal.on_its_path"), "at rest"
+            REPLACED, "the arm is at rest on its path", "at rest"
         )
         assert ask == Ask(goal("b"))
 
     def test_that_waits_can_be_cancelled(self, desk):
         desk.moving().send(goal("b")).effects()
         assert desk.cancel("b").end() == End(
-            "b", Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, Sentence("reason.goal.cancelled_early")
+            "b", Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, "cancelled before it was planned"
         )
         desk.executes(ExecutorState.IDLE, "stopped").after(0.02, at_rest=True)
         assert desk.end().goal_id == "a" and desk.state is GoalState.FREE
@@ -408,7 +395,7 @@ class TestAnotherGoal:
     def test_while_a_plan_of_somebody_else_is_played_is_rejected(self, desk):
         end = desk.executes(ExecutorState.PLAYING, plan="by-hand").send(goal()).end()
         assert end.code is ResultCode.INVALID_GOAL
-        assert end.sentence == Sentence("reason.goal.busy", plan="by-hand")
+        assert end.sentence == "the arm follows plan by-hand, which is of no goal of this action; wait for its end"
         assert desk.executes(ExecutorState.IDLE, "finished", plan="by-hand").send(goal()).effects() == [Ask(goal())]
 
 

@@ -19,7 +19,6 @@ from gateway_cell import (
 )
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS, format_allowance
 from construction_twin.gateway.gateway import State
 
@@ -360,7 +359,7 @@ def test_what_a_stream_was_stopped_for_is_not_overwritten_by_the_commands_that_s
     assert (cell.state, cell.count("refused_not_armed"), last_refusal(cell)) == (State.HOLDING, 100, cause)
     assert later_refusal(cell) == ""
     # any other refusal is news, but no cause
-    assert cell.control("nonsense") == (False, Sentence("unknown verb {verb}", verb="'nonsense'"))
+    assert cell.control("nonsense") == (False, "unknown verb 'nonsense'")
     assert (last_refusal(cell), later_refusal(cell)) == (cause, "verb: unknown verb 'nonsense'")
     cell.send(slow(200))
     assert (last_refusal(cell), later_refusal(cell)) == (cause, "verb: unknown verb 'nonsense'")

@@ -8,7 +8,6 @@ import re
 import pytest
 from gateway_cell import RUN, START, Cell, following, gap, jump_ahead, other_source, slow
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.gateway import Gateway, State
@@ -203,7 +202,7 @@ def test_a_track_follows_its_stream_in_metres_against_a_controller_that_counts_o
 def test_the_status_says_why_a_session_began_and_how_far_ipoc_jumped(change, said, jump):
     cell = Cell()
     cell.cycle(3)
-    assert Sentence("the first telegram after silence") in cell.gateway.reason
+    assert "the first telegram after silence" in cell.gateway.reason
     if change is other_source:
         cell.now += NANOSECONDS // 5
     change(cell)

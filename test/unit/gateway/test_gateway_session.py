@@ -20,7 +20,6 @@ from gateway_cell import (
     slow,
 )
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS, format_allowance
 from construction_twin.gateway.gateway import State
 from construction_twin.mqtt.joint_string import JointStringCodec
@@ -268,7 +267,7 @@ def test_without_a_controller_nothing_arms_and_nothing_resets():
 
 def test_arming_twice_for_the_same_session_is_no_fault_and_for_another_is_refused():
     cell = following()
-    assert cell.arm() == (True, Sentence("already armed for this session"))
+    assert cell.arm() == (True, "already armed for this session")
     assert not cell.arm("s2")[0]
     assert (cell.state, cell.gateway.session) == (State.FOLLOWING, "s1")
 

@@ -11,7 +11,6 @@ from processes import wait_until
 from service_cell import PATIENT, assert_still, cell, motion, stream
 
 from construction_twin.core.rate_limit import LineLimiter, SenderLimits
-from construction_twin.core.sentences import Sentence
 from construction_twin.gateway.gateway import Gateway, State
 from construction_twin.gateway.ownership import Ownership
 from construction_twin.gateway.player import Player
@@ -48,7 +47,7 @@ def test_what_predicts_or_counts_a_stop_cannot_fail_it(monkeypatch, owner, name,
         before = arm.measured
         with monkeypatch.context() as broken:
             broken.setattr(owner, name, fail)
-            assert stop(arm, way) == (True, Sentence("gateway is {state}", state="braking"))
+            assert stop(arm, way) == (True, "gateway is braking")
             arm.cycle(400)
         assert arm.state is State.HOLDING and arm.gateway.fault and arm.measured != before
         status = arm.gateway.status()

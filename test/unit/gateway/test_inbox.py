@@ -8,7 +8,6 @@ from collections import deque
 import pytest
 from gateway_cell import CONFIG, RUN, START
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.inbox import DRAIN_LIMIT, TelegramInbox
 from construction_twin.gateway.refusals import LONGEST_REFUSAL
@@ -122,7 +121,7 @@ STRANGER = "datagrams from 10.0.0.1 are not read, because --controller is 192.16
 
 def test_while_nothing_can_be_read_the_reason_names_the_last_refusal_and_how_many():
     line = Line("192.168.1.20")
-    assert told(line, 1.0) and line.gateway.reason == Sentence("no telegram yet")
+    assert told(line, 1.0) and line.gateway.reason == "no telegram yet"
     line.newest(b"<Rob><IPOC>4</IPOC>")
     assert told(line, 1.1)
     one = "no telegram yet; datagrams refused: 1, the last one for xml: telegram is not well-formed"

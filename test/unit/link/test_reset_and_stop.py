@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import pytest
 from reset_bench import MS, ResetBench
-from sentence_checks import says
 from supervisor_bench import Bench
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.gateway import State
 from construction_twin.link.states import LinkState
@@ -17,7 +15,7 @@ WATCHED = 3.0
 STOPS = {"stop/anna": ResetBench.stop_by_account, "control": ResetBench.stop_by_verb, "halt": ResetBench.halt}
 
 #: Why the gateway is stopped after `stop/anna`.
-STOPPED_BY_ANNA = Sentence("gateway.brake.stop", reason=Sentence("gateway.asked.account", account="anna"))
+STOPPED_BY_ANNA = "stop: asked for by account anna"
 
 
 def begun(situation: str) -> ResetBench:
@@ -150,7 +148,7 @@ class TestNumbers:
         bench.stop_by_account()
         bench.run(0.5)
         assert bench.supervisor.reason == (
-            Sentence("link.call_reset", reason=Sentence("link.stopped_since", number="2", reason=STOPPED_BY_ANNA))
+            f"gateway was stopped since the call (stop 2): {STOPPED_BY_ANNA}; call reset"
         )
 
     def test_an_old_status_that_is_sent_again_shows_nothing_old(self):
@@ -267,7 +265,7 @@ class TestWithdrawal:
             assert bench.link is LinkState.RESYNC
         self.failed(bench)
         bench.run(0.2)
-        assert bench.supervisor.reason == Sentence("link.call_reset", reason="not armed within 5 s: RESYNC")
+        assert bench.supervisor.reason == "not armed within 5 s: RESYNC; call reset"
         assert not bench.supervisor.withdraws
         assert_stands(bench, 10.0)
 
@@ -511,7 +509,8 @@ class TestTwoGateways:
         bench = begun("stopped")
         self.speak(bench, 3.0)
         with pytest.raises(
-            Exception, check=says("link.cannot.reset", why=Sentence("link.gateways", runs="run other and run run1"))
+            Exception,
+            match="cannot reset: more than one gateway .*: run other and run run1",
         ) as refused:
             bench.supervisor.request_reset(bench.now)
         assert type(refused.value).__name__ == "ReviewError"

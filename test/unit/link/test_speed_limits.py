@@ -95,7 +95,7 @@ def test_who_lowers_raises_nothing_and_who_raises_lowers_nothing():
         with pytest.raises(PayloadError) as caught:
             limits.set(limit, "dora", moment, at(3.0), 1)
         assert (caught.value.reason, limits.people.limit) == (reason, 0.3)
-    assert set_(limits, 0.5, 3.0, seen=2.9).key == "link.speed.raised"
+    assert "is raised to 50%" in set_(limits, 0.5, 3.0, seen=2.9)
     assert limits.people.limit == 0.5
 
 
@@ -114,9 +114,8 @@ def test_nobody_raises_a_limit_that_was_lowered_since_the_screen_had_looked():
     set_(limits, 0.2, 5.0, person="bob")
     shown = SHOWN_AFTER / NANOSECONDS
     for seen in (4.9, 5.0, 5.0 + shown):
-        with pytest.raises(ExpiredError) as caught:
+        with pytest.raises(ExpiredError, match="is void: it was lowered since"):
             set_(limits, 0.8, 5.5, seen=seen)
-        assert caught.value.sentence.key == "executor.void.speed_since"
     set_(limits, 0.8, 5.5, seen=5.0 + shown + 0.001)
     assert (limits.people.limit, limits.people.person) == (0.8, "dora")
 
@@ -143,7 +142,7 @@ def test_the_same_limit_again_changes_nothing_and_needs_nothing():
     limits = made()
     set_(limits, 0.3, 1.0)
     before = limits.people
-    assert set_(limits, 0.3, 2.0, person="bob").key == "link.speed.same" and limits.people == before
+    assert "is 30% already" in set_(limits, 0.3, 2.0, person="bob") and limits.people == before
 
 
 @pytest.mark.parametrize("limit", [0.0, 0.049, 1.01, float("nan"), float("inf"), -1.0])

@@ -8,7 +8,6 @@ import pytest
 from tool_cell import ToolCell
 
 from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
-from construction_twin.core.sentences import Sentence
 from construction_twin.link.gateway_status import tool_report
 from construction_twin.link.tool_link import ToolLink
 
@@ -61,18 +60,17 @@ def test_a_refusal_is_told_with_its_sentence():
     tool.on_status(status(switches=[]))
     tool.on_answer(answer(switch(tool), False, "tool: the outputs are not known"))
     report = tool.report("")
-    assert report.switches == {
-        "a": SwitchReport(REFUSED, Sentence("gateway.tool.refused", why="the outputs are not known"))
-    }
-    assert report.reason == Sentence("gateway.tool.refused", why="the outputs are not known") and report.known
+    assert report.switches == {"a": SwitchReport(REFUSED, "tool: the outputs are not known")}
+    assert report.reason == "tool: the outputs are not known" and report.known
 
 
 def test_without_an_armed_link_nothing_is_sent():
     tool = link()
-    assert switch(tool, obstacle=Sentence("link.is_in", state="RESYNC", reason="why")) is None
+    assert switch(tool, obstacle="the link is RESYNC: why") is None
     assert tool.report("").switches == {
         "a": SwitchReport(
-            REFUSED, Sentence("gateway.tool.refused", why=Sentence("link.is_in", state="RESYNC", reason="why"))
+            REFUSED,
+            "tool: the link is RESYNC: why",
         )
     }
 
@@ -142,12 +140,12 @@ def test_a_gate_that_closes_voids_what_is_armed_or_not_answered_yet_and_nothing_
 
 def test_while_the_gateway_is_not_there_nothing_is_known_but_what_was_told():
     tool = link()
-    assert tool.report("").reason == Sentence("link.tool.no_status")
+    assert tool.report("").reason == "no status of the gateway yet"
     tool.on_status(status("fired"))
     report = tool.report("the link is DISCONNECTED: why")
     assert (report.known, report.reason, report.tool) == (
         False,
-        Sentence("link.is_in", state="DISCONNECTED", reason="why"),
+        "the link is DISCONNECTED: why",
         "frame",
     )
     assert told(tool, "x") == {"a": FIRED}

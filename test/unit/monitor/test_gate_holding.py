@@ -7,7 +7,6 @@ import math
 
 import pytest
 from gate_bench import CODEC, LIMITS, SETTINGS, START, Bench, moved, states
-from sentence_checks import expects
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.limits import MotionLimits
@@ -25,7 +24,7 @@ def bench(**settings) -> Bench:
 
 def held_often(gate: Gate) -> tuple[int, float]:
     """Return how often a gate has held, and in which time [s], as its reason for giving up says."""
-    assert gate.reason.key == "reason.gate.escalated"
+    assert " times in " in gate.reason
     return gate.reason.values["count"], gate.reason.values["time"]
 
 
@@ -76,7 +75,7 @@ class TestThresholds:
         if stopped:
             gate.stay_stopped("by an earlier monitor", gate.held_stamp)
         gate.mirror(True, gate.held_stamp)
-        with pytest.raises(ConfigurationError, check=expects("expected.gate.not_led", "the gate")):
+        with pytest.raises(ConfigurationError, match="the gate.*an arm that does not: it can move at any moment"):
             gate.configure(GateSettings(threshold=0.3), "Ada", gate.held_stamp)
         assert gate.settings is before
 
@@ -103,7 +102,7 @@ class TestClosing:
         (change,) = cell.gate.take_transitions()
         assert (change.at, change.source, change.event) == (cell.stamp, SyncState.IN_SYNC, SyncEvent.POSE_DIFFERS)
         said = change.reason
-        assert said.key == "reason.gate.differs" and said.values["joint"] == "joint_a1"
+        assert said.startswith("joint_a1 differs by ")
         assert (said.values["difference"].value, said.values["threshold"].value) == pytest.approx((0.2, 0.01))
         assert change.comparison.error == pytest.approx((0.2, 0.0))
         assert change.held_stamp == cell.gate.held_stamp == cell.stamp
@@ -170,7 +169,7 @@ class TestPolicy:
         cell = bench(policy="stop")
         cell.gate.on_physical(moved(START, 0.2), 0, cell.stamp)
         assert states(cell.gate) == [("pose_differs", "HOLDING"), ("policy_stop", "STOPPED")]
-        assert cell.gate.reason.values["reason"].key == "reason.gate.differs"
+        assert cell.gate.reason.startswith("the policy is to stop; joint_a1 differs by ")
 
     @pytest.mark.parametrize("policy", ["replan", "resume"])
     def test_the_others_open_again(self, policy):
@@ -197,7 +196,7 @@ class TestPolicy:
         command = gate.pass_next(stamp, moved(START, 1e-5), stamp)
         assert command != START and gate.state is SyncState.IN_SYNC
         for now in (stamp, stamp + REST - 1):
-            with pytest.raises(ConfigurationError, check=expects("expected.gate.still", "the gate")):
+            with pytest.raises(ConfigurationError, match="the gate.*a command that has not changed for"):
                 gate.configure(dataclasses.replace(gate.settings, threshold=0.3), "Ada", now)
         gate.configure(dataclasses.replace(gate.settings, threshold=0.3), "Ada", stamp + REST)
         assert gate.settings.threshold == 0.3
@@ -253,8 +252,7 @@ class TestCause:
         close(cell, "differs")
         gate, since = cell.gate, cell.stamp
         cause = gate.cause
-        assert (cause.sentence.key, cause.since) == ("reason.gate.differs", since)
-        assert cause.sentence.values["joint"] == "joint_a1"
+        assert cause.sentence.startswith("joint_a1 differs by ") and cause.since == since
         for happens, state in (
             (lambda: gate.on_replan("asked", cell.stamp), SyncState.REPLANNING),
             (lambda: gate.on_replan_failed("no path found", cell.stamp), SyncState.HOLDING),
@@ -282,10 +280,10 @@ class TestCause:
         cell = bench(policy="resume")
         close(cell, "stale")
         since = cell.gate.cause.since
-        assert cell.gate.cause.sentence.key == "reason.gate.feedback_old"
+        assert cell.gate.cause.sentence.startswith("last comparable feedback is ")
         cell.feedback, cell.offset = True, 0.2
         cell.cycle()
-        assert (cell.gate.cause.sentence.key, cell.gate.cause.since) == ("reason.gate.differs", since)
+        assert " differs by " in cell.gate.cause.sentence and cell.gate.cause.since == since
 
     def test_while_the_arm_leads_there_is_none(self):
         cell = bench()

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from planning_cell import CHAIN, HOME, LEFT, QUICK, REQUEST, RIGHT, ROBOT, SELF_COLLISION, Clock, solver
-from sentence_checks import says
 
 from construction_twin.core.motion_errors import (
     CartesianPathError,
@@ -73,15 +72,18 @@ def test_a_plan_up_to_the_bounds_is_made():
 
 
 def test_waypoints_that_nobody_counted_count():
-    with pytest.raises(PlanSizeError, check=says("motion.size.waypoints", value=1501, limit=1500)):
+    with pytest.raises(
+        PlanSizeError,
+        check=lambda error: (error.quantity, error.value, error.limit) == ("waypoints", 1501, 1500),
+    ):
         pipeline(max_waypoints=1500).to_joints(HOME, LEFT, replace(REQUEST, duration=30.0))
     rows = [RIGHT + (LEFT - RIGHT) * fraction for fraction in np.linspace(0.0, 1.0, 30)]
     for times in (None, list(np.linspace(0.0, 30.0, 30))):
-        with pytest.raises(PlanSizeError, check=says("motion.size.waypoints")):
+        with pytest.raises(PlanSizeError, check=lambda error: error.quantity == "waypoints"):
             pipeline(max_waypoints=29).through(RIGHT, from_points(ROBOT, ROBOT.joint_names, rows, times=times), REQUEST)
-    with pytest.raises(PlanSizeError, check=says("motion.size.waypoints")):
+    with pytest.raises(PlanSizeError, check=lambda error: error.quantity == "waypoints"):
         pipeline(max_waypoints=20).along(HOME, [to(0.3, 0.0, 0.0)], 0.2, REQUEST)
-    with pytest.raises(PlanSizeError, check=says("motion.size.waypoints")):
+    with pytest.raises(PlanSizeError, check=lambda error: error.quantity == "waypoints"):
         pipeline(max_waypoints=30).along(
             HOME, [to(0.1 * (number % 2), 0.0, 0.0) for number in range(1, 5)], None, REQUEST
         )
@@ -90,13 +92,13 @@ def test_waypoints_that_nobody_counted_count():
 @pytest.mark.parametrize("end", [601.0, 1e7, 2e9])
 def test_timed_waypoints_that_take_too_long_are_refused(end):
     points = from_points(ROBOT, ROBOT.joint_names, [HOME, LEFT], times=[0.0, end])
-    with pytest.raises(PlanSizeError, check=says("motion.size.duration")):
+    with pytest.raises(PlanSizeError, check=lambda error: error.quantity == "duration"):
         pipeline().through(HOME, points, REQUEST)
 
 
 @pytest.mark.parametrize("speed", [1e-9, 1e-300])
 def test_a_tool_that_creeps_is_refused(speed):
-    with pytest.raises(PlanSizeError, check=says("motion.size.duration")):
+    with pytest.raises(PlanSizeError, check=lambda error: error.quantity == "duration"):
         pipeline().along(HOME, [to(0.1, 0.0, 0.0)], speed, REQUEST)
 
 
@@ -154,7 +156,7 @@ def test_a_pipe_a_device_and_a_huge_file_are_not_read(tmp_path):
     for path, what in ((pipe, "not a regular file"), ("/dev/zero", "not a regular file"), (huge, "larger than 16 MiB")):
         with pytest.raises(PlanningError, match=what):
             read_waypoints(str(path), ROBOT)
-    with pytest.raises(PlanningError, check=says("motion.file.bad_path")):
+    with pytest.raises(PlanningError, match="cannot be read:"):
         read_waypoints("/tmp/\0.csv", ROBOT)
 
 

@@ -10,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from limit_use import limit_use
 from planning_cell import HOME, LEFT, QUICK, REQUEST, RIGHT, ROBOT, SELF_COLLISION, WALL, Clock, solver, world
-from sentence_checks import says
 
-from construction_twin.core.motion_errors import CollisionError, RetimedCollisionError
+from construction_twin.core.motion_errors import RetimedCollisionError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.planning import motion_validator
 from construction_twin.planning.curves import interpolated, parameters, rounded, with_close_corners
@@ -130,14 +129,14 @@ def test_lines_too_close_to_something_ask_for_more_points_between_those_that_the
     monkeypatch.setattr(motion_validator, "CORNERS_TIGHTENED", 0)
     # with a pause at each inner point the numbers are those of the message
     for pauses, first in ((0.0, after), (0.3, 2 * after)):
-        with pytest.raises(RetimedCollisionError, check=says("motion.retimed.beside_lines", second="ball")) as caught:
+        with pytest.raises(RetimedCollisionError, check=lambda error: error.between[1] == "ball") as caught:
             planned(asked(points, pauses), ball)
         assert caught.value.where == f"between point {first} and point {first + 1}" and caught.value.lines_free
         assert "use more points there. The motion was timed anew, because point " in str(caught.value)
 
 
 def test_a_line_that_touches_is_named_by_its_points_not_by_a_time_of_a_motion_that_nobody_sent():
-    with pytest.raises(CollisionError, check=says("motion.retimed.on_line")) as caught:
+    with pytest.raises(RetimedCollisionError, check=lambda error: not error.lines_free) as caught:
         planned(asked(np.array([HOME + [-0.9, 0, 0, 0, 0, 0], RIGHT, LEFT])), WALL)
     told = str(caught.value)
     assert "touches wall (between point 1 and point 2, on the straight line)" in told and "timed anew, because" in told

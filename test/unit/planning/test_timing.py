@@ -10,7 +10,6 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from limit_use import limit_use
 from scipy.interpolate import CubicSpline
-from sentence_checks import says
 
 from construction_twin.core.motion_errors import DurationError, JointRangeError, PlanningError, TrajectoryError
 from construction_twin.core.units import CYCLE, format_allowance
@@ -255,7 +254,7 @@ def test_too_short_a_duration_names_the_shortest_possible():
 
 @pytest.mark.parametrize("goal", [HOME, HOME + 5e-10])
 def test_a_path_that_ends_where_it_starts_says_so(goal):
-    with pytest.raises(TrajectoryError, check=says("motion.path.there")):
+    with pytest.raises(TrajectoryError, match="the arm is already there"):
         time_path(np.array([HOME, goal]), ROBOT)
 
 

@@ -11,10 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from limit_use import limit_use
-from sentence_checks import says
 
 from construction_twin.core.motion_errors import WaypointsError, WaypointTimesError
-from construction_twin.core.sentences import Sentence
 from construction_twin.planning.limit_usage import sampled_usage
 from construction_twin.planning.timing import ACCELERATION_FRACTION, time_path
 from construction_twin.planning.waypoints import (
@@ -232,7 +230,7 @@ def test_a_single_point_that_cannot_be_reached_so_is_refused(values, message):
 
 
 def test_no_point_is_no_motion():
-    assert str(refused([])) == Sentence("motion.points.none")
+    assert str(refused([])) == "0 waypoints; a motion needs at least one, its goal"
 
 
 def without_jerk_limit(robot: RobotModel, goal: np.ndarray, period: float = 0.1):
@@ -271,7 +269,7 @@ def test_times_that_are_replaced_are_never_made_shorter():
     slow = dataclasses.replace(ROBOT, acceleration=tuple(value / 200 for value in ROBOT.acceleration))
     times, rows, velocities, accelerations = without_jerk_limit(slow, HOME + 0.5)
     points = from_points(ROBOT, NAMES, rows, velocities, accelerations, times)
-    with pytest.raises(WaypointTimesError, check=says("motion.points.moves")):
+    with pytest.raises(WaypointTimesError, match="the motion must begin and end at rest"):
         plan_waypoints(points, HOME, ROBOT)
     assert times[-1] <= retimed(points).duration < 1.05 * times[-1]
 
@@ -279,7 +277,7 @@ def test_times_that_are_replaced_are_never_made_shorter():
 def test_a_single_point_is_retimed_to_no_less_than_its_time():
     slowly = np.full((1, len(HOME)), 0.01)
     point = from_points(ROBOT, NAMES, [HOME + 0.1], np.zeros_like(slowly), slowly, [60.0])
-    with pytest.raises(WaypointTimesError, check=says("motion.points.moves")):
+    with pytest.raises(WaypointTimesError, match="the motion must begin and end at rest"):
         plan_waypoints(point, HOME, ROBOT)
     assert retimed(point).duration == 60.0
 
@@ -289,7 +287,7 @@ def test_a_single_point_whose_time_needs_too_much_jerk_is_retimed_to_no_less_tha
     # a quintic from rest to rest has its largest jerk, 60 times its way per time cubed, at both ends
     asked = float(np.max(np.cbrt(60.0 * way / (1.2 * np.array(ROBOT.jerk)))))
     point = from_points(ROBOT, NAMES, [HOME + way], times=[asked])
-    with pytest.raises(WaypointTimesError, check=says("motion.points.jerk")):
+    with pytest.raises(WaypointTimesError, match="has a jerk of .*, give it more time"):
         plan_waypoints(point, HOME, ROBOT)
     # times are kept on whole nanoseconds
     assert retimed(point).duration >= asked - 1e-9
@@ -355,7 +353,7 @@ def test_an_end_that_moves_more_than_moveit_s_step_is_refused_by_every_route(row
     given["velocities"][row, 1] = 0.0101 * ROBOT.acceleration[1]
     # the largest velocity there is that of another joint, within its own bound
     assert row == -1 or given["velocities"][0, 0] > given["velocities"][0, 1]
-    with pytest.raises(WaypointsError, check=says("motion.points.moves", joint="joint_a2")) as caught:
+    with pytest.raises(WaypointsError, check=lambda error: error.joint == "joint_a2") as caught:
         plan_waypoints(from_points(ROBOT, NAMES, **given), HOME, ROBOT)
     assert not isinstance(caught.value, WaypointTimesError)
 
@@ -368,7 +366,7 @@ def test_times_for_another_arm_are_refused_also_where_the_ends_would_be_timed_an
         given["velocities"][3, 0] = 1.2 * ROBOT.velocity[0]
     else:
         given["times"] = given["times"] / 8.0
-    with pytest.raises(WaypointsError, check=says("motion.points.velocity", joint="joint_a1")) as caught:
+    with pytest.raises(WaypointsError, match="joint_a1 has a velocity of") as caught:
         plan_waypoints(from_points(ROBOT, NAMES, **given), HOME, ROBOT)
     assert not isinstance(caught.value, WaypointTimesError)
 
@@ -418,7 +416,7 @@ def test_times_that_were_rounded_to_a_nanosecond_are_kept_however_many_points_th
 @pytest.mark.parametrize("more", ["", "v", "va"])
 @pytest.mark.parametrize("points", [500, 20_000])
 def test_too_much_jerk_is_refused_however_many_points_there_are(points, more):
-    with pytest.raises(WaypointTimesError, check=says("motion.points.jerk")):
+    with pytest.raises(WaypointTimesError, match="has a jerk of .*, give it more time"):
         plan_waypoints(densely(points, 0.8, "rounded", more, jerk=1.1), HOME, ROBOT)
 
 

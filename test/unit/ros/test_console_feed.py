@@ -26,7 +26,6 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.errors import PoseUnknownError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.remote_view import ClosestView, ViewWriter
 from construction_twin.link.requests import Joints
@@ -194,10 +193,10 @@ def test_the_status_line_is_sent_on_change_and_once_a_second(broker, clock):
 
 def test_why_the_arm_holds_comes_first_and_a_plan_that_could_not_be_approved_waits(broker, clock):
     made = feed(broker, others=Others(plan=lambda: "p1"))
-    made.on_hold(Hold(cause=str(Sentence("reason.gate.feedback_old", age=0.3)), since=rospy.Time(5)))
+    made.on_hold(Hold(cause="last comparable feedback is 0.300 s old", since=rospy.Time(5)))
     made.on_approval_obstacle(String("not in sync"))
     held = told(made, broker, sync=Sync(text="STALE", reason="silence"))
-    assert next(iter(held)) == "cause" and held["cause"]["said"]["key"] == "reason.holds.because"
+    assert next(iter(held)) == "cause" and "is 0.300 s old, since " in held["cause"]["reason"]
     assert (held["execution"]["words"], held["execution"]["reason"]) == ("execution.NOT_YET", "not in sync")
     clock.steady += 1.0
     assert "cause" not in told(made, broker, sync=None), "a monitor that is silent says nothing of the present"

@@ -28,7 +28,6 @@ from executor_bench import ROBOT, SCENE, Gripper, make_plan, make_work_plan, mot
 from executor_world import GIVEN, World, records
 
 from construction_twin.core.freshness import Moment
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.executor import ExecutorState
@@ -106,8 +105,7 @@ def test_why_the_plan_under_review_could_not_be_approved_is_told_as_soon_as_it_i
     world.node.on_link(Link(state=Link.RESYNC, text="RESYNC", session="s", reason="the arm moves"))
     world.node.do_background_work()
     world.run(1)
-    link = Sentence("executor.link", state="RESYNC", reason="the arm moves")
-    assert told() == Sentence("executor.start.unarmed", reason=link)
+    assert told() == "the arm is not armed (RESYNC: the arm moves); approve when it is"
 
 
 class TestCycle:
@@ -438,8 +436,8 @@ def test_no_client_is_trusted_with_a_real_arm():
 @pytest.mark.parametrize(
     "settings, links, missing",
     [
-        ({}, [], Sentence("executor.no_link")),
-        ({"rehearsal": "require"}, [Link.ARMED], Sentence("review.rehearsal.missing", plan="p")),
+        ({}, [], "no report of the link yet"),
+        ({"rehearsal": "require"}, [Link.ARMED], "plan p was not rehearsed yet, and it must be"),
         ({"rehearsal": "advise"}, [Link.ARMED], ""),
     ],
 )

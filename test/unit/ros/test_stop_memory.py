@@ -51,7 +51,7 @@ def test_writes_changes_only():
 
 
 def test_the_sentence_of_a_link_travels_as_a_text():
-    server, reason = Server(), Sentence("link.halt.sent")
+    server, reason = Server(), Sentence("stop sent to the gateway, plan dropped; call reset to go on")
     keep(StopMemory("", server.write), reason, 0)
     assert server.written == [reason]
 

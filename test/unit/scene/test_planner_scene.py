@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scene_samples import box_triangles, clutter, kr120, kr120_pairs, track7, track7_pairs, write_stl
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import quaternion_to_rotation
 from construction_twin.scene.collision_bodies import RobotBodies
@@ -98,13 +97,13 @@ def test_a_mesh_is_written_with_its_scale_and_without_padding(tmp_path):
     extent = np.ptp(np.array(item["vertices"]), axis=0)
     np.testing.assert_allclose(extent, (0.1, 0.2, 0.3), atol=1e-6)
     assert len(item["triangles"]) == 12 and max(map(max, item["triangles"])) < len(item["vertices"])
-    assert remarks == (Sentence("scene.told.mesh", object="'block'", padding=20.0),)
+    assert remarks == ("'block' is a mesh: its padding of 20 mm is not in it",)
 
 
 def test_a_carried_object_is_no_part_of_the_text_and_that_is_said():
     text, remarks = scene_text(told(Scene((WALL, TOOL))), "x")
     assert list(read(text)[1]) == ["wall"]
-    assert remarks == (Sentence("scene.told.carried", object="'gripper'", frame="tool0"),)
+    assert remarks == ("'gripper' is carried by tool0: the format has no carried objects, attach it in the panel",)
 
 
 def test_poses_are_in_the_root_of_the_urdf():

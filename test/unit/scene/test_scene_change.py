@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scene_samples import FLOOR, clutter
-from sentence_checks import says
 
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.scene.objects import Scene, SceneObject
@@ -55,15 +54,13 @@ def test_an_unknown_name_is_refused_and_the_scene_is_as_it_was():
     with pytest.raises(SceneError, match="'stud/7', expected one of the scene's .*'stud/0'.*nothing was changed"):
         SceneChange(put=(held(STUD),), remove=("rack", "stud/7")).apply(SCENE)
     many = Scene(tuple(replace(STUD, name=f"stud/{number}", touch=()) for number in range(100)))
-    with pytest.raises(
-        SceneError, check=says("motion.scene", expected="one of the scene's 100 objects; nothing was changed")
-    ):
+    with pytest.raises(SceneError, match="one of the scene's 100 objects; nothing was changed"):
         SceneChange(remove=("rack",)).apply(many)
 
 
 @pytest.mark.parametrize("change", [{"put": (STUD, held(STUD))}, {"remove": ("rack", "rack")}])
 def test_a_name_twice_is_refused(change):
-    with pytest.raises(SceneError, check=says("motion.scene", expected="each name once")):
+    with pytest.raises(SceneError, check=lambda error: error.expected == "each name once"):
         SceneChange(**change)
 
 

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 import yaml
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.ros.nodes.view import display_problem, view_for
 
 ROOT = Path(__file__).parents[3]
@@ -23,7 +22,9 @@ def answers(_host: str, _number: int) -> None:
 
 def test_without_display_one_sentence_says_so():
     problem = display_problem("", answers)
-    assert problem == Sentence("view.display.none")
+    assert problem == (
+        "there is no display (DISPLAY is not set): rviz is not started, everything else goes on without it"
+    )
 
 
 @pytest.mark.parametrize(
@@ -45,7 +46,9 @@ def test_a_display_that_does_not_answer_is_named():
     def refuses(_host, _number):
         raise ConnectionRefusedError("refused")
 
-    assert display_problem(":7", refuses) == Sentence("view.display.silent", display=":7", problem="refused")
+    assert display_problem(":7", refuses) == (
+        "the display :7 does not answer (refused): rviz is not started, everything else goes on without it"
+    )
 
 
 def test_the_node_ends_well_without_a_display():

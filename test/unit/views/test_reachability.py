@@ -10,7 +10,6 @@ from inverse_cases import SEARCHED, make_inverse
 from planning_cell import CHAIN, HOME, ROBOT, WALL, solver, world
 
 from construction_twin.core.motion_errors import KinematicsError, OrientationError, UnreachableError
-from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Pose
 from construction_twin.ros.nodes.tool_marker import COLOURS
 from construction_twin.scene.objects import SceneObject
@@ -41,11 +40,11 @@ def test_a_joint_in_the_way_is_named_with_its_range():
     lower, upper = ROBOT.lower[4], ROBOT.upper[4]
     text = why_out(OrientationError("joint_a5", np.radians(150.0), lower, upper), ROBOT)
     low, high = (f"{np.degrees(end):.1f} deg" for end in (lower, upper))
-    assert text == Sentence("view.range", joint="joint_a5", needed="150.0 deg", lower=low, upper=high)
+    assert text == f"joint_a5 would have to be 150.0 deg; its range is {low} to {high}"
 
 
 def test_too_close_is_another_advice():
-    assert why_out(UnreachableError(0.25, too_close=True), ROBOT) == Sentence("view.reach.too_close", missing=250.0)
+    assert why_out(UnreachableError(0.25, too_close=True), ROBOT) == "too close by 250 mm; move it further away"
 
 
 def test_what_was_not_found_is_not_called_out_of_reach():
@@ -53,7 +52,7 @@ def test_what_was_not_found_is_not_called_out_of_reach():
     pose = hurried.chain.forward(np.radians([40, -60, 70, 30, 50, 20]))
     verdict = judge_pose(pose, SEARCHED.home, hurried, FREE)
     assert verdict.reach is Reach.UNKNOWN and verdict.q is None
-    assert verdict.sentence == Sentence("view.reach.unknown", seconds="60")
+    assert verdict.sentence == "no joint values found in 60 s; there may be some"
     assert COLOURS[Reach.UNKNOWN] != COLOURS[Reach.OUT]
 
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import pytest
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.views.startup import PATIENCE, Deployment, Seen, StartUp, Word, first_missing
 
 CELL = Deployment("/kr120", "real", "10.0.0.5:8883", "10.0.0.6:49152", gateway=False)
@@ -20,7 +19,7 @@ GOOD = Seen(
 )
 
 
-READY = Sentence("startup.ready", robot="kr120")
+READY = "ready; plan with `rosrun construction_twin twin --robot kr120 plan ...`, look with `... watch`"
 
 
 @pytest.mark.parametrize(
@@ -44,12 +43,8 @@ READY = Sentence("startup.ready", robot="kr120")
 )
 def test_what_is_missing_is_named_with_what_to_do(change, kind):
     missing = first_missing(replace(GOOD, **change), CELL)
-    assert missing.kind == kind and missing.what.key == f"line.startup.{kind}.waits"
-    assert missing.action.key == f"line.startup.{kind}.todo"
-    # whatever a sentence names is known here
-    assert missing.action.values == {
-        "broker": "10.0.0.5:8883", "rsi": Sentence("startup.rsi_elsewhere"), "robot": "kr120",
-    }  # fmt: skip
+    assert missing.kind == kind and missing.what and missing.action
+    assert "{" not in missing.what + missing.action, "whatever a sentence names is known here"
 
 
 def test_the_first_missing_thing_is_named():
@@ -101,7 +96,5 @@ def test_each_line_is_said_once_and_ready_at_the_end():
     lost = replace(GOOD, link=Word("NO_CONTROLLER", "RSI stopped"))
     assert startup.update(lost, 100.0) == []
     (line,) = startup.update(lost, 100.0 + PATIENCE)
-    assert (
-        line == Sentence("startup.not_ready", waiting=str(startup.missing)) and startup.missing.reason == "RSI stopped"
-    )
+    assert line == f"not ready any more, {startup.missing}" and startup.missing.reason == "RSI stopped"
     assert len(startup.update(GOOD, 102.0)) == 1

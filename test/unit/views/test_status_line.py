@@ -6,7 +6,6 @@ import pytest
 
 from construction_twin.core.records import document
 from construction_twin.core.reports import TaskReport, WorkReport
-from construction_twin.core.sentences import Sentence
 from construction_twin.execution.states import ExecutorState
 from construction_twin.link.states import LinkState
 from construction_twin.monitor.states import SyncState
@@ -45,7 +44,7 @@ def test_all_is_well():
     # what the arm does comes first where nothing is urgent
     assert list(said) == ["execution", "link", "sync"]
     assert all(line["level"] == 0 and not line["waits_for"] and not line["todo"] for line in said.values())
-    assert said["execution"]["sentence"] == Sentence("line.execution.IDLE.sentence")
+    assert said["execution"]["sentence"] == "The arm holds its pose; no plan is executed."
 
 
 def test_the_most_urgent_comes_first_with_the_reason_of_the_node():
@@ -57,14 +56,14 @@ def test_the_most_urgent_comes_first_with_the_reason_of_the_node():
     assert (found[0].words, found[0].reason, found[0].who) == (
         "sync.HOLDING", "joint_a3 differs by 0.7 deg", "operator",
     )  # fmt: skip
-    assert found[0].waits_for == Sentence("line.sync.HOLDING.waits")
+    assert found[0].waits_for == "twin and arm to agree again"
 
 
 @pytest.mark.parametrize(
     "state, words", [("HOLDING", "held"), ("REPLANNING", "held"), ("STOPPED", "stopped"), ("WAITING", "held")]
 )
 def test_why_the_arm_holds_comes_before_all_that_follows_from_it(state, words):
-    cause = Sentence("reason.holds.because", reason="joint_a3 differs by 0.7 deg", since="10:02:03")
+    cause = "joint_a3 differs by 0.7 deg, since 10:02:03"
     heard = ReportsNow(
         Word("ARMED", ""), Word(state, "another reason"), Word("IDLE", ""), plan="p1", cause=cause, obstacle="not in sync",
         started=True, missing=Missing("gate_reset", "it holds", HERE),

@@ -78,16 +78,13 @@ def test_without_plan_and_earlier_scenes_the_ledger_has_what_it_takes(present, w
 def test_an_obstacle_that_came_meanwhile_is_named_and_not_taken_away(present):
     found = due(left(GRIPPED), present, *PLAN, [present, BEFORE])
     assert found.change is None
-    assert (found.sentence.key, found.sentence.values["names"]) == ("work.back.added", "'fence'")
+    assert "'fence' came into the scene since" in found.sentence
 
 
 @pytest.mark.parametrize("other", [(TOOL, HELD), (replace(FLOOR, size=(4.0, 4.0, 0.1)), TOOL, HELD)])
 def test_an_obstacle_that_went_or_was_changed_is_not_put_back(other):
     found = due(left(GRIPPED), Scene(other, 0.01), *PLAN, [BEFORE])
-    assert found.change is None and (found.sentence.key, found.sentence.values["names"]) == (
-        "work.back.changed",
-        "'floor'",
-    )
+    assert found.change is None and "'floor' was changed or taken out of the scene since" in found.sentence
 
 
 def test_an_element_that_is_gone_comes_back_with_what_may_touch_it():
@@ -99,7 +96,6 @@ def test_an_element_that_is_gone_comes_back_with_what_may_touch_it():
 def test_a_plan_that_nobody_knows_any_more_is_asked_about():
     found = due(left(GRIPPED), BEFORE, *UNKNOWN)
     assert found.change is None
-    assert found.sentence.key == "work.back.forgotten"
     assert "in engaged segment 'lower' of plan p1; plan p1 is not known" in found.sentence
 
 

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ifc_models import IfcModel, two_studs
-from sentence_checks import has_parts, key_of, remarked
+from ifc_models import IfcModel, noted, remarked, two_studs
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.ifc.reader import read_ifc
 from construction_twin.work.proposed_schedule import propose
@@ -19,11 +17,7 @@ from construction_twin.work.wholes import workpieces
 BOARD = (1.2, 2.4, 0.0125)
 LITRES = 36.0
 POUND, CUBIC_FOOT = 0.45359237, 0.3048**3
-
-
-def said(model, *parts: str) -> bool:
-    """Whether a note has these keys and values."""
-    return any(has_parts(note, *parts) for note in model.notes)
+UNREAD = "the reader of the file says of what it needs"
 
 
 def add_units(model: IfcModel, *units) -> None:
@@ -105,7 +99,7 @@ def test_a_density_that_can_be_of_two_units_is_not_guessed(read):
     of_material(model, plate, "Gyp", 50.0)
     found = read(model)
     assert found.elements[plate.GlobalId].mass is None
-    assert remarked(found, plate, "ifc.note.density_unit")
+    assert remarked(found, plate, "without a unit can be kg/m³ or")
 
 
 @pytest.mark.parametrize("cubic_foot", [False, True])
@@ -123,8 +117,8 @@ def test_a_density_or_weight_of_feet_without_a_unit_of_mass_is_not_guessed(read,
         model.weigh(one, 63.5)
     found = read(model)
     assert [found.elements[one.GlobalId].mass for one in (dense, heavy)] == [None, None]
-    assert remarked(found, dense, "ifc.note.density_unit", "50")
-    assert remarked(found, heavy, "ifc.note.weight_unit", "63.5")
+    assert remarked(found, dense, "a density of 50", "without a unit can be kg/m³ or")
+    assert remarked(found, heavy, "A weight of 63.5", "without a unit can be kilograms or pounds")
     # nothing is so heavy in pounds per cubic foot
     assert found.elements[both.GlobalId].mass == pytest.approx(2.4 * LITRES)
 
@@ -135,7 +129,7 @@ def test_a_weight_of_a_metric_project_without_a_unit_of_mass_is_taken_as_kilogra
     model.weigh(plate, 28.8)
     found = read(model)
     assert found.elements[plate.GlobalId].mass == pytest.approx(28.8)
-    assert said(found, "ifc.note.kilograms")
+    assert noted(found.notes, "weights are taken as kilograms")
     model = IfcModel(unit="foot")
     own = board(model)
     model.weigh(own, 63.5, pound(model))
@@ -151,7 +145,9 @@ def test_a_mass_that_its_volume_cannot_have_is_doubted(read, weight):
     model.weigh(plate, weight)
     found = read(model)
     assert found.elements[plate.GlobalId].mass == pytest.approx(weight)
-    assert (found.notes == ()) if weight == 28.8 else remarked(found, plate, "ifc.note.mass", "5", "23000")
+    assert (
+        (found.notes == ()) if weight == 28.8 else remarked(found, plate, "THE MASS IS DOUBTFUL", "expected 5 to 23000")
+    )
 
 
 # -- what is done, what stands, what goes
@@ -192,7 +188,7 @@ def test_what_is_completed_is_no_job_and_nobody_waits_for_it(read, complete):
     complete(model, first)
     schedule = Schedule.of(found := read(model))
     assert [(job.element, job.after) for job in schedule.jobs] == [(studs[1].GlobalId, ())]
-    assert schedule.unmade == () and said(found, "ifc.note.completed")
+    assert schedule.unmade == () and noted(found.notes, "Tasks that the file says are completed")
 
 
 @pytest.mark.parametrize(("status", "part"), [("STARTED", None), (None, 0.5), (None, 50.0), ("who knows", None)])
@@ -202,8 +198,8 @@ def test_what_may_have_begun_is_a_job_with_a_remark(read, status, part):
     if part is not None:
         first.TaskTime = model.make("IfcTaskTime", Completion=part)
     found = read(model)
-    assert len(Schedule.of(found).jobs) == 2 and remarked(found, first, "ifc.note.maybe_begun")
-    assert any(has_parts(remark, "ifc.note.maybe_begun") for remark in Schedule.of(found).remarks[first.GlobalId])
+    assert len(Schedule.of(found).jobs) == 2 and remarked(found, first, "taken as still to be done")
+    assert noted(Schedule.of(found).remarks[first.GlobalId], "taken as still to be done")
 
 
 @pytest.mark.parametrize(
@@ -214,7 +210,8 @@ def test_words_for_completed_in_other_clothes_and_german_are_known(read, status)
     first.Status = status
     found = read(model)
     assert [job.element for job in Schedule.of(found).jobs] == [studs[1].GlobalId]
-    assert remarked(found, first, "ifc.note.completed") and not said(found, "ifc.note.maybe_begun")
+    assert remarked(found, first, "Tasks that the file says are completed")
+    assert not noted(found.notes, "taken as still to be done")
 
 
 @pytest.mark.parametrize("status", ["NOT COMPLETED", "50% completed", "100%", "COMPLETED?", "Complete (QA ok)"])
@@ -222,7 +219,7 @@ def test_words_that_do_not_say_completed_are_not_taken_for_it(read, status):
     model, _, (first, _) = two_studs()
     first.Status = status
     found = read(model)
-    assert len(Schedule.of(found).jobs) == 2 and remarked(found, first, "ifc.note.maybe_begun")
+    assert len(Schedule.of(found).jobs) == 2 and remarked(found, first, "taken as still to be done")
 
 
 @pytest.mark.parametrize("nested", [False, True])
@@ -237,7 +234,7 @@ def test_what_is_cancelled_is_no_job_and_nobody_waits_for_it(read, status, neste
         first.TaskTime = model.make("IfcTaskTime", ActualFinish="2026-01-01T10:00:00")
     schedule = Schedule.of(found := read(model))
     assert [(job.element, job.after) for job in schedule.jobs] == [(studs[1].GlobalId, ())]
-    assert remarked(found, first, "ifc.note.cancelled") and len(found.notes) == 1
+    assert remarked(found, first, "Tasks that the file says are cancelled") and len(found.notes) == 1
     assert schedule.removals == ()
 
 
@@ -276,7 +273,7 @@ def test_a_task_that_only_looks_after_something_places_nothing(read):
     found = read(model)
     schedule = Schedule.of(found)
     assert [job.element for job in schedule.jobs] == [studs[1].GlobalId] and schedule.removals == ()
-    assert remarked(found, first, "ifc.note.places_nothing")
+    assert remarked(found, first, "which places nothing")
 
 
 def test_what_exists_or_goes_is_not_proposed(read):
@@ -289,7 +286,8 @@ def test_what_exists_or_goes_is_not_proposed(read):
     schedule = Schedule.of(propose(found).applied(found), True)
     assert [job.element for job in schedule.jobs] == [new.GlobalId]
     assert [(job.id, job.element) for job in schedule.removals] == [(f"{gone.GlobalId}/removal", gone.GlobalId)]
-    assert remarked(found, kept, "ifc.note.existing") and remarked(found, gone, "ifc.note.demolish")
+    assert remarked(found, kept, "Existing elements: obstacles")
+    assert remarked(found, gone, "Elements that are to be taken down")
 
 
 def test_what_is_to_go_and_is_given_to_a_task_without_a_kind_is_taken_down_by_it(read):
@@ -308,7 +306,7 @@ def test_what_a_task_places_and_another_takes_down_stays_with_a_note(read):
     model.sequence(second, down)
     schedule = Schedule.of(read(model))
     assert len(schedule.jobs) == 2 and schedule.removals == ()
-    assert any(has_parts(note, "work.order.temporary") for note in schedule.notes)
+    assert noted(schedule.notes, "which another task places")
 
 
 # -- what the parser drops
@@ -320,16 +318,16 @@ def text_of_two() -> str:
 
 
 def doubts(found) -> list[str]:
-    """Keys of the doubts of all elements."""
-    return [key_of(element.doubt) for element in found.elements.values()]
+    """The doubts of all elements, of each what stands before a colon."""
+    return [element.doubt.split(":")[0] for element in found.elements.values()]
 
 
 def test_elements_of_tasks_whose_order_is_of_an_unknown_kind_are_doubted(read):
     model, _, _ = two_studs()
     model.box("c", (0.1, 0.1, 1.0), at=(2, 0, 0))
     found = read(model.text().replace("IFCRELSEQUENCE", "IFCRELSEQUENZE"))
-    assert found.sequences == () and said(found, "ifc.note.parser", "IFCRELSEQUENZE")
-    assert doubts(found) == ["ifc.doubt.said", "ifc.doubt.said", ""]
+    assert found.sequences == () and noted(found.notes, "The parser says", "IFCRELSEQUENZE")
+    assert doubts(found) == [UNREAD, UNREAD, ""]
     # what is lost says nothing of their bodies
     assert all(each.bodies[0].volume == pytest.approx(0.01) for each in found.elements.values())
 
@@ -378,7 +376,7 @@ def test_a_line_with_too_few_values_is_told(read):
     model, studs, _ = two_studs()
     line = next(line for line in model.text().splitlines() if f"'{studs[0].GlobalId}'" in line)
     found = read(model.text().replace(line, line.replace(",$,$);", ");")))
-    assert doubts(found) == ["ifc.doubt.said", ""] and said(found, "ifc.note.parser", "Expected 9 attribute values")
+    assert doubts(found) == [UNREAD, ""] and noted(found.notes, "The parser says", "Expected 9 attribute values")
 
 
 @pytest.mark.parametrize(("code", "called"), [("utf-8", "UTF-8"), ("cp1252", "Latin-1"), ("utf-8-sig", "UTF-8")])
@@ -386,7 +384,7 @@ def test_letters_that_are_not_ascii_are_kept_and_told(read, code, called):
     model, _, _ = two_studs()
     found = read(model.text().replace("'a'", "'Brücke Süd'").encode(code))
     assert "Brücke Süd" in [element.name for element in found.elements.values()]
-    assert said(found, "ifc.note.letters", called)
+    assert noted(found.notes, f"not ASCII, which IFC does not allow; taken as {called}")
 
 
 # -- shapes
@@ -409,8 +407,8 @@ def test_a_profile_that_crosses_itself_is_a_box_and_no_job_without_doubt(read, c
     of_material(model, bow, "Wood", 420.0)
     found = read(model)
     element = found.elements[bow.GlobalId]
-    assert key_of(element.doubt) == "ifc.doubt.said" and element.mass is None
-    assert remarked(found, bow, "ifc.note.doubtful", "ifc.doubt.said")
+    assert UNREAD in element.doubt and element.mass is None
+    assert remarked(found, bow, "the arm does not place it", UNREAD)
     (box,) = element.bodies
     assert box.is_closed
     assert (box.vertices.min(axis=0) <= [*np.min(corners, axis=0), 0.0]).all()
@@ -435,8 +433,12 @@ def test_what_its_openings_cut_into_pieces_is_an_obstacle_and_told(read, holes, 
         model.opening(bar, size, at)
     found = read(model)
     element = found.elements[bar.GlobalId]
-    assert element.doubt == (Sentence("ifc.doubt.in_pieces", count=pieces) if pieces > 1 else "")
-    assert remarked(found, bar, "ifc.note.doubtful", "ifc.doubt.in_pieces") == (pieces > 1)
+    assert element.doubt == (
+        f"it is in {pieces} pieces that do not touch, after its openings; it stands as an obstacle"
+        if pieces > 1
+        else ""
+    )
+    assert remarked(found, bar, "the arm does not place it", "pieces that do not touch") == (pieces > 1)
     # what was cut out is free
     solid = sum(body.volume for body in element.bodies)
     assert element.bodies and solid < 0.99 * 0.01 and (pieces > 1 or not element.doubt)
@@ -465,7 +467,7 @@ def test_a_task_that_makes_an_assembly_places_its_parts_once_a_person_accepts_th
     assert [(job.task, job.element) for job in schedule.jobs] == [
         (task.GlobalId, lower.GlobalId), (task.GlobalId, upper.GlobalId), (own.GlobalId, other.GlobalId),
     ]  # fmt: skip
-    assert schedule.proposed and any(has_parts(note, "work.order.assembly") for note in schedule.notes)
+    assert schedule.proposed and noted(schedule.notes, "which has no body of its own: what is in it")
 
 
 # -- schemas and contexts

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from ifc_models import IfcModel
-from sentence_checks import has_parts
+from ifc_models import IfcModel, noted
 
 from construction_twin.work.wholes import workpieces
 
@@ -170,7 +169,7 @@ def test_a_whole_that_its_parts_fill_gives_its_body_to_them(read):
     found = read(model)
     assert found.elements[wall.GlobalId].bodies == ()
     assert workpieces(found) == tuple(part.GlobalId for part in parts)
-    assert any(has_parts(note, "ifc.note.parts") for note in found.notes)
+    assert noted(found.notes, "Has a body and parts that fill it")
 
 
 def test_a_map_conversion_is_told_and_left_out(read):
@@ -180,7 +179,7 @@ def test_a_map_conversion_is_told_and_left_out(read):
     model.make("IfcMapConversion", model.context, crs, 500000.0, 5800000.0, 50.0, 0.6, 0.8)
     found = read(model)
     assert only(found).model_T_element.position == pytest.approx([1.0, 0.0, 0.0])
-    assert any(has_parts(note, "ifc.note.map_turned", "500000.000, 5800000.000, 50.000") for note in found.notes)
+    assert noted(found.notes, "The map conversion", "500000.000, 5800000.000, 50.000")
 
 
 def test_two_elements_of_one_globalid_are_told_apart(read):
@@ -189,4 +188,4 @@ def test_two_elements_of_one_globalid_are_told_apart(read):
     second.GlobalId = first.GlobalId
     found = read(model)
     assert list(found.elements) == [first.GlobalId, f"#{second.id()}"]
-    assert any(has_parts(note, "ifc.note.numbered") for note in found.notes)
+    assert noted(found.notes, "Named by the number in the file")

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from ifc_models import IfcModel
-from sentence_checks import has_parts
+from ifc_models import IfcModel, noted
 
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.work.building import Sequence
@@ -54,9 +53,8 @@ def test_a_lag_that_is_a_ratio_is_of_the_duration_before(read):
     model.sequence(second, first, lag=0.5)
     found = read(model)
     assert [each.lag for each in found.sequences] == [3600.0, 0.0]
-    assert all(
-        any(has_parts(note, key) for note in found.notes) for key in ("ifc.note.lag_unknown", "ifc.note.lag_part")
-    )
+    assert noted(found.notes, "A lag that is a part of a duration that is not known is left out")
+    assert noted(found.notes, "A lag that is a part of the duration of the task before")
 
 
 def test_times_of_ifc4(read):
@@ -72,7 +70,8 @@ def test_times_of_ifc4(read):
     one, two = found.tasks[first.GlobalId], found.tasks[second.GlobalId]
     assert (one.start, one.duration) == ("2027-01-04T08:00:00", 7200.0)
     assert (two.start, two.duration) == ("", None)
-    assert all(any(has_parts(note, key) for note in found.notes) for key in ("ifc.note.no_date", "ifc.note.years"))
+    assert noted(found.notes, "A time that is no date is left out")
+    assert noted(found.notes, "A duration in years or months (P1Y) has no length in seconds")
 
 
 def test_times_of_ifc2x3_are_a_control_of_its_own(read):
@@ -98,7 +97,7 @@ def test_workpieces_that_are_inputs_only_are_what_the_task_makes(read):
         (door.GlobalId,),
     )
     assert (found.tasks[wreck.GlobalId].products, found.tasks[wreck.GlobalId].inputs) == ((), (stud.GlobalId,))
-    assert any(has_parts(note, "ifc.note.inputs_only", "place") for note in found.notes)
+    assert noted(found.notes, "assigned as inputs only", "place")
 
 
 def test_a_baseline_beside_the_plan_is_left_out(read):
@@ -110,7 +109,7 @@ def test_a_baseline_beside_the_plan_is_left_out(read):
     found = read(model)
     assert list(found.tasks) == [planned.GlobalId]
     assert found.sequences == ()
-    assert any(has_parts(note, "ifc.note.other_schedules", "Old", "BASELINE") for note in found.notes)
+    assert noted(found.notes, "left out with their tasks", "Old", "BASELINE")
 
 
 def test_an_order_without_a_kind_is_finish_to_start(read):
@@ -118,7 +117,7 @@ def test_an_order_without_a_kind_is_finish_to_start(read):
     model.sequence(first, second, None)
     found = read(model)
     assert found.sequences[0].kind == "FINISH_START"
-    assert any(has_parts(note, "ifc.note.order_kind") for note in found.notes)
+    assert noted(found.notes, "Orders without one of the four kinds")
 
 
 def test_a_task_that_is_part_of_itself_is_refused_with_its_number(read):
@@ -134,7 +133,7 @@ def test_a_ratio_of_50_as_lag_is_half_of_the_duration_before(read):
     model.sequence(first, second, lag=50.0)
     found = read(model)
     assert [each.lag for each in found.sequences] == [4 * 3600.0]
-    assert any(has_parts(note, "ifc.note.lag_percent") for note in found.notes)
+    assert noted(found.notes, "taken as percent of it")
 
 
 @pytest.mark.parametrize(("parts", "done"), [((100.0, 1.0), (True, False)), ((0.5, 1.0), (False, True))])
@@ -144,7 +143,7 @@ def test_a_file_counts_what_is_done_in_percent_or_in_parts(read, parts, done):
         task.TaskTime = model.make("IfcTaskTime", Completion=part)
     found = read(model)
     assert tuple(found.tasks[task.GlobalId].completed for task in tasks) == done
-    assert any(has_parts(note, "ifc.note.percent") for note in found.notes) == (max(parts) > 1.0)
+    assert noted(found.notes, "counted in percent") == (max(parts) > 1.0)
 
 
 def test_without_a_scheduled_start_the_early_one_is_taken_and_else_the_late_one(read):
@@ -155,7 +154,7 @@ def test_without_a_scheduled_start_the_early_one_is_taken_and_else_the_late_one(
     one, two = found.tasks[first.GlobalId], found.tasks[second.GlobalId]
     assert (one.start, two.start) == ("2027-01-05T08:00:00", "2027-01-04T08:00:00")
     assert [job.task for job in Schedule.of(found).jobs] == [second.GlobalId, first.GlobalId]
-    assert all(any(has_parts(said, "ifc.note.other_start") for said in found.remarks[at]) for at in (one.id, two.id))
+    assert all(noted(found.remarks[at], "No scheduled start") for at in (one.id, two.id))
 
 
 @pytest.mark.parametrize("nested", [False, True])
@@ -175,7 +174,7 @@ def test_an_event_between_two_tasks_keeps_their_order_and_lags(read, nested, sch
     schedule = Schedule.of(found)
     assert [job.task for job in schedule.jobs] == [second.GlobalId, first.GlobalId]
     assert [(wait.job, wait.lag) for wait in schedule.job(first.GlobalId).after] == [(second.GlobalId, 120.0)]
-    assert any(has_parts(said, "ifc.note.between", kind) for said in found.remarks[first.GlobalId])
+    assert noted(found.remarks[first.GlobalId], "Comes after what the arm does not see", kind)
 
 
 def held(model, kind, *elements):
@@ -205,7 +204,7 @@ def test_a_task_of_a_group_or_a_storey_makes_what_is_in_it(read, kind, inputs):
         (task.GlobalId, lower.GlobalId), (task.GlobalId, upper.GlobalId),
     ]  # fmt: skip
     assert schedule.proposed and not schedule.unmade
-    assert any(has_parts(note, "work.order.assembly", task.GlobalId) for note in schedule.notes)
+    assert noted(schedule.notes, "which has no body of its own: what is in it", task.GlobalId)
 
 
 def test_of_groups_that_share_elements_the_smaller_one_has_them_or_else_the_first(read):
@@ -217,7 +216,7 @@ def test_of_groups_that_share_elements_the_smaller_one_has_them_or_else_the_firs
     assert {job.element: job.task for job in schedule.jobs} == {
         a.GlobalId: small.GlobalId, b.GlobalId: small.GlobalId, c.GlobalId: whole.GlobalId,
     }  # fmt: skip
-    assert any(has_parts(note, "work.order.assembly_empty", same.GlobalId) for note in schedule.notes)
+    assert noted(schedule.notes, "which has no body of its own: nothing that is in it", same.GlobalId)
 
 
 def test_a_task_that_takes_down_a_storey_takes_down_what_is_in_it(read):

@@ -29,6 +29,6 @@ def test_names_stand_where_ids_were(text, said):
     assert named(text, KNOWN) == said
 
 
-def test_a_sentence_keeps_its_key_and_names_its_values():
-    said = named(Sentence("work.waits", task=f"'Stud 1' ({A})", tasks=A), KNOWN)
-    assert said == Sentence("work.waits", task="'Stud 1'", tasks="'Stud 1'") and said.key == "work.waits"
+def test_a_sentence_names_its_values():
+    said = named(Sentence("{task} waits for {tasks}", task=f"'Stud 1' ({A})", tasks=A), KNOWN)
+    assert said == "'Stud 1' waits for 'Stud 1'" and said.values == {"task": "'Stud 1'", "tasks": "'Stud 1'"}

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ifc_models import IfcModel
-from sentence_checks import has_parts
+from ifc_models import IfcModel, noted
 from work_samples import box_pieces, building, element, robot, site
 
 from construction_twin.work.schedule import Schedule
@@ -45,7 +44,7 @@ def test_an_assembly_from_a_factory_is_one_job_with_bodies_and_mass_of_all_its_p
     assert len(made.bodies) == 3 and made.mass == pytest.approx(8.1)
     assert np.allclose(points.min(axis=0), (-0.05, -0.05, 0.0)) and np.allclose(points.max(axis=0), (1.05, 0.05, 1.1))
     assert not any(found.elements[part.GlobalId].bodies for part in (*parts, nail))
-    assert any(has_parts(note, "ifc.note.one_piece", "panel") for note in found.notes)
+    assert noted(found.notes, "Comes in one piece: its parts", "panel")
 
 
 def test_an_assembly_from_a_factory_is_a_workpiece_without_a_schedule_too(read):
@@ -57,7 +56,7 @@ def test_an_assembly_from_a_factory_is_a_workpiece_without_a_schedule_too(read):
     found = read(model)
     # what fills a part of it comes with it; what it weighs is not said
     assert len(found.elements[whole.GlobalId].bodies) == 4 and found.elements[whole.GlobalId].mass is None
-    assert any(has_parts(note, "ifc.note.one_piece_mass", "panel") for note in found.notes)
+    assert noted(found.notes, "Comes in one piece with something whose mass is not known", "panel")
     assert not found.elements[window.GlobalId].bodies
 
 
