@@ -12,7 +12,7 @@ from processes import wait_until
 
 COUNT, SEED = int(os.environ.get("FUZZ_COUNT", "2000")), int(os.environ.get("FUZZ_SEED", "3"))
 #: The process may have grown by this much after the first tenth: allocator noise. And the status stays this small [bytes].
-GROWTH, STATUS = 4 << 20, 8192
+GROWTH, STATUS = 8 << 20, 8192
 
 
 @pytest.mark.timeout(0 if COUNT > 10_000 else 300)
