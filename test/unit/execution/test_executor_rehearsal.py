@@ -54,7 +54,7 @@ class TestRequired:
         assert bench.records[0].rehearsal == Rehearsed(PASSED, "f00d", ENGINE)
 
     @pytest.mark.parametrize(
-        "report, key",
+        "report, words",
         [
             (None, "was not rehearsed yet"),
             (lambda plan: report_of(plan, FAILED), "has failed its rehearsal"),

@@ -6,6 +6,7 @@ import pytest
 
 from construction_twin.core.records import document
 from construction_twin.core.reports import TaskReport, WorkReport
+from construction_twin.core.sentences import Sentence
 from construction_twin.execution.states import ExecutorState
 from construction_twin.link.states import LinkState
 from construction_twin.monitor.states import SyncState
@@ -63,7 +64,7 @@ def test_the_most_urgent_comes_first_with_the_reason_of_the_node():
     "state, words", [("HOLDING", "held"), ("REPLANNING", "held"), ("STOPPED", "stopped"), ("WAITING", "held")]
 )
 def test_why_the_arm_holds_comes_before_all_that_follows_from_it(state, words):
-    cause = "joint_a3 differs by 0.7 deg, since 10:02:03"
+    cause = Sentence("{reason}, since {since}", reason="joint_a3 differs by 0.7 deg", since="10:02:03")
     heard = ReportsNow(
         Word("ARMED", ""), Word(state, "another reason"), Word("IDLE", ""), plan="p1", cause=cause, obstacle="not in sync",
         started=True, missing=Missing("gate_reset", "it holds", HERE),

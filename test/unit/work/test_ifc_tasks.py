@@ -71,7 +71,7 @@ def test_times_of_ifc4(read):
     assert (one.start, one.duration) == ("2027-01-04T08:00:00", 7200.0)
     assert (two.start, two.duration) == ("", None)
     assert noted(found.notes, "A time that is no date is left out")
-    assert noted(found.notes, "A duration in years or months (P1Y) has no length in seconds")
+    assert noted(found.notes, "in years or months ('P1Y') has no length in seconds")
 
 
 def test_times_of_ifc2x3_are_a_control_of_its_own(read):
