@@ -393,54 +393,34 @@ class FrameError(PlanningError):
     LISTED = 40
 
     def __init__(self, frame: str, base: str, cause: str, known: Sequence[str]):
+        listed = ", ".join(known[: self.LISTED])
         if len(known) > self.LISTED:
-            super().__init__(
-                Sentence(
-                    "no transform from frame {frame} to {base}: {cause}; known are {known} and {count} more",
-                    frame=repr(frame),
-                    base=repr(base),
-                    cause=cause,
-                    known=", ".join(known[: self.LISTED]),
-                    count=len(known) - self.LISTED,
-                )
+            listed += f" and {len(known) - self.LISTED} more"
+        super().__init__(
+            Sentence(
+                "no transform from frame {frame} to {base}: {cause}; known are {known}",
+                frame=repr(frame),
+                base=repr(base),
+                cause=cause,
+                known=listed,
             )
-        else:
-            super().__init__(
-                Sentence(
-                    "no transform from frame {frame} to {base}: {cause}; known are {known}",
-                    frame=repr(frame),
-                    base=repr(base),
-                    cause=cause,
-                    known=", ".join(known[: self.LISTED]),
-                )
-            )
+        )
 
 
 class EngagedError(PlanningError):
     """The arm was left inside an engaged segment of a work plan: only the way back along the executed path can be planned."""
 
     def __init__(self, task: str, segment: str, reason: str):
-        if reason:
-            super().__init__(
-                Sentence(
-                    "the arm was left in {segment} of task {task} ({reason}): only the way back along the path "
-                    "that it executed can be planned, with plan_way_back (twin back), until it has come to its "
-                    "end, or a person says with release_engagement that the arm is free",
-                    segment=repr(segment),
-                    task=task,
-                    reason=reason,
-                )
+        super().__init__(
+            Sentence(
+                "the arm was left in {segment} of task {task}{why}: only the way back along the path that it executed "
+                "can be planned, with plan_way_back (twin back), until it has come to its end, or a person says with "
+                "release_engagement that the arm is free",
+                segment=repr(segment),
+                task=task,
+                why=f" ({reason})" if reason else "",
             )
-        else:
-            super().__init__(
-                Sentence(
-                    "the arm was left in {segment} of task {task}: only the way back along the path that it "
-                    "executed can be planned, with plan_way_back (twin back), until it has come to its end, or a "
-                    "person says with release_engagement that the arm is free",
-                    segment=repr(segment),
-                    task=task,
-                )
-            )
+        )
 
 
 class WaypointsError(PlanningError):

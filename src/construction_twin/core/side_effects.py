@@ -64,7 +64,7 @@ class SideEffects:
         """
         try:
             return part(*arguments)
-        except Exception as error:  # noqa: BLE001
+        except Exception as error:  # noqa: BLE001 (beside an act nothing may fail; each is counted)
             failure = Failure(what, error)
             with self._lock:
                 self._counts[what] += 1

@@ -195,7 +195,7 @@ class GatewayService:
         """
         try:
             return part(*arguments)
-        except Exception as error:  # noqa: BLE001
+        except Exception as error:  # noqa: BLE001 (the arm brakes and holds, whatever it is)
             self._fail(error)
             return None
 

@@ -153,9 +153,11 @@ class _Verdicts:
         self._approve, self._reject = approve, reject
 
     def admits(self, _request: Incoming) -> bool:
+        """Return True: each verdict is read."""
         return True
 
     def take(self, request: Incoming) -> None:
+        """Let a verdict wait in its queue."""
         (self._reject if request.asked.verdict == "rejected" else self._approve).take(request)
 
 

@@ -145,5 +145,5 @@ class Subscriber:
                 self._refused(PUBLISHER, sentence)
         except ProtocolError as error:
             self._refused(error.reason, str(error))
-        except Exception:  # noqa: BLE001
+        except Exception:  # noqa: BLE001 (handed on to the excepthook)
             hand_on_error()
