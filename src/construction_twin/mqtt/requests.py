@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from construction_twin.core.rate_limit import Pace, SenderLimits
+from construction_twin.core.sentences import Told, told
 
 #: Who carries out what is pressed: the gateway, which brakes the arm, the executor, which brakes along the path, or the bridge,
 #: which begins a session with the gateway.
@@ -36,6 +37,7 @@ class Answer:
         task: Id of the task whose question was answered.
         message: Id of the message that was acknowledged.
         limit: People's speed limit after the request, a fraction of the planned speed; 0: not known.
+        said: What another language needs of the sentences (`core.sentences`); every answer has it.
     """
 
     id: str = ""
@@ -59,6 +61,7 @@ class Answer:
     task: str = ""
     message: str = ""
     limit: float = 0.0
+    said: Told = field(default_factory=dict)
 
 
 #: What each field holds while no more is known.
@@ -104,7 +107,8 @@ class RequestKind:
     def payload(self, /, **known: object) -> bytes:
         """Return an answer: of what is known its fields, the others as in `UNKNOWN`; ValueError for a nan."""
         # not by `core.records`: null in the place of a nan would be an answer
-        return json.dumps({key: known.get(key, UNKNOWN[key]) for key in self.answer}, allow_nan=False).encode()
+        fields = {key: known.get(key, UNKNOWN[key]) for key in self.answer}
+        return json.dumps(fields | {"said": told(fields)}, allow_nan=False).encode()
 
 
 _VERDICT = ("plan_id", "plan_hash", "verdict", "reviewer", "account", "ok", "reason", "expired")

@@ -15,7 +15,6 @@ from typing import Any
 
 import pydantic
 import rospy
-from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from construction_twin.link.remote_view import ViewWriter
@@ -276,7 +275,6 @@ INTERFACE = Interface(
         Subscription("review", Review, ConsoleNode.on_review, queue_size=10),
         Subscription("sync", Sync, _feed(ConsoleFeed.on_sync), queue_size=1),
         Subscription("hold", Hold, _feed(ConsoleFeed.on_hold), queue_size=1),
-        Subscription("approval_obstacle", String, _feed(ConsoleFeed.on_approval_obstacle), queue_size=1),
         Subscription("link", Link, ConsoleNode.on_link, queue_size=5),
         Subscription("session_request", SessionRequest, _feed(ConsoleFeed.on_session_request), queue_size=10),
         Subscription("speed_change", SpeedChange, _feed(ConsoleFeed.on_speed_change), queue_size=50),

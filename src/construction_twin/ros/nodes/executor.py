@@ -15,7 +15,6 @@ from typing import Annotated, Literal, TypeVar
 import genpy
 import pydantic
 import rospy
-from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 import construction_twin.srv as srv
@@ -132,7 +131,6 @@ class ExecutorNode:
         # what was told last
         self._news: tuple = (None,)
         self._limit_state: LimitState | None = None
-        self._obstacle: str | None = None
         self._engagement: tuple | None = None
         # what the disk does not take, by what it is
         self._problems: dict[str, str] = {}
@@ -332,10 +330,7 @@ class ExecutorNode:
         self.side_effects.run("the engagement", self.keep_engagement)
         with self._lock:
             self.executor.under_review.scene_alive = self._ports.connections("scene") > 0
-            obstacle = self.executor.approval_obstacle()
-        if obstacle != self._obstacle:
-            self._obstacle = obstacle
-            self._ports.publishers["approval_obstacle"].publish(String(obstacle))
+            self.executor.look_for_obstacle()
         self._on_disk("an approval", self._approve_by_itself)
 
     def _approve_by_itself(self) -> None:
@@ -481,7 +476,6 @@ INTERFACE = Interface(
     publishes=(
         PosePublication("next/joint_states"),
         Publication("execution", msg.Execution, queue_size=10, latch=True),
-        Publication("approval_obstacle", String, queue_size=5, latch=True),
         Publication("review", msg.Review, queue_size=10, latch=True),
         # not latched: a bridge that is started again must not take a switch that was meant for another moment
         Publication("tool_command", msg.ToolCommand, queue_size=50, tcp_nodelay=True),

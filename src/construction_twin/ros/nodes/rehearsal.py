@@ -96,7 +96,7 @@ class RehearsalNode:
         try:
             check_extras("physics")
         except ConfigurationError as error:
-            self._absent = Sentence("plans are not rehearsed: {problem}", problem=error.sentence)
+            self._absent = Sentence("plans are not rehearsed: {problem}", problem=str(error))
             rospy.loginfo("%s", self._absent)
         self._tool, self._of_tool = tool_hash(settings.tool), tool_mass(settings.tool)
         payload = [settings.payload] if settings.payload else []
@@ -209,7 +209,7 @@ class RehearsalNode:
                 )
             report = self._ask(Question.of(job.plan, scene, job.changes, known, placed, self._constant))
         except ConstructionTwinError as error:
-            why = Sentence("it took longer than {limit:g} s", limit=self._time_limit) if self._late else error.sentence
+            why = Sentence("it took longer than {limit:g} s", limit=self._time_limit) if self._late else str(error)
             reasons = (Sentence("the rehearsal broke off: {problem}", problem=why),)
             broken = RehearsalReport(job.plan.id, job.plan.hash, job.plan.scene, self._tool, "", BROKEN, reasons)
             report = finished(broken, time.monotonic() - began)
