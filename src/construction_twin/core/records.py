@@ -76,5 +76,7 @@ def _written(value: Any, about: Mapping[str, Any]) -> Any:
 
 def dumped(value: Any, marks: tuple[str, str] = COMPACT, said: bool = False) -> bytes:
     """Return a record as JSON; `said`: with what another language needs of its sentences (`core.sentences.told`)."""
-    written = document(value) | {"said": told(value)} if said else document(value)
+    written, sentences = document(value), told(value) if said else {}
+    if sentences:
+        written["said"] = sentences
     return json.dumps(written, allow_nan=False, separators=marks).encode()

@@ -505,7 +505,7 @@ class GatewayService:
         status = document() | {"connection": self._number}
         if final:
             status |= {"state": "offline", "reason": Sentence("gateway stopped")}
-        status |= {"said": told(status)}
+        status["said"] = told(status)
         return self._mqtt.client.publish(self._topics.status, json.dumps(status), qos=1, retain=True)
 
     def _document(self) -> dict:

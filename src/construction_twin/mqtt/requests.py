@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from construction_twin.core.rate_limit import Pace, SenderLimits
-from construction_twin.core.sentences import Told, told
+from construction_twin.core.sentences import told
 
 #: Who carries out what is pressed: the gateway, which brakes the arm, the executor, which brakes along the path, or the bridge,
 #: which begins a session with the gateway.
@@ -37,7 +37,6 @@ class Answer:
         task: Id of the task whose question was answered.
         message: Id of the message that was acknowledged.
         limit: People's speed limit after the request, a fraction of the planned speed; 0: not known.
-        said: What another language needs of the sentences (`core.sentences`); every answer has it.
     """
 
     id: str = ""
@@ -61,7 +60,6 @@ class Answer:
     task: str = ""
     message: str = ""
     limit: float = 0.0
-    said: Told = field(default_factory=dict)
 
 
 #: What each field holds while no more is known.
@@ -105,10 +103,11 @@ class RequestKind:
         return bool(account) or "{}" not in self.ack
 
     def payload(self, /, **known: object) -> bytes:
-        """Return an answer: of what is known its fields, the others as in `UNKNOWN`; ValueError for a nan."""
+        """Return an answer: of what is known its fields, the others as in `UNKNOWN`, and `said` (`core.sentences`); ValueError for a nan."""
         # not by `core.records`: null in the place of a nan would be an answer
         fields = {key: known.get(key, UNKNOWN[key]) for key in self.answer}
-        return json.dumps(fields | {"said": told(fields)}, allow_nan=False).encode()
+        said = told(fields)
+        return json.dumps(fields | ({"said": said} if said else {}), allow_nan=False).encode()
 
 
 _VERDICT = ("plan_id", "plan_hash", "verdict", "reviewer", "account", "ok", "reason", "expired")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import pytest
 from gate_bench import CODEC, FIRST_STEP, LIMITS, SETTINGS, START, Bench, moved

@@ -271,7 +271,7 @@ class TestCause:
         since = cell.stamp
         cell.run(0.1)
         assert cell.state is SyncState.WAITING and cell.gate.cause.since == since
-        assert cell.gate.cause.sentence.values["joint"] == "joint_a1"
+        assert cell.gate.cause.sentence.values["joint"] == "A1"
         cell.offset = 0.0
         cell.cycle()
         assert cell.gate.cause is None
