@@ -1,8 +1,7 @@
 """Sentences for people: English, and what another language needs in order to say the same.
 
-`Sentence("joint {joint} differs by {error}", joint="A3", error=Quantity(0.1, "rad"))` is its English text, and knows its template and
-values. What a message carries of its sentences is `told`; whoever receives it finds them among its texts with `heard`, and the
-page says them by their templates (web/locale). Standard library only.
+A message carries what `told` returns; whoever receives it finds its sentences again with `heard`, and the page says them by their
+templates (web/locale). Standard library only.
 """
 
 from __future__ import annotations
@@ -37,10 +36,9 @@ Told = Mapping[str, Mapping[str, Any]]
 
 
 class Sentence(str):
-    """A sentence in English that can be said in another language.
+    """A sentence in English, which knows its template and values: ``Sentence("the gate holds ({state})", state="STALE")``.
 
-    It is the text for whoever only logs, compares or sends it. What is made of it with other text is a plain text; to be said in
-    another language too, it is a value of another sentence.
+    What is made of it with other text is a plain text; to be said in another language too, it is a value of another sentence.
     """
 
     template: str
@@ -93,23 +91,22 @@ def told(*parts: object) -> Told:
 def _sentences(part: object) -> Iterator[Sentence]:
     if isinstance(part, Sentence):
         yield part
-        yield from _sentences(part.values)
-    elif isinstance(part, Mapping):
-        for each in part.values():
-            yield from _sentences(each)
-    elif isinstance(part, (tuple, list)):
-        for each in part:
-            yield from _sentences(each)
-    elif is_dataclass(part):
-        for each in fields(part):
-            yield from _sentences(getattr(part, each.name))
+        part = part.values
+    if is_dataclass(part):
+        part = [getattr(part, each.name) for each in fields(part)]
+    for each in part.values() if isinstance(part, Mapping) else part if isinstance(part, (tuple, list)) else ():
+        yield from _sentences(each)
+
+
+def places(template: str) -> dict[str, str]:
+    """Return the formats of a template's values by their names; ValueError: it is none."""
+    return {name: form or "" for _, name, form, _ in Formatter().parse(template) if name is not None}
 
 
 def _written(sentence: Sentence) -> dict[str, str]:
-    places = ((name, form) for _, name, form, _ in Formatter().parse(sentence.template) if name is not None)
     # of a sentence that came in a message the values are texts already
-    values = ((name, sentence.values[name], form) for name, form in places)
-    return {name: str(value) if isinstance(value, str) else format(value, form) for name, value, form in values}
+    values = ((name, form, sentence.values[name]) for name, form in places(sentence.template).items())
+    return {name: str(value) if isinstance(value, str) else format(value, form) for name, form, value in values}
 
 
 def heard(told_of: Told) -> dict[str, Sentence]:

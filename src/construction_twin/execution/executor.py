@@ -380,7 +380,9 @@ class Executor:
         """Look anew why the plan under review could not be approved now, and whether only its rehearsal is against it."""
         plan = self.under_review.plan
         self.approval_obstacle, self.overridable = "", False
-        for override in (False, True) if plan is not None else ():
+        if plan is None:
+            return
+        for override in (False, True):
             try:
                 self.check_start(plan, override)
             except ReviewError as error:

@@ -6,11 +6,11 @@ import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, FailFast, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, FailFast, Field, ValidationError, model_validator
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
-from construction_twin.core.sentences import Sentence, heard
+from construction_twin.core.sentences import Sentence, heard, places
 from construction_twin.gateway.tool_switches import MOST_REPORTED
 from construction_twin.mqtt.messages import FIRST_PROTOCOL, OFFLINE, PLC, READY, RSI, is_short_text, parse_object
 
@@ -55,6 +55,12 @@ class _Part(BaseModel):
 class _Sentence(_Part):
     template: str
     values: dict[str, str]
+
+    @model_validator(mode="after")
+    def _has_its_values(self) -> _Sentence:
+        if places(self.template).keys() != self.values.keys():
+            raise ValueError("a sentence has other values than places")
+        return self
 
 
 class _Histogram(_Part):

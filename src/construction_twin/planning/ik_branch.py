@@ -199,7 +199,7 @@ class Branch:
                 return self.end("joint limit", begin, what, error)
         unreachable = self._unreachable(q, begin)
         if unreachable is not None:
-            what = Sentence("its waypoint cannot be reached: {problem}", problem=unreachable.sentence)
+            what = Sentence("its waypoint cannot be reached: {problem}", problem=str(unreachable))
             return self.end("unreachable", begin, what, unreachable)
         if self._singularity(q[None])[0] < 2.0 * SINGULAR:
             return self._singular(begin, q)

@@ -112,7 +112,7 @@ def standing(building: BuildingModel, made: Collection[str], site: Site, reach: 
     notes = tuple(
         (
             f"{name} cannot be divided into bodies, its box is the obstacle, and the arm does not place "
-            f"it: {failure.sentence}"
+            f"it: {failure}"
         )
         for name, failure in failures.items()
     )

@@ -59,7 +59,7 @@ def _heard(said: str) -> Mapping[str, Sentence]:
 
 
 def _record(kind: Any, message: Any, known: Mapping[str, Sentence]) -> Any:
-    return kind(**{name: _read(hint, _value(message, name), known) for name, hint in _hints(kind, type(message))})
+    return kind(**{name: _read(hint, _value(message, name), known) for name, hint in _hints(kind, type(message))})  # type: ignore[arg-type]  # a class is hashable
 
 
 def _message(record: Any, kind: type[genpy.Message]) -> Any:
