@@ -174,9 +174,7 @@ class ExecutorNode:
         try:
             state = SyncState(message.state)
         except ValueError as error:
-            raise PayloadError(
-                "sync", Sentence("sync state {state} is unknown; expected one of Sync.msg", state=message.state)
-            ) from error
+            raise PayloadError("sync", f"sync state {message.state} is unknown; expected one of Sync.msg") from error
         with self._lock:
             self._sync_at = time.monotonic_ns()
             self.executor.on_sync(state, message.agreed, message.policy, from_time(message.held_stamp))
@@ -202,10 +200,7 @@ class ExecutorNode:
         """Take what the rehearsal of a plan has found."""
         report = from_msg(RehearsalReport, message)
         if not is_whole(report):
-            raise PayloadError(
-                "rehearsal",
-                Sentence("the rehearsal of plan {plan} is not what its hash says", plan=repr(report.plan_id)),
-            )
+            raise PayloadError("rehearsal", f"the rehearsal of plan {report.plan_id!r} is not what its hash says")
         with self._lock:
             self.executor.rehearsal.on_report(report)
 
@@ -242,12 +237,7 @@ class ExecutorNode:
     def on_review(self, request: srv.ReviewPlanRequest) -> str:
         """Approve or reject a plan in a person's name; an approval is as old as what its screen had shown, else as the call."""
         if request.reviewer.strip() in (AUTO_APPROVE, EXECUTOR):
-            raise ReviewError(
-                Sentence(
-                    "{name} is what the executor calls itself; expected the name of a person",
-                    name=repr(request.reviewer),
-                )
-            )
+            raise ReviewError(f"{request.reviewer!r} is what the executor calls itself; expected the name of a person")
         verdict = self._approval.review(
             request.plan_id,
             request.plan_hash,
@@ -299,7 +289,7 @@ class ExecutorNode:
     def on_act_as_seen(self, request: srv.ActAsSeenRequest) -> str:
         """Go on after a pause, unless what the person's screen had shown is too old, or older than a pause or stop."""
         if request.act != "resume":
-            raise PayloadError("act", Sentence("{act} is nothing that is done here", act=repr(request.act)))
+            raise PayloadError("act", f"{request.act!r} is nothing that is done here")
         return self._answered("resume", self._approval.resume(parse_moment(request.moment)))
 
     def on_release(self, request: srv.ReleaseEngagementRequest) -> str:
@@ -518,8 +508,4 @@ INTERFACE = Interface(
     ),
 )  # fmt: skip
 NODE = NodeShell("executor", Settings, ExecutorNode, INTERFACE, check, fast=True)
-
-
-def main() -> None:
-    """Run the node."""
-    NODE.run()
+main = NODE.run

@@ -103,7 +103,7 @@ class NeighbourNode:
         except ConstructionTwinError as error:
             problem = str(error)
         self._publish(plan, problem)
-        sentence = problem or Sentence("its path is free")
+        sentence = problem or "its path is free"
         self._state = Report(WARN if problem else OK, sentence)
         if self._said != (plan.id, problem):
             self._said = plan.id, problem
@@ -174,8 +174,4 @@ INTERFACE = Interface(
     listeners=(*ARM_TOPICS, *ARM_POSES),
 )
 NODE = NodeShell("neighbour", NeighbourSettings, start, INTERFACE)
-
-
-def main() -> None:
-    """Run the node."""
-    NODE.run()
+main = NODE.run

@@ -250,9 +250,7 @@ def await_robot(name: str) -> None:
     space = f"{rosgraph.names.namespace(rospy.get_namespace())}{name}"
     needed = (f"{space}/robot_description", f"{space}/executor/arm")
     if not all(map(rospy.has_param, needed)):
-        rospy.logwarn(
-            "%s", Sentence("waiting for {space}, the other robot of the cell: nobody has launched it", space=space)
-        )
+        rospy.logwarn("waiting for %s, the other robot of the cell: nobody has launched it", space)
     while not all(map(rospy.has_param, needed)):
         rospy.sleep(0.5)
 
