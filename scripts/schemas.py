@@ -33,7 +33,21 @@ from construction_twin.views.message_history import Message
 from construction_twin.views.scene_view import SceneView
 from construction_twin.views.status_line import Line
 
-REASONS = ["reason.", "executor.", "review.", "link.", "gateway.", "motion.", "work.", "startup.", "expected.", "telegram.", "ifc.", "rehearsal.", "physics."]
+REASONS = [
+    "reason.",
+    "executor.",
+    "review.",
+    "link.",
+    "gateway.",
+    "motion.",
+    "work.",
+    "startup.",
+    "expected.",
+    "telegram.",
+    "ifc.",
+    "rehearsal.",
+    "physics.",
+]
 #: What the page checks, by the name of the constant in web/src/schemas.js; of a kind of request its answer. `pause/ack` is as
 #: `stop/ack`.
 CHECKED: dict[str, Any] = {

@@ -170,7 +170,9 @@ class LinkSupervisor:
         verb, self._unanswered = self._pending.verb, False
         if not answer.get("ok"):
             # stays pending: asked again after the usual pause, not with every poll
-            self.machine.reason = Sentence("gateway refused {verb}: {reason}", verb=verb, reason=answer.get("reason", ""))
+            self.machine.reason = Sentence(
+                "gateway refused {verb}: {reason}", verb=verb, reason=answer.get("reason", "")
+            )
             self._arm_refused = verb == "arm"
             return
         self._pending = None

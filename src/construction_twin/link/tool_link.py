@@ -17,7 +17,6 @@ from construction_twin.link.gateway_status import tool_report
 from construction_twin.mqtt.messages import Control
 
 
-
 class ToolLink:
     """The tool behind one gateway."""
 

@@ -103,7 +103,7 @@ class RequestKind:
         return bool(account) or "{}" not in self.ack
 
     def payload(self, /, **known: object) -> bytes:
-        """Return an answer: of what is known its fields, the others as in `UNKNOWN`, and `said` (`core.sentences`); ValueError for a nan."""
+        """Return an answer: what is known of its fields, else `UNKNOWN`, and `said` (`core.sentences`); ValueError for a nan."""
         # not by `core.records`: null in the place of a nan would be an answer
         fields = {key: known.get(key, UNKNOWN[key]) for key in self.answer}
         said = told(fields)

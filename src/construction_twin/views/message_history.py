@@ -107,7 +107,9 @@ class MessageHistory:
 
     def on_act(self, act: str, at: float, sentence: str) -> None:
         """Take what a person did. What is told again is not new."""
-        if not any((message.at, message.line.topic, message.line.state) == (at, PERSON, act) for message in self.messages):
+        if not any(
+            (message.at, message.line.topic, message.line.state) == (at, PERSON, act) for message in self.messages
+        ):
             self._add(_act(act, sentence), at, until=at)
 
     def on_speed(self, change: SpeedChange) -> None:

@@ -168,7 +168,7 @@ def _waits(kind: str, at: Deployment) -> Waits:
         ),
         "responsible": Waits(
             OPERATOR, Sentence("a person who arms the bare PLC by name"),
-            Sentence("see to PLC and arm, then arm it by name: on the console, or `twin --robot {robot} arm --responsible NAME`", robot=robot),
+            Sentence("arm it by name: on the console, or `twin --robot {robot} arm --responsible NAME`", robot=robot),
         ),
         "reset": Waits(
             OPERATOR, Sentence("a reset"),

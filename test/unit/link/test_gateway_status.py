@@ -97,9 +97,14 @@ def test_long_texts_are_cut():
 
 def test_what_it_says_can_be_said_in_another_language():
     said = {"gateway is braking": {"template": "gateway is {state}", "values": {"state": "braking"}}}
-    read = parsed(STATUS | {"reason": "gateway is braking", "controller": {"sentence": "gateway is braking"}, "said": said})
+    read = parsed(
+        STATUS | {"reason": "gateway is braking", "controller": {"sentence": "gateway is braking"}, "said": said}
+    )
     for text in (read["reason"], controller_sentence(read)):
-        assert isinstance(text, Sentence) and (text.template, text.values) == ("gateway is {state}", {"state": "braking"})
+        assert isinstance(text, Sentence) and (text.template, text.values) == (
+            "gateway is {state}",
+            {"state": "braking"},
+        )
     assert "said" not in read
 
 

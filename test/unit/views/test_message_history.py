@@ -91,7 +91,9 @@ def test_what_people_did_stands_among_them_and_is_told_once():
     (message,) = made.messages
     assert message.line.sentence == "ada asked for a reset"
     assert (message.at, message.until) == (5.0, 5.0)
-    assert message.line.said == {"ada asked for a reset": {"template": "{person} asked for a reset", "values": {"person": "ada"}}}
+    assert message.line.said == {
+        "ada asked for a reset": {"template": "{person} asked for a reset", "values": {"person": "ada"}}
+    }
 
 
 def test_the_newest_are_kept():

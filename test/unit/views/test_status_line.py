@@ -73,7 +73,9 @@ def test_why_the_arm_holds_comes_before_all_that_follows_from_it(state, words):
     assert (first.topic, first.state) == ("cause", words) and first.sentence.endswith(f": {cause}")
     assert first.said == told(first.sentence) and cause in first.said and first.level == Level.PERSON
     execution = next(line for line in others if line.topic == "execution")
-    assert (execution.state, execution.level) == ("NOT_YET", Level.WAITS) and execution.sentence.endswith(": not in sync")
+    assert (execution.state, execution.level) == ("NOT_YET", Level.WAITS) and execution.sentence.endswith(
+        ": not in sync"
+    )
 
 
 def test_what_is_silent_is_a_line_of_its_own():

@@ -2,8 +2,8 @@
 
 A field of a record has the name of the message's field; `stamp` is also that of the message's header. Times are whole ns, arrays
 are tuples, arrays of key and value are mappings, enumerations go by their numbers, and records may hold records. Fields that only
-one of the two has are left alone: records drop what nobody reads, and both keep their defaults. A message with a field `said` carries
-what another language needs of the sentences in it (`core.sentences.told`), as JSON.
+one of the two has are left alone: records drop what nobody reads, and both keep their defaults. A message with a field `said`
+carries what another language needs of the sentences in it (`core.sentences.told`), as JSON.
 """
 
 from __future__ import annotations
