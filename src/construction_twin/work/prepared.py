@@ -10,6 +10,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,7 +20,10 @@ from construction_twin.scene.objects import SceneObject
 from construction_twin.work.ledger import Present, body_digest
 from construction_twin.work.names import labels
 from construction_twin.work.schedule import Schedule
-from construction_twin.work.site_scene import StockPlan
+
+if TYPE_CHECKING:
+    # whoever only draws elements waits for no library of shapes
+    from construction_twin.work.site_scene import StockPlan
 
 
 @dataclass(frozen=True, eq=False)

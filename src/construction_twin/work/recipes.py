@@ -28,9 +28,7 @@ from construction_twin.work.recipe import DEFAULT, PROPERTY_SET, RECIPE, Recipe,
 #: `Process.overrides`.
 DELIVERED = "Delivered"
 
-_TYPES: Mapping[str, tuple[type, ...]] = {
-    "IfcLabel": (str,), "IfcInteger": (int,), "IfcReal": (int, float), "IfcBoolean": (bool,),
-}  # fmt: skip
+_TYPES: dict[str, Any] = {"IfcLabel": str, "IfcInteger": int, "IfcReal": (int, float), "IfcBoolean": bool}
 
 
 @dataclass(frozen=True)

@@ -79,9 +79,7 @@ class _NotWhole(ValueError):
 
 
 #: What NumPy, zipfile, json and pydantic raise for a damaged file.
-_UNREADABLE = (
-    zipfile.BadZipFile, ValueError, TypeError, LookupError, EOFError, NotImplementedError, RecursionError,
-)  # fmt: skip
+_UNREADABLE = (zipfile.BadZipFile, ValueError, TypeError, LookupError, EOFError, NotImplementedError, RecursionError)
 
 
 def _load(path: Path, file: str, digest: str) -> BuildingModel:
