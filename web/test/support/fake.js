@@ -28,7 +28,8 @@ function rethrow(error) {
 export function fakePage({account = "", language = "en", check = async (plan) => ({...plan, refused: ""}), report = rethrow} = {}) {
   const {document, window} = parseHTML("<!doctype html><html><body><main></main></body></html>");
   const clock = {now: 0};
-  const store = makeStore({now: () => clock.now, check, report});
+  const texts = textsIn(language);
+  const store = makeStore({now: () => clock.now, check, report, hear: texts.hear});
   const connection = fakeConnection(store, account);
   // the state's sentence is on the screen, as the status panel would say
   store.on("robots", () => {
@@ -37,7 +38,7 @@ export function fakePage({account = "", language = "en", check = async (plan) =>
   return {
     document, window, store, connection, clock,
     parent: document.querySelector("main"),
-    texts: textsIn(language),
+    texts,
     /** Hear a message: `value` becomes JSON; null is an empty payload. Resolves once it is taken. */
     hear: (robot, topic, value, retained = false) => store.take(robot, topic, value === null ? "" : JSON.stringify(value), retained),
     /** Let time pass [ms] for the store. */
@@ -107,7 +108,7 @@ export function view(changes = {}) {
       late: 0, controller: null},
     execution: {state: "IDLE", reason: "", age: 1, plan_id: "", outcome: "", duration: 0, progress: 0, rate: null, speed_limit: 1,
       segment: null},
-    closest: null, plan: "", hold: null, approval_obstacle: "", speed: null,
+    closest: null, plan: "", hold: null, approval_obstacle: "", overridable: false, speed: null,
     ...changes,
   };
 }
