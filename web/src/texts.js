@@ -74,7 +74,7 @@ export function makeTexts(language, table = {}) {
       // a value is a part of its sentence: who sends another one gets no circle
       return each.length < text.length ? texts.reason(each).replace(DEGREES, texts("deg")) : each;
     };
-    return fill(found, Object.fromEntries(Object.entries(values).map(([place, each]) => [place, value(String(each), place)])));
+    return fill(found, Object.fromEntries(Object.entries(values ?? {}).map(([place, each]) => [place, value(String(each), place)])));
   };
   return texts;
 }

@@ -505,11 +505,11 @@ test("in another language the robot's sentences are in the page's words, with th
   const it = await page([status], {language: "de"});
   await it.hear("kr120", "view", view());
   const sentence = "The link says so: the arm waits for 3 deg";
-  const line = {...LINE, topic: "link", state: "NEEDS_RESET", level: 2, sentence, waits_for: "a reset", who: "operator", todo: "remove it",
+  const line = {...LINE, topic: "link", state: "NEEDS_RESET", level: 2, sentence, waits_for: "a reset", who: "operator", todo: "remove the cause",
     said: {[sentence]: {template: "Waits for: {what}", values: {what: "the arm waits for 3 deg"}}}};
   await it.hear("kr120", "screen", [line]);
   assert.equal(it.text(".status-worst .status-sentence"), "Wartet auf: the arm waits for 3 °");
-  assert.match(it.text(".status-worst"), /Verbindung zum Arm.*Wartet auf: a reset \(jemand an der Zelle\)Zu tun: remove it/);
+  assert.match(it.text(".status-worst"), /Verbindung zum Arm.*Wartet auf: ein Zurücksetzen \(reset\) \(jemand an der Zelle\)Zu tun: remove the cause/);
 });
 
 test("what this page has no words for is the robot's own", async () => {
