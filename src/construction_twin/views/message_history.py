@@ -82,7 +82,7 @@ class MessageHistory:
             first = error.errors()[0]
             found = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
             raise ConfigurationError(
-                "messages", found, "expected the file as console_node wrote it; remove it, and the messages begin anew"
+                "messages", found, "the file as console_node wrote it; remove it, and the messages begin anew"
             ) from error
         # what lasted when the program before ended may have ended since: it is a message anew when it stands
         last = max((message.at for message in self.messages), default=0.0)
