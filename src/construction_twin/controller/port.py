@@ -184,11 +184,13 @@ class SessionRules(Protocol):
 
     Attributes:
         follows: Whether corrections are relative to the programmed position, and so move with it.
-        drifted: Template of the sentence on how far an axis is off where it was programmed; its value is ``distance``.
     """
 
     follows: bool
-    drifted: str
+
+    def drifted(self, distance: str) -> str:
+        """Return the sentence on how far an axis is off where it was programmed."""
+        ...
 
     def begin(self) -> None:
         """Forget the session before."""

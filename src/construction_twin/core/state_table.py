@@ -103,7 +103,7 @@ class Machine(Generic[S, E, G, A, Occ]):
     Args:
         guards: From the occasion to what speaks against the row, in a sentence; "" for nothing. See `conditions`.
         actions: Takes row and occasion; returns the sentence with which the next state is entered, None for the occasion's own.
-        refusal: Template of the sentence about an event that its state does not take; its values are ``state`` and ``reason``.
+        refusal: Returns the sentence about an event that the present state does not take; None: one with state and reason.
 
     Attributes:
         changed: True after every change of state or reason, until whoever reports it sets it to False.
@@ -119,7 +119,7 @@ class Machine(Generic[S, E, G, A, Occ]):
         reason: str,
         guards: Mapping[G, Callable[[Occ], str]],
         actions: Mapping[A, Callable[[Row[S, E, G, A], Occ], str | None]],
-        refusal: str = "it is {state}: {reason}",
+        refusal: Callable[[], str] | None = None,
         after: Callable[[Row[S, E, G, A], Occ], None] | None = None,
     ):
         self.state = state
@@ -165,7 +165,9 @@ class Machine(Generic[S, E, G, A, Occ]):
                 if self._after is not None:
                     self._after(row, occasion)
                 return ""
-        return refusal or Sentence(self._refusal, state=_name(self.state), reason=self.reason)
+        if refusal or self._refusal is not None:
+            return refusal or self._refusal()
+        return Sentence("it is {state}: {reason}", state=_name(self.state), reason=self.reason)
 
     def add(self, note: str) -> None:
         """Add to the reason for which the present state was entered, in place of what was added before."""

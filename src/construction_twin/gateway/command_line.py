@@ -18,11 +18,10 @@ from construction_twin.core.command_line import Parser
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.network import is_loopback
 from construction_twin.core.realtime import lock_memory, request_realtime
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.udp import address_of, bind
 from construction_twin.gateway.config import GatewayConfig, load_config
 from construction_twin.gateway.service import GatewayService
-from construction_twin.gateway.states import Mode, noted
+from construction_twin.gateway.states import Mode
 from construction_twin.gateway.stop_file import StopFile
 from construction_twin.gateway.trace import TraceWriter, check_trace
 from construction_twin.mqtt.account import load_account
@@ -221,9 +220,9 @@ def _run(argv: list[str]) -> int:
     if config.layout.not_filled:
         log.info("channels that no reply fills, so they stay as they are: %s", ", ".join(config.layout.not_filled))
     if service.gateway.mode is not Mode.NORMAL:
-        log.warning("%s", noted(f"mode {service.gateway.mode.value}", service.gateway.mode, words))
+        log.warning("%s", service.gateway.noted(f"mode {service.gateway.mode.value}"))
     if stops.found:
-        log.warning("%s", Sentence("stopped before, and not reset ({reason})", reason=stops.found))
+        log.warning("stopped before, and not reset (%s)", stops.found)
     log.info("%s; %s", request_realtime(arguments.realtime), lock_memory())
     # a full collection over everything imported would take longer than the controller waits
     gc.freeze()

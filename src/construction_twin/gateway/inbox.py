@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from construction_twin.controller.telegram import Telegram, stamp_step
 from construction_twin.core.errors import TelegramError
-from construction_twin.core.sentences import Sentence
 from construction_twin.gateway.gateway import Gateway
 
 #: Datagrams read before anything else gets its turn: a flood must not stop the loop.
@@ -91,21 +90,12 @@ class TelegramInbox:
     def _read(self, data: bytes, source: tuple) -> Telegram | None:
         refusals = self._gateway.refusals
         if self._controller is not None and source[0] != self._controller:
-            why = Sentence(
-                "datagrams from {source} are not read, because --controller is {controller}",
-                source=source[0],
-                controller=self._controller,
-            )
+            why = f"datagrams from {source[0]} are not read, because --controller is {self._controller}"
             refusals.telegram("address", why)
             return None
         if not self._gateway.accepts(source, self._clock()):
-            refusals.telegram(
-                "source",
-                Sentence(
-                    "a datagram from {source} while another sender's session is alive",
-                    source=f"{source[0]}:{source[1]}",
-                ),
-            )
+            why = f"a datagram from {source[0]}:{source[1]} while another sender's session is alive"
+            refusals.telegram("source", why)
             return None
         try:
             telegram = self._parse(data)

@@ -20,9 +20,7 @@ from typing import TypeVar
 from paho.mqtt import client as paho
 
 from construction_twin.controller.port import Encoder
-from construction_twin.core.errors import (
-    PayloadError,
-)
+from construction_twin.core.errors import PayloadError
 from construction_twin.core.histogram import Histogram
 from construction_twin.core.rate_limit import LineLimiter
 from construction_twin.core.records import SPACED, dumped
@@ -35,13 +33,7 @@ from construction_twin.gateway.states import State
 from construction_twin.gateway.status import StatusClock
 from construction_twin.gateway.stop_file import StopFile
 from construction_twin.mqtt import requests
-from construction_twin.mqtt.client import (
-    Broker,
-    make_client,
-    offline_word,
-    subscriptions,
-    unique_id,
-)
+from construction_twin.mqtt.client import Broker, make_client, offline_word, subscriptions, unique_id
 from construction_twin.mqtt.failures import ConnectionReport
 from construction_twin.mqtt.interventions import STOP, parse_intervention
 from construction_twin.mqtt.messages import (
@@ -68,9 +60,7 @@ _LAST_STOP = 0.1
 _LONGEST_FAILURE = 300
 
 _Result = TypeVar("_Result")
-
-
-#: Until the failure's own sentence is made: nothing is looked up while it is taken note of.
+#: Until the failure's own sentence is made: nothing is computed while it is taken note of.
 _FAILED = Sentence("the gateway has failed")
 
 
@@ -326,16 +316,10 @@ class GatewayService:
             self._log(logging.WARNING if wrong else logging.INFO, kind, now.reason)
         if now.clock_off != before.clock_off:
             level = logging.WARNING if now.clock_off else logging.INFO
-            self._log(
-                level, "controller's clock", gateway.clock.off_sentence or Sentence("nothing is wrong with it any more")
-            )
+            self._log(level, "controller's clock", gateway.clock.off_sentence or "nothing is wrong with it any more")
         if now.limit_silent and not before.limit_silent:
-            fraction = gateway.speed.given
-            self._log(
-                logging.WARNING,
-                "speed limit",
-                Sentence("its source is silent; {fraction:g} of the limits until it speaks", fraction=fraction),
-            )
+            text = f"its source is silent; {gateway.speed.given:g} of the limits until it speaks"
+            self._log(logging.WARNING, "speed limit", text)
 
     def _log(self, level: int, kind: str, text: str) -> None:
         note = self._lines.note(kind, time.monotonic_ns())
@@ -418,9 +402,8 @@ class GatewayService:
         self.gateway.on_command(payload, properties, time.monotonic_ns())
 
     def _refuse_retained(self, name: str) -> None:
-        self.gateway.refusals.message(
-            "retained", Sentence("a message on {name} with the retain flag: its age is unknown", name=name)
-        )
+        why = f"a message on {name} with the retain flag: its age is unknown"
+        self.gateway.refusals.message("retained", why)
 
     def _on_control(self, client, userdata, message: paho.MQTTMessage) -> None:
         if message.retain:

@@ -49,12 +49,7 @@ class Status:
 
 
 class StateReport:
-    """Makes the messages of the `state` topic.
-
-    Args:
-        counters: The gateway's.
-        properties: Whether commands carry stamps; without, no state has a command stamp.
-    """
+    """Makes the messages of the `state` topic; without `properties` commands carry no stamps, and states none of theirs."""
 
     def __init__(self, codec: JointStringCodec, counters: Counter[str], properties: bool):
         self._codec = codec

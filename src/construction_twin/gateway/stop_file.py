@@ -85,15 +85,8 @@ class StopFile:
         try:
             write_in_place(self._path, reason, ROOM)
         except OSError as error:
-            log.error(
-                "%s",
-                Sentence(
-                    "{path} was not written ({problem}): whether the arm is stopped would not outlast this "
-                    "program; mend it",
-                    path=str(self._path),
-                    problem=str(error.strerror),
-                ),
-            )
+            lasts = "whether the arm is stopped would not outlast this program; mend it"
+            log.error("%s was not written (%s): %s", self._path, error.strerror, lasts)
             return False
         self._written = reason
         return True

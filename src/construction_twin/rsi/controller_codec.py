@@ -208,11 +208,6 @@ class SensorDecoder:
         return element.text == "1"
 
 
-def parse_sensor(data: bytes, sentype: str, axes: tuple[str, ...]) -> Reply:
-    """Read one reply with the usual channels; `SensorDecoder` is for every cycle."""
-    return SensorDecoder(sentype, axes).parse(data)
-
-
 def _block(tags: tuple[str, ...], precision: int) -> str:
     name = tags[0]
     if is_signal(name):

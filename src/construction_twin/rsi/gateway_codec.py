@@ -281,11 +281,6 @@ class SensorEncoder:
         return (template % (*values, ipoc)).replace(b'"-0.000000"', b'"0.000000"')
 
 
-def parse_robot(data: bytes, axes: tuple[str, ...]) -> Telegram:
-    """Read one controller packet of a robot whose axes are all revolute; `RobotDecoder` is for every cycle."""
-    return RobotDecoder(axes).parse(data)
-
-
 def _reply(
     sentype: str, receive: tuple[str, ...], names: tuple[str, ...], switched: tuple[bool, ...], stop: bool | None
 ) -> bytes:

@@ -154,16 +154,19 @@ def check_tool(tool: GatewayTool | None, layout: RsiLayout, where: str) -> None:
 class RsiSessionRules:
     """One RSI session after the other, see `SessionRules`."""
 
-    drifted = (
-        "{distance} off where ASPos was: a program of the controller moves the arm while a stream does; if ASPos contains the "
-        "corrections, set reference to AIPos"
-    )
-
     def __init__(self, setup: Setup[RsiLayout]):
         self.follows = setup.reference == "ASPos"
         self._limits = setup.limits
         self._tolerances = setup.start_tolerances
         self._empty_telegrams = 0
+
+    def drifted(self, distance: str) -> str:
+        """See `SessionRules.drifted`."""
+        return Sentence(
+            "{distance} off where ASPos was: a program of the controller moves the arm while a stream does; if ASPos "
+            "contains the corrections, set reference to AIPos",
+            distance=distance,
+        )
 
     def begin(self) -> None:
         """Forget the session before."""
@@ -178,19 +181,17 @@ class RsiSessionRules:
             return (), ""
         if measured is None or setpoint is None:
             return (), Sentence(
-                "telegrams lack AIPos or ASPos, so the present correction is unknown: not answering; declare "
-                "DEF_AIPos and DEF_ASPos in the Ethernet XML"
+                "telegrams lack AIPos or ASPos, so the correction is unknown: declare DEF_AIPos and DEF_ASPos in the Ethernet XML"
             )
         if telegram.missed is None:
             return (), Sentence(
-                "telegrams lack Delay, so a reply that does not arrive would go unnoticed, and the next one "
-                "would be a step: not answering; declare DEF_Delay in the Ethernet XML"
+                "telegrams lack Delay, so a lost reply would go unnoticed: declare DEF_Delay in the Ethernet XML"
             )
         distance = distance_off(measured, setpoint, self._limits, self._tolerances)
         if distance:
             return (), Sentence(
-                "{distance} off its programmed position already: joined a running session, not answering; it "
-                "times out, then start the program again",
+                "{distance} off its programmed position already: joined a running session, not answering; it times out, "
+                "then start the program again",
                 distance=distance,
             )
         return setpoint if self.follows else measured, ""
