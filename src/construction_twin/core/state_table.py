@@ -127,7 +127,7 @@ class Machine(Generic[S, E, G, A, Occ]):
         self.changed = True
         self._rows = rows
         self._guards, self._actions = dict(guards), dict(actions)
-        self._refusal, self._after = refusal, after
+        self._refusal, self._after = refusal or self._is_not_taken, after
         for row in (row for of_cause in rows.values() for row in of_cause):
             if not row.guard.value:
                 self._guards.setdefault(row.guard, _always)
@@ -165,8 +165,9 @@ class Machine(Generic[S, E, G, A, Occ]):
                 if self._after is not None:
                     self._after(row, occasion)
                 return ""
-        if refusal or self._refusal is not None:
-            return refusal or self._refusal()
+        return refusal or self._refusal()
+
+    def _is_not_taken(self) -> str:
         return Sentence("it is {state}: {reason}", state=_name(self.state), reason=self.reason)
 
     def add(self, note: str) -> None:

@@ -31,15 +31,13 @@ class GatewayConfig:
     Axis order is A1 first; values are those of the controller's axes, which may differ from the URDF's joints in sign and offset.
 
     Attributes:
-        robot: Name of the robot in MQTT topics.
         axes: Names of the axes in the telegrams, e.g. ``A1``.
         lower, upper: Range [rad]; of `linear` axes [m], and so on.
         velocity, acceleration: [rad/s], [rad/s^2].
         cycle: The controller's cycle [ms]; RSI has 4 (`#IPO_FAST`) and 12 (`#IPO`).
         decimals: Decimals of a degree, and of a mm for a linear axis, in the joint string.
         properties: Whether commands carry the MQTT 5 properties session, seq and stamp.
-        start_tolerance: A stream may begin this close to the held pose [rad]: revolute axes.
-        start_tolerance_linear: The same for linear axes [m].
+        start_tolerance, start_tolerance_linear: A stream may begin this close to the held pose [rad], [m].
         playout_delay: Distance of the playout to the newest command when a stream begins [s].
         playout_delay_min, playout_delay_max: Bounds of that distance, which follows the jitter of the commands [s].
         silence: The stream may be overdue this long before the gateway brakes and holds [s].
@@ -208,15 +206,7 @@ class GatewayConfig:
 
 
 def parse_config(text: str, where: str) -> GatewayConfig:
-    """Parse and check a configuration file's text.
-
-    Args:
-        text: What `GatewayConfig.to_json` returned.
-        where: Name of the file, for messages.
-
-    Raises:
-        ConfigurationError: If it is not such a file, or was edited by hand (its hash no longer fits).
-    """
+    """Parse a configuration file's text; ConfigurationError if it is none, or was edited by hand (its hash no longer fits)."""
     try:
         document = json.loads(text)
         motion = _with_tuples(document["motion"])

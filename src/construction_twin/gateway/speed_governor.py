@@ -21,10 +21,6 @@ class TargetChanges:
     """The last two targets, and how much the step to the next one may differ from the step between them.
 
     That is each joint's acceleration limit with the format's allowance (docs/conventions.md, limits).
-
-    Args:
-        decimals: Decimals on the wire.
-        cycle_ns: The controller's cycle [ns].
     """
 
     def __init__(self, limits: MotionLimits, decimals: int, cycle_ns: int = CYCLE_NS):
@@ -86,12 +82,7 @@ ROUNDING_FRACTION = 0.1
 
 
 class Governor:
-    """Bounds the rate of playout time.
-
-    Args:
-        decimals: Decimals on the wire.
-        cycle_ns: The controller's cycle [ns].
-    """
+    """Bounds the rate of playout time."""
 
     def __init__(self, limits: MotionLimits, decimals: int, cycle_ns: int = CYCLE_NS):
         self._cycle_ns = cycle_ns

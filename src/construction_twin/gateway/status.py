@@ -78,11 +78,7 @@ class StateReport:
 
 
 class StatusClock:
-    """When the periodic status is sent: in the pause after an answer, because putting it together takes part of a cycle.
-
-    Args:
-        period: [s]
-    """
+    """When the periodic status is sent: in the pause after an answer, because putting it together takes part of a cycle."""
 
     def __init__(self, period: float):
         self._period = period

@@ -105,13 +105,7 @@ class ToolSwitch:
 
 
 class ToolSwitches:
-    """The outputs of one tool.
-
-    Args:
-        layout: Of the telegrams.
-        cycle_ns: The controller's cycle [ns].
-        counters: The gateway's.
-    """
+    """The outputs of one tool."""
 
     def __init__(self, tool: GatewayTool, layout: Layout, cycle_ns: int, counters: Counter[str]):
         self.tool = tool
@@ -157,9 +151,9 @@ class ToolSwitches:
             return ""
         pairs = zip(self._names, self._reading.outputs, self._commanded)
         differ = [
-            Sentence(
-                "{name} reads back on, commanded off" if read else "{name} reads back off, commanded on", name=name
-            )
+            Sentence("{name} reads back on, commanded off", name=name)
+            if read
+            else Sentence("{name} reads back off, commanded on", name=name)
             for name, read, told in pairs
             if read != told
         ]
@@ -229,9 +223,7 @@ class ToolSwitches:
             elif missed or (read.get(name) is False and (name in self._seen or self._since > ROUND_TRIP)):
                 dropped.append(name)
         if dropped:
-            self._command(
-                tuple(value and name not in dropped for name, value in zip(self._names, self._commanded)),
-            )
+            self._command(tuple(value and name not in dropped for name, value in zip(self._names, self._commanded)))
             self._dropped = Sentence(
                 "{names} went off with a missed reply, and stays off until it is switched on anew",
                 names=", ".join(dropped),
@@ -293,13 +285,12 @@ class ToolSwitches:
         """
         switch = _switch_of(value, self._fire)
         if switch is None:
-            return Sentence(
-                "tool: a switch must have a new id (1 to {longest} printable characters), output, value "
-                "(true or false) and stamp (whole number of ns), and nothing else",
-                longest=LONGEST_TEXT,
+            return (
+                f"tool: a switch must have a new id (1 to {LONGEST_TEXT} printable characters), output, value (true or "
+                "false) and stamp (whole number of ns), and nothing else"
             )
         if switch.id in self._used:
-            return Sentence("tool: switch {id} was asked for before", id=repr(switch.id))
+            return f"tool: switch {switch.id!r} was asked for before"
         self._used.append(switch.id)
         self._reported.append(switch)
         why = obstacle or self._refusal(switch, lead)
@@ -318,27 +309,16 @@ class ToolSwitches:
             return Sentence("the outputs are not known: {why}", why=self._unknown)
         if self.difference:
             return Sentence(
-                "{difference}; switch it back where it was switched, or end the RSI program and start it "
-                "anew: a new session takes the outputs as they read",
+                "{difference}; switch it back where it was switched, or end the RSI program and start it anew: a new "
+                "session takes the outputs as they read",
                 difference=self.difference,
             )
         if switch.output not in self._names:
-            return Sentence(
-                "{tool} has no output {output}; it has {names}",
-                tool=self.tool.name,
-                output=repr(switch.output),
-                names=", ".join(self._names),
-            )
+            return f"{self.tool.name} has no output {switch.output!r}; it has {', '.join(self._names)}"
         if lead is None or lead <= 0.0:
-            return Sentence(
-                "the playout has passed the stamp {stamp} already, by {seconds:.3f} s",
-                stamp=switch.stamp,
-                seconds=-(lead or 0.0),
-            )
+            return Sentence("the playout has passed the stamp {stamp} already", stamp=switch.stamp)
         if lead > MOST_AHEAD:
-            return Sentence(
-                "the stamp lies {seconds:.3f} s ahead of the playout; at most {most:g} s", seconds=lead, most=MOST_AHEAD
-            )
+            return f"the stamp lies {lead:.3f} s ahead of the playout; at most {MOST_AHEAD:g} s"
         return ""
 
     def void(self, why: str) -> int:

@@ -66,11 +66,11 @@ class RsiStatus:
         if self.override is not None and self.override < 100.0:
             parts.append(
                 Sentence(
-                    "the override is {percent:g} %: the controller's own motions are slower by that, corrections are not"
-                    if self.override > 0.0
-                    else "the override is {percent:g} %: whether corrections act then is not known, set it to 100 %",
+                    "the override is {percent:g} %: the controller's own motions are slower by that, corrections are not",
                     percent=self.override,
                 )
+                if self.override > 0.0
+                else Sentence("the override is 0 %: whether corrections act then is not known, set it to 100 %")
             )
         return both(*parts)
 

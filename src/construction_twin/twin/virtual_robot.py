@@ -76,7 +76,6 @@ class TwinBackend(Protocol):
     @property
     def problem(self) -> str:
         """One sentence about what is simulated otherwise than it should be; empty: nothing is."""
-        ...
 
     def restart(self) -> None:
         """Forget where the arm is: the next cycle begins at rest, at the pose that is commanded then."""
@@ -86,7 +85,6 @@ class TwinBackend(Protocol):
 
         None: another program simulates, and answers later.
         """
-        ...
 
 
 class KinematicBackend:
