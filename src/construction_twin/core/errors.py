@@ -116,13 +116,7 @@ class TransitionLogError(ConstructionTwinError):
     """A change of the monitor's state cannot be written down; it is kept and tried again."""
 
     def __init__(self, path: str, problem: str):
-        super().__init__(
-            Sentence(
-                "{path}: {problem}; transitions are kept in memory until the file can be written",
-                path=path,
-                problem=problem,
-            )
-        )
+        super().__init__(f"{path}: {problem}; transitions are kept in memory until the file can be written")
 
 
 class ExecutionError(ConstructionTwinError):

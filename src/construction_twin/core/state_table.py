@@ -107,9 +107,6 @@ class Machine(Generic[S, E, G, A, Occ]):
 
     Attributes:
         changed: True after every change of state or reason, until whoever reports it sets it to False.
-
-    Raises:
-        ValueError: When a guard or an action of the table has no function.
     """
 
     def __init__(

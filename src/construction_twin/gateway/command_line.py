@@ -142,11 +142,6 @@ def _address(text: str, option: str) -> tuple[str, int]:
     return host, int(port)
 
 
-def _listen_address(text: str, config: GatewayConfig) -> tuple[str, int]:
-    host, port = _address(text, "--listen")
-    return host, port or config.layout.port
-
-
 @dataclass(frozen=True)
 class _Ends:
     """Between whom the gateway stands."""
@@ -164,15 +159,12 @@ def _ends(arguments: argparse.Namespace, config: GatewayConfig) -> _Ends:
     if account is not None and account.ca_file:
         account.context()
     broker = Broker(*_address(arguments.broker, "--broker"), protocol=arguments.protocol, account=account)
-    address = _listen_address(arguments.listen, config)
+    host, port = _address(arguments.listen, "--listen")
     controller = address_of(arguments.controller, "--controller") if arguments.controller else None
-    if controller is None and not is_loopback(address[0]):
-        raise ConfigurationError(
-            "--controller",
-            "",
-            (f"the controller's address: what comes to {address[0]} comes from a network, and only the controller may"),
-        )
-    return _Ends(broker, Topics(arguments.prefix, config.robot), address, controller)
+    if controller is None and not is_loopback(host):
+        expected = f"the controller's address: what comes to {host} comes from a network, and only the controller may"
+        raise ConfigurationError("--controller", "", expected)
+    return _Ends(broker, Topics(arguments.prefix, config.robot), (host, port or config.layout.port), controller)
 
 
 def check(arguments: argparse.Namespace, config: GatewayConfig) -> None:

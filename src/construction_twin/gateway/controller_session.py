@@ -85,8 +85,6 @@ class ControllerSession:
         """Take a telegram; None when it came twice, or behind a newer one: it was answered, or an answer comes too late.
 
         Args:
-            source: Where it came from.
-            now: [ns]
             sent: Shape (n,). The correction that the last answer carried [rad]; () for nothing.
             moving: Whether that correction is being changed.
         """

@@ -194,11 +194,7 @@ class Gateway:
         return self._controller.accepts(source, now)
 
     def on_telegram(self, telegram: Telegram, source: object, now: int) -> tuple[float, ...] | None:
-        """Take a telegram and return what its answer carries.
-
-        Args:
-            source: Where it came from; another source is another session.
-            now: [ns]
+        """Take a telegram and return what its answer carries; another source is another session.
 
         Returns:
             Shape (n,). Position, or position minus origin, as the make takes it [rad]; None when it must not be answered.
@@ -341,11 +337,7 @@ class Gateway:
         return self.clock.changed if self._measures else ""
 
     def state_message(self, stamp: int) -> tuple[bytes, StateProperties] | None:
-        """Return the joint string of the measured pose and its properties, or None when there is nothing to tell.
-
-        Args:
-            stamp: The gateway's own time, for the receiver's freshness check [ns].
-        """
+        """Return the joint string of the measured pose and its properties, None without one; `stamp` is the gateway's own [ns]."""
         return self._states.message(self._controller.measured, self._command_stamp, stamp)
 
     def _begin_session(self, telegram: Telegram) -> None:

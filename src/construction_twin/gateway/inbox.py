@@ -15,12 +15,7 @@ DRAIN_LIMIT = 64
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """A telegram that is to be answered.
-
-    Attributes:
-        source: Address and port of the sender.
-        arrived: Time of arrival [ns].
-    """
+    """A telegram that is to be answered, with address and port of its sender, and when it arrived [ns]."""
 
     telegram: Telegram
     source: tuple
@@ -28,12 +23,10 @@ class Arrival:
 
 
 class TelegramInbox:
-    """Reads what has come since the last time.
+    """Reads what has come since the last time; what is noticed is counted in the gateway.
 
     Args:
-        gateway: What is noticed here is counted there.
-        receive: Returns a datagram, its time of arrival [ns] and its source, without waiting; raises BlockingIOError when there is
-            none.
+        receive: Returns a datagram, its time of arrival [ns] and its source, without waiting, or raises BlockingIOError.
         clock: Returns the gateway's monotonic time [ns].
         controller: Only datagrams from this IPv4 address are read; None reads any.
     """

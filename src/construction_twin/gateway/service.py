@@ -13,7 +13,6 @@ import socket
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 
@@ -64,25 +63,13 @@ _Result = TypeVar("_Result")
 _FAILED = Sentence("the gateway has failed")
 
 
-@dataclass(frozen=True, slots=True)
-class _LoggedState:
-    """What stands in the log of the gateway."""
-
-    state: State | None = None
-    reason: str = ""
-    limit_silent: bool = False
-    clock_off: bool = False
-
-
 class GatewayService:
     """Sockets around a Gateway.
 
     Args:
-        sock: Bound UDP socket, see `bind`.
-        run: Random id of this run, see `Gateway`.
-        controller: Only datagrams from this IPv4 address are read, see `address_of`; None reads any.
-        commissioning: Send every correction as zero.
-        measures: See `Gateway`: False for a controller that is no match for real time.
+        sock: Bound UDP socket.
+        controller: Only datagrams from this IPv4 address are read; None reads any.
+        run, commissioning, measures: See `Gateway`.
         stops: Keeps a stop beyond this run; None: it is forgotten.
     """
 
@@ -136,7 +123,8 @@ class GatewayService:
         self._lines = LineLimiter()
         self._speed_answer: tuple = ()
         self._held_channels: tuple[bool, ...] = ()
-        self._logged = _LoggedState()
+        # state and reason in the log, whether a silent source and a clock that is off are
+        self._logged: tuple[State | None, str, bool, bool] = None, "", False, False
         self._running = True
 
     def run(self) -> None:
@@ -305,19 +293,19 @@ class GatewayService:
     def _log_change(self) -> None:
         gateway = self.gateway
         limit_silent, clock_off = gateway.speed.source == "silence", bool(gateway.clock.off_sentence)
-        before, now = self._logged, _LoggedState(gateway.state, gateway.reason, limit_silent, clock_off)
-        self._logged = now
-        if (now.state, now.reason) != (before.state, before.reason):
+        state, reason, was_silent, was_off = self._logged
+        self._logged = gateway.state, gateway.reason, limit_silent, clock_off
+        if (gateway.state, gateway.reason) != (state, reason):
             # what cannot be read is logged under its own key; otherwise the rate limit would suppress the line after
             # 'controller gone'
-            unread = before.state is now.state is State.NO_CONTROLLER and gateway.refusals.unread > 0
-            wrong = unread or now.state is State.OTHER_CYCLE
+            unread = state is gateway.state is State.NO_CONTROLLER and gateway.refusals.unread > 0
+            wrong = unread or gateway.state is State.OTHER_CYCLE
             kind = "no telegram can be read" if unread else gateway.state.value
-            self._log(logging.WARNING if wrong else logging.INFO, kind, now.reason)
-        if now.clock_off != before.clock_off:
-            level = logging.WARNING if now.clock_off else logging.INFO
+            self._log(logging.WARNING if wrong else logging.INFO, kind, gateway.reason)
+        if clock_off != was_off:
+            level = logging.WARNING if clock_off else logging.INFO
             self._log(level, "controller's clock", gateway.clock.off_sentence or "nothing is wrong with it any more")
-        if now.limit_silent and not before.limit_silent:
+        if limit_silent and not was_silent:
             text = f"its source is silent; {gateway.speed.given:g} of the limits until it speaks"
             self._log(logging.WARNING, "speed limit", text)
 

@@ -47,11 +47,9 @@ class TargetChanges:
         return all([abs(c - 2.0 * b + a) <= most for a, b, c, most in zip(before, last, target, self._largest)])
 
     def fit(self, wanted: int, steady: int, target: Callable[[int], Pose]) -> int:
-        """Return an advance [ns] whose target keeps the limits: `wanted`, or as near to it as halving finds.
+        """Return an advance [ns] whose `target` keeps the limits: `wanted`, or as near to it as halving finds.
 
-        Args:
-            wanted, steady: Advances [ns]; `steady` is the one that changes nothing, and is not asked about.
-            target: From an advance [ns] to the target there.
+        `steady` is the advance that changes nothing, and is not asked about.
         """
         if wanted == steady or self.allow(target(wanted)):
             return wanted

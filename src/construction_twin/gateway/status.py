@@ -61,10 +61,7 @@ class StateReport:
     ) -> tuple[bytes, StateProperties] | None:
         """Return a pose's joint string and what goes beside it; None without a pose, or when it does not fit the format.
 
-        Args:
-            measured: Shape (n,). [rad]; () for none.
-            command_stamp: Stamp of the target in the reply before this telegram [ns]; 0 for none.
-            stamp: The gateway's own time [ns].
+        `command_stamp` is that of the target in the reply before this telegram, 0 for none; `stamp` the gateway's own time [ns].
         """
         if not measured:
             return None

@@ -30,9 +30,6 @@ class StopFile:
 
     Attributes:
         found: Why the arm was stopped when the program before this one ended; "": it was not.
-
-    Raises:
-        ConfigurationError: When it cannot be written: without it a stop would be forgotten.
     """
 
     def __init__(self, path: str | Path):

@@ -12,13 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from construction_twin.kinematics.chain import Chain, Pose
-from construction_twin.kinematics.ranges import TURN
-from construction_twin.kinematics.solution import (
-    Configuration,
-    IkSettings,
-    IkSolution,
-    InverseKinematics,
-)
+from construction_twin.kinematics.solution import TURN, Configuration, IkSettings, IkSolution, InverseKinematics
 from construction_twin.robot.description import JointValues
 
 _HALF_TURN = 0.5 * TURN

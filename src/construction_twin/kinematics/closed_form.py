@@ -23,8 +23,8 @@ from construction_twin.core.motion_errors import (
 from construction_twin.kinematics.branches import BranchInverse
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.opw import OpwModel
-from construction_twin.kinematics.ranges import TURN
 from construction_twin.kinematics.solution import (
+    TURN,
     ArmKind,
     Configuration,
     IkSettings,
@@ -228,11 +228,7 @@ class ClosedFormInverse(BranchInverse):
         )
 
     def flange(self, pose: Pose) -> np.ndarray:
-        """Return ``opw_T_flange`` of a target, shape (4, 4).
-
-        Raises:
-            KinematicsError: If the pose is not finite: the calculation would go on with nan.
-        """
+        """Return ``opw_T_flange`` of a target, shape (4, 4)."""
         self._target[:3, :3] = pose.rotation
         self._target[:3, 3] = pose.position
         # the sum of the elements, as the quickest test; if it is not finite although they are, `check_pose` passes

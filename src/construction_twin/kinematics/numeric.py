@@ -15,14 +15,11 @@ from typing import NoReturn
 import numpy as np
 import PyKDL
 
-from construction_twin.core.motion_errors import (
-    NotFoundError,
-    UnreachableError,
-)
+from construction_twin.core.motion_errors import NotFoundError, UnreachableError
 from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.kinematics.chain import Chain, Pose, to_frame
-from construction_twin.kinematics.ranges import TURN
 from construction_twin.kinematics.solution import (
+    TURN,
     ArmKind,
     Configuration,
     IkSettings,

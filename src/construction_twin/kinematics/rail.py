@@ -21,8 +21,8 @@ from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
 from construction_twin.kinematics.numeric import NumericInverse
 from construction_twin.kinematics.opw import NotOpw, OpwModel, find_opw
-from construction_twin.kinematics.ranges import TURN
 from construction_twin.kinematics.solution import (
+    TURN,
     ArmKind,
     Configuration,
     IkSolution,

@@ -30,8 +30,8 @@ from construction_twin.kinematics.branches import BranchInverse
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.decomposition import ClosedForm
 from construction_twin.kinematics.numeric import NumericInverse
-from construction_twin.kinematics.ranges import TURN
 from construction_twin.kinematics.solution import (
+    TURN,
     ArmKind,
     Configuration,
     IkSolution,
@@ -111,11 +111,7 @@ class SubproblemInverse(BranchInverse):
         return None
 
     def branches(self, pose: Pose) -> list[list[float]]:
-        """Return the model's branches of a target [rad], ranges not considered; where there is none, the nearest miss.
-
-        Raises:
-            KinematicsError: If the pose is not finite.
-        """
+        """Return the model's branches of a target [rad], ranges not considered; where there is none, the nearest miss."""
         self._target[:3, :3] = pose.rotation
         self._target[:3, 3] = pose.position
         if not math.isfinite(self._elements.dot(self._ones)):

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from construction_twin.core.axis_name import axis_name
 from construction_twin.core.sentences import Quantity, Sentence
+from construction_twin.core.units import axis_name
 from construction_twin.physics.drive import PayloadRating
 from construction_twin.physics.mass import MassProperties
 from construction_twin.physics.report import PayloadLoad, RehearsalReport

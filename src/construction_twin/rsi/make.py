@@ -44,12 +44,7 @@ NOTICE = (
 
 
 def receive_channels(axes: Sequence[str], holdon: Mapping[str, bool] | None = None) -> list[tuple[str, str, int]]:
-    """Return TAG, TYPE and HOLDON of a reply's channels, in the order of their INDX, which counts from 1.
-
-    Args:
-        axes: RSI axes of the arm.
-        holdon: Outputs of the tool; True: it keeps its value when a reply is missed.
-    """
+    """Return TAG, TYPE and HOLDON of a reply's channels, in the order of their INDX, from 1; see `ethernet_xml_text`."""
     corrections = [(f"{default_element(axis)}.{axis}", "DOUBLE", 1) for axis in sorted(axes)]
     outputs = [(f"{SET}.{name}", "BOOL", int(held)) for name, held in (holdon or {}).items()]
     return [(STOP, "BOOL", 0), *corrections, *([(f"{SET}.{ENABLE}", "BOOL", 1)] if outputs else []), *outputs]
@@ -61,10 +56,7 @@ def send_channels(outputs: Sequence[str], inputs: Sequence[str]) -> list[str]:
 
 
 def ethernet_xml_text(
-    axes: Sequence[str],
-    receives: bool = True,
-    holdon: Mapping[str, bool] | None = None,
-    inputs: Sequence[str] = (),
+    axes: Sequence[str], receives: bool = True, holdon: Mapping[str, bool] | None = None, inputs: Sequence[str] = ()
 ) -> str:
     """Return the text of an Ethernet XML.
 
@@ -110,15 +102,7 @@ def ethernet_xml_text(
 
 
 def check_tool(tool: GatewayTool | None, layout: RsiLayout, where: str) -> None:
-    """Check that the channels of an Ethernet XML are those of a tool, held as the tool file says.
-
-    Args:
-        tool: None: no tool is configured.
-        where: Name of the Ethernet XML, for messages.
-
-    Raises:
-        EthernetXmlError: Naming the first channel that does not fit.
-    """
+    """Check that the channels of an Ethernet XML are those of a tool, held as the tool file says."""
     if tool is None:
         if layout.switched:
             expected = "no such channel, or the tool file that it belongs to (launch argument tool)"
@@ -130,11 +114,7 @@ def check_tool(tool: GatewayTool | None, layout: RsiLayout, where: str) -> None:
         IN: names_of(IN, layout.send),
     }
     outputs = tuple(output.name for output in tool.outputs)
-    for element, section, wanted in (
-        (SET, "RECEIVE", outputs),
-        (OUT, "SEND", outputs),
-        (IN, "SEND", tool.inputs),
-    ):
+    for element, section, wanted in ((SET, "RECEIVE", outputs), (OUT, "SEND", outputs), (IN, "SEND", tool.inputs)):
         if element == SET and layout.onlysend:
             continue
         missing = [name for name in wanted if name not in declared[element]]
@@ -230,11 +210,7 @@ _find_delay = re.compile(rb"""<Delay\s+D\s*=\s*["']([0-9]{1,20})["']""").search
 
 
 def check(setup: Setup[RsiLayout]) -> None:
-    """Check that RSI can serve an arm as it is configured.
-
-    Raises:
-        ConfigurationError: As `check_gateway` and `check_tool`.
-    """
+    """Check that RSI can serve an arm as it is configured."""
     check_gateway(setup.layout, setup.axes, _FILE)
     check_tool(setup.tool, setup.layout, _FILE)
 

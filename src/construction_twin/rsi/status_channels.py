@@ -87,11 +87,7 @@ def _name_of(tag: str) -> str:
 
 
 class StatusReader:
-    """Reads the optional channels of one Ethernet XML.
-
-    Args:
-        channels: See `status_channels`.
-    """
+    """Reads the optional channels (`status_channels`) of one Ethernet XML."""
 
     def __init__(self, channels: Sequence[str]):
         found: dict[str, Callable] = {_name_of(tag): _pattern(tag) for tag in channels}
@@ -102,12 +98,7 @@ class StatusReader:
         self._unreadable = 0
 
     def read(self, data: bytes) -> tuple[RsiStatus, int]:
-        """Read what a telegram says that was read as one before.
-
-        Returns:
-            status
-            unreadable: How many declared channels are missing, or are no number of the kind.
-        """
+        """Read what a telegram says that was read as one before, and how many channels are missing or no number of the kind."""
         texts = [None if search is None else _text(search(data)) for search in self._searches]
         if texts != self._texts:
             # the same for minutes

@@ -5,10 +5,9 @@ from __future__ import annotations
 import time
 from typing import cast
 
-from construction_twin.core.axis_name import axis_name
 from construction_twin.core.reports import HoldReport
 from construction_twin.core.sentences import Quantity, Sentence, understood
-from construction_twin.core.units import NANOSECONDS, from_people, to_people
+from construction_twin.core.units import NANOSECONDS, axis_name, from_people, to_people
 
 
 def hold_cause(hold: HoldReport | None) -> str:
