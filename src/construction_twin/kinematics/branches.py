@@ -32,11 +32,8 @@ class BranchInverse(InverseKinematics, abc.ABC):
     ) -> tuple[int, float, list[float]] | None:
         """Return which branch is nearest to a seed, its squared distance and its joint values; None: all are out of range.
 
-        Each joint is first moved by the whole turns that bring it nearest to the seed.
-
-        Args:
-            branches: Length n. nan in the joint with the narrowest range: there is no such branch.
-            seed: Length n. Within the ranges.
+        Each joint is first moved by the whole turns that bring it nearest to the seed, which is within the ranges. nan in the joint
+        with the narrowest range: there is no such branch.
         """
         least, nearest = math.inf, None
         # Plain floats in one loop, and the joint with the narrowest range first: most branches fail at the first or second joint,
@@ -94,13 +91,7 @@ class BranchInverse(InverseKinematics, abc.ABC):
         configuration: Configuration | None,
         kept: Sequence[int] = (),
     ) -> list[IkSolution]:
-        """Return a branch with every choice of whole turns, where forward kinematics confirms it.
-
-        Args:
-            branch: Shape (n,)
-            seed: Length n
-            kept: Joints whose turns have been chosen already.
-        """
+        """Return a branch with every choice of whole turns but of the joints `kept`, where forward kinematics confirms it."""
         if not np.isfinite(branch).all():
             return []
         every = self.ranges.turned(branch.tolist(), self.settings.tolerance_rad, kept)

@@ -261,11 +261,7 @@ class ClosedFormInverse(BranchInverse):
         return [(q[0], wrist), *((other[0], angle[0].tolist()) for other, angle, _ in others)]
 
     def branches(self, flanges: np.ndarray) -> Branches:
-        """Return all branches of targets, ranges not considered.
-
-        Args:
-            flanges: Shape (m, 4, 4). ``opw_T_flange``
-        """
+        """Return all branches of targets ``opw_T_flange``, shape (m, 4, 4), ranges not considered."""
         # For every branch within limits the package also computes the conditioning, which is not needed here and takes three
         # times as long as the rest. Limits that contain no angle switch that off.
         q, _, extension, _, wrist = self._solver.reach(flanges.reshape(-1, 16), _NO_LIMITS, None, 1)
@@ -348,14 +344,9 @@ class ClosedFormInverse(BranchInverse):
         raise NotFoundError(len(SLOTS), 0.0, *self._best_residual(branches[0], pose))
 
     def raise_range_error(self, branches: np.ndarray) -> None:
-        """Raise the error that names the joint out of range, taken from the branch that is out of range by the least.
+        """Raise the error that names the joint out of range, of the branch, shape (m, 6), that is out of range by the least.
 
-        Args:
-            branches: Shape (m, 6). All branches of a target [rad].
-
-        Raises:
-            OrientationError: If joints 1 to 3 of some branch are in range: another orientation could be reached.
-            PositionRangeError: If not.
+        Where joints 1 to 3 of some branch are in range, another orientation could be reached.
         """
         middle = 0.5 * (self._lower + self._upper)
         q = branches - TURN * np.rint((branches - middle) / TURN)

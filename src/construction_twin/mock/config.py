@@ -18,8 +18,8 @@ class MockConfig:
 
     Attributes:
         start_pose: Pose in which the first session starts [rad], inside the soft limits.
-        lower, upper: Soft limits [rad].
-        velocity, acceleration: Limits that the supervision is a multiple of [rad/s], [rad/s^2].
+        lower, upper: Soft limits.
+        velocity, acceleration: Limits that the supervision is a multiple of.
         layout: Of the telegrams, and whose they are; a reply that does not fit it does not count. Default: that of the default make
             without a file.
         units: How each axis is written in the telegrams; default: deg, and no axis linear.
