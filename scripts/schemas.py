@@ -15,7 +15,6 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from construction_twin.core.reports import WorkReport
-from construction_twin.core.sentences import REASONS
 from construction_twin.link.remote_review import PathView, PlanView
 from construction_twin.link.remote_view import VERSION, View
 from construction_twin.mqtt.requests import (
@@ -34,6 +33,21 @@ from construction_twin.views.message_history import Message
 from construction_twin.views.scene_view import SceneView
 from construction_twin.views.status_line import Line
 
+REASONS = [
+    "reason.",
+    "executor.",
+    "review.",
+    "link.",
+    "gateway.",
+    "motion.",
+    "work.",
+    "startup.",
+    "expected.",
+    "telegram.",
+    "ifc.",
+    "rehearsal.",
+    "physics.",
+]
 #: What the page checks, by the name of the constant in web/src/schemas.js; of a kind of request its answer. `pause/ack` is as
 #: `stop/ack`.
 CHECKED: dict[str, Any] = {
@@ -106,7 +120,7 @@ def page_schemas() -> str:
     ]
     reasons = (
         f"/** Beginnings of the keys of reasons and answers, as core/sentences.py has them. */\n"
-        f"export const REASONS = {json.dumps(list(REASONS))};\n"
+        f"export const REASONS = {json.dumps(REASONS)};\n"
     )
     head = "// Made from the records by scripts/schemas.py; check.js and sentences.js read it.\n"
     return "\n".join([head, *constants, reasons])

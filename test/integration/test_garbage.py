@@ -58,7 +58,6 @@ HEARD_BY = {
     "review": {"planner"},
     "sync": {"executor", "mqtt_bridge"},
     "hold": set(),
-    "approval_obstacle": set(),
     "link": {"pca_monitor", "executor", "virtual_robot"},
     "session_request": {"executor"},
     "speed_change": {"executor"},

@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import rospy
 import rostest
+from construction_twin.core.axis_name import axis_name
 from construction_twin.msg import Sync, Transition
 from twin_client import LEFT, RobotTest, Stream, TwinClient, wait
 
@@ -93,7 +94,7 @@ class StallTest(RobotTest):
             ],
         )
         first = changes[0]
-        self.assertIn(f"{JOINT} differs by", first.reason)
+        self.assertIn(f"{axis_name(JOINT)} differs by", first.reason)
         index = list(first.name).index(JOINT)
         self.assertGreater(first.error[index], first.threshold[index])
         # nobody has told the gate how the servos answer: it says so, and compares with the twin alone

@@ -276,11 +276,13 @@ class ScriptedRobot:
                         self._outcome,
                         duration=plan.duration if plan else 0.0,
                         rate=self._rate,
+                        approval_obstacle=self.obstacle,
+                        # here only a rehearsal is ever against a plan
+                        overridable=bool(self.obstacle),
                     ),
                     0.0,
                 ),
                 plan="" if self.plan is None else self.plan.id,
-                approval_obstacle=self.obstacle,
                 closest=ClosestView(0.31, ("link_4", "table"), tuple(self.tool(self.twin)), 0.0),
                 progress=progress,
                 speed=self.speed_limits.report(time.monotonic_ns()),
@@ -319,7 +321,7 @@ class ScriptedRobot:
         if self.lines is not None:
             return json.dumps(self.lines).encode()
         moving = self.state == "PLAYING"
-        sentence = "The arm moves along the approved plan." if moving else "The arm stands still."
+        sentence = "The arm moves along the approved plan" if moving else "The arm holds its pose; no plan is executed"
         waits = "" if self.plan is None else "a verdict on the plan"
         line = {
             "topic": "execution", "state": self.state, "sentence": sentence, "waits_for": waits,

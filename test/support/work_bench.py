@@ -40,7 +40,6 @@ from construction_twin.ros.nodes import work as module
 from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.work import session
-from construction_twin.work.heard import Heard
 from construction_twin.work.ledger import read_entries
 from construction_twin.work.prepared import ElementFacts, Prepared
 from construction_twin.work.racks import Slot, StockPlan
@@ -123,6 +122,11 @@ class Bench:
         monkeypatch.setattr(rospy.Time, "now", lambda: rospy.Time(7))
         for level in ("loginfo", "logwarn", "logerr"):
             monkeypatch.setattr(rospy, level, lambda *_: None)
+        self._patch = monkeypatch.setattr
+        self._patch(rospy, "on_shutdown", lambda _: None)
+        self._patch(
+            module, "listen_to_frames", lambda *_: SimpleNamespace(in_base=lambda *_: Pose(np.zeros(3), np.eye(3)))
+        )
         self.start()
 
     def start(self, worker=None, **files: str) -> None:
@@ -132,23 +136,24 @@ class Bench:
             folder="work", arm="mock", service_timeout=1.0, listen_time=0.02, retry_time=0.01,
         ).model_copy(update=files)  # fmt: skip
         refuse = self.refuse
-        self.heard = Heard(self.publishers.__getitem__, lambda: False, self.review_file)
-        self.node = module.WorkNode(
-            settings,
-            ROBOT,
-            {},
-            worker or SimpleNamespace(ask_first=lambda *_, **__: prepared(), ask=self._planned),
-            self.heard,
-            module.Outlets(
-                lambda: HOME,
-                lambda: self.arm_pose(),
-                lambda *_: None,
-                self._call,
-                SimpleNamespace(publish=lambda message: self.tasks.append(over_the_wire(message))),
-                SimpleNamespace(publish=lambda _: None),
-            ),
-            SimpleNamespace(refuse=refuse, count=refuse),
+        made = worker or SimpleNamespace(ask_first=lambda *_, **__: prepared(), ask=self._planned, close=None)
+        self._patch(module, "Worker", lambda: made)
+        ports = SimpleNamespace(
+            parameters={"planner": {}, module.RECORD: str(self.review_file)},
+            poses={
+                "twin/joint_states": SimpleNamespace(pose=lambda *_: HOME),
+                "physical/joint_states": SimpleNamespace(pose=lambda *_: self.arm_pose()),
+            },
+            publishers={
+                "work/tasks": SimpleNamespace(publish=lambda message: self.tasks.append(over_the_wire(message))),
+                "work/markers": SimpleNamespace(publish=lambda _: None),
+            },
+            connections=self.publishers.__getitem__,
+            diagnostics=SimpleNamespace(refuse=refuse, count=refuse),
         )
+        self.node = module.WorkNode(settings, ROBOT, ports)
+        self.node._call = self._call
+        self.heard = self.node.heard
 
     def ready(self) -> Bench:
         """Read the model beside an executor that rests and a tool that is open; the scene gets tool and stock."""

@@ -14,12 +14,10 @@ from construction_twin.core.sentences import Quantity, Sentence
 
 
 class ConstructionTwinError(Exception):
-    """Root of every error this package raises."""
+    """Root of every error this package raises. `str` of one that was raised with a `Sentence` is that `Sentence`."""
 
-    @property
-    def sentence(self) -> str:
-        """What has happened: a `Sentence`, where it has a key; `str` of an error is its English text alone."""
-        return self.args[0] if self.args and isinstance(self.args[0], Sentence) else str(self)
+    def __str__(self) -> str:
+        return self.args[0] if len(self.args) == 1 and isinstance(self.args[0], Sentence) else super().__str__()
 
 
 #: Characters of a value that an error shows: the content of a wrong file would hide what is said of it.

@@ -356,7 +356,7 @@ class SegmentError(PlanningError):
     def __init__(self, number: int, name: str, cause: ConstructionTwinError):
         self.number, self.name, self.cause = number, name, cause
         super().__init__(
-            Sentence("segment {number} ({name}): {cause}", number=number, name=repr(name[:80]), cause=cause.sentence)
+            Sentence("segment {number} ({name}): {cause}", number=number, name=repr(name[:80]), cause=str(cause))
         )
 
 

@@ -15,6 +15,7 @@ from dataclasses import field, fields, is_dataclass
 from enum import Enum
 from typing import Any
 
+from construction_twin.core.sentences import told
 from construction_twin.core.units import seconds
 
 _LEFT_OUT = "left out"
@@ -73,6 +74,9 @@ def _written(value: Any, about: Mapping[str, Any]) -> Any:
     return document(value)
 
 
-def dumped(value: Any, marks: tuple[str, str] = COMPACT) -> bytes:
-    """Return a record as JSON."""
-    return json.dumps(document(value), allow_nan=False, separators=marks).encode()
+def dumped(value: Any, marks: tuple[str, str] = COMPACT, said: bool = False) -> bytes:
+    """Return a record as JSON; `said`: with what another language needs of its sentences (`core.sentences.told`)."""
+    written, sentences = document(value), told(value) if said else {}
+    if sentences:
+        written["said"] = sentences
+    return json.dumps(written, allow_nan=False, separators=marks).encode()

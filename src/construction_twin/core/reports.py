@@ -183,6 +183,8 @@ class ExecutionReport:
         at_boundary, wants_scene: It stands at the end of that segment; and waits for the scene to change.
         engaged: Only the way back along the executed path can be planned.
         expected_scene: Hash of the scene that is waited for; empty for none.
+        approval_obstacle: Why the plan under review could not be approved now; empty: it could, or there is none.
+        overridable: Only the rehearsal is against approving it, which a person may override.
         stamp: Of the report [ns].
         moment: The same by the robot's clock (`core.freshness.Moment`).
     """
@@ -201,6 +203,8 @@ class ExecutionReport:
     wants_scene: bool = False
     engaged: bool = False
     expected_scene: str = ""
+    approval_obstacle: str = ""
+    overridable: bool = False
     state: int = 0
     stamp: int = 0
     moment: str = ""

@@ -112,7 +112,7 @@ class Approval:
                 self._executor.offer(plan, left)
         except ReviewError as error:
             with self._lock:
-                self._executor.tell_withdrawn(plan, error.sentence)
+                self._executor.tell_withdrawn(plan, str(error))
             raise
 
     def review(
@@ -157,7 +157,7 @@ class Approval:
                 with self._lock:
                     verdict = self._examine(plan_id, plan_hash, True, reviewer, reason, override)
             except ReviewError as error:
-                self._refuse(plan_id, plan_hash, reviewer, error.sentence)
+                self._refuse(plan_id, plan_hash, reviewer, str(error))
                 raise
             self._record(verdict)
             try:
@@ -167,7 +167,7 @@ class Approval:
             except ReviewError as error:
                 # something happened while it was written down: the record is corrected
                 if verdict.plan is not None:
-                    reason = Sentence("not started: {reason}", reason=error.sentence)
+                    reason = Sentence("not started: {reason}", reason=str(error))
                     self._record(Ending(verdict.plan, "dropped", reason))
                 raise
 
@@ -197,7 +197,7 @@ class Approval:
             with self._lock:
                 review = self._executor.under_review
                 if review.plan is not None and review.plan.id == plan.id:
-                    reason = Sentence("auto_approve: {reason}", reason=error.sentence)
+                    reason = Sentence("auto_approve: {reason}", reason=str(error))
                     self._executor.tell_withdrawn(review.clear(), reason)
             if isinstance(error, RecordError):
                 raise

@@ -128,6 +128,7 @@ class Executor:
         self._now = 0
         self._stopping: list[tuple[float, ...]] = []
         self._events: list[Verdict | Ending] = []
+        self.approval_obstacle, self.overridable = "", False
         self._sync = SyncState.WAITING
         # the part of the reason for IDLE that says that the gate holds: when it opens, that is over
         self._closed = ""
@@ -375,16 +376,20 @@ class Executor:
         assert self._setpoint is not None  # in IDLE there always is one
         check_start_pose(plan, self._setpoint, self._robot)
 
-    def approval_obstacle(self) -> str:
-        """Return why the plan under review could not be approved now; "" when it could, and when there is none."""
+    def look_for_obstacle(self) -> None:
+        """Look anew why the plan under review could not be approved now, and whether only its rehearsal is against it."""
         plan = self.under_review.plan
+        self.approval_obstacle, self.overridable = "", False
         if plan is None:
-            return ""
-        try:
-            self.check_start(plan)
-        except ReviewError as error:
-            return error.sentence
-        return ""
+            return
+        for override in (False, True):
+            try:
+                self.check_start(plan, override)
+            except ReviewError as error:
+                self.approval_obstacle = self.approval_obstacle or str(error)
+            else:
+                self.overridable = override
+                return
 
     def is_ready(self) -> bool:
         """Return whether a plan is under review and nothing that passes by itself is against approving it."""
@@ -438,7 +443,8 @@ class Executor:
         # a limit that follows a sensor changes all the time: a hundredth is worth a report
         limit = round(self.limit.fraction, 2)
         logged = self.state, self.cause, self.limit.standing
-        return logged, self.reason, self.plan_start, self.outcome, self.steady, limit, where, self.engagement.engaged
+        review = self.approval_obstacle, self.overridable, self.engagement.engaged
+        return logged, self.reason, self.plan_start, self.outcome, self.steady, limit, where, review
 
     def report(self, stamp: int, moment: str) -> ExecutionReport:
         """Return what it does now, by the time `stamp` [ns] and the robot's clock."""
@@ -461,6 +467,8 @@ class Executor:
             wants_scene=bool(expected),
             engaged=self.engagement.engaged,
             expected_scene=expected,
+            approval_obstacle=self.approval_obstacle,
+            overridable=self.overridable,
             stamp=stamp,
             moment=moment,
         )

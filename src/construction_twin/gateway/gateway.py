@@ -498,7 +498,7 @@ class Gateway:
             self.refusals.message(refusal.reason, refusal)
             if machine.state is State.FOLLOWING:
                 self.refusals.stopped()
-            self._brake(Event.COMMAND_REFUSED, refusal.sentence)
+            self._brake(Event.COMMAND_REFUSED, str(refusal))
         except StreamBroken as broken:
             self._brake(broken.event, broken.args[0])
 
@@ -695,7 +695,7 @@ class Gateway:
     def refuse_stop(self, account: str, error: PayloadError, now: int) -> Answer:
         """Count a message on `stop/<account>` that is no stop; the answer has no reason where none is due."""
         self.refusals.message(error.reason, error)
-        return Answer(False, error.sentence if self._stop_pace.take(account, now) else "")
+        return Answer(False, str(error) if self._stop_pace.take(account, now) else "")
 
     def _end(self, control: Control) -> Answer:
         if not self.config.layout.stop:

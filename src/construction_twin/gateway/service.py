@@ -23,7 +23,7 @@ from construction_twin.core.errors import PayloadError
 from construction_twin.core.histogram import Histogram
 from construction_twin.core.rate_limit import LineLimiter
 from construction_twin.core.records import SPACED, dumped
-from construction_twin.core.sentences import Sentence
+from construction_twin.core.sentences import Sentence, told
 from construction_twin.core.udp import receive
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.gateway import Gateway
@@ -417,7 +417,7 @@ class GatewayService:
         side_effects = self.gateway.side_effects
         # the status first: a reader of the answer must not act on an older status
         side_effects.run("the status", self._publish_status_of_stop if control.verb == "stop" else self._publish_status)
-        answer = dumped(ControlAnswer(control.id, control.verb, ok, reason, control.session), marks=SPACED)
+        answer = dumped(ControlAnswer(control.id, control.verb, ok, reason, control.session), SPACED, said=True)
         side_effects.run("the answer", self._publish_answer, self._topics.control_ack, answer)
         level = logging.INFO if ok else logging.WARNING
         side_effects.run("the log", self._log, level, kind, f"session {control.session}: {reason}")
@@ -476,6 +476,7 @@ class GatewayService:
         status = document() | {"connection": self._number}
         if final:
             status |= {"state": "offline", "reason": Sentence("gateway stopped")}
+        status["said"] = told(status)
         return self._mqtt.client.publish(self._topics.status, json.dumps(status), qos=1, retain=True)
 
     def _document(self) -> dict:

@@ -218,7 +218,7 @@ class Bridge:
         self.supervisor.on_answer(answer, now)
         self._tool.on_answer(answer)
         if answer.get("verb") == "speed_limit" and not answer.get("ok"):
-            reason = str(answer.get("reason"))[:200]
+            reason = answer.get("reason", "")
             raise PayloadError("speed_limit", Sentence("gateway refused the speed limit: {reason}", reason=reason))
 
     # -- the tool

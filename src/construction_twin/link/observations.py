@@ -205,7 +205,7 @@ class LinkObservations:
     @property
     def gateway_reason(self) -> str:
         """The gateway's sentence on its state."""
-        return str(self.status.get("reason"))
+        return self.status.get("reason", "")
 
     @property
     def gateway_failed(self) -> bool:

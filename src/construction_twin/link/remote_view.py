@@ -19,10 +19,11 @@ from pydantic import Field
 from construction_twin.core.freshness import Moment
 from construction_twin.core.records import Says
 from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SpeedReport, SyncReport
+from construction_twin.core.sentences import Told, told
 from construction_twin.core.units import NANOSECONDS, seconds
 from construction_twin.link.requests import Joints, rounded
 
-VERSION = 6
+VERSION = 7
 #: The oldest version whose readers can read this one.
 COMPATIBLE = 1
 #: Decimals of positions [rad], [m] and of times [s].
@@ -222,7 +223,7 @@ class ClosestView:
 @dataclass(frozen=True)
 class View:
     """A message on <prefix>/<robot>/view: the state of one robot. SI units: m, rad, s. null: not known, or too old. Versions 2 to
-    6 add keys to version 1 and change none: a reader of version 1 that asks for `compatible` <= 1, in place of `version` = 1, and
+    7 add keys to version 1 and change none: a reader of version 1 that asks for `compatible` <= 1, in place of `version` = 1, and
     leaves alone the keys that it does not know, reads it. `since` is the version that has added a key.
 
     Attributes:
@@ -241,6 +242,8 @@ class View:
             how the servos answer, or what the arm is told.
         plan: Id of the plan under review; empty: none.
         approval_obstacle: Why that plan could not be approved now, by the executor's own check; empty: it could.
+        overridable: Only its rehearsal is against approving it, which a person may override.
+        said: What another language needs of all sentences here (`core.sentences`).
     """
 
     version: Annotated[int, Says(const=VERSION)]
@@ -264,6 +267,8 @@ class View:
     hold: Annotated[HoldView | None, Says(since=4)]
     approval_obstacle: Annotated[str, Says(since=4)]
     speed: Annotated[SpeedView | None, Says(since=5)]
+    overridable: Annotated[bool, Says(since=7)]
+    said: Annotated[Told, Says(since=7)]
 
 
 #: Writes them, 25 a second: in a sixth of the time that `core.records` takes.
@@ -293,7 +298,6 @@ class Seen:
     closest: ClosestView | None = None
     progress: float = 0.0
     hold: HoldReport = HoldReport()
-    approval_obstacle: str = ""
     speed: SpeedReport | None = None
     expected: PoseView | None = None
 
@@ -327,6 +331,8 @@ class ViewWriter:
 
     def _message(self, online: bool, seq: int, now: int, seen: Seen, moment: str) -> bytes:
         progress, segment = seen.progress, _segment(seen.execution)
+        reports = [each.report for each in (seen.sync, seen.link, seen.execution) if each is not None]
+        execution = seen.execution.report if seen.execution is not None and seen.plan else ExecutionReport("", "")
         view = View(
             version=VERSION,
             compatible=COMPATIBLE,
@@ -347,8 +353,10 @@ class ViewWriter:
             plan=seen.plan,
             closest=seen.closest,
             hold=HoldView(seen.hold.cause, round(seconds(seen.hold.since), _TIME)) if seen.hold.cause else None,
-            approval_obstacle=seen.approval_obstacle if seen.plan else "",
+            approval_obstacle=execution.approval_obstacle,
+            overridable=execution.overridable,
             speed=_speed(seen.speed),
+            said=told([each.reason for each in reports], seen.hold.cause, execution.approval_obstacle, seen.speed),
         )
         return _VIEWS.dump_json(view)
 

@@ -171,7 +171,7 @@ class LinkSupervisor:
         if not answer.get("ok"):
             # stays pending: asked again after the usual pause, not with every poll
             self.machine.reason = Sentence(
-                "gateway refused {verb}: {reason}", verb=verb, reason=str(answer.get("reason"))
+                "gateway refused {verb}: {reason}", verb=verb, reason=answer.get("reason", "")
             )
             self._arm_refused = verb == "arm"
             return

@@ -16,9 +16,6 @@ from construction_twin.gateway.tool_switches import MOST_REPORTED
 from construction_twin.link.gateway_status import tool_report
 from construction_twin.mqtt.messages import Control
 
-#: Longest reason that is told.
-_LONGEST = 300
-
 
 class ToolLink:
     """The tool behind one gateway."""
@@ -82,7 +79,7 @@ class ToolLink:
         if id is None or answer.get("verb") != "switch":
             return
         del self._by_control[str(answer.get("id"))]
-        reason, accepted = str(answer.get("reason"))[:_LONGEST], answer.get("ok") is True
+        reason, accepted = answer.get("reason", ""), answer.get("ok") is True
         if accepted:
             self._refused = ""
         self._report(id, SwitchState.ARMED if accepted else SwitchState.REFUSED, reason)

@@ -10,12 +10,13 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from construction_twin.core.axis_name import axis_name
 from construction_twin.core.errors import ConfigurationError, MotionRefused, PayloadError
 from construction_twin.core.limits import MotionCheck, MotionLimits
 from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.core.state_table import conditions
 from construction_twin.core.travel_time import TravelTime
-from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS, from_people, to_people
 from construction_twin.monitor.comparison import Comparison, ComparisonSettings, PoseComparison
 from construction_twin.monitor.round_trip import RoundTrips
 from construction_twin.monitor.servo_watch import ServoDifference, ServoWatch
@@ -430,11 +431,12 @@ class Gate:
             return
         joint = comparison.worst()
         unit = "m" if self._limits.linear[joint] else "rad"
+        threshold = Quantity(comparison.threshold[joint], unit)
         sentence = Sentence(
-            "{joint} differs by {difference:.6q}, threshold {threshold:.6q}",
-            joint=self._limits.names[joint],
-            difference=Quantity(comparison.error[joint], unit),
-            threshold=Quantity(comparison.threshold[joint], unit),
+            "{joint} differs by {difference:.3}, {threshold:.3} allowed",
+            joint=axis_name(self._limits.names[joint]),
+            difference=_shown_above(threshold, Quantity(comparison.error[joint], unit)),
+            threshold=threshold,
         )
         self._close_for(sentence, now)
 
@@ -498,7 +500,7 @@ class Gate:
             trial.start(stamp - CYCLE_NS, self._codec.quantise(held))
             trial.accept(stamp, self._codec.quantise(theta_next))
         except (MotionRefused, PayloadError) as refusal:
-            self._obstacle = refusal.sentence
+            self._obstacle = str(refusal)
             return
         self._check.start(stamp - CYCLE_NS, self._codec.quantise(held))
         self._before = stamp - CYCLE_NS
@@ -525,7 +527,7 @@ class Gate:
             self._check.accept(stamp, command)
         except (MotionRefused, PayloadError) as refusal:
             self.refused += 1
-            self._close(SyncEvent.SETPOINT_REFUSED, refusal.sentence, now)
+            self._close(SyncEvent.SETPOINT_REFUSED, str(refusal), now)
             return self._check.position
         self.held_stamp = self._before = stamp
         if moves:
@@ -535,3 +537,11 @@ class Gate:
     def _fire(self, event: SyncEvent, reason: str, now: int) -> bool:
         self._obstacle = ""
         return not self._machine.on(event, SyncOccasion(reason, now, self.comparison.last, self.held_stamp))
+
+
+def _shown_above(threshold: Quantity, difference: Quantity) -> Quantity:
+    """Return a difference that reads as more than its threshold with three decimals of deg or mm."""
+    (shown, unit), (allowed, _) = (to_people(each.value, each.unit) for each in (difference, threshold))
+    if round(shown, 3) > round(allowed, 3):
+        return difference
+    return Quantity(*from_people(round(allowed, 3) + 0.001, unit))

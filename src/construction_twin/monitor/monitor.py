@@ -134,7 +134,7 @@ class Monitor:
             settings = behaviour.gate_settings(self.gate.settings.compares)
             self.gate.configure(settings, f"{operator.strip()} changed {difference}", now)
         except ConfigurationError as error:
-            raise RequestRefused(f"{error.sentence}; nothing was changed") from error
+            raise RequestRefused(f"{str(error)}; nothing was changed") from error
         self._behaviour = behaviour
         return f"changed {difference}"
 

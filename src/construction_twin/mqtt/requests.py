@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from construction_twin.core.rate_limit import Pace, SenderLimits
+from construction_twin.core.sentences import told
 
 #: Who carries out what is pressed: the gateway, which brakes the arm, the executor, which brakes along the path, or the bridge,
 #: which begins a session with the gateway.
@@ -102,9 +103,11 @@ class RequestKind:
         return bool(account) or "{}" not in self.ack
 
     def payload(self, /, **known: object) -> bytes:
-        """Return an answer: of what is known its fields, the others as in `UNKNOWN`; ValueError for a nan."""
+        """Return an answer: what is known of its fields, else `UNKNOWN`, and `said` (`core.sentences`); ValueError for a nan."""
         # not by `core.records`: null in the place of a nan would be an answer
-        return json.dumps({key: known.get(key, UNKNOWN[key]) for key in self.answer}, allow_nan=False).encode()
+        fields = {key: known.get(key, UNKNOWN[key]) for key in self.answer}
+        said = told(fields)
+        return json.dumps(fields | ({"said": said} if said else {}), allow_nan=False).encode()
 
 
 _VERDICT = ("plan_id", "plan_hash", "verdict", "reviewer", "account", "ok", "reason", "expired")

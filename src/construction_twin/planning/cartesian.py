@@ -259,5 +259,5 @@ def _time(
         )
     except JointRangeError as error:
         # all samples of the curve are in range, but the motion between two of them leaves it
-        what = Sentence("{problem}; move the path away from the limit", problem=error.sentence)
+        what = Sentence("{problem}; move the path away from the limit", problem=str(error))
         raise branch.end("joint limit", piece.begin, what, error) from error

@@ -194,12 +194,12 @@ class Branch:
                 what = Sentence(
                     "{joint} reaches its limit ({problem}); start in another configuration or move the path",
                     joint=error.joint,
-                    problem=error.sentence,
+                    problem=str(error),
                 )
                 return self.end("joint limit", begin, what, error)
         unreachable = self._unreachable(q, begin)
         if unreachable is not None:
-            what = Sentence("its waypoint cannot be reached: {problem}", problem=unreachable.sentence)
+            what = Sentence("its waypoint cannot be reached: {problem}", problem=str(unreachable))
             return self.end("unreachable", begin, what, unreachable)
         if self._singularity(q[None])[0] < 2.0 * SINGULAR:
             return self._singular(begin, q)
@@ -239,11 +239,11 @@ class Branch:
         try:
             other = self._inverse.nearest(self.path.pose(end), seed)
         except PoseRangeError as error:
-            return self.end("joint limit", begin, error.sentence, error)
+            return self.end("joint limit", begin, str(error), error)
         except UnreachableOrientationError as error:
-            return self.end("unreachable", begin, error.sentence, error)
+            return self.end("unreachable", begin, str(error), error)
         except NotFoundError as error:
-            return self.end("not found", begin, error.sentence, error)
+            return self.end("not found", begin, str(error), error)
         now, then = self._inverse.configuration(seed), other.configuration
         return self.end(
             "flip",

@@ -238,7 +238,7 @@ class PlanningPipeline:
             except WaypointTimesError as error:
                 if not retime:
                     raise
-                return self._retimed(asked_path(waypoints, start, self._robot), request, world, error.sentence)
+                return self._retimed(asked_path(waypoints, start, self._robot), request, world, str(error))
 
         return self._in_scene(checked)
 

@@ -356,7 +356,7 @@ class Planner:
                         "the motion through {count} waypoints leaves the path that was found: {problem}; ask for "
                         "more waypoints, or leave their number to the planner",
                         count=request.waypoints,
-                        problem=error.sentence,
+                        problem=str(error),
                     )
                     raise PlanningError(found) from error
                 path = with_midpoints(path)

@@ -203,7 +203,7 @@ def plan_waypoints(
     try:
         trajectory = Trajectory(robot.joint_names, times, positions, velocities, accelerations)
     except TrajectoryError as error:
-        raise WaypointsError(f"the times are too close together: {error.sentence}") from error
+        raise WaypointsError(f"the times are too close together: {str(error)}") from error
     _check_limits(trajectory, waypoints, robot)
     return trajectory
 

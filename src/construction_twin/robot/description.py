@@ -334,7 +334,7 @@ def _check_home(robot: RobotModel) -> None:
         linear = robot.linear[robot.joint_names.index(error.joint)]
         key = f"robot/joints/{error.joint}/{'home_mm' if linear else 'home_deg'}"
         found = error.value * 1e3 if linear else math.degrees(error.value)
-        raise ConfigurationError(key, found, f"a pose in range: {error.sentence}") from error
+        raise ConfigurationError(key, found, f"a pose in range: {error}") from error
 
 
 def find_other_joints(model: URDF, chain: Collection[str], given: Mapping[str, float]) -> tuple[OtherJoint, ...]:

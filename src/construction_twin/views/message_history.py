@@ -6,7 +6,7 @@ UTC.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +15,7 @@ import pydantic
 from construction_twin.core.errors import ConfigurationError, RequestRefused
 from construction_twin.core.records import dumped
 from construction_twin.core.reports import SpeedChange
-from construction_twin.core.sentences import Sentence
+from construction_twin.core.sentences import Sentence, told
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.views.status_line import Level, Line
 
@@ -27,12 +27,11 @@ STANDS = 1.0
 PERSON = "person"
 #: For these a person is waited for as a matter of course: they are no messages.
 ORDINARY = (
-    ("execution", "REVIEW"), ("execution", "PAUSED"), ("startup", "waiting"),
+    ("execution", "REVIEW"), ("execution", "PAUSED"),
     ("work", "planned"), ("work", "ready"), ("work", "proposed"),
 )  # fmt: skip
-#: Acts of people, beside the verb of a `SessionRequest`: their words are ``line.person.<act>``.
-RESET, APPROVED, APPROVED_REHEARSED, REJECTED = "reset", "approved", "approved_rehearsed", "rejected"
-RAISED, LOWERED = "raised", "lowered"
+#: States of lines about what people did, beside the verb of a `SessionRequest`.
+APPROVED, REJECTED, RAISED, LOWERED = "approved", "rejected", "raised", "lowered"
 #: Who drags the limit down lowers it several times a second: what follows the last step within this time is the same message [s].
 DRAGGED = 10.0
 
@@ -73,6 +72,8 @@ class MessageHistory:
 
     def __init__(self, new_id: Callable[[], str], text: bytes = b""):
         self._new_id = new_id
+        #: The newest message of a lowered speed limit: its id, the change, and what the limit was before the first step of it.
+        self._lowered: tuple[str, SpeedChange, float] | None = None
         #: What stands, by what tells it from another: since when, and the id of its message once it is one.
         self._standing: dict[tuple[str, ...], tuple[float, str]] = {}
         try:
@@ -104,22 +105,25 @@ class MessageHistory:
             if not id_ and now - since >= STANDS:
                 self._standing[key] = since, self._add(line, since)
 
-    def on_act(self, act: str, at: float, **values: str) -> None:
-        """Take what a person did: ``line.person.<act>`` of the sentences, with its values. One that is told again is not new."""
-        line = _act(act, values)
-        if any(message.at == at and message.line.words == line.words for message in self.messages):
-            return
-        self._add(line, at, until=at)
+    def on_act(self, act: str, at: float, sentence: str) -> None:
+        """Take what a person did. What is told again is not new."""
+        if not any(
+            (message.at, message.line.topic, message.line.state) == (at, PERSON, act) for message in self.messages
+        ):
+            self._add(_act(act, sentence), at, until=at)
 
     def on_speed(self, change: SpeedChange) -> None:
         """Take that a person has set the speed limit of people; what one person drags it down is one message."""
         at, act = change.stamp / NANOSECONDS, RAISED if change.limit > change.before else LOWERED
-        values = {"person": change.person, "percent": _percent(change.limit), "before": _percent(change.before)}
-        last = self.messages[-1] if self.messages else None
-        if last is None or act != LOWERED or not _is_dragged(last, change.person, at):
-            self.on_act(act, at, **values)
+        newest = self.messages[-1].id if self.messages else ""
+        dragged, self._lowered = self._lowered, None
+        if act == LOWERED and dragged is not None and dragged[0] == newest and _goes_on(dragged[1], change):
+            self._lowered = newest, change, dragged[2]
+            self._replace(newest, at=at, until=at, line=_act(act, _speed_words(change, dragged[2])))
             return
-        self._replace(last.id, at=at, until=at, line=_act(act, values | {"before": last.line.values["before"]}))
+        self.on_act(act, at, _speed_words(change, change.before))
+        if act == LOWERED:
+            self._lowered = self.messages[-1].id, change, change.before
 
     def acknowledge(self, id_: str, account: str, now: float) -> Sentence:
         """Take that a person has read a message; return a sentence.
@@ -152,15 +156,19 @@ class MessageHistory:
         )
 
 
-def _act(act: str, values: Mapping[str, str]) -> Line:
-    words = f"{PERSON}.{act}"
-    sentence = Sentence(f"line.{words}.sentence", **values)
-    return Line(topic=PERSON, state=act, words=words, values=values, sentence=sentence)
+def _act(act: str, sentence: str) -> Line:
+    return Line(topic=PERSON, state=act, sentence=sentence, said=told(sentence))
 
 
-def _is_dragged(last: Message, person: str, at: float) -> bool:
-    same = last.line.words == f"{PERSON}.{LOWERED}" and last.line.values.get("person") == person
-    return same and last.at <= at < last.at + DRAGGED
+def _goes_on(last: SpeedChange, change: SpeedChange) -> bool:
+    return last.person == change.person and last.stamp <= change.stamp < last.stamp + DRAGGED * NANOSECONDS
+
+
+def _speed_words(change: SpeedChange, before: float) -> Sentence:
+    values = {"person": change.person, "before": _percent(before), "percent": _percent(change.limit)}
+    if change.limit > change.before:
+        return Sentence("{person} raised the speed limit of people from {before}% to {percent}%", **values)
+    return Sentence("{person} lowered the speed limit of people from {before}% to {percent}%", **values)
 
 
 def _percent(fraction: float) -> str:
@@ -168,9 +176,9 @@ def _percent(fraction: float) -> str:
 
 
 def _is_message(line: Line) -> bool:
-    return line.level == Level.PERSON and tuple(line.words.split(".", 1)) not in ORDINARY and line.topic != "startup"
+    return line.level == Level.PERSON and (line.topic, line.state) not in ORDINARY and line.topic != "startup"
 
 
 def _identity(line: Line) -> tuple[str, ...]:
     # another cause is another message; figures in the reasons of the others waver
-    return (line.topic, line.words, line.reason if line.topic == "cause" else "")
+    return (line.topic, line.state, line.sentence if line.topic == "cause" else "")

@@ -26,7 +26,6 @@ class Snapshot:
         linear: Length n
         hold: Why the gate is closed; None: nothing is known of it.
         plan: Under review.
-        approval_obstacle: Why that plan could not be approved now; empty: it could.
         silent: How long ``link``, ``sync``, ``execution`` have been silent [s], if too long.
     """
 
@@ -39,7 +38,6 @@ class Snapshot:
     execution: ExecutionReport | None = None
     hold: HoldReport | None = None
     plan: Plan | None = None
-    approval_obstacle: str = ""
     silent: Mapping[str, float] = field(default_factory=dict)
 
     def not_ready(self) -> list[str]:

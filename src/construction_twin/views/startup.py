@@ -12,6 +12,11 @@ from construction_twin.link.gateway_status import without_counts
 PATIENCE = 1.0
 
 
+#: Who is waited for. `system` goes on by itself; the others are people: at the cell, with the right to approve, for the machines.
+SYSTEM, OPERATOR, REVIEWER, TECHNICIAN = "system", "operator", "reviewer", "technician"
+WHO = ("", SYSTEM, OPERATOR, REVIEWER, TECHNICIAN)
+
+
 @dataclass(frozen=True)
 class Deployment:
     """What was started, and where the rest should be.
@@ -39,11 +44,6 @@ class Deployment:
             return Sentence("the address given to rsi_gateway --listen")
         host, _, port = self.rsi.rpartition(":")
         return Sentence("{host}, PORT of the Ethernet XML", host=host) if port == "0" else self.rsi
-
-    @property
-    def values(self) -> dict[str, str]:
-        """What a sentence may name: broker, address of RSI, robot."""
-        return {"broker": self.broker, "rsi": self.rsi_address, "robot": self.namespace.strip("/")}
 
 
 @dataclass(frozen=True)
@@ -81,11 +81,118 @@ class Seen:
 
 
 @dataclass(frozen=True)
+class Waits:
+    """What a start waits for: who can do something about it, of `WHO`, what it is, and what to do."""
+
+    who: str
+    what: str
+    todo: str
+
+
+def _waits(kind: str, at: Deployment) -> Waits:
+    broker, rsi, robot = at.broker, at.rsi_address, at.namespace.strip("/")
+    return {
+        "nodes": Waits(SYSTEM, Sentence("the nodes"), Sentence("nothing to do yet")),
+        "bridge": Waits(
+            TECHNICIAN, Sentence("the bridge"),
+            Sentence("mqtt_bridge does not run; its reason stands in its log"),
+        ),
+        "broker": Waits(
+            TECHNICIAN, Sentence("the MQTT broker {broker}", broker=broker),
+            Sentence("start it, or give broker_host and broker_port"),
+        ),
+        "gateway_here": Waits(
+            TECHNICIAN, Sentence("the gateway"),
+            Sentence("read its lines here; is UDP {rsi} taken?", rsi=rsi),
+        ),
+        "gateway_there": Waits(
+            TECHNICIAN, Sentence("the gateway"),
+            Sentence("start rsi_gateway on the cell PC with --broker {broker}", broker=broker),
+        ),
+        "configuration": Waits(
+            TECHNICIAN, Sentence("the gateway's configuration"),
+            Sentence("export it again, copy it, restart the gateway"),
+        ),
+        "plc": Waits(
+            OPERATOR, Sentence("the PLC"),
+            Sentence("start it; it says `ready` on its `status` topic, retained"),
+        ),
+        "plc_other": Waits(
+            OPERATOR, Sentence("the PLC"),
+            Sentence("stop what answers there, or start with the other gateway_kind"),
+        ),
+        "plc_pose": Waits(
+            OPERATOR, Sentence("the PLC's pose"),
+            Sentence("let it send joint strings on its `state` topic, without user properties"),
+        ),
+        "measuring": Waits(
+            SYSTEM, Sentence("the controller (RSI)"),
+            Sentence("nothing to do, it goes on by itself within seconds"),
+        ),
+        "cycle": Waits(
+            OPERATOR, Sentence("the controller (RSI)"),
+            Sentence("correct RSI_ON in the program, and start it again"),
+        ),
+        "no_clock": Waits(
+            OPERATOR, Sentence("the controller (RSI)"),
+            Sentence("see what sends to {rsi}: a controller's IPOC counts milliseconds of real time", rsi=rsi),
+        ),
+        "cycle_mock": Waits(
+            OPERATOR, Sentence("the controller (RSI)"),
+            Sentence("give gateway and mock_rsi one rsi_cycle"),
+        ),
+        "running": Waits(
+            OPERATOR, Sentence("the controller (RSI)"),
+            Sentence("start the RSI program again once RSI has timed out"),
+        ),
+        "running_mock": Waits(SYSTEM, Sentence("the controller (RSI)"), Sentence("it starts again by itself")),
+        "controller": Waits(
+            OPERATOR, Sentence("the controller (RSI)"),
+            Sentence("start the RSI program, or cure what is refused; the controller sends to {rsi}", rsi=rsi),
+        ),
+        "controller_mock": Waits(
+            OPERATOR, Sentence("the controller (RSI)"),
+            Sentence("look why mock_rsi does not send, or what it sends"),
+        ),
+        "pose": Waits(
+            TECHNICIAN, Sentence("the first pose of the arm"),
+            Sentence("look at `/diagnostics` of mqtt_bridge: what does it refuse?"),
+        ),
+        "twin": Waits(
+            TECHNICIAN, Sentence("the twin"),
+            Sentence("look why /{robot}/virtual_robot publishes nothing", robot=robot),
+        ),
+        "scene": Waits(
+            TECHNICIAN, Sentence("the scene"),
+            Sentence("look why /{robot}/scene publishes nothing; is its file right?", robot=robot),
+        ),
+        "responsible": Waits(
+            OPERATOR, Sentence("a person who arms the bare PLC by name"),
+            Sentence("arm it by name: on the console, or `twin --robot {robot} arm --responsible NAME`", robot=robot),
+        ),
+        "reset": Waits(
+            OPERATOR, Sentence("a reset"),
+            Sentence("remove the cause, then reset: on the console, or `twin --robot {robot} reset`", robot=robot),
+        ),
+        "same_pose": Waits(
+            SYSTEM, Sentence("twin and arm to take the same pose"),
+            Sentence("nothing to do, it goes on by itself once the arm rests"),
+        ),
+        "gate": Waits(SYSTEM, Sentence("the gate to open"), Sentence("it opens when twin and arm agree")),
+        "gate_reset": Waits(
+            OPERATOR, Sentence("the gate to open"),
+            Sentence("reset: on the console with the right to, or call reset on the robot's PC"),
+        ),
+        "executor": Waits(SYSTEM, Sentence("the executor"), Sentence("it follows the gate")),
+    }[kind]  # fmt: skip
+
+
+@dataclass(frozen=True)
 class Missing:
     """What is waited for.
 
     Attributes:
-        kind: What it is: its words are ``line.startup.<kind>`` of the sentences.
+        kind: What it is, of `_waits`.
         reason: What the system says about it; may be empty.
         deployment: Where.
     """
@@ -95,14 +202,9 @@ class Missing:
     deployment: Deployment
 
     @property
-    def what(self) -> str:
-        """What it is."""
-        return Sentence(f"line.startup.{self.kind}.waits", **self.deployment.values)
-
-    @property
-    def action(self) -> str:
-        """What to do."""
-        return Sentence(f"line.startup.{self.kind}.todo", **self.deployment.values)
+    def waits(self) -> Waits:
+        """What that is for people."""
+        return _waits(self.kind, self.deployment)
 
     @property
     def news(self) -> tuple[str, str]:
@@ -114,8 +216,8 @@ class Missing:
         for repeated in _REPEATED:
             reason = repeated.sub("", reason)
         # what is wrong with a connection comes with what helps against just that
-        action = "" if self.kind == "broker" and "; " in reason else self.action
-        return Sentence("waiting for {what}: {rest}", what=self.what, rest=both(reason, action))
+        todo = "" if self.kind == "broker" and "; " in reason else self.waits.todo
+        return f"waiting for {self.waits.what}: {both(reason, todo)}"
 
 
 #: Of a reason: what says once more what is waited for, or what to do about it.

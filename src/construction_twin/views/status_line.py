@@ -1,20 +1,17 @@
 """The status line that a foreman reads: what the arm does now, why it holds, what is waited for, by whom, and what to do.
 
-One table gives every state of `link`, `sync`, `execution` and the work its urgency, who is waited for, and a page; its words are
-``line.<topic>.<state>`` of the sentences, and the reasons those of the nodes themselves.
-Pure; texts only. A page of the docs stands with each, below docs/.
+One table gives every state of `link`, `sync`, `execution` and the work its urgency, words and page; the reasons are those of the
+nodes themselves. Pure; texts only.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from typing import Any
 
 from construction_twin.core.reports import WorkReport
-from construction_twin.core.sentences import Sentence, has, key_and_values, understood
-from construction_twin.views.startup import Missing, Word
+from construction_twin.core.sentences import Sentence, Told, told
+from construction_twin.views.startup import OPERATOR, REVIEWER, SYSTEM, TECHNICIAN, Missing, Word
 
 
 class Level(IntEnum):
@@ -28,112 +25,230 @@ class Level(IntEnum):
     PERSON = 2
 
 
-#: Who is waited for. `system` goes on by itself; the others are people: at the cell, with the right to approve, for the machines.
-SYSTEM, OPERATOR, REVIEWER, TECHNICIAN = "system", "operator", "reviewer", "technician"
-WHO = ("", SYSTEM, OPERATOR, REVIEWER, TECHNICIAN)
-
-
 @dataclass(frozen=True)
-class Urgency:
-    """How urgent a state is, and who is waited for.
+class Words:
+    """What is said of a state.
 
     Attributes:
-        who: One of `WHO`.
+        who: Who is waited for, of `startup.WHO`.
         page: Below docs/, with its anchor.
+        sentence: What is so; the reason comes behind it.
+        waits_for, todo: "" for nothing.
     """
 
     level: Level
     who: str
     page: str
+    sentence: str
+    waits_for: str = ""
+    todo: str = ""
 
 
 _STATES, _TROUBLE = "reference/states.md", "troubleshooting.md"
 _WORK = "tutorials/work_from_a_model.md"
 
-#: Of each topic and state; what is said stands in the sentences.
-TABLE: dict[tuple[str, str], Urgency] = {
+#: Of each topic and state.
+TABLE: dict[tuple[str, str], Words] = {
     # -- why the gate is closed, through every state of it
-    ("cause", "held"): Urgency(Level.PERSON, OPERATOR, "tutorials/stalled_joint.md#3-look"),
-    ("cause", "stopped"): Urgency(Level.PERSON, OPERATOR, f"{_TROUBLE}#needs_reset-call-reset"),
-    # -- the link to the arm
-    ("link", ""): Urgency(Level.PERSON, TECHNICIAN, f"{_STATES}#link"),
-    ("link", "DISCONNECTED"): Urgency(Level.PERSON, TECHNICIAN, f"{_STATES}#link"),
-    ("link", "GATEWAY_OFFLINE"): Urgency(
-        Level.PERSON, TECHNICIAN,
-        f"{_TROUBLE}#no-gateway-answers-on-the-broker-start-rsi_gateway-on-the-cell-pc",
+    ("cause", "held"): Words(Level.PERSON, OPERATOR, "tutorials/stalled_joint.md#3-look",
+        Sentence("The arm holds"),
+        Sentence("a person who looks why, at the cell"),
+        Sentence("look why, at the cell: a joint may be stalled, or the arm touched something"),
     ),
-    ("link", "NO_CONTROLLER"): Urgency(Level.PERSON, OPERATOR, f"{_TROUBLE}#gateway-has-no-rsi-session"),
-    ("link", "MISMATCH"): Urgency(
+    ("cause", "stopped"): Words(Level.PERSON, OPERATOR, f"{_TROUBLE}#needs_reset-call-reset",
+        Sentence("The arm holds, and needs a reset"),
+        Sentence("a reset"),
+        Sentence("remove the cause at the cell, then hold Reset here with the right to, else reset at the robot's computer"),
+    ),
+    # -- the link to the arm
+    ("link", ""): Words(Level.PERSON, TECHNICIAN, f"{_STATES}#link",
+        Sentence("Nothing is heard of the link to the arm"),
+        Sentence("the bridge"),
+        Sentence("look at the log of mqtt_bridge"),
+    ),
+    ("link", "DISCONNECTED"): Words(Level.PERSON, TECHNICIAN, f"{_STATES}#link",
+        Sentence("The robot's programs have no connection to the broker"),
+        Sentence("the broker"),
+        Sentence("start the broker, or mend the network to it"),
+    ),
+    ("link", "GATEWAY_OFFLINE"): Words(
+        Level.PERSON, TECHNICIAN, f"{_TROUBLE}#no-gateway-answers-on-the-broker-start-rsi_gateway-on-the-cell-pc",
+        Sentence("The program at the controller does not answer; nothing is sent to the arm"),
+        Sentence("the gateway"),
+        Sentence("start rsi_gateway on the cell PC"),
+    ),
+    ("link", "NO_CONTROLLER"): Words(Level.PERSON, OPERATOR, f"{_TROUBLE}#gateway-has-no-rsi-session",
+        Sentence("The controller does not take part; the arm is not ours to move"),
+        Sentence("the controller's program"),
+        Sentence("start the RSI program at the pendant"),
+    ),
+    ("link", "MISMATCH"): Words(
         Level.PERSON, TECHNICIAN,
         f"{_TROUBLE}#gateway-runs-another-configuration-its-hash-differs-configuration-hash-the-file-was-edited-export-it-again",
+        Sentence("The program at the controller has another configuration or version; nothing is sent to the arm"),
+        Sentence("the right configuration"),
+        Sentence("do what the link's reason says: one configuration, version and gateway"),
     ),
-    ("link", "RESYNC"): Urgency(Level.WAITS, SYSTEM, f"{_STATES}#link"),
-    ("link", "ARMED"): Urgency(Level.WELL, "", f"{_STATES}#link"),
-    ("link", "NEEDS_RESET"): Urgency(Level.PERSON, OPERATOR, f"{_TROUBLE}#needs_reset-call-reset"),
+    ("link", "RESYNC"): Words(Level.WAITS, SYSTEM, f"{_STATES}#link",
+        Sentence("Twin and arm take the same pose; the arm does not move for it"),
+        Sentence("the arm to rest"),
+    ),
+    ("link", "ARMED"): Words(Level.WELL, "", f"{_STATES}#link",
+        Sentence("The arm follows the twin"),
+    ),
+    ("link", "NEEDS_RESET"): Words(Level.PERSON, OPERATOR, f"{_TROUBLE}#needs_reset-call-reset",
+        Sentence("The arm was stopped, and holds"),
+        Sentence("a reset"),
+        Sentence("remove the cause, then hold Reset here with the right to, else reset at the robot's computer"),
+    ),
     # of a bare PLC
-    ("link", "NEEDS_NAME"): Urgency(Level.PERSON, OPERATOR, "broker.md#a-plc-that-knows-only-the-string"),
-    ("link", "MIRROR"): Urgency(Level.WELL, "", f"{_STATES}#mirror-mode"),
+    ("link", "NEEDS_NAME"): Words(Level.PERSON, OPERATOR, "broker.md#a-plc-that-knows-only-the-string",
+        Sentence("The PLC is not armed; nothing is sent to the arm"),
+        Sentence("a person who arms it by name"),
+        Sentence("see to PLC and arm, then hold Arm here with the right to, else arm it by name at the robot's computer"),
+    ),
+    ("link", "MIRROR"): Words(Level.WELL, "", f"{_STATES}#mirror-mode",
+        Sentence("The arm leads and the twin follows; nothing is sent to the arm"),
+    ),
     # -- the gate
-    ("sync", ""): Urgency(Level.PERSON, TECHNICIAN, f"{_STATES}#monitor"),
-    ("sync", "WAITING"): Urgency(Level.WAITS, SYSTEM, f"{_STATES}#monitor"),
-    ("sync", "IN_SYNC"): Urgency(Level.WELL, "", f"{_STATES}#monitor"),
-    ("sync", "HOLDING"): Urgency(Level.PERSON, OPERATOR, "tutorials/stalled_joint.md#3-look"),
-    ("sync", "REPLANNING"): Urgency(Level.WAITS, SYSTEM, "tutorials/stalled_joint.md#3-look"),
-    ("sync", "STALE"): Urgency(Level.WAITS, SYSTEM, f"{_TROUBLE}#comparable-feedback-is"),
-    ("sync", "STOPPED"): Urgency(Level.PERSON, OPERATOR, f"{_STATES}#monitor"),
-    ("sync", "FAULT"): Urgency(Level.PERSON, TECHNICIAN, f"{_STATES}#monitor"),
+    ("sync", ""): Words(Level.PERSON, TECHNICIAN, f"{_STATES}#monitor",
+        Sentence("Nothing is heard of the comparison of twin and arm"),
+        Sentence("the monitor"),
+        Sentence("look at the log of pca_monitor"),
+    ),
+    ("sync", "WAITING"): Words(Level.WAITS, SYSTEM, f"{_STATES}#monitor",
+        Sentence("Twin and arm are not compared yet"),
+        Sentence("fresh poses of twin and arm that agree"),
+    ),
+    ("sync", "IN_SYNC"): Words(Level.WELL, "", f"{_STATES}#monitor",
+        Sentence("Twin and arm agree"),
+    ),
+    ("sync", "HOLDING"): Words(Level.PERSON, OPERATOR, "tutorials/stalled_joint.md#3-look",
+        Sentence("The arm holds, because it is not where the twin is"),
+        Sentence("twin and arm to agree again"),
+        Sentence("look why, at the cell: a joint may be stalled, or the arm touched something"),
+    ),
+    ("sync", "REPLANNING"): Words(Level.WAITS, SYSTEM, "tutorials/stalled_joint.md#3-look",
+        Sentence("The arm holds, and a new way to its goal is being planned; it will wait for approval"),
+        Sentence("a new plan"),
+    ),
+    ("sync", "STALE"): Words(Level.WAITS, SYSTEM, f"{_TROUBLE}#comparable-feedback-is",
+        Sentence("The arm holds, because its pose or its next setpoint did not come in time"),
+        Sentence("fresh poses"),
+        Sentence("if it stays so, look at network and programs"),
+    ),
+    ("sync", "STOPPED"): Words(Level.PERSON, OPERATOR, f"{_STATES}#monitor",
+        Sentence("The arm holds, and does not go on by itself"),
+        Sentence("a reset"),
+        Sentence("remove the cause, then hold Reset here with the right to, else reset at the robot's computer"),
+    ),
+    ("sync", "FAULT"): Words(Level.PERSON, TECHNICIAN, f"{_STATES}#monitor",
+        Sentence("The arm holds, because it was told to move in a way that it may not"),
+        Sentence("a person who looks into it"),
+        Sentence("read the reason; the plan is dropped, and the next one is planned anew"),
+    ),
     # -- what is executed
-    ("execution", ""): Urgency(Level.PERSON, TECHNICIAN, f"{_STATES}#execution"),
-    ("execution", "WAITING"): Urgency(Level.WAITS, SYSTEM, f"{_STATES}#execution"),
-    ("execution", "IDLE"): Urgency(Level.WELL, "", f"{_STATES}#execution"),
-    ("execution", "REVIEW"): Urgency(Level.PERSON, REVIEWER, "planning.md#verdicts"),
+    ("execution", ""): Words(Level.PERSON, TECHNICIAN, f"{_STATES}#execution",
+        Sentence("Nothing is heard of what the arm does"),
+        Sentence("the executor"),
+        Sentence("look at the log of executor"),
+    ),
+    ("execution", "WAITING"): Words(Level.WAITS, SYSTEM, f"{_STATES}#execution",
+        Sentence("Nothing can be executed yet"),
+        Sentence("twin and arm to agree"),
+    ),
+    ("execution", "IDLE"): Words(Level.WELL, "", f"{_STATES}#execution",
+        Sentence("The arm holds its pose; no plan is executed"),
+    ),
+    ("execution", "REVIEW"): Words(Level.PERSON, REVIEWER, "planning.md#verdicts",
+        Sentence("The arm holds its pose; a plan waits for approval"),
+        Sentence("a verdict"),
+        Sentence("look at the plan, then approve or reject it"),
+    ),
     # a plan is under review that could not be approved now
-    ("execution", "NOT_YET"): Urgency(Level.WAITS, SYSTEM, "planning.md#verdicts"),
-    ("execution", "PLAYING"): Urgency(Level.WELL, "", f"{_STATES}#execution"),
-    ("execution", "STOPPING"): Urgency(Level.WAITS, SYSTEM, f"{_STATES}#execution"),
-    ("execution", "PAUSING"): Urgency(Level.WAITS, SYSTEM, f"{_STATES}#execution"),
-    ("execution", "PAUSED"): Urgency(Level.PERSON, OPERATOR, f"{_STATES}#execution"),
-    ("execution", "HELD"): Urgency(Level.WAITS, SYSTEM, f"{_STATES}#execution"),
-    ("execution", "AT_BOUNDARY"): Urgency(Level.WAITS, SYSTEM, "planning.md#work-plans"),
-    ("execution", "ENGAGED"): Urgency(
-        Level.PERSON, REVIEWER,
-        f"{_TROUBLE}#the-arm-was-left-in-engaged-segment-the-arm-is-engaged",
+    ("execution", "NOT_YET"): Words(Level.WAITS, SYSTEM, "planning.md#verdicts",
+        Sentence("A plan waits, and cannot be approved yet"),
+        Sentence("what the reason says"),
+    ),
+    ("execution", "PLAYING"): Words(Level.WELL, "", f"{_STATES}#execution",
+        Sentence("The arm moves along the approved plan"),
+    ),
+    ("execution", "STOPPING"): Words(Level.WAITS, SYSTEM, f"{_STATES}#execution",
+        Sentence("The arm brakes; the plan is over"),
+        Sentence("the arm to rest"),
+    ),
+    ("execution", "PAUSING"): Words(Level.WAITS, SYSTEM, f"{_STATES}#execution",
+        Sentence("The arm comes to rest on its path"),
+        Sentence("the arm to rest"),
+    ),
+    ("execution", "PAUSED"): Words(Level.PERSON, OPERATOR, f"{_STATES}#execution",
+        Sentence("The arm rests on its path"),
+        Sentence("somebody to go on or to stop"),
+        Sentence("press resume, or stop"),
+    ),
+    ("execution", "HELD"): Words(Level.WAITS, SYSTEM, f"{_STATES}#execution",
+        Sentence("The arm stands on its path, and goes on by itself when twin and arm agree"),
+        Sentence("the gate to open"),
+        Sentence("look why, at the cell: a joint may be stalled, or the arm touched something"),
+    ),
+    ("execution", "AT_BOUNDARY"): Words(Level.WAITS, SYSTEM, "planning.md#work-plans",
+        Sentence("The arm stands between two parts of its plan"),
+        Sentence("tool and scene to be as planned"),
+    ),
+    ("execution", "ENGAGED"): Words(Level.PERSON, REVIEWER, f"{_TROUBLE}#the-arm-was-left-in-engaged-segment-the-arm-is-engaged",
+        Sentence("The arm was stopped where it touches something; only the way back can be planned"),
+        Sentence("the way back"),
+        Sentence("plan the way back, look at it and approve it"),
     ),
     # -- work from a building model
-    ("work", "unavailable"): Urgency(Level.PERSON, TECHNICIAN, f"{_WORK}#3-when-something-stops"),
-    ("work", "proposed"): Urgency(Level.PERSON, OPERATOR, "building_model.md#a-model-without-a-schedule"),
-    ("work", "engaged"): Urgency(Level.PERSON, REVIEWER, f"{_WORK}#3-when-something-stops"),
-    ("work", "asks"): Urgency(Level.PERSON, OPERATOR, f"{_WORK}#3-when-something-stops"),
-    ("work", "working"): Urgency(Level.WELL, "", f"{_WORK}#2-look-plan-approve"),
-    ("work", "planned"): Urgency(Level.PERSON, REVIEWER, f"{_WORK}#2-look-plan-approve"),
-    ("work", "ready"): Urgency(Level.PERSON, OPERATOR, f"{_WORK}#2-look-plan-approve"),
-    ("work", "done"): Urgency(Level.WELL, "", f"{_WORK}#2-look-plan-approve"),
-    ("work", "waiting"): Urgency(Level.WAITS, SYSTEM, f"{_WORK}#3-when-something-stops"),
+    ("work", "unavailable"): Words(Level.PERSON, TECHNICIAN, f"{_WORK}#3-when-something-stops",
+        Sentence("The building model cannot be worked on"),
+        Sentence("the model or its record"),
+        Sentence("read the reason, then mend model, cell file or ledger"),
+    ),
+    ("work", "proposed"): Words(Level.PERSON, OPERATOR, "building_model.md#a-model-without-a-schedule",
+        Sentence("The order of the tasks is only proposed"),
+        Sentence("a person who accepts it"),
+        Sentence("look at the order, then accept it at the robot's computer (twin work accept)"),
+    ),
+    ("work", "engaged"): Words(Level.PERSON, REVIEWER, f"{_WORK}#3-when-something-stops",
+        Sentence("A task was stopped; the way back comes first"),
+        Sentence("the way back"),
+        Sentence("plan the way back, look at it and approve it"),
+    ),
+    ("work", "asks"): Words(Level.PERSON, OPERATOR, f"{_WORK}#3-when-something-stops",
+        Sentence("A task cannot go on before a person says what is so"),
+        Sentence("an answer"),
+        Sentence("look at the element, then answer in the tab Work with the right to, else by `twin work answer`"),
+    ),
+    ("work", "working"): Words(Level.WELL, "", f"{_WORK}#2-look-plan-approve",
+        Sentence("A task is carried out"),
+    ),
+    ("work", "planned"): Words(Level.PERSON, REVIEWER, f"{_WORK}#2-look-plan-approve",
+        Sentence("A task is planned and waits for approval"),
+        Sentence("a verdict"),
+        Sentence("look at the plan, then approve or reject it"),
+    ),
+    ("work", "ready"): Words(Level.PERSON, OPERATOR, f"{_WORK}#2-look-plan-approve",
+        Sentence("The next task can be planned"),
+        Sentence("somebody to have it planned"),
+        Sentence("plan the next task"),
+    ),
+    ("work", "done"): Words(Level.WELL, "", f"{_WORK}#2-look-plan-approve",
+        Sentence("Every task is done or skipped"),
+    ),
+    ("work", "waiting"): Words(Level.WAITS, SYSTEM, f"{_WORK}#3-when-something-stops",
+        Sentence("No task can be planned now"),
+        Sentence("what the reason says"),
+    ),
     # -- the start
-    ("startup", "ready"): Urgency(Level.WELL, "", "tutorials/plan_and_approve.md#1-start"),
-    ("startup", "waiting"): Urgency(Level.PERSON, TECHNICIAN, f"{_TROUBLE}#waiting-for-not-ready-any-more"),
+    ("startup", "ready"): Words(Level.WELL, "", "tutorials/plan_and_approve.md#1-start",
+        Sentence("Everything that was started is there"),
+    ),
+    ("startup", "waiting"): Words(Level.PERSON, TECHNICIAN, f"{_TROUBLE}#waiting-for-not-ready-any-more",
+        Sentence("Not everything is there yet"),
+    ),
 }  # fmt: skip
-#: Who can do something about what a start waits for; where nothing stands here, a technician.
-STARTING = {
-    "nodes": SYSTEM,
-    "measuring": SYSTEM,
-    "running_mock": SYSTEM,
-    "cycle": OPERATOR,
-    "running": OPERATOR,
-    "controller": OPERATOR,
-    "no_clock": OPERATOR,
-    "cycle_mock": OPERATOR,
-    "controller_mock": OPERATOR,
-    "plc": OPERATOR,
-    "plc_other": OPERATOR,
-    "plc_pose": OPERATOR,
-    "reset": OPERATOR,
-    "responsible": OPERATOR,
-    "same_pose": SYSTEM,
-    "gate": SYSTEM,
-    "gate_reset": OPERATOR,
-    "executor": SYSTEM,
-}
 #: What a start waits for only because the gate is closed.
 FOLLOWS = ("gate", "gate_reset", "executor")
 #: Order of lines of one level. Why the arm holds comes before everything that follows from it.
@@ -178,48 +293,44 @@ class Line:
     """One line of <prefix>/<robot>/screen: the status line. What has a default may be missing there.
 
     Attributes:
-        words: Key of what is said: ``<topic>.<state>`` of `TABLE`, ``startup.<kind>`` of what a start waits for. A page in another
-            language has its own words for it.
-        values: What these words name.
+        state: Of `TABLE`; of what a start waits for, its kind.
         level: Number of a `Level`.
         sentence: With the reason.
-        reason: The node's own, where the sentence has it; else empty.
-        said: Its key and values; None: it has none.
         waits_for, todo: "" for nothing.
-        who, page: As in `Urgency`.
+        who, page: As in `Words`.
+        said: What another language needs of these sentences (`core.sentences`).
     """
 
     topic: str
     state: str = ""
-    words: str = ""
-    values: Mapping[str, str] = field(default_factory=dict)
     level: int = 0
     sentence: str
-    reason: str = ""
-    said: Mapping[str, Any] | None = None
     waits_for: str = ""
     who: str = ""
     todo: str = ""
     page: str = ""
+    said: Told = field(default_factory=dict)
 
 
 def status_lines(reports: ReportsNow) -> list[Line]:
     """Return a line for each topic, the most urgent first; where nothing is, what the arm does."""
     lines = []
     if reports.cause:
-        state = reports.sync.state if reports.sync is not None else ""
-        lines.append(_line("cause", Word(state, reports.cause), "stopped" if state == "STOPPED" else "held"))
+        stopped = reports.sync is not None and reports.sync.state == "STOPPED"
+        lines.append(_line("cause", "stopped" if stopped else "held", reports.cause))
     follows = reports.cause and reports.missing is not None and reports.missing.kind in FOLLOWS
     if reports.started and not follows:
         lines.append(_start(reports.missing))
     if reports.arm:
+        link = reports.link or Word("", "")
         lines.append(
-            _line("link", reports.link, "NEEDS_NAME" if reports.bare and _is(reports.link, "NEEDS_RESET") else "")
+            _line("link", "NEEDS_NAME" if reports.bare and link.state == "NEEDS_RESET" else link.state, link.reason)
         )
-    lines.append(_line("sync", reports.sync))
+    sync = reports.sync or Word("", "")
+    lines.append(_line("sync", sync.state, sync.reason))
     lines.append(_execution(reports))
     if reports.work is not None:
-        lines.append(_line("work", Word(work_state(reports.work), reports.work.reason)))
+        lines.append(_line("work", work_state(reports.work), reports.work.reason))
     # that all is there and agrees is no news
     calm = ("execution", *(topic for topic in TOPICS if topic != "execution"))
     return sorted(lines, key=lambda line: (-line.level, (TOPICS if line.level else calm).index(line.topic)))
@@ -244,60 +355,42 @@ def work_state(work: WorkReport) -> str:
     return "waiting"
 
 
-def _is(word: Word | None, state: str) -> bool:
-    return word is not None and word.state == state
-
-
 def _start(missing: Missing | None) -> Line:
     if missing is None:
-        return _line("startup", Word("ready", ""))
-    who = STARTING.get(missing.kind, TECHNICIAN)
-    line = _line("startup", Word("waiting", missing.reason))
-    return replace(
-        line,
-        words=f"startup.{missing.kind}",
-        values=missing.deployment.values,
-        level=int(Level.WAITS if who == SYSTEM else line.level),
-        waits_for=missing.what,
-        who=who,
-        todo=missing.action,
-    )
+        return _line("startup", "ready", "")
+    waits = missing.waits
+    level = Level.WAITS if waits.who == SYSTEM else Level.PERSON
+    words = replace(TABLE["startup", "waiting"], level=level, who=waits.who, waits_for=waits.what, todo=waits.todo)
+    return _said("startup", missing.kind, words, missing.reason)
 
 
 def _execution(reports: ReportsNow) -> Line:
-    if not _is(reports.execution, "IDLE"):
-        return _line("execution", reports.execution)
+    execution = reports.execution or Word("", "")
+    if execution.state != "IDLE":
+        return _line("execution", execution.state, execution.reason)
     if reports.plan and reports.obstacle:
-        return _line("execution", Word("IDLE", reports.obstacle), "NOT_YET")
-    return _line("execution", reports.execution, "REVIEW" if reports.plan else "ENGAGED" if reports.engaged else "")
+        return _line("execution", "NOT_YET", reports.obstacle)
+    state = "REVIEW" if reports.plan else "ENGAGED" if reports.engaged else "IDLE"
+    return _line("execution", state, execution.reason)
 
 
-def _line(topic: str, word: Word | None, said: str = "") -> Line:
-    """Return the line of a report; `said`: in the words of this state, where they are others than the report's."""
-    word = word or Word("", "")
-    state = said or word.state
+def _line(topic: str, state: str, reason: str) -> Line:
     words = TABLE[topic, state]
-    key = f"{topic}.{state or 'silent'}"
     # of a link and a gate that are well the reason is a session's number, or how they came to be
-    told = word.reason if words.level is not Level.WELL or topic in ("execution", "work") else ""
-    sentence = _said(key, "sentence")
+    known = words.level is Level.WELL and topic not in ("execution", "work")
+    return _said(topic, state, words, "" if known else reason)
+
+
+def _said(topic: str, state: str, words: Words, reason: str) -> Line:
+    sentence = Sentence("{sentence}: {reason}", sentence=words.sentence, reason=reason) if reason else words.sentence
     return Line(
         topic=topic,
-        state=word.state,
-        words=key,
-        values={},
+        state=state,
         level=int(words.level),
-        sentence=f"{sentence[:-1]}: {told}" if told else sentence,
-        reason=told,
-        said=key_and_values(understood(told)),
-        waits_for=_said(key, "waits"),
+        sentence=sentence,
+        waits_for=words.waits_for,
         who=words.who,
-        todo=_said(key, "todo"),
+        todo=words.todo,
         page=words.page,
+        said=told(sentence, words.waits_for, words.todo),
     )
-
-
-def _said(key: str, part: str) -> str:
-    """Return what is said of a state: its `sentence`, what it `waits` for, what is `todo`; "" for nothing."""
-    key = f"line.{key}.{part}"
-    return Sentence(key) if has(key) else ""

@@ -127,8 +127,8 @@ def status_lines(snapshot: Snapshot) -> list[str]:
         lines.append(f"last plan  {execution.plan_id}{because(execution.outcome or 'under way')}")
     lines += work_lines(snapshot.execution)
     lines.append(f"review     {under_review(snapshot.plan)}")
-    if snapshot.plan is not None and snapshot.approval_obstacle:
-        lines.append(f"not yet    {snapshot.approval_obstacle}")
+    if snapshot.plan is not None and snapshot.execution is not None and snapshot.execution.approval_obstacle:
+        lines.append(f"not yet    {snapshot.execution.approval_obstacle}")
     return lines
 
 

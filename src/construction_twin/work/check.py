@@ -101,7 +101,7 @@ class Checker:
         try:
             plan = self._planner.plan(place, self._robot.home, scene)
         except ConstructionTwinError as error:
-            found = replace(found, planning=self._clock() - began, reason=error.sentence)
+            found = replace(found, planning=self._clock() - began, reason=str(error))
             if isinstance(error, TaskPlanningError):
                 found = replace(found, stage=error.stage, grip=error.method, reason=error.reason)
             return replace(found, reason=self._layout.building.called(found.reason, job.element))

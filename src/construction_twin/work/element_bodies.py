@@ -116,7 +116,7 @@ def _shape(element: str, bodies: tuple[Body, ...], folder: Path, settings: BodyS
         except BodyError:
             raise
         except ConstructionTwinError as error:
-            raise BodyError(element, error.sentence) from error
+            raise BodyError(element, str(error)) from error
         except OSError as error:
             raise BodyError(element, f"its mesh files cannot be kept in {folder}: {error.strerror}") from error
         ways.append(way)

@@ -138,9 +138,7 @@ def _lead(left: EngagementReport, scene: Scene, wanted: Scene, mine: set[str]) -
     try:
         made = change.apply(scene).hash
     except SceneError as error:
-        return Due(
-            sentence=Sentence("{left}; the scene cannot be restored: {problem}", left=where, problem=error.sentence)
-        )
+        return Due(sentence=Sentence("{left}; the scene cannot be restored: {problem}", left=where, problem=str(error)))
     if made != wanted.hash and scene.padding != wanted.padding:
         return Due(
             sentence=Sentence(

@@ -168,7 +168,7 @@ def _mesh_name(item: SceneObject) -> str:
 def _problem(error: ConfigurationError, path: str) -> str:
     """Return what is wrong without the path, which the error of a ledger names itself."""
     if error.where != path:
-        return error.sentence
+        return str(error)
     return f"found {'nothing' if error.value is None else repr(error.value)}, expected {error.expected}"
 
 
@@ -181,7 +181,7 @@ def replay(path: Path, after: Mapping[str, tuple[str, ...]]) -> Book:
         try:
             book = book.then(entry)
         except NotNow as error:
-            raise LedgerError(str(path), f"line {number}: {error.sentence}") from error
+            raise LedgerError(str(path), f"line {number}: {str(error)}") from error
     return book
 
 

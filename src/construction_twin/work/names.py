@@ -27,7 +27,12 @@ def named(text: str, known: Mapping[str, str]) -> str:
     """Return a sentence with what stands for each id in its place, also in the values by which it is said in another language."""
     if isinstance(text, Sentence):
         values = {key: named(value, known) if isinstance(value, str) else value for key, value in text.values.items()}
-        return Sentence(text.key, **values)
+        return Sentence.of(_labelled(text, known), text.template, values)
+    return _labelled(text, known)
+
+
+def _labelled(text: str, known: Mapping[str, str]) -> str:
+    """Return a text with what stands for each id in its place."""
 
     def label(found: re.Match[str]) -> str:
         said = known.get(found["whole"]) or known.get(found["id"])

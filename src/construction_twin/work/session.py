@@ -285,7 +285,7 @@ class WorkSession:
         try:
             plan = self._calls.plan(task=task, element=board.element_of(task), start=start, scene=scene, held=held)
         except WorkError as error:
-            board.failures[task] = board.called(error.sentence)
+            board.failures[task] = board.called(str(error))
             raise WorkRefused(board.failures[task]) from error
         board.failures.pop(task, None)
         self._calls.log(f"{board.title(task)}: planned with {plan.method}")

@@ -110,10 +110,7 @@ def standing(building: BuildingModel, made: Collection[str], site: Site, reach: 
             near.append(element)
     shapes, failures = element_shapes(near, folder)
     notes = tuple(
-        (
-            f"{name} cannot be divided into bodies, its box is the obstacle, and the arm does not place "
-            f"it: {failure.sentence}"
-        )
+        (f"{name} cannot be divided into bodies, its box is the obstacle, and the arm does not place it: {failure}")
         for name, failure in failures.items()
     )
     boxes = {name: (box_of(building.element(name)),) for name in failures}

@@ -114,7 +114,7 @@ class TaskPlanner:
         try:
             self._robot.check_range(start)
         except KinematicsError as error:
-            raise TaskPlanningError(job.task, Sentence("the arm's pose: {problem}", problem=error.sentence)) from error
+            raise TaskPlanningError(job.task, Sentence("the arm's pose: {problem}", problem=str(error))) from error
         contact = world.contact(start)
         if contact is not None:
             one, other = contact.between

@@ -148,7 +148,7 @@ def _answered(question: bytes, functions: Mapping[str, Callable]) -> bytes:
         name, arguments = pickle.loads(question)
         return pickle.dumps({"result": functions[name](**arguments)})
     except ConstructionTwinError as error:
-        failure = type(error).__name__, error.sentence
+        failure = type(error).__name__, str(error)
     except UNFORESEEN as error:
         # what nobody foresaw must be an answer, too; the trace goes to the node's log
         traceback.print_exc()

@@ -92,7 +92,7 @@ def prepare(
     # one element without usable body does not stop the others
     usable = [element for element in order if element in pieces]
     layout = Layout(site, building, pieces, usable, robot.tip_link, stands.pieces, schedule.jobs)
-    unplannable = {element: failure.sentence for element, failure in failures.items()}
+    unplannable = {element: str(failure) for element, failure in failures.items()}
     unplannable |= {element: building.element(element).doubt for element in order if element not in sure}
     removed = [job.element for job in schedule.removals]
     elements = {}
@@ -106,7 +106,7 @@ def prepare(
     notes = [
         *building.notes,
         *placement,
-        *(failure.sentence for failure in failures.values()),
+        *(str(failure) for failure in failures.values()),
         *stands.notes,
     ]
     notes += [

@@ -108,7 +108,7 @@ class TestDetection:
         # five cycles are allowed; it is one at most: what a joint falls behind may pass for servo lag for one sample
         assert 0 <= stall.closed.at - first <= 5 * CYCLE_NS
         assert stall.closed.at - first <= 1.5 * CYCLE_NS
-        assert stall.closed.event is SyncEvent.POSE_DIFFERS and stall.closed.reason.startswith("joint_a3 differs by")
+        assert stall.closed.event is SyncEvent.POSE_DIFFERS and stall.closed.reason.startswith("A3 differs by")
 
     def test_commands_freeze_on_that_cycle(self, stall):
         closed = stall.closed.at
@@ -229,7 +229,7 @@ class TestStopping:
         chain = run.chain
         assert chain.run_until(lambda: chain.gate.state is SyncState.STOPPED, 2.1)
         assert chain.now - run.closed.at == pytest.approx(2.0 * NANOSECONDS, abs=2 * CYCLE_NS)
-        assert "joint_a3 differs by" in chain.gate.reason
+        assert "A3 differs by" in chain.gate.reason
         self.stops(chain, SyncEvent.GAVE_UP)
 
     def test_repeated_violations_escalate(self):

@@ -1,82 +1,75 @@
-"""The sentences: every key in every language with the same values; places filled in as on the page."""
+"""Sentences: their English text, and what another language needs of them, sent and heard again."""
 
 from __future__ import annotations
 
 import copy
 import json
 import math
-import re
-from pathlib import Path
+import pickle
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from construction_twin.core.sentences import (
-    Quantity,
-    Sentence,
-    fill,
-    has,
-    key_and_values,
-    replaced,
-    understood,
+from construction_twin.core.records import dumped
+from construction_twin.core.reports import HoldReport
+from construction_twin.core.sentences import Quantity, Sentence, both, heard, replaced, told
+
+TEXTS = st.text(max_size=20)
+
+
+@pytest.mark.parametrize(
+    "form, quantity, text",
+    [
+        ("", Quantity(math.radians(2.5), "rad"), "2.5 deg"),
+        ("", Quantity(0.0123, "m/s"), "12.3 mm/s"),
+        ("", Quantity(2.0, "N"), "2 N"),
+        (".3", Quantity(math.radians(1), "rad"), "1.000 deg"),
+        (".6q", Quantity(0.1, "rad"), "0.100000 rad"),
+        (".2", Quantity(math.nan, "m"), "nan mm"),
+    ],
 )
-
-ROOT = Path(__file__).parents[3]
-SENTENCES = json.loads((ROOT / "src/construction_twin/core/sentences.json").read_text())
-CASES = json.loads((ROOT / "web/test/support/sentence_cases.json").read_text())
+def test_a_quantity_is_written_in_the_units_of_people_or_in_its_own(form, quantity, text):
+    assert format(quantity, form) == text
 
 
-def places(text: str) -> set[str]:
-    return set(re.findall(r"\{(\w+)[:}]", text))
-
-
-def test_every_key_has_words_in_both_languages_with_the_same_values():
-    for key, words in SENTENCES.items():
-        assert set(words) == {"en", "de"}, key
-        assert all(text and text == text.strip() for text in words.values()), key
-        assert places(words["en"]) == places(words["de"]), key
-        # what cannot be filled in is no place
-        rest = re.sub(r"\{\w+(:(g|s|t|\.\df|\.\dq|(\.\d)?p))?\}", "", words["en"] + words["de"])
-        assert "{" not in rest and "}" not in rest, key
-
-
-def value_of(value: object) -> object:
-    if isinstance(value, dict):
-        return Quantity(math.nan if value["value"] is None else value["value"], value["unit"])
-    return math.nan if value is None else value
-
-
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case["text"])
-def test_places_are_filled_in_as_on_the_page(case):
-    assert fill(case["template"], {name: value_of(value) for name, value in case["values"].items()}) == case["text"]
-
-
-def test_a_sentence_is_its_text_and_knows_its_key_and_values():
-    said = Sentence("line.startup.broker.waits", broker="here:1883")
-    assert said == "the MQTT broker here:1883" and isinstance(said, str)
-    assert key_and_values(said) == {"key": "line.startup.broker.waits", "values": {"broker": "here:1883"}}
-    assert key_and_values(copy.deepcopy(said)) == key_and_values(said) and key_and_values(str(said)) is None
-    written = Sentence("the gate holds ({state})", state="HOLDING")
-    assert key_and_values(written) == {"key": "executor.gate_holds", "values": {"state": "HOLDING"}}
+def test_a_sentence_is_its_text_and_knows_its_template_and_values():
+    said = Sentence("the gate holds ({state})", state="HOLDING")
+    assert said == "the gate holds (HOLDING)" and isinstance(said, str)
+    for copied in (said, copy.deepcopy(said), pickle.loads(pickle.dumps(said))):
+        assert (copied.template, copied.values) == ("the gate holds ({state})", {"state": "HOLDING"})
     with pytest.raises(KeyError):
         Sentence("the gate holds ({state})")
-    assert has("page.title") and not has("line.nothing")
 
 
-def test_a_task_is_its_id_or_its_name_in_quotes_with_it():
-    for task in ("0aB$", "'Place stud' (T2)", '"Eva\'s stud" (T2)', "'' (T2)"):
-        said = Sentence("work.waits", task=task, tasks="'Place plate' (T1)")
-        found = understood(str(said))
-        assert (found.key, found.values) == (said.key, said.values)
-    # what else waits is no task
-    assert understood("stands at a boundary, waits for the tool").key == "executor.stands_and_waits"
+def test_what_is_told_has_each_value_as_it_is_written():
+    inner = Sentence("{joint} differs by {error:.3}", joint="A3", error=Quantity(math.radians(1), "rad"))
+    cause = Sentence("{reason}, {count} times in {seconds:.1f} s", reason=inner, count=2, seconds=0.25)
+    assert told(HoldReport(cause), ["a word", Sentence("without values")]) == {
+        cause: {"template": cause.template, "values": {"reason": inner, "count": "2", "seconds": "0.2"}},
+        inner: {"template": inner.template, "values": {"joint": "A3", "error": "1.000 deg"}},
+    }
+    assert json.loads(dumped(HoldReport(cause), said=True))["said"] == told(cause)
+
+
+@given(TEXTS, TEXTS, st.floats(allow_nan=False))
+def test_what_is_heard_can_be_told_again(one, other, number):
+    sentence = both(Sentence("{number:.2f} of {one}", number=number, one=one), Sentence("then {other}", other=other))
+    sent = json.loads(json.dumps(told(sentence)))
+    again = heard(sent)[sentence]
+    assert again == sentence and again.template == "{first}; {second}" and told(again) == sent
+    assert isinstance(again.values["first"], Sentence)
+
+
+def test_a_sentence_that_is_said_to_hold_itself_is_heard_once():
+    sent = {"a": {"template": "{x}", "values": {"x": "b"}}, "b": {"template": "{x}", "values": {"x": "a"}}}
+    assert heard(sent)["a"] == "a" and heard(sent)["b"].values == {"x": "a"}
 
 
 def test_a_part_that_has_changed_is_said_in_its_place():
-    holds, opened = Sentence("executor.gate_holds", state="HOLDING"), Sentence("executor.gate_open_again")
-    end = Sentence(
-        "executor.end.look", end=Sentence("executor.both", first=Sentence("executor.stop_asked"), second=holds)
-    )
+    holds, opened = Sentence("the gate holds ({state})", state="HOLDING"), Sentence("the gate held, and is open again")
+    end = Sentence("{end}; look at the arm", end=both(Sentence("stop was asked for"), holds))
     changed = replaced(end, holds, opened)
-    assert changed == end.replace(holds, opened) and changed.key == end.key
-    assert changed.values["end"].values["second"].key == "executor.gate_open_again"
+    assert changed == end.replace(holds, opened) and changed.template == end.template
+    assert changed.values["end"].values["second"] is opened
     assert replaced(holds, holds, opened) is opened and replaced("a word", holds, opened) == "a word"

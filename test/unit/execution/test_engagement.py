@@ -166,7 +166,8 @@ class TestEngaged:
         bench.executor.rehearsal = RehearsalCheck(required=True)
         plan = way_back(bench)
         offer_back(bench, plan)
-        assert bench.executor.approval_obstacle() == ""
+        bench.executor.look_for_obstacle()
+        assert bench.executor.approval_obstacle == ""
         bench.review(plan.id, plan.hash, True, "Ada")
         bench.run_until_idle()
         assert bench.executor.outcome == "finished" and not bench.executor.engagement.engaged

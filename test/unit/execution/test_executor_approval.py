@@ -84,12 +84,15 @@ class TestApproval:
     @pytest.mark.parametrize("sync", [state for state in SyncState if state is not SyncState.IN_SYNC])
     def test_only_in_sync(self, bench, sync):
         bench.executor.on_sync(sync, True)
-        assert bench.executor.approval_obstacle() == "", "no plan waits"
+        bench.executor.look_for_obstacle()
+        assert bench.executor.approval_obstacle == "", "no plan waits"
         with pytest.raises(ReviewError, match=rf"twin and physical arm are not in sync \({sync.name}\)") as refused:
             bench.approve(make_plan())
-        assert bench.executor.approval_obstacle() == refused.value.sentence
+        bench.executor.look_for_obstacle()
+        assert bench.executor.approval_obstacle == str(refused.value)
         bench.executor.on_sync(SyncState.IN_SYNC, True)
-        assert bench.executor.approval_obstacle() == ""
+        bench.executor.look_for_obstacle()
+        assert bench.executor.approval_obstacle == ""
         bench.review("p", "", True, "Ada")
         assert bench.state is ExecutorState.PLAYING
 

@@ -12,6 +12,7 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.execution.approval import AUTO_APPROVE
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.execution.rehearsal_check import RehearsalCheck
+from construction_twin.monitor.states import SyncState
 from construction_twin.physics.report import BROKEN, FAILED, PASSED, RehearsalReport
 from construction_twin.review.plan_under_review import NOT_REHEARSED, Rehearsed
 
@@ -67,8 +68,13 @@ class TestRequired:
     )
     def test_nothing_else_is_approved_and_the_refusal_is_on_record(self, bench, report, words):
         plan = offered(bench, report)
-        obstacle = bench.executor.approval_obstacle()
-        assert isinstance(obstacle, Sentence) and words in obstacle
+        bench.executor.look_for_obstacle()
+        obstacle = bench.executor.approval_obstacle
+        assert isinstance(obstacle, Sentence) and words in obstacle and bench.executor.overridable
+        bench.executor.on_sync(SyncState.HOLDING, True)
+        bench.executor.look_for_obstacle()
+        assert bench.executor.approval_obstacle != obstacle and not bench.executor.overridable
+        bench.executor.on_sync(SyncState.IN_SYNC, True)
         with pytest.raises(ReviewError, match=words):
             bench.review(plan.id, plan.hash, True, "Ada")
         assert bench.state is ExecutorState.IDLE and bench.executor.under_review.plan is plan

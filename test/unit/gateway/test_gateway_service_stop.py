@@ -29,7 +29,7 @@ def test_a_stop_mid_motion_brakes_is_answered_and_names_who(broker, topics):
         answer = press(client, topics, b'{"id": "7"}')
         assert answer == {
             "id": "7", "account": "arm-stopper-bob", "ok": True, "reason": "gateway is braking", "by": "gateway",
-            "expired": False,
+            "expired": False, "said": {"gateway is braking": {"template": "gateway is {state}", "values": {"state": "braking"}}},
         }  # fmt: skip
         # told before it is answered
         assert client.status()["state"] in ("braking", "holding")

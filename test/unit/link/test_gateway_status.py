@@ -9,7 +9,8 @@ from gateway_cell import following
 from tool_cell import ToolCell
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.link.gateway_status import parse_presence, parse_status, status_values
+from construction_twin.core.sentences import Sentence
+from construction_twin.link.gateway_status import controller_sentence, parse_presence, parse_status, status_values
 
 TOOL = {
     "name": "frame", "known": True, "reason": "", "outputs": {"vacuum": False}, "inputs": {"reached": True},
@@ -58,6 +59,14 @@ def test_status_and_answer_are_read_and_an_older_gateway_s_says_nothing():
         {"stop": {"moved_deg": ["x"]}}, {"stop": {"moved_deg": [0.0] * 13}},
         *({"tool": tool} for tool in (None, 5, [], {})),
         *(
+            {"said": {"the text": sentence}}
+            for sentence in (
+                5, {"template": "x"}, {"template": "{x}", "values": {}}, {"template": "x", "values": {"x": "1"}},
+                {"template": "{", "values": {}}, {"template": "{x}", "values": {"x": 1}},
+            )
+        ),
+        {"said": {str(n): {"template": "x", "values": {}} for n in range(65)}},
+        *(
             {"tool": TOOL | tool}
             for tool in (
                 {"known": 1}, {"outputs": {"vacuum": 1}}, {"name": 3}, {"inputs": []}, {"switches": [{}]}, {"switches": [5]},
@@ -84,6 +93,19 @@ def test_a_status_that_is_no_json_object_is_refused(payload):
 
 def test_long_texts_are_cut():
     assert len(status_values({"last_refusal": "x" * 10_000})["last_refusal"]) == 300
+
+
+def test_what_it_says_can_be_said_in_another_language():
+    said = {"gateway is braking": {"template": "gateway is {state}", "values": {"state": "braking"}}}
+    read = parsed(
+        STATUS | {"reason": "gateway is braking", "controller": {"sentence": "gateway is braking"}, "said": said}
+    )
+    for text in (read["reason"], controller_sentence(read)):
+        assert isinstance(text, Sentence) and (text.template, text.values) == (
+            "gateway is {state}",
+            {"state": "braking"},
+        )
+    assert "said" not in read
 
 
 def test_a_bare_plc_s_words_are_told_from_a_gateway_s_status():

@@ -125,10 +125,12 @@ def test_what_version_3_adds_is_in_it():
 
 
 def test_what_version_4_adds_is_in_it():
-    held = replace(SEEN, hold=HoldReport("joint_a1 differs", NOW - 10**9), approval_obstacle="not in sync")
+    held = replace(SEEN, hold=HoldReport("joint_a1 differs", NOW - 10**9))
+    report = replace(SEEN.execution.report, approval_obstacle="not in sync", overridable=True)
+    held = replace(held, execution=replace(SEEN.execution, report=report))
     message = read(writer().write(NOW, held, MOMENT))
     assert message["hold"] == {"cause": "joint_a1 differs", "since": 1_795_369_596.396012}
-    assert message["approval_obstacle"] == "not in sync"
+    assert (message["approval_obstacle"], message["overridable"]) == ("not in sync", True)
     well = read(writer().write(NOW, SEEN, MOMENT))
     assert (well["hold"], well["approval_obstacle"]) == (None, "")
     without = read(writer().write(NOW, replace(held, plan=""), MOMENT))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import pytest
 from gate_bench import CODEC, FIRST_STEP, LIMITS, SETTINGS, START, Bench, moved
@@ -129,8 +130,15 @@ class TestHolding:
         assert set(outputs) == {held}
         assert bench.state is SyncState.HOLDING and bench.gate.violations == 1
         said = bench.gate.reason
-        assert said.startswith("joint_a1 differs by ")
+        assert said.startswith("A1 differs by ")
         assert (said.values["difference"].value, said.values["difference"].unit) == (pytest.approx(0.2), "rad")
+
+    def test_a_difference_that_rounds_to_its_threshold_reads_as_more(self):
+        bench = Bench().opened()
+        bench.offset = -(0.01 + 1e-9)
+        bench.cycle()
+        found = re.fullmatch(r"A1 differs by (\S+) deg, (\S+) deg allowed", bench.gate.reason)
+        assert (found[1], found[2]) == ("0.574", "0.573")
 
     def test_old_feedback_holds(self):
         bench = Bench().opened()

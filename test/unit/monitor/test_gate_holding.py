@@ -102,7 +102,7 @@ class TestClosing:
         (change,) = cell.gate.take_transitions()
         assert (change.at, change.source, change.event) == (cell.stamp, SyncState.IN_SYNC, SyncEvent.POSE_DIFFERS)
         said = change.reason
-        assert said.startswith("joint_a1 differs by ")
+        assert said.startswith("A1 differs by ")
         assert (said.values["difference"].value, said.values["threshold"].value) == pytest.approx((0.2, 0.01))
         assert change.comparison.error == pytest.approx((0.2, 0.0))
         assert change.held_stamp == cell.gate.held_stamp == cell.stamp
@@ -169,7 +169,7 @@ class TestPolicy:
         cell = bench(policy="stop")
         cell.gate.on_physical(moved(START, 0.2), 0, cell.stamp)
         assert states(cell.gate) == [("pose_differs", "HOLDING"), ("policy_stop", "STOPPED")]
-        assert cell.gate.reason.startswith("the policy is to stop; joint_a1 differs by ")
+        assert cell.gate.reason.startswith("the policy is to stop; A1 differs by ")
 
     @pytest.mark.parametrize("policy", ["replan", "resume"])
     def test_the_others_open_again(self, policy):
@@ -252,7 +252,7 @@ class TestCause:
         close(cell, "differs")
         gate, since = cell.gate, cell.stamp
         cause = gate.cause
-        assert cause.sentence.startswith("joint_a1 differs by ") and cause.since == since
+        assert cause.sentence.startswith("A1 differs by ") and cause.since == since
         for happens, state in (
             (lambda: gate.on_replan("asked", cell.stamp), SyncState.REPLANNING),
             (lambda: gate.on_replan_failed("no path found", cell.stamp), SyncState.HOLDING),
@@ -271,7 +271,7 @@ class TestCause:
         since = cell.stamp
         cell.run(0.1)
         assert cell.state is SyncState.WAITING and cell.gate.cause.since == since
-        assert cell.gate.cause.sentence.values["joint"] == "joint_a1"
+        assert cell.gate.cause.sentence.values["joint"] == "A1"
         cell.offset = 0.0
         cell.cycle()
         assert cell.gate.cause is None

@@ -10,7 +10,7 @@ from separation_node import Settings as SeparationSettings
 
 from construction_twin.mock.program import MockSettings
 from construction_twin.robot.description import read_robot_files
-from construction_twin.ros.commands.experiment_settings import ExperimentSettings
+from construction_twin.ros.commands.experiment import ExperimentSettings
 from construction_twin.ros.nodes.console_node import Settings as ConsoleSettings
 from construction_twin.ros.nodes.executor import Settings as ExecutorSettings
 from construction_twin.ros.nodes.follow_joint_trajectory import Settings as FollowSettings

@@ -63,7 +63,7 @@ class Trigger:
         self._pressed.append(verb)
         if self.error is not None:
             raise self.error
-        return ActAsSeenResponse(self.success, "as the executor says", self.expired)
+        return ActAsSeenResponse(self.success, "as the executor says", self.expired, "")
 
 
 class Later:
@@ -107,7 +107,7 @@ class Bench:
             assert self.disk.wait(10.0)
         self.asked = [*self.asked, request]
         said = "approved" if approves else "rejected"
-        return self.answer or ReviewPlanResponse(True, said, False)
+        return self.answer or ReviewPlanResponse(True, said, False, "")
 
     def deliver(self, topic, payload, retain=False):
         """Hand over a message as the client does."""
@@ -143,7 +143,7 @@ def test_more_verdicts_than_may_wait_are_refused_counted_and_answered(bench):
 
 
 def test_what_its_screen_had_shown_goes_to_the_executor_with_it_and_that_it_was_too_old_comes_back(bench):
-    bench.answer = ReviewPlanResponse(False, "the approval is too old", True)
+    bench.answer = ReviewPlanResponse(False, "the approval is too old", True, "")
     bench.carry_out()
     answer = json.loads(bench.client.published[-1][1])
     assert [(asked["moment"], asked["approve"]) for asked in bench.asked] == [(MOMENT, True)]
@@ -498,7 +498,7 @@ def answering(bench, monkeypatch, now=5.0):
 
     def decide(**fields):
         asked.append(fields)
-        return WorkDecideResponse(True, "T1: it stands at its place")
+        return WorkDecideResponse(True, "T1: it stands at its place", "")
 
     bench.decide.do = decide
     monkeypatch.setattr(module, "present", lambda: Moment("c0ffee00", round(now * 1e9)))
@@ -544,7 +544,7 @@ def limiting(bench, expired=False):
         if fields["moment"]:
             assert free.wait(10.0)
         asked.append(fields)
-        return LimitSpeedResponse(not expired, "as pca_monitor says", expired, fields["limit"])
+        return LimitSpeedResponse(not expired, "as pca_monitor says", expired, fields["limit"], "")
 
     bench.limit_speed.do = limit_speed
     return asked, free

@@ -58,7 +58,7 @@ class WorkNode:
         taken = decision == "removed" and task in self._goes
         if taken:
             next(row for row in self.tasks.tasks if row.id == task).state = "done"
-        return WorkDecideResponse(taken, "no")
+        return WorkDecideResponse(taken, "no", "")
 
     def run(self, results):
         """Run a session; return what it printed, and its exception."""

@@ -22,7 +22,6 @@ from construction_twin.msg import (
 )
 from diagnostic_msgs.msg import KeyValue
 from geometry_msgs.msg import Point
-from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.errors import PoseUnknownError
@@ -173,7 +172,7 @@ def test_tasks_are_retained_and_what_is_not_placed_has_no_deviation(broker):
     assert (document["model"], document["engaged"]) == ("wall.ifc", False)
     assert (first["deviation_mm"], second["deviation_mm"], second["deviation_deg"]) == (1.5, None, None)
     assert set(first) == set(WorkTask.__slots__)
-    assert set(document) == set(WorkTasks.__slots__) - {"header"} | {"stamp"}
+    assert set(document) == set(WorkTasks.__slots__) - {"header", "said"} | {"stamp"}
     work = told(made, broker)["work"]
     assert (work["state"], work["who"]) == ("asks", "operator") and work["sentence"].endswith(": t2 asks first")
 
@@ -194,17 +193,16 @@ def test_the_status_line_is_sent_on_change_and_once_a_second(broker, clock):
 def test_why_the_arm_holds_comes_first_and_a_plan_that_could_not_be_approved_waits(broker, clock):
     made = feed(broker, others=Others(plan=lambda: "p1"))
     made.on_hold(Hold(cause="last comparable feedback is 0.300 s old", since=rospy.Time(5)))
-    made.on_approval_obstacle(String("not in sync"))
-    held = told(made, broker, sync=Sync(text="STALE", reason="silence"))
-    assert next(iter(held)) == "cause" and "is 0.300 s old, since " in held["cause"]["reason"]
-    assert (held["execution"]["words"], held["execution"]["reason"]) == ("execution.NOT_YET", "not in sync")
+    waits = Execution(text="IDLE", approval_obstacle="not in sync")
+    held = told(made, broker, sync=Sync(text="STALE", reason="silence"), execution=waits)
+    assert next(iter(held)) == "cause" and "is 0.300 s old, since " in held["cause"]["sentence"]
+    assert held["execution"]["state"] == "NOT_YET" and held["execution"]["sentence"].endswith(": not in sync")
     clock.steady += 1.0
     assert "cause" not in told(made, broker, sync=None), "a monitor that is silent says nothing of the present"
     made.on_hold(Hold())
-    made.on_approval_obstacle(String())
     clock.steady += 1.0
     mended = told(made, broker)
-    assert "cause" not in mended and mended["execution"]["words"] == "execution.REVIEW"
+    assert "cause" not in mended and mended["execution"]["state"] == "REVIEW"
 
 
 def plan(name: str, rows: int = 3, ends: tuple[float, ...] = ()) -> Plan:
@@ -317,8 +315,9 @@ def test_the_view_has_what_only_a_console_shows(broker, clock):
     made.on_link(Link(text="ARMED", gateway_counters=[KeyValue("telegrams", "9"), KeyValue("late_replies", "3")]))
     made.on_sync(Sync(text="IN_SYNC", round_trip=0.0321))
     made.on_hold(Hold(cause="joint_a3 differs", since=rospy.Time(7)))
-    made.on_approval_obstacle(String("not in sync"))
-    made.on_execution(Execution(text="AT_BOUNDARY", segment=1, segment_name="carry", at_boundary=True, engaged=True))
+    boundary = Execution(text="AT_BOUNDARY", segment=1, segment_name="carry", at_boundary=True, engaged=True)
+    boundary.approval_obstacle = "not in sync"
+    made.on_execution(boundary)
     message = view()
     assert (message["plan"], message["closest"]["between"]) == ("p7", ["link_3", "wall"])
     assert (message["link"]["round_trip_ms"], message["link"]["late"]) == (32.1, 3)

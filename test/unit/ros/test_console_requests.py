@@ -213,7 +213,7 @@ def test_a_task_is_planned_only_where_a_building_model_is_worked_on(bench):
 
 
 def test_what_the_planner_refuses_and_a_planner_that_is_gone_are_sentences(bench):
-    bench.services["pose"].answer = PlanToPoseResponse(False, "link_3 would touch wall", "", "", 0.0)
+    bench.services["pose"].answer = PlanToPoseResponse(message="link_3 would touch wall")
     answer = bench.ask(kind="pose", **POSE)
     assert (answer["ok"], answer["reason"], answer["plan_id"]) == (False, "link_3 would touch wall", "")
     bench.services["pose"].answer = rospy.ServiceException("connection refused")

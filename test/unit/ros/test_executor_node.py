@@ -99,7 +99,7 @@ def test_why_the_plan_under_review_could_not_be_approved_is_told_as_soon_as_it_i
     world.run(1)
 
     def told() -> str:
-        return [message.data for name, (message, *_) in world.said if name == "approval_obstacle"][-1]
+        return [message.approval_obstacle for name, (message, *_) in world.said if name == "execution"][-1]
 
     assert told() == ""
     world.node.on_link(Link(state=Link.RESYNC, text="RESYNC", session="s", reason="the arm moves"))

@@ -10,8 +10,7 @@ import yaml
 
 from construction_twin.core.units import radians
 from construction_twin.robot.description import read_robot_files
-from construction_twin.ros.commands.experiment import RestDetector
-from construction_twin.ros.commands.experiment_settings import ExperimentSettings
+from construction_twin.ros.commands.experiment import ExperimentSettings, RestDetector
 
 CONFIG = yaml.safe_load(Path("config/experiment.yaml").read_text())
 

@@ -14,7 +14,6 @@ from construction_twin.mqtt.messages import Topics
 from construction_twin.ros.console import messages as module
 from construction_twin.ros.console.endpoint import Connection
 from construction_twin.ros.console.messages import MessageBoard
-from construction_twin.views.message_history import RESET
 from construction_twin.views.startup import Word
 from construction_twin.views.status_line import ReportsNow, status_lines
 
@@ -64,7 +63,7 @@ def test_they_are_told_at_the_first_look_and_after_each_change(bench):
     for at in (1.0, 1.2, 2.0, 2.2):
         bench.lines(STOPPED, at)
     assert [len(told) for told in bench.told] == [0, 1]
-    bench.board.on_act(RESET, genpy.Time(3), person="ada", lifts="stop 3")
+    bench.board.on_act("reset", genpy.Time(3), "ada asked for a reset")
     assert [message["line"]["topic"] for message in bench.told[-1]] == ["link", "person"]
 
 
@@ -79,6 +78,7 @@ def test_one_is_acknowledged_in_the_name_of_the_topic_s_account(bench):
         "message": message["id"],
         "ok": True,
         "reason": "acknowledged by ada",
+        "said": {"acknowledged by ada": {"template": "acknowledged by {account}", "values": {"account": "ada"}}},
     }
     assert bench.told[-1][0]["acknowledged_by"] == "ada"
     again = bench.acknowledge(message["id"], "bob", "2")

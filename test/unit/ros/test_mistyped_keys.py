@@ -18,7 +18,7 @@ from construction_twin.core.validation import configuration_error
 from construction_twin.robot.description import load_robot
 from construction_twin.robot.tool import read_tool
 from construction_twin.robot.urdf import expand_xacro
-from construction_twin.ros.commands.experiment_settings import ExperimentSettings
+from construction_twin.ros.commands.experiment import ExperimentSettings
 from construction_twin.scenario.definition import read_scenario
 from construction_twin.scene.cell import load_cell
 from construction_twin.scene.scene_yaml import read_scene

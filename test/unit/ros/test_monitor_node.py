@@ -17,13 +17,12 @@ from unplugged import ask
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.monitor.gate import Gate
-from construction_twin.monitor.monitor import Monitor
 from construction_twin.monitor.settings import Behaviour
 from construction_twin.monitor.states import SyncEvent, SyncState
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.ros.nodes import pca_monitor as module
 from construction_twin.ros.shared.diagnostics import OK, Report
-from construction_twin.ros.shared.stop_memory import PARAMETER, StopMemory
+from construction_twin.ros.shared.stop_memory import PARAMETER
 from construction_twin.ros.transport.joint_stream import from_time, to_time
 from construction_twin.servo.model import JointServo, ServoModel
 
@@ -54,7 +53,7 @@ class World:
         self.logged: list[str] = []
         self.refused: list[tuple[str, str]] = []
         self.planned = threading.Event()
-        patch = monkeypatch.setattr
+        self.patch = patch = monkeypatch.setattr
         patch(module, "now_ns", lambda: self.wall)
         patch(module.time, "monotonic_ns", lambda: self.steady)
         patch(rospy.Time, "now", lambda: to_time(self.wall))
@@ -69,20 +68,23 @@ class World:
 
     def start(self, sync=None) -> module.PcaMonitorNode:
         """Return a monitor, and keep its gate; `sync` is a publisher in place of the one that notes what it is given."""
-        behaviour = Behaviour(**SETTINGS)
-        limits, codec = MotionLimits.of(ROBOT), JointStringCodec.of(ROBOT, 6)
-        self.gate = Gate(limits, codec, behaviour.gate_settings(True), self.steady, self.servos)
-        stopped_in = self.parameters.get(PARAMETER, "")
-        return module.PcaMonitorNode(
-            Monitor(self.gate, behaviour, ROBOT.joint_names, stopped_in, self.steady),
-            ROBOT.joint_names,
-            self.publishers if sync is None else self.publishers | {"sync": sync},
-            SimpleNamespace(add=self.report, flush=lambda: None, problem="", values=dict),
-            self.plan_to_joints,
-            StopMemory(stopped_in, lambda session: self.parameters.update({PARAMETER: session})),
-            SimpleNamespace(refuse=lambda *said: self.refused.append(said)),
-            SimpleNamespace(report=lambda: Report(OK, "")),
+        behaviour, codec = Behaviour(**SETTINGS), JointStringCodec.of(ROBOT, 6)
+        self.gate = Gate(MotionLimits.of(ROBOT), codec, behaviour.gate_settings(True), self.steady, self.servos)
+        self.patch(module, "make_gate", lambda *_: self.gate)
+        log = SimpleNamespace(add=self.report, flush=lambda: None, problem="", values=dict)
+        self.patch(module, "TransitionLog", lambda *_: log)
+        self.patch(module, "SpeedLimitService", lambda *_: SimpleNamespace(report=lambda: Report(OK, "")))
+        self.patch(rospy, "ServiceProxy", lambda *_: self.plan_to_joints)
+        ports = SimpleNamespace(
+            publishers=self.publishers if sync is None else self.publishers | {"sync": sync},
+            parameters={PARAMETER: self.parameters.get(PARAMETER, "")},
+            keeper=lambda name: lambda value: self.parameters.update({name: value}),
+            diagnostics=SimpleNamespace(refuse=lambda *said: self.refused.append(said)),
         )
+        given = {"arm": "mock", "servo_model": "", "decimals": 6, "transition_file": "t"}
+        node = module.PcaMonitorNode(module.Settings(**SETTINGS | given), ROBOT, ports)
+        self.logged.clear()
+        return node
 
     def change(self, node, settings: str, operator: str = "Ada"):
         """Ask for other settings."""
@@ -402,7 +404,7 @@ class TestStopped:
             keeper=lambda name: lambda session: None,
         )
         given = {"arm": "mock", "servo_model": "", "decimals": 3, "transition_file": str(tmp_path / "t.jsonl")}
-        node = module.start(module.Settings(**SETTINGS | given), ROBOT, ports)
+        node = module.PcaMonitorNode(module.Settings(**SETTINGS | given), ROBOT, ports)
         assert node.report().sentence.startswith("STOPPED: ")
 
     def test_is_forgotten_with_the_session(self, world):

@@ -21,7 +21,6 @@ from construction_twin.core.errors import ConfigurationError, SilenceError
 from construction_twin.physics.report import FAILED, RehearsalReport, finished
 from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.commands import twin as twin_cli
-from construction_twin.ros.commands import twin_rehearsal
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.views.arguments import Exit, parser
@@ -116,7 +115,7 @@ def test_an_override_is_of_the_result_that_was_printed_before_it_was_asked(monke
         asked.append((verdict, capsys.readouterr().out))
         return Outcome(True, "approved")
 
-    monkeypatch.setattr(twin_rehearsal.rospy, "wait_for_message", wait_for_message)
+    monkeypatch.setattr(twin_cli.rospy, "wait_for_message", wait_for_message)
     for name, answer in {"_listener": None, "_under_review": plan, "_print_plan": None}.items():
         monkeypatch.setattr(twin_cli.Command, name, lambda *_, answer=answer: answer)
     words = ["approve", "--yes", "--override-rehearsal", "--reason", "the wall is gone"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from types import SimpleNamespace
 
@@ -12,16 +13,22 @@ from executor_bench import ROBOT
 from unplugged import Unplugged
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.executor import TWIN_TIMEOUT
 from construction_twin.ros.nodes import virtual_robot as module
 from construction_twin.ros.transport import cycle
 from construction_twin.scene.objects import Scene
-from construction_twin.twin.virtual_robot import SILENCE, VirtualRobot
+from construction_twin.twin.virtual_robot import SILENCE
 
 HOME = ROBOT.home
 MS = NANOSECONDS // 1000
+
+
+def node(refuse, arm: str = "mock", twin: str = "kinematic", **publish) -> module.VirtualRobotNode:
+    """Return a node that publishes by calls, by topic."""
+    publishers = {topic: SimpleNamespace(publish=call) for topic, call in publish.items()}
+    ports = SimpleNamespace(publishers=publishers, diagnostics=SimpleNamespace(refuse=refuse))
+    return module.VirtualRobotNode(module.Settings(arm=arm, twin=twin, self_collision="", drives=""), ROBOT, ports)
 
 
 class World:
@@ -40,18 +47,17 @@ class World:
         patch(cycle, "time", SimpleNamespace(monotonic_ns=lambda: self.steady, sleep=self.sleep))
         patch(rospy, "is_shutdown", self.is_over)
         patch(rospy, "loginfo", lambda *_: None)
-        self.node = module.VirtualRobotNode(
-            VirtualRobot(None, ROBOT.linear),
-            MotionLimits.of(ROBOT),
-            SimpleNamespace(publish=self.publish),
-            SimpleNamespace(refuse=lambda *_: None),
-            SimpleNamespace(clear=self.clear, set=self.wake, wait=self.wait),
-        )
+        self.node = self.made(node(lambda *_: None, **{"twin/joint_states": self.publish}))
         self._woken = False
         # the grid that stamps the commands: nothing disturbs it
         self.offset = self.wall - self.steady
         self.node.on_link(Link(session="s1", state=Link.ARMED))
         self.node.on_physical(self.wall, HOME)
+
+    def made(self, made: module.VirtualRobotNode) -> module.VirtualRobotNode:
+        """Return a node that waits by these clocks."""
+        made._restarted = SimpleNamespace(clear=self.clear, set=self.wake, wait=self.wait)
+        return made
 
     def publish(self, stamp: int, q) -> None:
         """Take a pose of the twin."""
@@ -207,6 +213,11 @@ class Falling:
         self.models.append(model)
 
 
+def simulates(monkeypatch, live: Falling) -> None:
+    """Have the next node simulate by this."""
+    monkeypatch.setitem(sys.modules, "construction_twin.physics.live_twin", SimpleNamespace(LiveTwin=lambda: live))
+
+
 class Massive:
     """The node around it, without ROS."""
 
@@ -216,23 +227,17 @@ class Massive:
         self.built: list[Scene] = []
         self.failure = ""
         monkeypatch.setattr(rospy, "loginfo", lambda *_: None)
-        self.node = module.VirtualRobotNode(
-            VirtualRobot(None, ROBOT.linear),
-            MotionLimits.of(ROBOT),
-            SimpleNamespace(publish=lambda stamp, q: self.told.append(("simulated", stamp, q))),
-            SimpleNamespace(refuse=lambda *said: self.refused.append(said)),
-            threading.Event(),
-            module.Simulation(
-                self.live,
-                self.build,
-                {"tool": 18.0},
-                ROBOT.joint_names,
-                SimpleNamespace(publish=lambda stamp, q: self.told.append(("commanded", stamp, q))),
-                SimpleNamespace(
-                    publish=lambda message: self.told.append(("effort", message.header.stamp.to_nsec(), ()))
-                ),
-            ),
+        simulates(monkeypatch, self.live)
+        self.node = node(
+            lambda *said: self.refused.append(said),
+            twin="mujoco",
+            **{
+                "twin/joint_states": lambda stamp, q: self.told.append(("simulated", stamp, q)),
+                "twin/commanded": lambda stamp, q: self.told.append(("commanded", stamp, q)),
+                "twin/effort": lambda message: self.told.append(("effort", message.header.stamp.to_nsec(), ())),
+            },
         )
+        self.node._build, self.node._tool_mass = self.build, {"tool": 18.0}
         self.node.on_link(Link(session="s1", state=Link.ARMED))
         # long ago: the node's thread does not wait for the next one
         self.node.on_physical(1, HOME)
@@ -277,20 +282,22 @@ def test_a_new_session_begins_the_simulation_anew(massive):
     assert massive.live.fallen == 0
 
 
-def test_the_simulation_goes_on_while_no_commands_come(world):
+def test_the_simulation_goes_on_while_no_commands_come(world, monkeypatch):
     """By the clock, with the stamps of now: the world's node, with an arm that falls."""
     live, commanded = Falling(), []
-    world.node = module.VirtualRobotNode(
-        VirtualRobot(HOME, ROBOT.linear),
-        MotionLimits.of(ROBOT),
-        SimpleNamespace(publish=lambda stamp, q: world.published.append((world.steady, stamp))),
-        SimpleNamespace(refuse=lambda *_: None),
-        SimpleNamespace(clear=world.clear, set=world.wake, wait=world.wait),
-        module.Simulation(
-            live, lambda *_: None, {}, ROBOT.joint_names,
-            SimpleNamespace(publish=lambda _stamp, q: commanded.append(q)), SimpleNamespace(publish=lambda _: None),
-        ),
-    )  # fmt: skip
+    simulates(monkeypatch, live)
+    world.node = world.made(
+        node(
+            lambda *_: None,
+            arm="none",
+            twin="mujoco",
+            **{
+                "twin/joint_states": lambda stamp, q: world.published.append((world.steady, stamp)),
+                "twin/commanded": lambda _stamp, q: commanded.append(q),
+                "twin/effort": lambda _: None,
+            },
+        )
+    )
     began = world.play(NANOSECONDS, [(0, 100)])
     silent = world.between(began + 400 * MS, began + NANOSECONDS)
     assert len(silent) >= 148 and live.fallen == len(world.published)

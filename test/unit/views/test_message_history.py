@@ -8,8 +8,9 @@ import pytest
 
 from construction_twin.core.errors import ConfigurationError, RequestRefused
 from construction_twin.core.reports import SpeedChange
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.views.message_history import MOST, ORDINARY, RESET, MessageHistory
+from construction_twin.views.message_history import MOST, ORDINARY, MessageHistory
 from construction_twin.views.startup import Word
 from construction_twin.views.status_line import TABLE, Level, ReportsNow, status_lines
 
@@ -35,7 +36,7 @@ def test_what_a_person_must_mend_is_a_message_from_when_it_began_until_it_ends()
     assert made.messages == ()
     made.on_lines(STOPPED, 12.0)
     (message,) = made.messages
-    assert (message.at, message.until, message.line.words) == (11.0, None, "link.NEEDS_RESET")
+    assert (message.at, message.until, message.line.topic, message.line.state) == (11.0, None, "link", "NEEDS_RESET")
     assert "asked by account bob" in message.line.sentence
     before = made.messages
     made.on_lines(STOPPED, 13.0)
@@ -55,8 +56,8 @@ def test_another_cause_is_another_message():
     made = history()
     for at, joint in ((0.0, "A3"), (1.0, "A3"), (2.0, "A1"), (3.0, "A1")):
         made.on_lines(lines(sync=Word("HOLDING", ""), cause=f"{joint} differs"), at)
-    assert [(each.line.reason, each.at, each.until) for each in made.messages if each.line.topic == "cause"] == [
-        ("A3 differs", 0.0, 2.0), ("A1 differs", 2.0, None),
+    assert [(each.line.sentence, each.at, each.until) for each in made.messages if each.line.topic == "cause"] == [
+        ("The arm holds: A3 differs", 0.0, 2.0), ("The arm holds: A1 differs", 2.0, None),
     ]  # fmt: skip
 
 
@@ -86,16 +87,19 @@ def test_who_has_read_a_message_is_known_once():
 def test_what_people_did_stands_among_them_and_is_told_once():
     made = history()
     for _ in range(2):
-        made.on_act(RESET, 5.0, person="ada", lifts="stop 3, asked by account bob")
+        made.on_act("reset", 5.0, Sentence("{person} asked for a reset", person="ada"))
     (message,) = made.messages
-    assert message.line.sentence == "ada asked for a reset. It lifts: stop 3, asked by account bob"
-    assert (message.at, message.until, message.line.values["person"]) == (5.0, 5.0, "ada")
+    assert message.line.sentence == "ada asked for a reset"
+    assert (message.at, message.until) == (5.0, 5.0)
+    assert message.line.said == {
+        "ada asked for a reset": {"template": "{person} asked for a reset", "values": {"person": "ada"}}
+    }
 
 
 def test_the_newest_are_kept():
     made = history()
     for number in range(MOST + 5):
-        made.on_act(RESET, float(number), person="ada", lifts="")
+        made.on_act("reset", float(number), "ada asked for a reset")
     assert len(made.messages) == MOST and made.messages[-1].at == MOST + 4
 
 
@@ -122,7 +126,7 @@ def speed(made: MessageHistory, person: str, before: float, limit: float, at: fl
 
 
 def told(made: MessageHistory) -> list[tuple]:
-    return [(each.line.words, *each.line.values.values(), each.at, each.until) for each in made.messages]
+    return [(each.line.state, each.line.sentence, each.at, each.until) for each in made.messages]
 
 
 def test_who_has_raised_or_lowered_the_speed_limit_is_a_message_that_needs_nobody_s_note():
@@ -130,7 +134,7 @@ def test_who_has_raised_or_lowered_the_speed_limit_is_a_message_that_needs_nobod
     speed(made, "dora", 1.0, 0.3, 5.0)
     speed(made, "ada", 0.3, 0.555, 6.0)
     assert told(made) == [
-        ("person.lowered", "dora", "30", "100", 5.0, 5.0), ("person.raised", "ada", "55.5", "30", 6.0, 6.0),
-    ]  # fmt: skip
-    assert made.messages[1].line.sentence == "ada raised the speed limit of people from 30% to 55.5%."
+        ("lowered", "dora lowered the speed limit of people from 100% to 30%", 5.0, 5.0),
+        ("raised", "ada raised the speed limit of people from 30% to 55.5%", 6.0, 6.0),
+    ]
     assert history(made.text).messages == made.messages

@@ -43,8 +43,8 @@ READY = "ready; plan with `rosrun construction_twin twin --robot kr120 plan ...`
 )
 def test_what_is_missing_is_named_with_what_to_do(change, kind):
     missing = first_missing(replace(GOOD, **change), CELL)
-    assert missing.kind == kind and missing.what and missing.action
-    assert "{" not in missing.what + missing.action, "whatever a sentence names is known here"
+    assert missing.kind == kind and missing.waits.what and missing.waits.todo
+    assert "{" not in missing.waits.what + missing.waits.todo, "whatever a sentence names is known here"
 
 
 def test_the_first_missing_thing_is_named():

@@ -6,7 +6,7 @@ import pytest
 
 from construction_twin.core.records import document
 from construction_twin.core.reports import TaskReport, WorkReport
-from construction_twin.core.sentences import Sentence
+from construction_twin.core.sentences import Sentence, told
 from construction_twin.execution.states import ExecutorState
 from construction_twin.link.states import LinkState
 from construction_twin.monitor.states import SyncState
@@ -45,7 +45,7 @@ def test_all_is_well():
     # what the arm does comes first where nothing is urgent
     assert list(said) == ["execution", "link", "sync"]
     assert all(line["level"] == 0 and not line["waits_for"] and not line["todo"] for line in said.values())
-    assert said["execution"]["sentence"] == "The arm holds its pose; no plan is executed."
+    assert said["execution"]["sentence"] == "The arm holds its pose; no plan is executed"
 
 
 def test_the_most_urgent_comes_first_with_the_reason_of_the_node():
@@ -54,9 +54,8 @@ def test_the_most_urgent_comes_first_with_the_reason_of_the_node():
     )  # fmt: skip
     found = status_lines(heard)
     assert [line.topic for line in found] == ["sync", "execution", "startup", "link"]
-    assert (found[0].words, found[0].reason, found[0].who) == (
-        "sync.HOLDING", "joint_a3 differs by 0.7 deg", "operator",
-    )  # fmt: skip
+    assert (found[0].state, found[0].who) == ("HOLDING", "operator")
+    assert found[0].sentence == "The arm holds, because it is not where the twin is: joint_a3 differs by 0.7 deg"
     assert found[0].waits_for == "twin and arm to agree again"
 
 
@@ -71,10 +70,12 @@ def test_why_the_arm_holds_comes_before_all_that_follows_from_it(state, words):
     )  # fmt: skip
     first, *others = status_lines(heard)
     assert "startup" not in [line.topic for line in others], "that the gate is closed is said already"
-    assert (first.topic, first.state, first.words, first.reason) == ("cause", state, f"cause.{words}", cause)
-    assert first.said == cause.document() and first.level == Level.PERSON
+    assert (first.topic, first.state) == ("cause", words) and first.sentence.endswith(f": {cause}")
+    assert first.said == told(first.sentence) and cause in first.said and first.level == Level.PERSON
     execution = next(line for line in others if line.topic == "execution")
-    assert (execution.words, execution.reason, execution.level) == ("execution.NOT_YET", "not in sync", Level.WAITS)
+    assert (execution.state, execution.level) == ("NOT_YET", Level.WAITS) and execution.sentence.endswith(
+        ": not in sync"
+    )
 
 
 def test_what_is_silent_is_a_line_of_its_own():
@@ -87,17 +88,17 @@ def test_what_is_silent_is_a_line_of_its_own():
 
 def test_a_plan_under_review_waits_for_the_reviewer():
     line = lines(ReportsNow(WELL.link, WELL.sync, WELL.execution, plan="p1"))["execution"]
-    assert (line["state"], line["words"], line["who"]) == ("IDLE", "execution.REVIEW", "reviewer")
+    assert (line["state"], line["who"]) == ("REVIEW", "reviewer")
     engaged = lines(ReportsNow(WELL.link, WELL.sync, WELL.execution, engaged=True))["execution"]
-    assert engaged["words"] == "execution.ENGAGED"
+    assert engaged["state"] == "ENGAGED"
     playing = lines(ReportsNow(WELL.link, WELL.sync, Word("PLAYING", ""), plan="p1"))["execution"]
     assert playing["level"] == 0, "the plan that waits comes after this one"
 
 
 def test_a_bare_plc_is_armed_by_name_and_not_reset():
     link = Word("NEEDS_RESET", "nobody has armed")
-    assert lines(ReportsNow(link, bare=True))["link"]["words"] == "link.NEEDS_NAME"
-    assert lines(ReportsNow(link))["link"]["words"] == "link.NEEDS_RESET"
+    assert lines(ReportsNow(link, bare=True))["link"]["state"] == "NEEDS_NAME"
+    assert lines(ReportsNow(link))["link"]["state"] == "NEEDS_RESET"
 
 
 def facts(*states: str, proposed: bool = False, **changes) -> WorkReport:

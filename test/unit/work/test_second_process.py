@@ -155,7 +155,7 @@ def begin(one: Bench) -> None:
     plan = lambda *_, **__: SimpleNamespace(  # noqa: E731
         method="point 0 0 0 mm", segments=segments(), tool0_T_element=None
     )
-    one.start(SimpleNamespace(ask_first=lambda *_, **__: prepared(), ask=plan))
+    one.start(SimpleNamespace(ask_first=lambda *_, **__: prepared(), ask=plan, close=None))
 
 
 @pytest.mark.parametrize(("answer", "state"), [("done", "done"), ("not_done", "ready")])

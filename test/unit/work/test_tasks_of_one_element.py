@@ -327,7 +327,7 @@ def test_the_node_has_both_planned_and_follows_them_one_after_the_other(monkeypa
         touch = replace(parts[CARRY], name="touch", trajectory=there, **same)
         return SimpleNamespace(method="point", segments=(touch, replace(parts[LEAVE], **same)), tool0_T_element=None)
 
-    bench.start(SimpleNamespace(ask_first=lambda *_, **__: prepared(), ask=plan))
+    bench.start(SimpleNamespace(ask_first=lambda *_, **__: prepared(), ask=plan, close=None))
     bench.carrying().play(CARRY, True).tool(False)
     bench.play(CARRY, True, True).play(LEAVE)
     bench.execution(Execution.IDLE, plan_id=bench.plan.id, outcome="finished")

@@ -29,7 +29,7 @@ from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.node import ending_on_signals
 from construction_twin.ros.shared.operator_client import OperatorClient
-from construction_twin.ros.shared.params import Parameters, read_parameters
+from construction_twin.ros.shared.params import Parameters, PrivateSettings, read_parameters
 from construction_twin.ros.shared.refusal_log import warn_of_refusals
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.srv import WorkDecide
@@ -49,7 +49,7 @@ _POLL = 0.05
 _LINE = 10.0
 
 
-class Settings(pydantic.BaseModel):
+class Settings(PrivateSettings):
     """Private parameters, given in launch/build.launch.
 
     Attributes:
@@ -57,8 +57,6 @@ class Settings(pydantic.BaseModel):
         most: Tasks to do; 0: all.
         timeout: Longest wait for anything but a motion [s].
     """
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     results_dir: str
     arm: str

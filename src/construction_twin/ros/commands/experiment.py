@@ -7,8 +7,10 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import pydantic
 import rospy
 from rich.console import Console
 from rich.progress import Progress
@@ -19,15 +21,15 @@ from construction_twin.core.units import from_wire
 from construction_twin.evaluation.bag import read_recording
 from construction_twin.evaluation.report import Report, write_report
 from construction_twin.evaluation.tables import render_tables, table_console
-from construction_twin.msg import Execution, Feedback, Link, Sync
+from construction_twin.msg import Execution, Feedback
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.commands.bag_report import print_files
-from construction_twin.ros.commands.experiment_settings import ExperimentSettings, check_goals
 from construction_twin.ros.commands.recorder import Recorder
 from construction_twin.ros.shared.master import await_master
 from construction_twin.ros.shared.node import ending_on_signals
-from construction_twin.ros.shared.params import Parameters, read_parameters, robot_from_parameters
+from construction_twin.ros.shared.params import Parameters, PrivateSettings, read_parameters, robot_from_parameters
 from construction_twin.ros.shared.refusal_log import warn_of_refusals
+from construction_twin.ros.shared.robot_listener import RobotListener
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.srv import PlanToJoints
 
@@ -62,32 +64,36 @@ class RestDetector:
         self.at_rest = stamp - self._since >= self._rest_time
 
 
+_Positive = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)]
+
+
+class ExperimentSettings(PrivateSettings):
+    """Private parameters; see config/experiment.yaml. `results_dir` is an absolute path."""
+
+    results_dir: Annotated[str, pydantic.Field(pattern=r"^[/~]")]
+    goals_deg: Annotated[list[list[pydantic.FiniteFloat]], pydantic.Field(min_length=1)]
+    duration: _Positive
+    waypoints: Annotated[int, pydantic.Field(ge=2)]
+    timeout: _Positive
+    topics: Annotated[list[str], pydantic.Field(min_length=1)]
+
+
 class Experiment:
     """One run of the task."""
 
     def __init__(self, settings: ExperimentSettings, robot: RobotModel, console: Console):
-        self._settings = settings
-        self._robot = robot
-        self._console = console
-        check_goals(settings, robot)
-        self._execution = Execution()
-        self._sync = Sync()
-        self._link = Link()
-        self._refuse = warn_of_refusals()
-        Subscriber("execution", Execution, self._on_execution, self._refuse, queue_size=50)
-        Subscriber("link", Link, self._on_link, self._refuse, queue_size=5)
+        self._settings, self._robot, self._console = settings, robot, console
+        self._listener = RobotListener(rospy.get_namespace(), robot)
 
     def run(self) -> Report:
         """Run everything; see the module.
 
         Raises:
-            ConstructionTwinError: If the system does not get ready, or the task is not finished.
-            ConstructionTwinError: If recording or evaluation fails.
+            ConstructionTwinError: If the system does not get ready, the task is not finished, or recording or evaluation fails.
         """
         results = Path(self._settings.results_dir).expanduser()
-        check_writable(results)
         directory = _new_directory(results)
-        self._wait_until_ready()
+        self._wait(self._not_ready, "the system did not get ready")
         topics = [rospy.resolve_name(topic) for topic in self._settings.topics]
         bag = directory / "experiment.bag"
         with Recorder(bag, topics, rospy.resolve_name("recorder")) as recorder:
@@ -107,15 +113,17 @@ class Experiment:
         point_latest(results, directory)
         return Report(report.summary, (bag, *report.files))
 
+    @property
+    def _execution(self) -> Execution:
+        return self._listener.newest("execution") or Execution()
+
     def _plan(self, goal_deg: list[float]) -> str:
         """Have one reach planned from the twin's present pose; return the plan's id."""
         fraction = len(self._settings.goals_deg)
         rospy.wait_for_service("plan_to_joints", self._settings.timeout)
         answer = rospy.ServiceProxy("plan_to_joints", PlanToJoints)(
             goal=from_wire(goal_deg, self._robot.linear),
-            start=[],
             duration=self._settings.duration / fraction,
-            speed_scale=0.0,
             waypoints=max(2, self._settings.waypoints // fraction),
             source="experiment",
         )
@@ -154,19 +162,14 @@ class Experiment:
             show(min(1.0, max(0.0, played / now.duration)))
             self._pause()
 
-    def _wait_until_ready(self) -> None:
-        # 250 Hz streams are only listened to while they matter: the machine's cores belong to the control path.
-        subscriber = Subscriber("sync", Sync, self._on_sync, self._refuse, queue_size=1)
-        self._wait(self._not_ready, "the system did not get ready")
-        subscriber.unregister()
-
     def _wait_for_rest(self) -> None:
+        # a stream of 250 Hz is only listened to while it matters: the machine's cores belong to the control path
         rest = RestDetector(REST_TOLERANCE, REST_TIME)
         subscriber = Subscriber(
             "physical/feedback",
             Feedback,
             lambda message: rest.update(message.header.stamp.to_sec(), message.position),
-            self._refuse,
+            warn_of_refusals(),
             queue_size=250,
         )
         self._wait(lambda: "" if rest.at_rest else "the physical arm to be at rest", "the arm does not come to rest")
@@ -174,20 +177,16 @@ class Experiment:
 
     def _not_ready(self) -> str:
         """Return what the system still lacks, as text; empty when it is ready."""
-        lacking = []
-        if self._link.state != Link.ARMED:
-            lacking.append(f"link ARMED ({self._link.text or 'no report'}{_because(self._link.reason)})")
-        if self._sync.state != Sync.IN_SYNC:
-            lacking.append(f"sync IN_SYNC ({self._sync.text or 'no report'}{_because(self._sync.reason)})")
-        if self._execution.state != Execution.IDLE:
-            lacking.append(f"execution IDLE ({self._execution.text or 'no report'}{_because(self._execution.reason)})")
-        return ", ".join(lacking)
+        lacking = self._listener.snapshot().not_ready()
+        lacking = lacking if self._listener.newest("link") is not None else ["link is silent", *lacking]
+        return f"a ready system: {'; '.join(lacking)}" if lacking else ""
 
     def _wait_for_counters(self) -> None:
         begin = rospy.get_time()
 
         def outdated() -> str:
-            return "" if self._link.header.stamp.to_sec() >= begin + _REPORT_PERIOD else "the link's next report"
+            reported = self._listener.newest("link").header.stamp.to_sec()
+            return "" if reported >= begin + _REPORT_PERIOD else "the link's next report"
 
         self._wait(outdated, "the bridge does not report any more")
 
@@ -197,7 +196,7 @@ class Experiment:
         said = None
         while text := lacking():
             if time.monotonic() > deadline:
-                raise ConstructionTwinError(f"{failure} within {self._settings.timeout:g} s; still waiting for {text}")
+                raise ConstructionTwinError(f"{failure} within {self._settings.timeout:g} s: {text}")
             if text != said:
                 self._say(f"waiting for {text}")
                 said = text
@@ -210,15 +209,6 @@ class Experiment:
 
     def _say(self, text: str) -> None:
         self._console.print(text, soft_wrap=True)
-
-    def _on_execution(self, message: Execution) -> None:
-        self._execution = message
-
-    def _on_sync(self, message: Sync) -> None:
-        self._sync = message
-
-    def _on_link(self, message: Link) -> None:
-        self._link = message
 
 
 class ProgressView:
@@ -258,7 +248,13 @@ def point_latest(results: Path, directory: Path) -> None:
 def checked(parameters: Parameters = rospy) -> tuple[ExperimentSettings, RobotModel]:
     """Return what the node starts with; raise the ConstructionTwinError that it is refused for."""
     settings, robot = read_parameters(ExperimentSettings, parameters), robot_from_parameters(parameters=parameters)
-    check_goals(settings, robot)
+    joints = len(robot.joint_names)
+    for goal in settings.goals_deg:
+        if len(goal) != joints:
+            raise ConstructionTwinError(
+                f"a goal in ~goals_deg has {len(goal)} values; {robot.name} has {joints} joints"
+            )
+        robot.check_range(from_wire(goal, robot.linear))
     check_writable(Path(settings.results_dir).expanduser())
     return settings, robot
 
@@ -277,10 +273,6 @@ def main() -> int:
     render_tables(report.summary, console)
     print_files(console, report.files)
     return 0
-
-
-def _because(reason: str) -> str:
-    return f": {reason}" if reason else ""
 
 
 def _new_directory(results: Path) -> Path:

@@ -38,7 +38,7 @@ from construction_twin.ros.commands.recorder import Recorder
 from construction_twin.ros.commands.scenario_bag import BAG, NOTES, TOPICS, TRACE, VERDICT, read_run
 from construction_twin.ros.shared.master import await_master
 from construction_twin.ros.shared.node import ending_on_signals
-from construction_twin.ros.shared.params import Parameters, robot_from_parameters, settings_of
+from construction_twin.ros.shared.params import Parameters, PrivateSettings, robot_from_parameters, settings_of
 from construction_twin.ros.shared.refusal_log import warn_of_refusals
 from construction_twin.ros.transport.persistent_service import PersistentService
 from construction_twin.ros.transport.subscriber import Subscriber
@@ -68,10 +68,8 @@ _POLL = 0.005
 XACRO, DESCRIPTION = "urdf/kr120r2500.urdf.xacro", "config/kr120.yaml"
 
 
-class ScenarioSettings(pydantic.BaseModel):
+class ScenarioSettings(PrivateSettings):
     """What the launch file gives beside the scenario itself: `results_dir` and `trace` are absolute paths."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     name: Annotated[str, pydantic.Field(pattern=r"^[a-z0-9_]+$")]
     results_dir: Annotated[str, pydantic.Field(pattern=r"^[/~]")]

@@ -6,6 +6,7 @@ What only one step needs is imported in that step: nobody who calls `twin stop` 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import getpass
 import os
 import sys
@@ -14,16 +15,18 @@ from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import rospy
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused, SilenceError
+from construction_twin.core.files import write_whole
 from construction_twin.link.requests import GoalRequest, ReviewRequest
-from construction_twin.msg import Execution
+from construction_twin.msg import Execution, Rehearsal, Scene
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import BY_ACTION, Plan
 from construction_twin.ros.messages.plan_services import pose_fields
+from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.master import TO_DO, await_master, expect_publisher, publishing_nodes
 from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.outcome import Outcome
@@ -31,8 +34,11 @@ from construction_twin.ros.shared.params import robot_from_parameters
 from construction_twin.ros.shared.robot_listener import RobotListener
 from construction_twin.views.arguments import TRIGGERS, Exit
 from construction_twin.views.goals import joint_goal, pose_goal
-from construction_twin.views.texts import caller_line, plan_lines, status_lines, watch_lines
+from construction_twin.views.texts import caller_line, plan_lines, scene_lines, status_lines, watch_lines
 from construction_twin.work.names import named
+
+if TYPE_CHECKING:
+    from construction_twin.physics.report import RehearsalReport
 
 #: States of the executor in which no plan is under way.
 _AT_REST = (Execution.WAITING, Execution.IDLE)
@@ -97,10 +103,8 @@ class Command:
         if plan is None:
             raise RequestRefused(listener.refused)
         from construction_twin.planning.waypoint_file import format_plan
-        from construction_twin.ros.commands.twin_output import write_or_print
 
-        path = write_or_print(options.file, format_plan(plan, self._robot().linear, options.deg))
-        if path is not None:
+        if write_or_print(options.file, format_plan(plan, self._robot().linear, options.deg)):
             print(f"plan {plan.id}: {len(plan.trajectory.times)} waypoints in {options.file}")
         return Exit.DONE
 
@@ -111,7 +115,7 @@ class Command:
         """Do one step of the work from a building model; approving is as for every plan, once the plan is that of a task."""
         from construction_twin.ros.commands.twin_work import WorkCommand
 
-        work = WorkCommand(self._options, self._namespace, account_name(), self._client)
+        work = WorkCommand(self._options, account_name(), self._client)
         if self._options.step != "approve":
             return work.run()
         return self._approve(*work.plan_under_review())
@@ -172,14 +176,32 @@ class Command:
         return Exit.DONE
 
     def _scene(self) -> Exit:
-        from construction_twin.ros.commands.twin_scene import SceneCommand
+        """Show the scene that stands now, or write it as a planning scene of MoveIt."""
+        silent = "the scene node does not publish", "see why it is down"
+        scene, file = scene_from_msg(self._client.latched("scene", Scene, *silent)), self._options.moveit
+        if file is None:
+            print("\n".join(scene_lines(scene)))
+            return Exit.DONE
+        from construction_twin.robot.urdf import parse_urdf
+        from construction_twin.scene.collision_bodies import RobotBodies
+        from construction_twin.scene.planner_scene import planner_scene, scene_text
+        from construction_twin.scene.self_collision import SelfCollision
 
-        return SceneCommand(self._options, self._namespace).run()
+        bodies = RobotBodies(self._robot())
+        told = planner_scene(bodies, scene, SelfCollision({}, ""))
+        text, remarks = scene_text(told, f"{self._options.robot} {scene.hash[:12]}")
+        for remark in remarks:
+            print(f"twin: {remark}", file=sys.stderr)
+        if write_or_print(file, text):
+            objects = sum(not item.link for item in scene.objects)
+            print(f"{Path(file).absolute()}: {objects} objects, in {parse_urdf(bodies.robot.urdf).get_root()}")
+        return Exit.DONE
 
     def _rehearsal(self) -> Exit:
-        from construction_twin.ros.commands.twin_rehearsal import show_rehearsal
-
-        return show_rehearsal(self._namespace, self._options.timeout)
+        """Show what the rehearsal of the newest plan has found; one that did not pass is told by the exit code."""
+        to_do = "have a motion planned, or see on /diagnostics why there is no rehearsal"
+        message = self._client.latched("rehearsal", Rehearsal, "no plan was rehearsed yet", to_do)
+        return Exit.DONE if _printed(message).state == "passed" else Exit.REFUSED
 
     # -- what several of them need
 
@@ -241,9 +263,14 @@ class Command:
 
     def _print_rehearsal(self, plan: Plan) -> str:
         """Print what the rehearsal of a plan has found; return the result's hash, "" where there is none."""
-        from construction_twin.ros.commands.twin_rehearsal import print_rehearsal
-
-        return print_rehearsal(self._namespace, plan.id, plan.hash, min(LATCHED, self._options.timeout))
+        message = None
+        with contextlib.suppress(rospy.ROSException):  # nothing is latched: no plan was rehearsed yet
+            patience = min(LATCHED, self._options.timeout)
+            message = rospy.wait_for_message(f"{self._namespace}/rehearsal", Rehearsal, patience)
+        if message is None or (message.plan_id, message.plan_hash) != (plan.id, plan.hash):
+            print(f"plan {plan.id} was not rehearsed yet, and it must be")
+            return ""
+        return _printed(message).hash
 
     def _review(self, plan: Plan, verdict: str, seen: str | None = None) -> Exit:
         """Give a verdict; `seen`: an approval in spite of the rehearsal whose result has this hash, "" for none."""
@@ -309,6 +336,32 @@ def run(options: argparse.Namespace) -> int:
 def _report(error: ConstructionTwinError, code: Exit) -> Exit:
     print(f"twin: {error}", file=sys.stderr)
     return code
+
+
+def write_or_print(file: str, text: str) -> bool:
+    """Write a text into a file, whole, or print it, for "-"; return whether it was written."""
+    if file == "-":
+        print(text, end="")
+        return False
+    try:
+        write_whole(Path(file).absolute(), text)
+    except OSError as error:
+        raise ConfigurationError(file, error.strerror or str(error), "a file that can be written") from error
+    return True
+
+
+def _printed(message: Any) -> RehearsalReport:
+    """Print what a rehearsal has found, and return it; ConstructionTwinError where its hash is not its own."""
+    from construction_twin.evaluation.tables import table_console
+    from construction_twin.physics.report import RehearsalReport, is_whole
+    from construction_twin.ros.messages.records import from_msg
+    from construction_twin.views.rehearsal_table import rehearsal_table
+
+    report = from_msg(RehearsalReport, message)
+    if not is_whole(report):
+        raise ConstructionTwinError(f"the rehearsal of plan {report.plan_id!r} is not what its hash says")
+    table_console().print(rehearsal_table(report))
+    return report
 
 
 def _print(outcome: Outcome) -> Exit:

@@ -6,16 +6,14 @@ import argparse
 import math
 from collections.abc import Sequence
 
-import rospy
 from geometry_msgs.msg import PoseStamped
 
-from construction_twin.core.errors import RequestRefused, SilenceError
+from construction_twin.core.errors import RequestRefused
 from construction_twin.core.reports import TaskReport, WorkReport
 from construction_twin.link.requests import GoalRequest
 from construction_twin.msg import WorkTasks
 from construction_twin.ros.messages.convert import pose_to_msg
 from construction_twin.ros.messages.records import from_msg
-from construction_twin.ros.shared.master import expect_publisher
 from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.srv import WorkDecide, WorkMeasured
 from construction_twin.views.arguments import Exit
@@ -95,12 +93,11 @@ class WorkCommand:
     """One step of `twin work`.
 
     Args:
-        namespace: Of the robot, absolute.
         account: The user's name, for the record.
     """
 
-    def __init__(self, options: argparse.Namespace, namespace: str, account: str, client: OperatorClient):
-        self._options, self._namespace, self._account, self._client = options, namespace, account, client
+    def __init__(self, options: argparse.Namespace, account: str, client: OperatorClient):
+        self._options, self._account, self._client = options, account, client
 
     def run(self) -> Exit:
         """Do it.
@@ -160,12 +157,6 @@ class WorkCommand:
         print(self._client.ask("work/measured", WorkMeasured, **request).message)
 
     def _work(self) -> WorkReport:
-        """Return the newest report of the work node."""
-        topic = f"{self._namespace}/work/tasks"
-        expect_publisher(topic)
-        try:
-            message = rospy.wait_for_message(topic, WorkTasks, self._options.timeout)
-        except rospy.ROSException as error:
-            to_do = "start bringup with work_model and work_cell, or see why the node is down"
-            raise SilenceError(topic, "the work node does not report", to_do) from error
+        to_do = "start bringup with work_model and work_cell, or see why the node is down"
+        message = self._client.latched("work/tasks", WorkTasks, "the work node does not report", to_do)
         return from_msg(WorkReport, message)

@@ -15,8 +15,6 @@ from functools import partial
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from std_msgs.msg import String
-
 from construction_twin.core.errors import ConfigurationError, PayloadError, PoseUnknownError
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.records import SPACED, dumped
@@ -24,6 +22,7 @@ from construction_twin.core.reports import (
     ExecutionReport,
     HoldReport,
     LinkReport,
+    SessionRequest,
     SpeedChange,
     SpeedReport,
     SyncReport,
@@ -41,14 +40,14 @@ from construction_twin.msg import (
     Link,
     Plan,
     Review,
-    SessionRequest,
     SpeedLimitInForce,
     Sync,
     WorkTasks,
 )
 from construction_twin.msg import Scene as SceneMsg
+from construction_twin.msg import SessionRequest as SessionRequestMessage
 from construction_twin.msg import SpeedChange as SpeedChangeMessage
-from construction_twin.physics.report import STATES, RehearsalReport
+from construction_twin.physics.report import FAILED, PASSED, RehearsalReport
 from construction_twin.review.plan_under_review import EXECUTOR
 from construction_twin.ros.console.endpoint import Connection
 from construction_twin.ros.console.messages import MessageBoard
@@ -61,7 +60,7 @@ from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.scene.objects import Scene
 from construction_twin.views.hold_cause import hold_cause
-from construction_twin.views.message_history import APPROVED, APPROVED_REHEARSED, REJECTED
+from construction_twin.views.message_history import APPROVED, REJECTED
 from construction_twin.views.scene_view import scene_view
 from construction_twin.views.startup import Deployment, Seen, Word, first_missing
 from construction_twin.views.status_line import Line, ReportsNow, status_lines
@@ -163,7 +162,7 @@ class ConsoleFeed:
         self._retained: dict[str, bytes] = {}
         self._scene: Scene | None = None
         self._work: WorkReport | None = None
-        self._hold, self._obstacle = HoldReport(), ""
+        self._hold = HoldReport()
         self._arm_seen = self._twin_seen = False
         self.messages = MessageBoard(partial(self._keep, self._topics.messages), connection, messages, clock)
         self._looked = self._told_at = float("-inf")
@@ -184,11 +183,20 @@ class ConsoleFeed:
         """Take a verdict, and the newest rehearsal, which may be of that plan."""
         if message.reviewer in ("", EXECUTOR):
             return
-        act, said = APPROVED if message.approved else REJECTED, {"reason": message.reason}
-        if message.approved and rehearsal is not None and rehearsal.engine and rehearsal.plan_hash == message.plan_hash:
+        person = message.reviewer
+        if not message.approved:
+            rejected = Sentence("{person} rejected a plan: {reason}", person=person, reason=message.reason)
+            self.messages.on_act(REJECTED, message.header.stamp, rejected)
+            return
+        sentence = Sentence("{person} approved a plan", person=person)
+        if rehearsal is not None and rehearsal.engine and rehearsal.plan_hash == message.plan_hash:
             # which engine it was, and which version: as the record has it
-            act, said = APPROVED_REHEARSED, {"engine": rehearsal.engine, "found": _found(rehearsal.state)}
-        self.messages.on_act(act, message.header.stamp, person=message.reviewer, **said)
+            found = {PASSED: Sentence("passed"), FAILED: Sentence("failed")}.get(rehearsal.state, Sentence("broke off"))
+            sentence = Sentence(
+                "{person} approved a plan. Its rehearsal ({engine}): {found}",
+                person=person, engine=rehearsal.engine, found=found,
+            )  # fmt: skip
+        self.messages.on_act(APPROVED, message.header.stamp, sentence)
 
     def on_sync(self, message: Sync) -> None:
         """Take the gate's report."""
@@ -220,10 +228,15 @@ class ConsoleFeed:
             if payload != told:
                 self._keep(self._topics.path, payload)
 
-    def on_session_request(self, message: SessionRequest) -> None:
+    def on_session_request(self, message: SessionRequestMessage) -> None:
         """Take that a person has lifted a stop or fault, or armed."""
-        person = message.person or Sentence("line.person.somebody")
-        self.messages.on_act(message.verb, message.stamp, person=person, lifts=message.lifts)
+        asked = from_msg(SessionRequest, message)
+        values = {"person": asked.person or Sentence("somebody at the robot's computer"), "lifts": asked.lifts}
+        if asked.verb == "arm":
+            sentence = Sentence("{person} asked for arming. It lifts: {lifts}", **values)
+        else:
+            sentence = Sentence("{person} asked for a reset. It lifts: {lifts}", **values)
+        self.messages.on_act(asked.verb, message.stamp, sentence)
 
     def on_speed_change(self, message: SpeedChangeMessage) -> None:
         """Take that a person has set the speed limit of people."""
@@ -232,10 +245,6 @@ class ConsoleFeed:
     def on_hold(self, message: Hold) -> None:
         """Take why the gate is closed."""
         self._hold = from_msg(HoldReport, message)
-
-    def on_approval_obstacle(self, message: String) -> None:
-        """Take why the plan under review could not be approved now."""
-        self._obstacle = message.data
 
     def on_scene(self, message: SceneMsg) -> None:
         """Write the scene's meshes, then tell the scene: who hears of a mesh finds its file."""
@@ -252,7 +261,7 @@ class ConsoleFeed:
     def on_tasks(self, message: WorkTasks) -> None:
         """Tell the tasks."""
         self._work = from_msg(WorkReport, message)
-        self._keep(self._topics.work_tasks, dumped(self._work))
+        self._keep(self._topics.work_tasks, dumped(self._work, said=True))
 
     # -- to MQTT
 
@@ -332,7 +341,6 @@ class ConsoleFeed:
             closest=self._others.closest(),
             progress=progress,
             hold=self._hold if sync is not None else HoldReport(),
-            approval_obstacle=self._obstacle if execution is not None else "",
             speed=speed.report if speed is not None else None,
         )
 
@@ -362,7 +370,7 @@ class ConsoleFeed:
             *words,
             bare=link is not None and link.report.gateway_kind == "plc",
             plan=self._others.plan(),
-            obstacle="" if execution is None else self._obstacle,
+            obstacle="" if execution is None else execution.report.approval_obstacle,
             cause="" if sync is None else hold_cause(self._hold),
             engaged=execution is not None and bool(execution.report.engaged),
             work=self._work,
@@ -411,8 +419,3 @@ def deployment_of(started: Mapping[str, object] | None, namespace: str) -> Deplo
     if started is None or not set(fields) <= set(started):
         return None
     return Deployment(namespace=namespace, **{name: started[name] for name in fields})  # type: ignore[arg-type]
-
-
-def _found(state: str) -> str:
-    """Return how a rehearsal ended, in the words of a message."""
-    return Sentence(f"line.person.found.{state}") if state in STATES else state

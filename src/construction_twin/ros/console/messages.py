@@ -64,10 +64,10 @@ class MessageBoard:
             self._history.on_lines(lines, self._clock())
             self._publish()
 
-    def on_act(self, act: str, at: genpy.Time, **values: str) -> None:
+    def on_act(self, act: str, at: genpy.Time, sentence: str) -> None:
         """Take what a person did, as `MessageHistory.on_act`."""
         with self._lock:
-            self._history.on_act(act, at.to_sec(), **values)
+            self._history.on_act(act, at.to_sec(), sentence)
             self._publish()
 
     def on_speed(self, change: SpeedChange) -> None:

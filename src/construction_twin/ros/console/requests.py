@@ -135,7 +135,7 @@ class ConsoleRequests:
         try:
             verdict = self._judge.judge(asked.position, quaternion_to_rotation(asked.orientation), seed)
         except (ConfigurationError, SceneError) as error:
-            raise PayloadError("ik", error.sentence) from error
+            raise PayloadError("ik", str(error)) from error
         joints = None if verdict.q is None else dict(zip(self._joints.names, map(float, verdict.q)))
         found = {"reach": verdict.reach.value, "joints": joints, "between": verdict.between}
         return Outcome(joints is not None, verdict.sentence, fields=found, counted=verdict.reach.value)

@@ -82,7 +82,7 @@ class ShownPlan:
             return
         with self._lock:
             self.rehearsal = report
-            self._rehearsals.on_plan(report.plan_id, dumped(report, marks=SPACED))
+            self._rehearsals.on_plan(report.plan_id, dumped(report, marks=SPACED, said=True))
         self.publish_rehearsal()
 
     def on_caller(self, message: PlanCaller) -> None:

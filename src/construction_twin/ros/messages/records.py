@@ -2,12 +2,14 @@
 
 A field of a record has the name of the message's field; `stamp` is also that of the message's header. Times are whole ns, arrays
 are tuples, arrays of key and value are mappings, enumerations go by their numbers, and records may hold records. Fields that only
-one of the two has are left alone: records drop what nobody reads, and both keep their defaults.
+one of the two has are left alone: records drop what nobody reads, and both keep their defaults. A message with a field `said`
+carries what another language needs of the sentences in it (`core.sentences.told`), as JSON.
 """
 
 from __future__ import annotations
 
 import functools
+import json
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
@@ -17,6 +19,7 @@ import genpy
 from diagnostic_msgs.msg import KeyValue
 from genpy.message import get_message_class  # type: ignore[attr-defined]
 
+from construction_twin.core.sentences import Sentence, heard, told
 from construction_twin.core.units import NANOSECONDS
 
 _Record = TypeVar("_Record")
@@ -29,11 +32,37 @@ def from_msg(kind: type[_Record], message: genpy.Message) -> _Record:
         ValueError: For the number of an enumeration that there is not.
         Exception: What the record itself raises for values that it refuses.
     """
-    return kind(**{name: _read(hint, _value(message, name)) for name, hint in _hints(kind, type(message))})  # type: ignore[arg-type]  # a class is hashable
+    return _record(kind, message, sentences_of(message))
 
 
 def to_msg(record: Any, kind: type[genpy.Message]) -> Any:
     """Return the message of a record."""
+    return with_sentences(_message(record, kind), record)
+
+
+def with_sentences(message: Any, *parts: object) -> Any:
+    """Return a message with what another language needs of the sentences in these parts, if it has a field for that."""
+    if hasattr(message, "said"):
+        found = told(*parts)
+        message.said = json.dumps(found) if found else ""
+    return message
+
+
+def sentences_of(message: genpy.Message) -> Mapping[str, Sentence]:
+    """Return the sentences that a message has told of, by their texts."""
+    return _heard(getattr(message, "said", ""))
+
+
+@functools.lru_cache(maxsize=64)
+def _heard(said: str) -> Mapping[str, Sentence]:
+    return heard(json.loads(said)) if said else {}
+
+
+def _record(kind: Any, message: Any, known: Mapping[str, Sentence]) -> Any:
+    return kind(**{name: _read(hint, _value(message, name), known) for name, hint in _hints(kind, type(message))})  # type: ignore[arg-type]  # a class is hashable
+
+
+def _message(record: Any, kind: type[genpy.Message]) -> Any:
     message = kind()
     slots = dict(zip(kind.__slots__, kind._slot_types))
     for each in fields(record):
@@ -56,16 +85,18 @@ def _value(message: Any, name: str) -> Any:
     return message.header.stamp if name == "stamp" and hasattr(message, "header") else getattr(message, name)
 
 
-def _read(hint: Any, value: Any) -> Any:
+def _read(hint: Any, value: Any, known: Mapping[str, Sentence]) -> Any:
+    if isinstance(value, str):
+        return known.get(value, value)
     if isinstance(value, (genpy.Time, genpy.Duration)):
         return value.to_nsec()
     if get_origin(hint) is tuple:
         (item, *_) = get_args(hint)
-        return tuple(_read(item, each) for each in value)
+        return tuple(_read(item, each, known) for each in value)
     if isinstance(value, (list, tuple)):
         return {pair.key: pair.value for pair in value}
     if is_dataclass(hint):
-        return from_msg(hint, value)  # type: ignore[arg-type]
+        return _record(hint, value, known)
     if isinstance(hint, type) and issubclass(hint, (Enum, bool)):
         return hint(value)
     return value
@@ -79,5 +110,5 @@ def _written(value: Any, kind: str) -> Any:
     if kind == "time":
         return genpy.Time(*divmod(value, NANOSECONDS))
     if is_dataclass(value):
-        return to_msg(value, get_message_class(kind))
+        return _message(value, get_message_class(kind))
     return value.value if isinstance(value, Enum) else value

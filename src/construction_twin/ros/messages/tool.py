@@ -11,7 +11,7 @@ from construction_twin.execution.engagement import Engagement
 from construction_twin.msg import Engagement as EngagementMsg
 from construction_twin.msg import Signal, ToolCommand, ToolState
 from construction_twin.ros.messages.convert import trajectory_to_msg
-from construction_twin.ros.messages.records import to_msg
+from construction_twin.ros.messages.records import sentences_of, to_msg, with_sentences
 from construction_twin.ros.transport.joint_stream import to_time
 
 
@@ -34,13 +34,14 @@ def tool_report_from_msg(msg: ToolState) -> ToolReport:
         states = [SwitchState(state) for state in msg.switch_states]
     except ValueError as error:
         raise PayloadError("tool", f"{error}; expected the state of a switch as in ToolState.msg") from error
+    known = sentences_of(msg)
     return ToolReport(
         known=msg.known,
         tool=msg.tool,
         outputs=dict(zip(msg.outputs, map(bool, msg.output_values))),
         inputs=dict(zip(msg.inputs, map(bool, msg.input_values))),
         switches=dict(zip(msg.switch_ids, map(SwitchReport, states, msg.switch_reasons))),
-        reason=msg.reason,
+        reason=known.get(msg.reason, msg.reason),
     )
 
 
@@ -53,7 +54,7 @@ def tool_report_to_msg(report: ToolReport, stamp: genpy.Time) -> ToolState:
     message.switch_ids = list(report.switches)
     message.switch_states = [switch.state.value for switch in report.switches.values()]
     message.switch_reasons = [switch.reason for switch in report.switches.values()]
-    return message
+    return with_sentences(message, report)
 
 
 def order_to_msg(order: ToolOrder) -> ToolCommand:
@@ -76,7 +77,7 @@ def engagement_to_msg(engagement: Engagement | None, tool: ToolReport) -> Engage
     if engagement is None:
         return EngagementMsg(engaged=False)
     requires = engagement.requires(tool)
-    return EngagementMsg(
+    message = EngagementMsg(
         engaged=True,
         plan_id=engagement.plan_id,
         task=engagement.task,
@@ -87,3 +88,4 @@ def engagement_to_msg(engagement: Engagement | None, tool: ToolReport) -> Engage
         requires=[to_msg(signal, Signal) for signal in requires],
         scenes=list(engagement.scenes_of(requires)),
     )
+    return with_sentences(message, engagement.reason)

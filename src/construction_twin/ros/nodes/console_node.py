@@ -15,29 +15,14 @@ from typing import Any
 
 import pydantic
 import rospy
-from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from construction_twin import msg, srv
 from construction_twin.link.remote_view import ViewWriter
 from construction_twin.link.requests import Joints
 from construction_twin.mqtt.client import make_client, unique_id
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import BRIDGE, PRESSED
-from construction_twin.msg import (
-    Execution,
-    Hold,
-    Link,
-    Plan,
-    PlanCaller,
-    Rehearsal,
-    Review,
-    SessionRequest,
-    SpeedChange,
-    SpeedLimitInForce,
-    Sync,
-    WorkTasks,
-)
-from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.tool import tool_hash
 from construction_twin.ros.console.acts import Acts, Services
@@ -54,13 +39,6 @@ from construction_twin.ros.shared.params import ros_home
 from construction_twin.ros.shared.ports import Interface, NewestPose, Ports, SharedParameter, Subscription
 from construction_twin.ros.shared.private_files import PrivateFiles
 from construction_twin.ros.transport.persistent_service import PersistentService
-from construction_twin.srv import (
-    ActAsSeen,
-    LimitSpeed,
-    PlanTrajectory,
-    ReviewPlan,
-    WorkDecide,
-)
 
 #: Between two writings of log and messages [s].
 LOG_PERIOD = 0.1
@@ -92,27 +70,56 @@ class Settings(MqttSettings):
 
 
 class ConsoleNode:
-    """The parts of the node, and the threads in which they work.
+    """The parts of the node, and the threads in which they work."""
 
-    Args:
-        acts_connection, connection: Connections for what people do, and for everything else.
-    """
+    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+        self._settings = settings
+        joints, topics = Joints(tuple(robot.joint_names), tuple(robot.linear)), Topics(settings.prefix, robot.name)
+        broker, refuse = broker_of(settings), ports.diagnostics.refuse
+        files = None
+        if settings.private:
+            files = PrivateFiles(ros_home() / settings.private, robot.name)
+            for problem in files.write_robot(robot.urdf):
+                refuse("mesh", problem)
+            if ports.parameters["work"] is None:
+                files.drop_building()
+        # its last will takes the plan away: while it is lost, a verdict is not heard
+        client = make_client(broker, unique_id(robot.name, "acts"), topics.plan, will="")
+        acts_connection = Connection(broker, client, topics, refuse)
+        writer = ViewWriter(robot.name, secrets.token_hex(8), joints)
+        will = writer.offline().decode()
+        client = make_client(broker, unique_id(robot.name, "console"), topics.view, will, will_retained=False)
+        connection = Connection(broker, client, topics, refuse)
+        # one for what people do, and one for everything else
+        self._connections = acts_connection, connection
+        self.acts = Acts(acts_connection, _services())
+        self.shown_plan = ShownPlan(acts_connection, tool_hash(settings.tool))
+        self.feed = feed = ConsoleFeed(
+            robot.base_link,
+            connection,
+            writer,
+            Poses(*(ports.poses.get(name) for name in (TWIN, ARM, EXPECTED))),
+            Others(
+                lambda: self.shown_plan.plan,
+                lambda: self.requests.closest(),
+                lambda: ports.connections("execution") > 0,
+            ),
+            deployment_of(ports.parameters["startup"], rospy.get_namespace().rstrip("/")),
+            files,
+            ros_home() / settings.messages / f"{robot.name}.json" if settings.messages else None,
+        )
+        self.requests = ConsoleRequests(
+            joints,
+            {kind: rospy.ServiceProxy(service.name, service.kind) for kind, service in PLAN_SERVICES.items()},
+            rospy.ServiceProxy("plan_trajectory", srv.PlanTrajectory),
+            PoseJudge(robot, settings.self_collision, lambda: feed.scene),
+            RobotContext(feed.twin, lambda: ports.connections("work/tasks") > 0, feed.is_engaged),
+            connection,
+            settings.max_trajectory_bytes if settings.trajectories else 0,
+        )
+        self._connect()
 
-    def __init__(
-        self,
-        settings: Settings,
-        acts_connection: Connection,
-        connection: Connection,
-        acts: Acts,
-        shown_plan: ShownPlan,
-        feed: ConsoleFeed,
-        requests: ConsoleRequests,
-    ):
-        self._settings, self._connections = settings, (acts_connection, connection)
-        self.acts, self.shown_plan, self.feed, self.requests = acts, shown_plan, feed, requests
-
-    def connect(self) -> None:
-        """Connect to the broker, and serve each connection in a thread of its own."""
+    def _connect(self) -> None:
         plan, (acts, others) = self.shown_plan, self._connections
         own_plan = {acts.topics.plan: lambda message: plan.on_own_plan(bytes(message.payload))}
         acts.connect(plan.first, plan.publish_rehearsal, own_plan)
@@ -162,17 +169,17 @@ class ConsoleNode:
 
     # -- from ROS, what several parts hear
 
-    def on_plan(self, message: Plan) -> None:
+    def on_plan(self, message: msg.Plan) -> None:
         """Show a plan for review."""
         self.shown_plan.on_plan(message)
         self.feed.on_plan(message)
 
-    def on_review(self, message: Review) -> None:
+    def on_review(self, message: msg.Review) -> None:
         """Take a verdict."""
         self.shown_plan.on_review(message)
         self.feed.on_review(message, self.shown_plan.rehearsal)
 
-    def on_link(self, message: Link) -> None:
+    def on_link(self, message: msg.Link) -> None:
         """Take the bridge's report."""
         self.shown_plan.on_link(message)
         self.feed.on_link(message)
@@ -193,63 +200,20 @@ class ConsoleNode:
 def _services() -> Services:
     """Return the services of what people do; what starts nothing is connected to for good, and may be called twice."""
     pressed = {
-        kind.name: rospy.ServiceProxy(f"{'mqtt_bridge' if kind.by == BRIDGE else 'executor'}/act_as_seen", ActAsSeen)
+        kind.name: rospy.ServiceProxy(
+            f"{'mqtt_bridge' if kind.by == BRIDGE else 'executor'}/act_as_seen", srv.ActAsSeen
+        )
         if kind.starts
         else PersistentService(kind.name, Trigger)
         for kind in PRESSED
     }
     return Services(
-        rospy.ServiceProxy("review_plan", ReviewPlan),
-        PersistentService("review_plan", ReviewPlan),
+        rospy.ServiceProxy("review_plan", srv.ReviewPlan),
+        PersistentService("review_plan", srv.ReviewPlan),
         pressed,
-        rospy.ServiceProxy("work/decide", WorkDecide),
-        PersistentService("limit_speed", LimitSpeed),
+        rospy.ServiceProxy("work/decide", srv.WorkDecide),
+        PersistentService("limit_speed", srv.LimitSpeed),
     )
-
-
-def start(settings: Settings, robot: RobotModel, ports: Ports) -> ConsoleNode:
-    """Return the node with its parameters and topics, connecting to the broker."""
-    joints, topics = Joints(tuple(robot.joint_names), tuple(robot.linear)), Topics(settings.prefix, robot.name)
-    broker, refuse = broker_of(settings), ports.diagnostics.refuse
-    files = None
-    if settings.private:
-        files = PrivateFiles(ros_home() / settings.private, robot.name)
-        for problem in files.write_robot(robot.urdf):
-            refuse("mesh", problem)
-        if ports.parameters["work"] is None:
-            files.drop_building()
-    # its last will takes the plan away: while it is lost, a verdict is not heard
-    client = make_client(broker, unique_id(robot.name, "acts"), topics.plan, will="")
-    acts_connection = Connection(broker, client, topics, refuse)
-    writer = ViewWriter(robot.name, secrets.token_hex(8), joints)
-    will = writer.offline().decode()
-    client = make_client(broker, unique_id(robot.name, "console"), topics.view, will, will_retained=False)
-    connection = Connection(broker, client, topics, refuse)
-    poses = Poses(*(ports.poses.get(name) for name in (TWIN, ARM, EXPECTED)))
-    shown_plan = ShownPlan(acts_connection, tool_hash(settings.tool))
-    feed = ConsoleFeed(
-        robot.base_link,
-        connection,
-        writer,
-        poses,
-        Others(lambda: shown_plan.plan, lambda: requests.closest(), lambda: ports.connections("execution") > 0),
-        deployment_of(ports.parameters["startup"], rospy.get_namespace().rstrip("/")),
-        files,
-        ros_home() / settings.messages / f"{robot.name}.json" if settings.messages else None,
-    )
-    requests = ConsoleRequests(
-        joints,
-        {kind: rospy.ServiceProxy(service.name, service.kind) for kind, service in PLAN_SERVICES.items()},
-        rospy.ServiceProxy("plan_trajectory", PlanTrajectory),
-        PoseJudge(robot, settings.self_collision, lambda: feed.scene),
-        RobotContext(feed.twin, lambda: ports.connections("work/tasks") > 0, feed.is_engaged),
-        connection,
-        settings.max_trajectory_bytes if settings.trajectories else 0,
-    )
-    acts = Acts(acts_connection, _services())
-    node = ConsoleNode(settings, acts_connection, connection, acts, shown_plan, feed, requests)
-    node.connect()
-    return node
 
 
 def _feed(handler: Callable[[ConsoleFeed, Any], object]) -> Callable[[ConsoleNode, Any], object]:
@@ -267,24 +231,27 @@ INTERFACE = Interface(
         NewestPose(EXPECTED, when=lambda settings: bool(settings.servo_model)),
     ),
     hears=(
-        Subscription("execution", Execution, _feed(ConsoleFeed.on_execution), queue_size=10),
-        Subscription("work/tasks", WorkTasks, _feed(ConsoleFeed.on_tasks), queue_size=2),
-        Subscription("scene", SceneMsg, _feed(ConsoleFeed.on_scene), queue_size=2),
-        Subscription("plan", Plan, ConsoleNode.on_plan, queue_size=5),
-        Subscription("rehearsal", Rehearsal, lambda node, message: node.shown_plan.on_rehearsal(message), queue_size=5),
-        Subscription("plan_caller", PlanCaller, lambda node, message: node.shown_plan.on_caller(message), queue_size=5),
-        Subscription("review", Review, ConsoleNode.on_review, queue_size=10),
-        Subscription("sync", Sync, _feed(ConsoleFeed.on_sync), queue_size=1),
-        Subscription("hold", Hold, _feed(ConsoleFeed.on_hold), queue_size=1),
-        Subscription("approval_obstacle", String, _feed(ConsoleFeed.on_approval_obstacle), queue_size=1),
-        Subscription("link", Link, ConsoleNode.on_link, queue_size=5),
-        Subscription("session_request", SessionRequest, _feed(ConsoleFeed.on_session_request), queue_size=10),
-        Subscription("speed_change", SpeedChange, _feed(ConsoleFeed.on_speed_change), queue_size=50),
-        Subscription("speed_limit_in_force", SpeedLimitInForce, _feed(ConsoleFeed.on_speed), queue_size=1),
+        Subscription("execution", msg.Execution, _feed(ConsoleFeed.on_execution), queue_size=10),
+        Subscription("work/tasks", msg.WorkTasks, _feed(ConsoleFeed.on_tasks), queue_size=2),
+        Subscription("scene", msg.Scene, _feed(ConsoleFeed.on_scene), queue_size=2),
+        Subscription("plan", msg.Plan, ConsoleNode.on_plan, queue_size=5),
+        Subscription(
+            "rehearsal", msg.Rehearsal, lambda node, message: node.shown_plan.on_rehearsal(message), queue_size=5
+        ),
+        Subscription(
+            "plan_caller", msg.PlanCaller, lambda node, message: node.shown_plan.on_caller(message), queue_size=5
+        ),
+        Subscription("review", msg.Review, ConsoleNode.on_review, queue_size=10),
+        Subscription("sync", msg.Sync, _feed(ConsoleFeed.on_sync), queue_size=1),
+        Subscription("hold", msg.Hold, _feed(ConsoleFeed.on_hold), queue_size=1),
+        Subscription("link", msg.Link, ConsoleNode.on_link, queue_size=5),
+        Subscription("session_request", msg.SessionRequest, _feed(ConsoleFeed.on_session_request), queue_size=10),
+        Subscription("speed_change", msg.SpeedChange, _feed(ConsoleFeed.on_speed_change), queue_size=50),
+        Subscription("speed_limit_in_force", msg.SpeedLimitInForce, _feed(ConsoleFeed.on_speed), queue_size=1),
     ),
 )
 # its threads take turns every millisecond: what computes a pose holds up no stop
-NODE = NodeShell("console_node", Settings, start, INTERFACE, check_broker, fast=True)
+NODE = NodeShell("console_node", Settings, ConsoleNode, INTERFACE, check_broker, fast=True)
 
 
 def main() -> None:

@@ -16,7 +16,6 @@ from typing import Literal
 
 import genpy
 import numpy as np
-import pydantic
 import PyKDL
 from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
 from sensor_msgs.msg import JointState
@@ -34,6 +33,7 @@ from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import tf_frame
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.shared.plan_display import PlanDisplay
 from construction_twin.ros.shared.ports import (
     Every,
@@ -63,10 +63,8 @@ SILENCE = 0.25
 SYNC_PERIOD, SYNC_SILENCE = 0.2, 1.0
 
 
-class Settings(pydantic.BaseModel):
+class Settings(PrivateSettings):
     """Private parameters, given in launch/twin.launch: launch arguments of these names."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     arm: Literal["mock", "real", "none"]
     twin: Literal["kinematic", "mujoco", "gazebo"]
@@ -336,8 +334,4 @@ def check(_settings: Settings, robot: RobotModel, shared: Shared) -> None:
 
 
 NODE = NodeShell("display", Settings, DisplayNode, INTERFACE, check)
-
-
-def main() -> None:
-    """Run the node."""
-    NODE.run()
+main = NODE.run

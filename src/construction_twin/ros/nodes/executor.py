@@ -15,7 +15,6 @@ from typing import Annotated, Literal, TypeVar
 import genpy
 import pydantic
 import rospy
-from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 import construction_twin.srv as srv
@@ -132,7 +131,6 @@ class ExecutorNode:
         # what was told last
         self._news: tuple = (None,)
         self._limit_state: LimitState | None = None
-        self._obstacle: str | None = None
         self._engagement: tuple | None = None
         # what the disk does not take, by what it is
         self._problems: dict[str, str] = {}
@@ -176,9 +174,7 @@ class ExecutorNode:
         try:
             state = SyncState(message.state)
         except ValueError as error:
-            raise PayloadError(
-                "sync", Sentence("sync state {state} is unknown; expected one of Sync.msg", state=message.state)
-            ) from error
+            raise PayloadError("sync", f"sync state {message.state} is unknown; expected one of Sync.msg") from error
         with self._lock:
             self._sync_at = time.monotonic_ns()
             self.executor.on_sync(state, message.agreed, message.policy, from_time(message.held_stamp))
@@ -204,10 +200,7 @@ class ExecutorNode:
         """Take what the rehearsal of a plan has found."""
         report = from_msg(RehearsalReport, message)
         if not is_whole(report):
-            raise PayloadError(
-                "rehearsal",
-                Sentence("the rehearsal of plan {plan} is not what its hash says", plan=repr(report.plan_id)),
-            )
+            raise PayloadError("rehearsal", f"the rehearsal of plan {report.plan_id!r} is not what its hash says")
         with self._lock:
             self.executor.rehearsal.on_report(report)
 
@@ -244,12 +237,7 @@ class ExecutorNode:
     def on_review(self, request: srv.ReviewPlanRequest) -> str:
         """Approve or reject a plan in a person's name; an approval is as old as what its screen had shown, else as the call."""
         if request.reviewer.strip() in (AUTO_APPROVE, EXECUTOR):
-            raise ReviewError(
-                Sentence(
-                    "{name} is what the executor calls itself; expected the name of a person",
-                    name=repr(request.reviewer),
-                )
-            )
+            raise ReviewError(f"{request.reviewer!r} is what the executor calls itself; expected the name of a person")
         verdict = self._approval.review(
             request.plan_id,
             request.plan_hash,
@@ -301,7 +289,7 @@ class ExecutorNode:
     def on_act_as_seen(self, request: srv.ActAsSeenRequest) -> str:
         """Go on after a pause, unless what the person's screen had shown is too old, or older than a pause or stop."""
         if request.act != "resume":
-            raise PayloadError("act", Sentence("{act} is nothing that is done here", act=repr(request.act)))
+            raise PayloadError("act", f"{request.act!r} is nothing that is done here")
         return self._answered("resume", self._approval.resume(parse_moment(request.moment)))
 
     def on_release(self, request: srv.ReleaseEngagementRequest) -> str:
@@ -332,10 +320,7 @@ class ExecutorNode:
         self.side_effects.run("the engagement", self.keep_engagement)
         with self._lock:
             self.executor.under_review.scene_alive = self._ports.connections("scene") > 0
-            obstacle = self.executor.approval_obstacle()
-        if obstacle != self._obstacle:
-            self._obstacle = obstacle
-            self._ports.publishers["approval_obstacle"].publish(String(obstacle))
+            self.executor.look_for_obstacle()
         self._on_disk("an approval", self._approve_by_itself)
 
     def _approve_by_itself(self) -> None:
@@ -481,7 +466,6 @@ INTERFACE = Interface(
     publishes=(
         PosePublication("next/joint_states"),
         Publication("execution", msg.Execution, queue_size=10, latch=True),
-        Publication("approval_obstacle", String, queue_size=5, latch=True),
         Publication("review", msg.Review, queue_size=10, latch=True),
         # not latched: a bridge that is started again must not take a switch that was meant for another moment
         Publication("tool_command", msg.ToolCommand, queue_size=50, tcp_nodelay=True),
@@ -524,8 +508,4 @@ INTERFACE = Interface(
     ),
 )  # fmt: skip
 NODE = NodeShell("executor", Settings, ExecutorNode, INTERFACE, check, fast=True)
-
-
-def main() -> None:
-    """Run the node."""
-    NODE.run()
+main = NODE.run

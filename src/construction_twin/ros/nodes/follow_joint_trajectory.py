@@ -19,7 +19,6 @@ import rospy
 from actionlib import ServerGoalHandle
 
 from construction_twin.core.errors import GoalError, GoalJointsError
-from construction_twin.core.sentences import Sentence
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.execution.goal_states import GoalState
 from construction_twin.execution.joint_tolerances import Tolerances
@@ -52,6 +51,7 @@ from construction_twin.ros.messages.joint_goals import (
 )
 from construction_twin.ros.shared.diagnostics import OK, Report
 from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.shared.ports import (
     Interface,
     Ports,
@@ -83,10 +83,8 @@ PLANNER_TIMEOUT = 10.0
 Tolerance = Annotated[float, pydantic.Field(ge=0.0, allow_inf_nan=False)]
 
 
-class Settings(pydantic.BaseModel):
+class Settings(PrivateSettings):
     """Private parameters; see config/follow_joint_trajectory.yaml, `arm` is given in launch/twin.launch."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     arm: Literal["mock", "real", "none"]
     action_names: Annotated[
@@ -237,10 +235,8 @@ class FollowJointTrajectoryNode:
     def on_execution(self, message: Execution) -> None:
         """Take what the executor does."""
         if message.state not in ExecutorState._value2member_map_:
-            sentence = Sentence(
-                "execution state {state} is unknown; expected one of Execution.msg", state=message.state
-            )
-            self._diagnostics.refuse("execution", sentence)
+            unknown = f"execution state {message.state} is unknown; expected one of Execution.msg"
+            self._diagnostics.refuse("execution", unknown)
             return
         state, start = ExecutorState(message.state), from_time(message.plan_start)
         self._put(self._goals.on_execution, message.plan_id, state, message.outcome, message.reason, start)
@@ -380,8 +376,4 @@ def check(_settings: Settings, _robot: RobotModel, _shared: Shared) -> None:
 
 
 NODE = NodeShell("follow_joint_trajectory", Settings, FollowJointTrajectoryNode, INTERFACE, check)
-
-
-def main() -> None:
-    """Run the node until shutdown."""
-    NODE.run()
+main = NODE.run

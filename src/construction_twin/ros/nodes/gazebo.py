@@ -13,7 +13,6 @@ import subprocess
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
 
 import pydantic
 import rospy
@@ -27,7 +26,7 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
 from construction_twin.ros.shared.node_shell import NodeShell
-from construction_twin.ros.shared.params import ros_home
+from construction_twin.ros.shared.params import PrivateSettings, ros_home
 from construction_twin.ros.shared.ports import Interface, Ports, Shared, Subscription
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene
@@ -42,7 +41,7 @@ _AWAKE = 0.5
 _PR_SET_PDEATHSIG = 1
 
 
-class Settings(pydantic.BaseModel):
+class Settings(PrivateSettings):
     """Private parameters, given in launch/twin.launch.
 
     Attributes:
@@ -51,24 +50,9 @@ class Settings(pydantic.BaseModel):
         realtime: SCHED_FIFO priority of the thread that simulates, where permitted; 0: none.
     """
 
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
-
     gzserver: str
     drives: str
     realtime: int = pydantic.Field(ge=0, le=99)
-
-
-class Program(Protocol):
-    """A process, as of `subprocess.Popen`."""
-
-    def wait(self, timeout: float | None = None) -> int:
-        """Wait for its end, return its code; subprocess.TimeoutExpired when it goes on."""
-
-    def send_signal(self, sig: int) -> None:
-        """Send a signal, unless it has ended."""
-
-    def kill(self) -> None:
-        """End it."""
 
 
 class GazeboNode:
@@ -83,7 +67,7 @@ class GazeboNode:
     def __init__(
         self,
         make: Callable[[Scene], GazeboWorld],
-        launch: Callable[[Path], Program],
+        launch: Callable[[Path], subprocess.Popen],
         folder: Path,
         diagnostics: NodeDiagnostics,
     ):
@@ -141,7 +125,7 @@ class GazeboNode:
         with self._news:
             self._news.wait_for(rospy.is_shutdown, PAUSE)
 
-    def _attend(self, program: Program) -> int:
+    def _attend(self, program: subprocess.Popen) -> int:
         """Wait for a server's end, which a shutdown asks for; return its code."""
         while True:
             try:
@@ -202,7 +186,7 @@ def find_gzserver(words: str) -> list[str]:
     return found
 
 
-def _launch(words: list[str], path: Path) -> Program:
+def _launch(words: list[str], path: Path) -> subprocess.Popen:
     libc = ctypes.CDLL(None, use_errno=True)
 
     def prepare() -> None:
@@ -243,8 +227,4 @@ INTERFACE = Interface(
     report=GazeboNode.report, hears=(Subscription("scene", SceneMsg, GazeboNode.on_scene, queue_size=1),)
 )
 NODE = NodeShell("gazebo", Settings, start, INTERFACE, check)
-
-
-def main() -> None:
-    """Run the node."""
-    NODE.run()
+main = NODE.run

@@ -220,8 +220,4 @@ def check(settings: MockSettings, robot: RobotModel, _shared: Shared) -> None:
 
 
 NODE = NodeShell("mock_rsi", MockSettings, MockRsiNode, INTERFACE, check)
-
-
-def main() -> None:
-    """Run the node."""
-    NODE.run()
+main = NODE.run

@@ -200,9 +200,7 @@ class MqttBridge:
             switch = message.plan_id, message.id, message.output, bool(message.value), message.stamp.to_nsec()
             self._decide(self._bridge.switch, *switch)
         else:
-            self._diagnostics.refuse(
-                "tool_command", Sentence("tool_command with verb {verb}; expected ARM or VOID", verb=message.verb)
-            )
+            self._diagnostics.refuse("tool_command", f"tool_command with verb {message.verb}; expected ARM or VOID")
         self._publish_tool()
 
     def on_execution(self, message: Execution) -> None:
@@ -409,8 +407,4 @@ def check(settings: Settings, robot: RobotModel, shared: Shared) -> None:
 
 
 NODE = NodeShell("mqtt_bridge", Settings, start, INTERFACE, check, fast=True)
-
-
-def main() -> None:
-    """Run the node."""
-    NODE.run()
+main = NODE.run

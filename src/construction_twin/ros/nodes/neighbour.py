@@ -94,16 +94,16 @@ class NeighbourNode:
             plan = self._own.newest if own is None else self._own.plan(own.plan_id)
         except NeighbourUnknownError as error:
             # whether it is played is not known: without a word nothing starts, and nothing stops
-            self._state = Report(WARN, error.sentence)
+            self._state = Report(WARN, str(error))
             return
         if plan is None:
             return
         try:
             problem = self._problem(plan, own)
         except ConstructionTwinError as error:
-            problem = error.sentence
+            problem = str(error)
         self._publish(plan, problem)
-        sentence = problem or Sentence("its path is free")
+        sentence = problem or "its path is free"
         self._state = Report(WARN if problem else OK, sentence)
         if self._said != (plan.id, problem):
             self._said = plan.id, problem
@@ -174,8 +174,4 @@ INTERFACE = Interface(
     listeners=(*ARM_TOPICS, *ARM_POSES),
 )
 NODE = NodeShell("neighbour", NeighbourSettings, start, INTERFACE)
-
-
-def main() -> None:
-    """Run the node."""
-    NODE.run()
+main = NODE.run

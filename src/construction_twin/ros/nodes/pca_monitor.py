@@ -8,13 +8,13 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Annotated, Literal
 
 import pydantic
 import rospy
 
+from construction_twin import msg, srv
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.files import check_writable
 from construction_twin.core.limits import MotionLimits
@@ -25,22 +25,10 @@ from construction_twin.monitor.monitor import SYNC_RATE, Monitor, Replan, Transi
 from construction_twin.monitor.settings import Behaviour
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.msg import (
-    Execution,
-    Feedback,
-    Hold,
-    Link,
-    Plan,
-    SpeedChange,
-    SpeedLimit,
-    SpeedLimitInForce,
-    Sync,
-)
-from construction_twin.msg import Transition as TransitionMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.shared.deferred_log import DeferredLog
-from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
 from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.params import NodeSettings, robot_file, ros_home
 from construction_twin.ros.shared.ports import (
@@ -59,15 +47,7 @@ from construction_twin.ros.shared.ports import (
 from construction_twin.ros.shared.speed_limits import AGAIN, PERIOD, PROGRAM, SpeedLimitService
 from construction_twin.ros.shared.stop_memory import PARAMETER, StopMemory
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
-from construction_twin.ros.transport.publisher import Sink
 from construction_twin.servo.file import read_servos
-from construction_twin.srv import (
-    ConfigureGate,
-    ConfigureGateRequest,
-    LimitSpeed,
-    PlanToJoints,
-    PlanToJointsResponse,
-)
 
 #: Setpoints kept while the gate is busy, 0.1 s: what is older it does not let pass.
 SETPOINTS_KEPT = 25
@@ -90,36 +70,26 @@ class Settings(NodeSettings, Behaviour):
 
 
 class PcaMonitorNode:
-    """ROS around a Monitor; `start` gives it parameters, topics and services.
+    """ROS around a Monitor, and beside it the speed limit, which the gate knows nothing of."""
 
-    Args:
-        names: Joint names.
-        publishers: By topic; without a model of the arm's servos nothing is expected.
-        transitions: Their file.
-        plan_to_joints: The planner's service; takes the fields of its request as keywords.
-        stopped: Keeps the session in which the gate is STOPPED beyond this process.
-        diagnostics: Counts what is refused.
-        speed: The speed limit, which the gate knows nothing of.
-    """
-
-    def __init__(
-        self,
-        monitor: Monitor,
-        names: tuple[str, ...],
-        publishers: Mapping[str, Sink],
-        transitions: TransitionLog,
-        plan_to_joints: Callable[..., PlanToJointsResponse],
-        stopped: StopMemory,
-        diagnostics: NodeDiagnostics,
-        speed: SpeedLimitService,
-    ):
-        self._monitor, self._gate, self._names = monitor, monitor.gate, names
-        self._publishers, self._transitions, self._plan_to_joints = publishers, transitions, plan_to_joints
-        self._command, self._expected = (
-            publishers["command/joint_states"],
-            publishers.get("expected/joint_states"),
-        )
-        self._stopped, self._diagnostics, self.speed = stopped, diagnostics, speed
+    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+        # without an arm there is no broker, and nobody could raise what was set before
+        has = has_arm(settings)
+        kept = ros_home() / "construction_twin" / "speed_limits" / f"{robot.name}.json" if has else None
+        stopped_in, now = ports.parameters[PARAMETER] if has else "", time.monotonic_ns()
+        self._names, self._publishers, self._diagnostics = robot.joint_names, ports.publishers, ports.diagnostics
+        self._command = ports.publishers["command/joint_states"]
+        # without a model of the arm's servos nothing is expected
+        self._expected = ports.publishers.get("expected/joint_states")
+        behaviour = Behaviour.model_validate(settings.model_dump(include=set(Behaviour.model_fields)))
+        self._gate = make_gate(settings, robot, now)
+        self._monitor = Monitor(self._gate, behaviour, robot.joint_names, stopped_in, now)
+        transitions = robot_file(settings.transition_file, robot.name)
+        rospy.loginfo("transitions are recorded in %s", transitions)
+        self._transitions = TransitionLog(transitions, robot.joint_names)
+        self._plan_to_joints = rospy.ServiceProxy("plan_to_joints", srv.PlanToJoints)
+        self._stopped = StopMemory(stopped_in, ports.keeper(PARAMETER))
+        self.speed = SpeedLimitService(kept, ports)
         self._lock = threading.Lock()
         self._heard = 0
         #: As it was told last; empty: not yet.
@@ -180,13 +150,13 @@ class PcaMonitorNode:
             # with the stamp of the pose that it was compared with
             self._expected.publish(received, expected)
 
-    def on_link(self, message: Link) -> None:
+    def on_link(self, message: msg.Link) -> None:
         """Take the link's state; a new session restarts the gate."""
         with self._lock:
-            self._monitor.on_link(message.session, message.state == Link.MIRROR, time.monotonic_ns())
+            self._monitor.on_link(message.session, message.state == msg.Link.MIRROR, time.monotonic_ns())
             self._note_changes()
 
-    def on_configure(self, request: ConfigureGateRequest) -> str:
+    def on_configure(self, request: srv.ConfigureGateRequest) -> str:
         """Change settings of the gate, at rest only."""
         now = time.monotonic_ns()
         with self._lock:
@@ -197,12 +167,10 @@ class PcaMonitorNode:
 
     # -- the re-plan
 
-    def on_plan(self, message: Plan) -> None:
+    def on_plan(self, message: msg.Plan) -> None:
         """Note where a plan ends, for a re-plan."""
         if not message.trajectory.points:
-            self._diagnostics.refuse(
-                "plan", Sentence("plan {plan} has no points; expected at least a start and a goal", plan=message.id)
-            )
+            self._diagnostics.refuse("plan", f"plan {message.id} has no points; expected at least a start and a goal")
             return
         if message.segments:
             # its rest is dropped: tool and scene may be in between, so that whoever gave the task plans it anew
@@ -211,10 +179,10 @@ class PcaMonitorNode:
         with self._lock:
             self._monitor.on_plan(message.id, goal, message.velocity_use, message.acceleration_use)
 
-    def on_execution(self, message: Execution) -> None:
+    def on_execution(self, message: msg.Execution) -> None:
         """Note which plan is played."""
-        executing = message.text if message.state not in (Execution.WAITING, Execution.IDLE) else ""
-        playing = message.state == Execution.PLAYING
+        executing = message.text if message.state not in (msg.Execution.WAITING, msg.Execution.IDLE) else ""
+        playing = message.state == msg.Execution.PLAYING
         with self._lock:
             self._monitor.on_execution(message.plan_id, executing, playing, message.moment)
 
@@ -263,10 +231,14 @@ class PcaMonitorNode:
             with self._lock:
                 report, cause = self._monitor.sync(now), self._gate.cause
             if report is not None:
-                self._publishers["sync"].publish(to_msg(replace(report, stamp=now_ns()), Sync))
+                self._publishers["sync"].publish(to_msg(replace(report, stamp=now_ns()), msg.Sync))
                 if (cause,) != self._hold:
                     self._hold = (cause,)
-                    self._publishers["hold"].publish(_hold_message(cause, now))
+                    stamp, hold = now_ns(), HoldReport()
+                    if cause is not None:
+                        # the gate's clock is the monotonic one
+                        hold = HoldReport(cause.sentence, stamp - (now - cause.since))
+                    self._publishers["hold"].publish(to_msg(replace(hold, stamp=stamp), msg.Hold))
         if self._changes:
             with self._reporting:
                 while self._changes:
@@ -274,7 +246,7 @@ class PcaMonitorNode:
 
     def _report(self, change: Transition) -> None:
         self._transitions.add(change)
-        message = TransitionMsg(
+        message = msg.Transition(
             from_text=change.source.name,
             to_text=change.target.name,
             event=change.event.value,
@@ -325,34 +297,6 @@ def check(settings: Settings, robot: RobotModel, shared: Shared) -> None:
     check_writable(robot_file(settings.transition_file, robot.name).parent)
 
 
-def start(settings: Settings, robot: RobotModel, ports: Ports) -> PcaMonitorNode:
-    """Return the monitor with its parameters, topics and services."""
-    # without an arm there is no broker, and nobody could raise what was set before
-    has = has_arm(settings)
-    kept = ros_home() / "construction_twin" / "speed_limits" / f"{robot.name}.json" if has else None
-    behaviour = Behaviour.model_validate(settings.model_dump(include=set(Behaviour.model_fields)))
-    stopped_in, now = ports.parameters[PARAMETER] if has else "", time.monotonic_ns()
-    transitions = robot_file(settings.transition_file, robot.name)
-    rospy.loginfo("transitions are recorded in %s", transitions)
-    return PcaMonitorNode(
-        Monitor(make_gate(settings, robot, now), behaviour, robot.joint_names, stopped_in, now),
-        robot.joint_names,
-        ports.publishers,
-        TransitionLog(transitions, robot.joint_names),
-        rospy.ServiceProxy("plan_to_joints", PlanToJoints),
-        StopMemory(stopped_in, ports.keeper(PARAMETER)),
-        ports.diagnostics,
-        SpeedLimitService(kept, ports),
-    )
-
-
-def _hold_message(cause: Cause | None, now: int) -> Hold:
-    stamp = now_ns()
-    # the gate's clock is the monotonic one
-    held = HoldReport(stamp=stamp) if cause is None else HoldReport(cause.sentence, stamp - (now - cause.since), stamp)
-    return to_msg(held, Hold)
-
-
 INTERFACE = Interface(
     report=PcaMonitorNode.report,
     parameters=(
@@ -364,26 +308,30 @@ INTERFACE = Interface(
     publishes=(
         PosePublication("command/joint_states"),
         PosePublication("expected/joint_states", when=knows_servos),
-        Publication("sync", Sync, queue_size=50, latch=True, tcp_nodelay=True),
-        Publication("hold", Hold, queue_size=5, latch=True),
-        Publication("transitions", TransitionMsg, queue_size=50, latch=True),
-        Publication("speed_limit_in_force", SpeedLimitInForce, queue_size=5, latch=True, tcp_nodelay=True),
-        Publication("speed_change", SpeedChange, queue_size=50),
+        Publication("sync", msg.Sync, queue_size=50, latch=True, tcp_nodelay=True),
+        Publication("hold", msg.Hold, queue_size=5, latch=True),
+        Publication("transitions", msg.Transition, queue_size=50, latch=True),
+        Publication("speed_limit_in_force", msg.SpeedLimitInForce, queue_size=5, latch=True, tcp_nodelay=True),
+        Publication("speed_change", msg.SpeedChange, queue_size=50),
     ),
     hears=(
         PoseSubscription("twin/joint_states", PcaMonitorNode.on_twin),
-        PoseSubscription("physical/feedback", PcaMonitorNode.on_feedback, FEEDBACK_KEPT, Feedback),
+        PoseSubscription("physical/feedback", PcaMonitorNode.on_feedback, FEEDBACK_KEPT, msg.Feedback),
         PoseSubscription("next/joint_states", PcaMonitorNode.on_next, SETPOINTS_KEPT),
-        Subscription("plan", Plan, PcaMonitorNode.on_plan, queue_size=5),
-        Subscription("execution", Execution, PcaMonitorNode.on_execution, queue_size=5),
-        Subscription("link", Link, PcaMonitorNode.on_link, queue_size=5),
+        Subscription("plan", msg.Plan, PcaMonitorNode.on_plan, queue_size=5),
+        Subscription("execution", msg.Execution, PcaMonitorNode.on_execution, queue_size=5),
+        Subscription("link", msg.Link, PcaMonitorNode.on_link, queue_size=5),
         Subscription(
-            "speed_limit", SpeedLimit, lambda node, said: node.speed.on_program(said), queue_size=5, tcp_nodelay=True
+            "speed_limit",
+            msg.SpeedLimit,
+            lambda node, said: node.speed.on_program(said),
+            queue_size=5,
+            tcp_nodelay=True,
         ),
     ),
     serves=(
-        Served("configure_gate", ConfigureGate, PcaMonitorNode.on_configure, reason="configure_gate"),
-        Served("limit_speed", LimitSpeed, lambda node, asked: node.speed.on_limit_speed(asked)),
+        Served("configure_gate", srv.ConfigureGate, PcaMonitorNode.on_configure, reason="configure_gate"),
+        Served("limit_speed", srv.LimitSpeed, lambda node, asked: node.speed.on_limit_speed(asked)),
     ),
     every=(
         Every(lambda _settings: 1 / SYNC_RATE, lambda node, _ports: node.watch()),
@@ -392,9 +340,5 @@ INTERFACE = Interface(
         Every(lambda _settings: AGAIN, lambda node, _ports: node.speed.write()),
     ),
 )
-NODE = NodeShell("pca_monitor", Settings, start, INTERFACE, check, fast=True)
-
-
-def main() -> None:
-    """Run the node."""
-    NODE.run()
+NODE = NodeShell("pca_monitor", Settings, PcaMonitorNode, INTERFACE, check, fast=True)
+main = NODE.run

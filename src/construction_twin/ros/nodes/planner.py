@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import time
 from collections.abc import Callable, Iterable, Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import pydantic
@@ -13,6 +13,7 @@ import rospy
 from std_srvs.srv import Trigger, TriggerRequest
 from trajectory_msgs.msg import JointTrajectory
 
+from construction_twin import msg, srv
 from construction_twin.core.freshness import parse_moment
 from construction_twin.core.motion_errors import EngagedError, PlanningError, SceneError
 from construction_twin.core.sentences import Sentence
@@ -20,9 +21,6 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.engagement import scene_problem
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
-from construction_twin.msg import Engagement, PlanOutcome, Review
-from construction_twin.msg import Plan as PlanMsg
-from construction_twin.msg import Scene as SceneMsg
 from construction_twin.planning.pipeline import PlanningPipeline
 from construction_twin.planning.planner import PlannerSettings, PlanRequest
 from construction_twin.planning.requests import Answer, PlanRequests
@@ -30,7 +28,6 @@ from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.planning.waypoint_file import read_waypoints
 from construction_twin.planning.waypoints import Waypoints, from_points
 from construction_twin.planning.work_plan import in_segment
-from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.executed_path import ExecutedPath
 from construction_twin.robot.plan import Plan
@@ -60,27 +57,12 @@ from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.objects import product
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.scene.self_collision import read_self_collision
-from construction_twin.srv import (
-    PlanCartesian,
-    PlanCartesianRequest,
-    PlanFromCsv,
-    PlanFromCsvRequest,
-    PlanToJoints,
-    PlanToJointsRequest,
-    PlanToPose,
-    PlanToPoseRequest,
-    PlanTrajectory,
-    PlanTrajectoryRequest,
-    PlanWork,
-    PlanWorkRequest,
-)
 
 
 def plan_request(request, source: str = "request") -> PlanRequest:
     """Return the request behind any of the services'; zero and empty mean the default.
 
     Args:
-        request: Request of PlanToJoints, PlanToPose, PlanCartesian, PlanFromCsv or PlanTrajectory
         source: Name of the requester if the request does not give one.
 
     Raises:
@@ -91,21 +73,12 @@ def plan_request(request, source: str = "request") -> PlanRequest:
     asked = parse_moment(request.asked) if getattr(request, "asked", "") else arrived
     if asked.origin != arrived.origin or asked.at > arrived.at:
         raise PlanningError(
-            Sentence(
-                "the request was asked for at {asked}, expected a moment of this computer before {arrived}; "
-                "repeat the `moment` of `execution`, or give none",
-                asked=str(asked),
-                arrived=str(arrived),
-            )
+            f"the request was asked for at {asked}, expected a moment of this computer before {arrived}; "
+            "repeat the `moment` of `execution`, or give none"
         )
-    return PlanRequest(
-        asked=asked,
-        source=request.source or source,
-        duration=getattr(request, "duration", None) or None,
-        speed_scale=request.speed_scale or None,
-        acceleration_scale=request.acceleration_scale or None,
-        waypoints=getattr(request, "waypoints", None) or None,
-    )
+    names = ("duration", "speed_scale", "acceleration_scale", "waypoints")
+    given: dict[str, Any] = {name: getattr(request, name, None) or None for name in names}
+    return PlanRequest(asked=asked, source=request.source or source, **given)
 
 
 def tool_waypoints(waypoints: Iterable, base_T_frame: Pose) -> list[ToolWaypoint]:
@@ -118,33 +91,19 @@ def tool_waypoints(waypoints: Iterable, base_T_frame: Pose) -> list[ToolWaypoint
         KinematicsError: If an orientation is not a unit quaternion.
     """
     path = []
-    for msg in waypoints:
-        via = base_T_frame.position + base_T_frame.rotation @ np.array((msg.via.x, msg.via.y, msg.via.z))
-        pose = product(base_T_frame, pose_from_msg(msg.pose))
-        path.append(ToolWaypoint(pose, via if msg.arc else None, msg.blend))
+    for message in waypoints:
+        via = base_T_frame.position + base_T_frame.rotation @ np.array((message.via.x, message.via.y, message.via.z))
+        pose = product(base_T_frame, pose_from_msg(message.pose))
+        path.append(ToolWaypoint(pose, via if message.arc else None, message.blend))
     return path
 
 
-def work_segments(messages: Iterable) -> list[WorkSegment]:
-    """Return the segments of a work plan that is asked for.
-
-    Raises:
-        SegmentError: If one is not a trajectory with velocities and accelerations, or its objects do not make sense; names the
-            segment.
-    """
-    segments = []
-    for number, msg in enumerate(messages):
-        with in_segment(number, msg.name):
-            segments.append(work_segment_from_msg(msg))
-    return segments
-
-
-def trajectory_waypoints(msg: JointTrajectory, robot: RobotModel) -> Waypoints:
+def trajectory_waypoints(message: JointTrajectory, robot: RobotModel) -> Waypoints:
     """Return the waypoints of a trajectory message; raises like `waypoints.from_points`."""
-    points = msg.points
+    points = message.points
     return from_points(
         robot,
-        msg.joint_names,
+        message.joint_names,
         [point.positions for point in points],
         [point.velocities for point in points],
         [point.accelerations for point in points],
@@ -203,7 +162,7 @@ class PlannerNode:
         self._frames = listen_to_frames(robot, settings.tf_prefix, TF_TIMEOUT, self._diagnostics.refuse)
         self._publisher, self._outcome_publisher = ports.publishers["plan"], ports.publishers["plan_outcome"]
         self._twin = ports.poses["twin/joint_states"]
-        self._engagement: Engagement | None = None
+        self._engagement: msg.Engagement | None = None
         self._connections = functools.partial(ports.connections, "scene")
         self._requests = PlanRequests(self._await_surroundings, self._publish)
 
@@ -223,32 +182,32 @@ class PlannerNode:
 
     # -- subscriptions
 
-    def on_scene(self, msg: SceneMsg) -> None:
+    def on_scene(self, message: msg.Scene) -> None:
         """Take the scene to plan in."""
         try:
-            self._pipeline.set_scene(scene_from_msg(msg))
+            self._pipeline.set_scene(scene_from_msg(message))
         except SceneError as error:
             self._pipeline.refuse_scene(error)
             self._diagnostics.refuse("scene", str(error))
 
-    def on_engagement(self, msg: Engagement) -> None:
+    def on_engagement(self, message: msg.Engagement) -> None:
         """Take whether the arm was left inside an engaged segment."""
-        self._engagement = msg if msg.engaged else None
+        self._engagement = message if message.engaged else None
 
-    def on_review(self, msg: Review) -> None:
+    def on_review(self, message: msg.Review) -> None:
         """Take a verdict: a plan waits for none any more."""
-        self._requests.on_verdict(msg.plan_id)
+        self._requests.on_verdict(message.plan_id)
 
     # -- requests
 
-    def on_plan_to_joints(self, request: PlanToJointsRequest) -> Outcome:
+    def on_plan_to_joints(self, request: srv.PlanToJointsRequest) -> Outcome:
         """Plan to joint positions."""
         asked = plan_request(request)
         return self._answer(
             asked, lambda: self._pipeline.to_joints(request.start or self._present_pose(), request.goal, asked)
         )
 
-    def on_plan_to_pose(self, request: PlanToPoseRequest) -> Outcome:
+    def on_plan_to_pose(self, request: srv.PlanToPoseRequest) -> Outcome:
         """Plan to a pose of the tool, in a link or any frame tf knows, at the goal's stamp (0: the latest)."""
         asked = plan_request(request)
 
@@ -259,7 +218,7 @@ class PlannerNode:
 
         return self._answer(asked, plan)
 
-    def on_plan_cartesian(self, request: PlanCartesianRequest) -> Outcome:
+    def on_plan_cartesian(self, request: srv.PlanCartesianRequest) -> Outcome:
         """Plan along a path of the tool."""
         asked = plan_request(request)
 
@@ -269,20 +228,20 @@ class PlannerNode:
 
         return self._answer(asked, plan)
 
-    def on_plan_from_csv(self, request: PlanFromCsvRequest) -> Outcome:
+    def on_plan_from_csv(self, request: srv.PlanFromCsvRequest) -> Outcome:
         """Plan through the waypoints of a file."""
         asked = plan_request(request, request.path)
         return self._through(asked, lambda: read_waypoints(request.path, self._robot, request.columns))
 
-    def on_plan_trajectory(self, request: PlanTrajectoryRequest) -> Outcome:
+    def on_plan_trajectory(self, request: srv.PlanTrajectoryRequest) -> Outcome:
         """Plan a motion from elsewhere."""
         asked = plan_request(request, f"plan_trajectory from {caller_of(request)}")
         return self._through(asked, lambda: trajectory_waypoints(request.trajectory, self._robot), request.retime)
 
-    def on_trajectory(self, msg: JointTrajectory) -> None:
+    def on_trajectory(self, message: JointTrajectory) -> None:
         """Plan a motion from elsewhere; what becomes of it stands in `plan_outcome`."""
-        asked = PlanRequest(asked=present(), source=f"joint_trajectory from {caller_of(msg)}")
-        self._through(asked, lambda: trajectory_waypoints(msg, self._robot))
+        asked = PlanRequest(asked=present(), source=f"joint_trajectory from {caller_of(message)}")
+        self._through(asked, lambda: trajectory_waypoints(message, self._robot))
 
     def _through(self, asked: PlanRequest, read: Callable[[], Waypoints], retime: bool = False) -> Outcome:
         """Read waypoints, and plan through them from where the twin stands."""
@@ -293,13 +252,16 @@ class PlannerNode:
 
         return self._answer_read(asked, plan)
 
-    def on_plan_work(self, request: PlanWorkRequest) -> Outcome:
+    def on_plan_work(self, request: srv.PlanWorkRequest) -> Outcome:
         """Plan the segments of a task as one."""
         asked = PlanRequest(asked=present(), source=request.source or f"task {request.task}")
         changes: list[SceneChange] = []
 
         def read() -> Callable[[], Plan]:
-            segments = work_segments(request.segments)
+            segments = []
+            for number, message in enumerate(request.segments):
+                with in_segment(number, message.name):
+                    segments.append(work_segment_from_msg(message))
             changes.extend(segment.change for segment in segments)
             return lambda: self._pipeline.work(self._present_pose(), request.task, segments, asked)
 
@@ -373,7 +335,7 @@ class PlannerNode:
     def _publish_outcome(self, asked: PlanRequest, answer: Answer) -> None:
         self._last = answer.message if answer.success else f"no plan: {answer.message}"
         (rospy.loginfo if answer.success else rospy.logwarn)("%s", self._last)
-        outcome = PlanOutcome(
+        outcome = msg.PlanOutcome(
             success=answer.success, source=asked.source, message=answer.message, plan_id=answer.plan_id
         )
         outcome.header.stamp = rospy.Time.now()
@@ -392,24 +354,24 @@ class PlannerNode:
 INTERFACE = Interface(
     report=PlannerNode.report,
     publishes=(
-        Publication("plan", PlanMsg, queue_size=1, latch=True),
-        Publication("plan_outcome", PlanOutcome, queue_size=1, latch=True),
+        Publication("plan", msg.Plan, queue_size=1, latch=True),
+        Publication("plan_outcome", msg.PlanOutcome, queue_size=1, latch=True),
     ),
     reads=(NewestPose("twin/joint_states"),),
     hears=(
-        Subscription("engagement", Engagement, PlannerNode.on_engagement, queue_size=1),
-        Subscription("review", Review, PlannerNode.on_review, queue_size=10),
-        Subscription("scene", SceneMsg, PlannerNode.on_scene, queue_size=1),
+        Subscription("engagement", msg.Engagement, PlannerNode.on_engagement, queue_size=1),
+        Subscription("review", msg.Review, PlannerNode.on_review, queue_size=10),
+        Subscription("scene", msg.Scene, PlannerNode.on_scene, queue_size=1),
         Subscription("joint_trajectory", JointTrajectory, PlannerNode.on_trajectory, queue_size=10),
     ),
     listeners=FRAMES,
     serves=(
-        Served("plan_to_joints", PlanToJoints, PlannerNode.on_plan_to_joints),
-        Served("plan_to_pose", PlanToPose, PlannerNode.on_plan_to_pose),
-        Served("plan_cartesian", PlanCartesian, PlannerNode.on_plan_cartesian),
-        Served("plan_from_csv", PlanFromCsv, PlannerNode.on_plan_from_csv),
-        Served("plan_trajectory", PlanTrajectory, PlannerNode.on_plan_trajectory),
-        Served("plan_work", PlanWork, PlannerNode.on_plan_work),
+        Served("plan_to_joints", srv.PlanToJoints, PlannerNode.on_plan_to_joints),
+        Served("plan_to_pose", srv.PlanToPose, PlannerNode.on_plan_to_pose),
+        Served("plan_cartesian", srv.PlanCartesian, PlannerNode.on_plan_cartesian),
+        Served("plan_from_csv", srv.PlanFromCsv, PlannerNode.on_plan_from_csv),
+        Served("plan_trajectory", srv.PlanTrajectory, PlannerNode.on_plan_trajectory),
+        Served("plan_work", srv.PlanWork, PlannerNode.on_plan_work),
         Served("plan_way_back", Trigger, PlannerNode.on_plan_way_back),
     ),
 )
@@ -421,8 +383,4 @@ def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
 
 
 NODE = NodeShell("planner", Settings, PlannerNode, INTERFACE, check)
-
-
-def main() -> None:
-    """Run the node until shutdown."""
-    NODE.run()
+main = NODE.run

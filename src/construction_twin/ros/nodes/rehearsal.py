@@ -36,6 +36,7 @@ from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.element_masses import element_masses, placed_elements, tool_mass
 from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.shared.physics_process import PROGRAM, Question, digest
 from construction_twin.ros.shared.ports import Interface, Ports, Publication, Shared, Subscription
 from construction_twin.ros.transport.joint_stream import now_ns
@@ -52,7 +53,7 @@ _KEPT = 12
 _AWAKE = 0.5
 
 
-class Settings(pydantic.BaseModel):
+class Settings(PrivateSettings):
     """Private parameters; see config/rehearsal.yaml, the others are given in launch/twin.launch.
 
     Attributes:
@@ -62,8 +63,6 @@ class Settings(pydantic.BaseModel):
         self_collision: YAML of the link pairs that are not checked.
         payload: At the flange at all times: mass [kg], or mass and centre in the tip link [m]; empty: nothing.
     """
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     mode: Literal["auto", "advise", "require"]
     time_limit: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]
@@ -96,7 +95,7 @@ class RehearsalNode:
         try:
             check_extras("physics")
         except ConfigurationError as error:
-            self._absent = Sentence("plans are not rehearsed: {problem}", problem=error.sentence)
+            self._absent = f"plans are not rehearsed: {error}"
             rospy.loginfo("%s", self._absent)
         self._tool, self._of_tool = tool_hash(settings.tool), tool_mass(settings.tool)
         payload = [settings.payload] if settings.payload else []
@@ -209,7 +208,7 @@ class RehearsalNode:
                 )
             report = self._ask(Question.of(job.plan, scene, job.changes, known, placed, self._constant))
         except ConstructionTwinError as error:
-            why = Sentence("it took longer than {limit:g} s", limit=self._time_limit) if self._late else error.sentence
+            why = Sentence("it took longer than {limit:g} s", limit=self._time_limit) if self._late else str(error)
             reasons = (Sentence("the rehearsal broke off: {problem}", problem=why),)
             broken = RehearsalReport(job.plan.id, job.plan.hash, job.plan.scene, self._tool, "", BROKEN, reasons)
             report = finished(broken, time.monotonic() - began)
@@ -264,19 +263,14 @@ class RehearsalNode:
         last, running = self._last, self._running
         values: dict[str, object] = {"rehearsals": self._rehearsed, "broken": self._broken, "superseded": self._dropped}
         if running is not None:
-            return Report(OK, Sentence("rehearses plan {plan}", plan=running.plan.id), values)
+            return Report(OK, f"rehearses plan {running.plan.id}", values)
         if last is None:
-            return Report(OK, Sentence("no plan was rehearsed yet"), values)
+            return Report(OK, "no plan was rehearsed yet", values)
         values |= {"took": f"{last.took:.2f}", "engine": last.engine}
         if last.state == PASSED:
-            return Report(OK, Sentence("plan {plan}: passed", plan=last.plan_id), values)
-        broken = last.state == BROKEN
-        failed = Sentence(
-            "plan {plan}: the rehearsal broke off: {reason}" if broken else "plan {plan}: failed: {reason}",
-            plan=last.plan_id,
-            reason=first_reason(last.reasons),
-        )
-        return Report(WARN if broken else OK, failed, values)
+            return Report(OK, f"plan {last.plan_id}: passed", values)
+        level, word = (WARN, "the rehearsal broke off") if last.state == BROKEN else (OK, "failed")
+        return Report(level, f"plan {last.plan_id}: {word}: {first_reason(last.reasons)}", values)
 
 
 def _put_newest(kept: dict, key: str, value: object) -> None:
@@ -314,8 +308,4 @@ INTERFACE = Interface(
     ),
 )
 NODE = NodeShell("rehearsal", Settings, RehearsalNode, INTERFACE, check)
-
-
-def main() -> None:
-    """Run the node."""
-    NODE.run()
+main = NODE.run

@@ -6,18 +6,15 @@ import functools
 import re
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
 
-import numpy as np
-import pydantic
 import rosgraph
 import rospy
 from std_srvs.srv import Trigger, TriggerRequest
 from visualization_msgs.msg import MarkerArray
 
+from construction_twin import msg, srv
 from construction_twin.core.errors import ConfigurationError, PayloadError, PoseUnknownError
 from construction_twin.core.motion_errors import SceneError
-from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.convert import pose_from_msg
 from construction_twin.ros.messages.planning_scene import PlanningScenePublisher, moveit_types
@@ -26,7 +23,7 @@ from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.frames import FRAMES, listen_to_frames
 from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.params import ros_home
+from construction_twin.ros.shared.params import PrivateSettings, ros_home
 from construction_twin.ros.shared.ports import (
     Every,
     Interface,
@@ -41,90 +38,11 @@ from construction_twin.ros.transport.publisher import Sink
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.edits import SceneFile
+from construction_twin.scene.lasting_contacts import lasting_contacts
 from construction_twin.scene.objects import Scene, SceneObject, product, relative
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.scene.self_collision import read_self_collision
-from construction_twin.srv import (
-    AddObject,
-    AddObjectRequest,
-    AttachObject,
-    AttachObjectRequest,
-    DetachObject,
-    DetachObjectRequest,
-    EditScene,
-    EditSceneRequest,
-    RemoveObject,
-    RemoveObjectRequest,
-)
-
-#: A base that overlaps an object by less than this stands on it [m].
-STANDS_ON = 1e-3
-#: Random poses, besides home, in all of which a link must touch an object.
-POSES = 100
-
-
-@dataclass(frozen=True)
-class LastingContact:
-    """An object that stands in the world, and a link that touches it whatever the joints do.
-
-    Attributes:
-        name: Of the object.
-        distance: At home [m]; negative: by how much they overlap.
-        kept: Distance that a moving link must keep [m]; 0 for a link that no joint moves.
-        moves: Whether a joint moves the link. Such a pair is checked, so that nothing can be planned; with a base it is not
-            checked.
-    """
-
-    name: str
-    link: str
-    distance: float
-    kept: float
-    moves: bool
-
-    @property
-    def sentence(self) -> str:
-        """What it is, what follows from it, and what to do."""
-        if not self.moves:
-            return (
-                f"object {self.name!r} and link {self.link!r} overlap by {-self.distance * 1e3:.1f} mm; no "
-                "joint moves the link, so this is not checked. If they do not overlap in the cell, correct "
-                f"the object's position or size, or raise the arm; if they do, add `touch: [{self.link}]` to "
-                "the object"
-            )
-        found = f"{'overlap' if self.distance < 0.0 else 'are apart'} by {abs(self.distance) * 1e3:.1f} mm"
-        return (
-            f"object {self.name!r} and link {self.link!r} {found}, expected {self.kept * 1e3:.1f} mm of clearance, in every pose "
-            "of the arm: nothing can be planned. Move the object, raise the arm or lower `padding`; if they may touch, add "
-            f"`touch: [{self.link}]` to the object"
-        )
-
-
-def lasting_contacts(world: CollisionWorld) -> list[LastingContact]:
-    """Return the contacts of a world that no motion ends, those of the base first.
-
-    A pair of which the object names the link in `touch` is meant, and not among them.
-    """
-    found = [
-        LastingContact(item.name, link, distance, 0.0, False)
-        for item, link in world.unchecked_pairs()
-        if (distance := world.distance(world.robot.home, link, item.name)) < -STANDS_ON
-    ]
-    standing = {item.name: item for item in world.scene.objects if not item.link}
-    names = set(world.scene.names)
-    touching = (contact.between for contact in world.contacts(world.robot.home))
-    pairs = [(first, second) for first, second in touching if first not in names and second in standing]
-    poses = np.random.default_rng(0).uniform(world.robot.lower, world.robot.upper, (POSES, len(world.robot.home)))
-    for q in poses:
-        if not pairs:
-            break
-        still = {contact.between for contact in world.contacts(q)}
-        pairs = [pair for pair in pairs if pair in still]
-    for link, name in pairs:
-        kept = world.scene.padding + standing[name].padding
-        found.append(LastingContact(name, link, world.distance(world.robot.home, link, name), kept, True))
-    return found
-
 
 #: Oldest pose of the twin that counts as its present one; longest wait for it and for a transform [s].
 _PATIENCE = 1.0
@@ -137,7 +55,7 @@ PLANNING_SCENE = Publication("planning_scene", "moveit_msgs/PlanningScene", queu
 _RUN = "/run_id"
 
 
-class Settings(pydantic.BaseModel):
+class Settings(PrivateSettings):
     """Private parameters, given in launch/twin.launch.
 
     Attributes:
@@ -145,8 +63,6 @@ class Settings(pydantic.BaseModel):
         self_collision: YAML of the link pairs that are not checked.
         tf_prefix: Of the twin's tf frames.
     """
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     scene: str
     self_collision: str
@@ -186,11 +102,11 @@ class SceneNode:
         """Return the state for `/diagnostics`."""
         return self._state
 
-    def on_add(self, request: AddObjectRequest) -> Outcome:
+    def on_add(self, request: srv.AddObjectRequest) -> Outcome:
         """Put an object in."""
         return self._edit(lambda: self._add(request))
 
-    def on_remove(self, request: RemoveObjectRequest) -> Outcome:
+    def on_remove(self, request: srv.RemoveObjectRequest) -> Outcome:
         """Take an object out."""
 
         def remove() -> tuple[Scene, str]:
@@ -198,11 +114,11 @@ class SceneNode:
 
         return self._edit(remove)
 
-    def on_attach(self, request: AttachObjectRequest) -> Outcome:
+    def on_attach(self, request: srv.AttachObjectRequest) -> Outcome:
         """Let a link carry an object."""
         return self._edit(lambda: self._attach(request))
 
-    def on_detach(self, request: DetachObjectRequest) -> Outcome:
+    def on_detach(self, request: srv.DetachObjectRequest) -> Outcome:
         """Put down what a link carries."""
         return self._edit(lambda: self._detach(request.name))
 
@@ -216,7 +132,7 @@ class SceneNode:
 
         return self._edit(clear)
 
-    def on_edit(self, request: EditSceneRequest) -> Outcome:
+    def on_edit(self, request: srv.EditSceneRequest) -> Outcome:
         """Change several objects at once, from the scene that is named."""
 
         def change() -> tuple[Scene, str]:
@@ -345,19 +261,19 @@ INTERFACE = Interface(
     report=SceneNode.report,
     parameters=(SharedParameter(_RUN, ""),),
     publishes=(
-        Publication("scene", SceneMsg, queue_size=1, latch=True),
+        Publication("scene", msg.Scene, queue_size=1, latch=True),
         Publication("scene_markers", MarkerArray, queue_size=1, latch=True),
         PLANNING_SCENE,
     ),
     reads=(NewestPose("twin/joint_states"),),
     listeners=FRAMES,
     serves=(
-        _edit("add_object", AddObject, SceneNode.on_add),
-        _edit("remove_object", RemoveObject, SceneNode.on_remove),
-        _edit("attach_object", AttachObject, SceneNode.on_attach),
-        _edit("detach_object", DetachObject, SceneNode.on_detach),
+        _edit("add_object", srv.AddObject, SceneNode.on_add),
+        _edit("remove_object", srv.RemoveObject, SceneNode.on_remove),
+        _edit("attach_object", srv.AttachObject, SceneNode.on_attach),
+        _edit("detach_object", srv.DetachObject, SceneNode.on_detach),
         _edit("clear_scene", Trigger, SceneNode.on_clear),
-        _edit("edit_scene", EditScene, SceneNode.on_edit),
+        _edit("edit_scene", srv.EditScene, SceneNode.on_edit),
     ),
     every=(Every(lambda _settings: CHECK_PERIOD, lambda node, _ports: node.check()),),
 )
@@ -370,8 +286,4 @@ def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
 
 
 NODE = NodeShell("scene", Settings, SceneNode, INTERFACE, check)
-
-
-def main() -> None:
-    """Run the node until shutdown."""
-    NODE.run()
+main = NODE.run

@@ -13,7 +13,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Literal
 
-import pydantic
 import rosgraph
 import rospy
 
@@ -24,6 +23,7 @@ from construction_twin.msg import Feedback, Scene, StartRefused
 from construction_twin.robot.description import RobotModel, other_joints_text
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
 from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.shared.ports import Every, Interface, Ports, Shared, Subscription
 from construction_twin.ros.shared.refusal_log import warn_of_refusals
 from construction_twin.ros.shared.robot_listener import REPORTS, RobotListener
@@ -43,10 +43,8 @@ ADDRESS_TIME = 2.0
 FEEDBACK, TWIN, SCENE = "physical/feedback", "twin/joint_states", "scene"
 
 
-class Settings(pydantic.BaseModel):
+class Settings(PrivateSettings):
     """Private parameters, given in launch/bringup.launch: see `startup.Deployment`."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     arm: Literal["mock", "real", "none"]
     broker: str
@@ -264,8 +262,4 @@ INTERFACE = Interface(
     every=(Every(lambda _settings: PERIOD, lambda node, _ports: node.update()),),
 )
 NODE = NodeShell("startup", Settings, StartupNode, INTERFACE, check, refused=refused)
-
-
-def main() -> None:
-    """Run the node."""
-    NODE.run()
+main = NODE.run

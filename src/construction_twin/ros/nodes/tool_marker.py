@@ -31,7 +31,6 @@ from visualization_msgs.msg import (
 
 from construction_twin.core.errors import ConstructionTwinError, PayloadError, PoseUnknownError
 from construction_twin.core.motion_errors import KinematicsError, SceneError
-from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.msg import Execution
@@ -42,6 +41,7 @@ from construction_twin.ros.messages.scene_convert import scene_from_msg, tf_fram
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.operator_client import OperatorClient
+from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.shared.ports import Interface, NewestPose, Ports, Publication, Subscription
 from construction_twin.ros.shared.robot_listener import REPORTS, RobotListener
 from construction_twin.ros.shared.tool_marker_menu import MarkerGoal, ToolMarkerMenu, moved
@@ -119,7 +119,7 @@ _AXES = {"x": (_HALF, 0.0, 0.0, _HALF), "y": (0.0, 0.0, _HALF, _HALF), "z": (0.0
 _Positive = Annotated[float, pydantic.Field(gt=0.0, allow_inf_nan=False)]
 
 
-class Settings(pydantic.BaseModel):
+class Settings(PrivateSettings):
     """Private parameters: behaviour in config/tool_marker.yaml; `self_collision`, `tf_prefix` in the launch file.
 
     Attributes:
@@ -128,8 +128,6 @@ class Settings(pydantic.BaseModel):
         tf_prefix: Of the tf frames of the robot's links; empty: none.
         reviewer: Who approves and rejects by the menu; empty: the user who starts it.
     """
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     scale: _Positive
     self_collision: str
@@ -268,18 +266,10 @@ class ToolMarkerNode:
     def _read(self, feedback: InteractiveMarkerFeedback) -> Pose:
         frame = feedback.header.frame_id
         if frame not in ("", self._frame):
-            raise PayloadError(
-                "pose",
-                Sentence(
-                    "marker pose in frame {frame}; expected {expected}, as the marker is",
-                    frame=frame,
-                    expected=self._frame,
-                ),
-            )
+            raise PayloadError("pose", f"marker pose in frame {frame}; expected {self._frame}, as the marker is")
         pose = pose_from_msg(feedback.pose)
         if not np.isfinite(pose.position).all():
-            found = str(pose.position.tolist())
-            raise PayloadError("pose", Sentence("marker at {found} m; expected finite numbers", found=found))
+            raise PayloadError("pose", f"marker at {pose.position.tolist()} m; expected finite numbers")
         return pose
 
     def on_click(self, feedback: InteractiveMarkerFeedback) -> None:
@@ -393,8 +383,4 @@ INTERFACE = Interface(
     listeners=REPORTS,
 )
 NODE = NodeShell("tool_marker", Settings, ToolMarkerNode, INTERFACE)
-
-
-def main() -> None:
-    """Run the node."""
-    NODE.run()
+main = NODE.run

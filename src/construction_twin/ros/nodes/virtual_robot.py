@@ -5,8 +5,6 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -22,7 +20,7 @@ from construction_twin.msg import Link, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.scene_convert import scene_from_msg
-from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
+from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.element_masses import element_masses, tool_mass
 from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.params import NodeSettings
@@ -39,13 +37,11 @@ from construction_twin.ros.shared.ports import (
 )
 from construction_twin.ros.transport.cycle import Cycles
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
-from construction_twin.ros.transport.publisher import Sink
 from construction_twin.twin.virtual_robot import GazeboTwin, KinematicBackend, TwinBackend, TwinClock, VirtualRobot
 from construction_twin.work.worker import Worker
 
 if TYPE_CHECKING:
     from construction_twin.physics.live_twin import LiveTwin
-    from construction_twin.physics.model import PhysicsModel
 
 #: Between two reads of the arm's stream while the twin needs nothing from it [s].
 PAUSE = 0.02
@@ -88,72 +84,41 @@ def is_in_gazebo(settings: Settings) -> bool:
     return settings.twin == "gazebo"
 
 
-@dataclass(frozen=True)
-class Simulation:
-    """What a twin that is simulated in this process has besides.
-
-    Attributes:
-        live: It.
-        build: Takes `scene`, and `masses` of bodies that the arm carries; returns the arm in it, and may take its time. Raises
-            ConstructionTwinError.
-        masses: What the tool weighs, see `physics.known_mass` [kg].
-        names: Joint names.
-        commanded, effort: For what is commanded, and for what the axes give.
-    """
-
-    live: LiveTwin
-    build: Callable[..., PhysicsModel]
-    masses: Mapping[str, float]
-    names: tuple[str, ...]
-    commanded: Sink
-    effort: Sink
-
-
 class VirtualRobotNode:
-    """ROS around a VirtualRobot and its TwinClock; `start` gives it parameters and topics.
+    """ROS around a VirtualRobot and its TwinClock."""
 
-    Args:
-        limits: Within which it follows the physical arm.
-        twin: For its pose.
-        diagnostics: Counts what is refused.
-        restarted: Ends the wait of `run` for a silence.
-        simulation: Of a twin that is simulated here; None: none is.
-        commanded: For what is commanded to a twin in Gazebo, which hears it. Without either it is where it is told to be.
-    """
+    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+        self._robot = VirtualRobot(robot.home if settings.arm == "none" else None, robot.linear)
+        self._limits, self._names, self._diagnostics = MotionLimits.of(robot), robot.joint_names, ports.diagnostics
+        self._publishers, self._twin = ports.publishers, ports.publishers["twin/joint_states"]
+        self._commanded = ports.publishers.get("twin/commanded")
+        self._gazebo = GazeboTwin() if is_in_gazebo(settings) else None
+        self._live: LiveTwin | None = None
+        if is_simulated_here(settings):
+            # only here: what simulates is not everywhere
+            from construction_twin.physics.live_twin import LiveTwin
 
-    def __init__(
-        self,
-        robot: VirtualRobot,
-        limits: MotionLimits,
-        twin: Sink,
-        diagnostics: NodeDiagnostics,
-        restarted: threading.Event,
-        simulation: Simulation | None = None,
-        commanded: Sink | None = None,
-    ):
-        self._robot = robot
-        self._simulation, self._gazebo = simulation, GazeboTwin() if commanded is not None else None
-        self._backend: TwinBackend = self._gazebo or KinematicBackend()
-        self._commanded = commanded
-        if simulation is not None:
-            self._backend, self._commanded = simulation.live, simulation.commanded
+            self._live = LiveTwin()
+        self._backend: TwinBackend = self._live or self._gazebo or KinematicBackend()
+        arm = {"robot": robot, "payload": tuple(settings.payload)}
+        arm |= {name: getattr(settings, name) for name in ("self_collision", "drives")}
+        #: Takes `scene`, and `masses` of bodies that the arm carries; returns the arm in it, and may take its time.
+        self._build = partial(Worker(PROGRAM).ask, "build", arm=arm)
         self._effort_at = 0
         #: Hash of the scene that is simulated, and why the newest one is not.
         self._scene, self._scene_problem = "", ""
-        #: Of the elements that are to be placed [kg].
+        #: Of the elements that are to be placed, and of the tool [kg].
         self._masses: dict[str, float] = {}
-        self._limits = limits
-        self._twin = twin
+        self._tool_mass = tool_mass(settings.tool) if self._live is not None else {}
         self._lock = threading.Lock()
-        self._cycles = Cycles()
-        self._clock = TwinClock()
+        self._cycles, self._clock = Cycles(), TwinClock()
         self._session: str | None = None
         self._leads = False
-        self._restarted = restarted
+        # ends the wait of `run` for a silence
+        self._restarted = threading.Event()
         # the twin needs the arm's poses: it has none of its own, or follows
         self._needs_arm = threading.Event()
         self._needs_arm.set()
-        self._diagnostics = diagnostics
 
     def run(self) -> None:
         """Publish the held pose while no commands come, until shutdown."""
@@ -182,11 +147,11 @@ class VirtualRobotNode:
         if not told or pose is None:
             return
         self._twin.publish(stamp, pose)
-        if self._simulation is not None and abs(stamp - self._effort_at) >= EFFORT_PERIOD and self._backend.effort:
+        if self._live is not None and abs(stamp - self._effort_at) >= EFFORT_PERIOD and self._backend.effort:
             self._effort_at = stamp
-            message = JointState(name=self._simulation.names, position=pose, effort=self._backend.effort)
+            message = JointState(name=self._names, position=pose, effort=self._backend.effort)
             message.header.stamp = to_time(stamp)
-            self._simulation.effort.publish(message)
+            self._publishers["twin/effort"].publish(message)
 
     def on_simulated(self, stamp: int, q: tuple[float, ...]) -> None:
         """Tell a pose that Gazebo has simulated [rad], with the stamp of its command [ns]."""
@@ -201,20 +166,20 @@ class VirtualRobotNode:
 
     def on_scene(self, message: SceneMsg) -> None:
         """Take the scene: what is carried and what stands around. In rospy's thread of this connection, which may wait."""
-        simulation = self._simulation
-        if simulation is None or message.hash == self._scene:
+        live = self._live
+        if live is None or message.hash == self._scene:
             # of a scene between that could not be simulated nothing is left
             self._scene_problem = ""
             return
         try:
             scene = scene_from_msg(message)
-            model = simulation.build(scene=scene, masses={**self._masses, **simulation.masses})
+            model = self._build(scene=scene, masses=self._masses | self._tool_mass)
         except ConstructionTwinError as error:
             # the simulation goes on in the scene before
             self._scene_problem = str(error)
             self._diagnostics.refuse("scene", str(error))
             return
-        simulation.live.take_model(model)
+        live.take_model(model)
         self._scene, self._scene_problem = scene.hash, ""
         rospy.loginfo("simulates scene %s", scene.hash[:12])
         for remark in model.remarks:
@@ -289,7 +254,7 @@ class VirtualRobotNode:
         if self._gazebo is not None:
             problem = self._backend.problem
             return Report(WARN if problem else OK, problem or said)
-        if self._simulation is None:
+        if self._live is None:
             return Report(OK, said)
         contacts = ", ".join(f"{first} + {second}" for first, second in self._backend.contacts)
         values = {"simulated scene": self._scene, "contacts": contacts or "none"}
@@ -297,35 +262,6 @@ class VirtualRobotNode:
             self._scene_problem or self._backend.problem or (contacts and f"the simulated arm touches: {contacts}")
         )
         return Report(WARN, problem, values) if problem else Report(OK, said, values)
-
-
-def start(settings: Settings, robot: RobotModel, ports: Ports) -> VirtualRobotNode:
-    """Return the twin with its parameters and topics."""
-    return VirtualRobotNode(
-        VirtualRobot(robot.home if settings.arm == "none" else None, robot.linear),
-        MotionLimits.of(robot),
-        ports.publishers["twin/joint_states"],
-        ports.diagnostics,
-        threading.Event(),
-        _simulation(settings, robot, ports) if is_simulated_here(settings) else None,
-        ports.publishers["twin/commanded"] if is_in_gazebo(settings) else None,
-    )
-
-
-def _simulation(settings: Settings, robot: RobotModel, ports: Ports) -> Simulation:
-    # only here: what simulates is not everywhere
-    from construction_twin.physics.live_twin import LiveTwin
-
-    arm = {"robot": robot, "payload": tuple(settings.payload)}
-    arm |= {name: getattr(settings, name) for name in ("self_collision", "drives")}
-    return Simulation(
-        LiveTwin(),
-        partial(Worker(PROGRAM).ask, "build", arm=arm),
-        tool_mass(settings.tool),
-        robot.joint_names,
-        ports.publishers["twin/commanded"],
-        ports.publishers["twin/effort"],
-    )
 
 
 INTERFACE = Interface(
@@ -363,9 +299,5 @@ def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
             read_drives(settings.drives, robot)
 
 
-NODE = NodeShell("virtual_robot", Settings, start, INTERFACE, check, fast=True)
-
-
-def main() -> None:
-    """Run the node."""
-    NODE.run()
+NODE = NodeShell("virtual_robot", Settings, VirtualRobotNode, INTERFACE, check, fast=True)
+main = NODE.run

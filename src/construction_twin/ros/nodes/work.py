@@ -10,41 +10,33 @@ from __future__ import annotations
 import functools
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 import pydantic
 import rospy
-from geometry_msgs.msg import TransformStamped
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
+from construction_twin import msg, srv
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, PayloadError, RequestRefused
 from construction_twin.core.extras import check_extras
-from construction_twin.core.motion_errors import FrameError, SceneError, TrajectoryError
+from construction_twin.core.motion_errors import SceneError, TrajectoryError
 from construction_twin.core.reports import EngagementReport, ExecutionReport
-from construction_twin.kinematics.chain import Pose
-from construction_twin.msg import Engagement, Execution, Plan, Review, Scene, ToolState, WorkTasks
 from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import RobotModel
-from construction_twin.ros.messages.convert import (
-    change_from_msg,
-    plan_from_msg,
-    pose_from_msg,
-    pose_from_transform_msg,
-    work_segment_to_msg,
-)
+from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg, pose_from_msg, work_segment_to_msg
 from construction_twin.ros.messages.records import from_msg, to_msg
 from construction_twin.ros.messages.scene_convert import object_to_msg, scene_from_msg, tf_frame
 from construction_twin.ros.messages.tool import tool_report_from_msg
 from construction_twin.ros.messages.work_markers import work_markers
-from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
 from construction_twin.ros.shared.frames import FRAMES, listen_to_frames
 from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.params import robot_file, ros_home
+from construction_twin.ros.shared.params import PrivateSettings, robot_file, ros_home
 from construction_twin.ros.shared.ports import (
     Interface,
     NewestPose,
@@ -57,19 +49,8 @@ from construction_twin.ros.shared.ports import (
     has_arm,
 )
 from construction_twin.ros.shared.private_files import PrivateFiles
-from construction_twin.ros.transport.publisher import Sink
 from construction_twin.scene.objects import product
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.srv import (
-    EditScene,
-    PlanWork,
-    WorkDecide,
-    WorkDecideRequest,
-    WorkMeasured,
-    WorkMeasuredRequest,
-    WorkPlanTask,
-    WorkPlanTaskRequest,
-)
 from construction_twin.work.glb import glb
 from construction_twin.work.heard import Heard, KnownPlan, Verdict
 from construction_twin.work.prepared import Prepared
@@ -87,7 +68,7 @@ MAX_POSE_AGE = 0.5
 NOT_MEASURED = {"deviation_mm": math.nan, "deviation_deg": math.nan}
 
 
-class Settings(pydantic.BaseModel):
+class Settings(PrivateSettings):
     """Private parameters: behaviour is explained in config/work.yaml, the others are given in launch/work.launch.
 
     Attributes:
@@ -100,8 +81,6 @@ class Settings(pydantic.BaseModel):
         private: Folder of what a console serves to whom is logged in, relative to ROS_HOME; empty: no console was started.
         service_timeout, listen_time, retry_time: [s]
     """
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     model: str
     cell: str
@@ -117,57 +96,29 @@ class Settings(pydantic.BaseModel):
     retry_time: Annotated[float, pydantic.Field(gt=0.0, le=60.0)]
 
 
-@dataclass(frozen=True)
-class Outlets:
-    """What the node asks, and where it publishes.
-
-    Attributes:
-        twin_pose, arm_pose: Return the present joint positions [rad], [m]; raise PoseUnknownError or PayloadError.
-        transform: Takes a frame (a link, or a tf frame) and a stamp; returns where it is in the base frame; raises FrameError.
-        call: Takes name, kind and fields of a service; returns its answer; raises NoAnswer, or RequestRefused where it is a no.
-    """
-
-    twin_pose: Callable[[], tuple[float, ...]]
-    arm_pose: Callable[[], tuple[float, ...]]
-    transform: Callable[[str, rospy.Time], TransformStamped]
-    call: Callable[..., Any]
-    tasks: Sink
-    markers: Sink
-
-
 class WorkNode:
-    """A `WorkSession` in ROS; `start` gives it topics and services.
-
-    Args:
-        planner: The planner node's settings, with which tasks are planned.
-        worker: The process that reads models and plans.
+    """A `WorkSession` in ROS.
 
     Attributes:
         session: None: the model is being read, or it, or the record of its work, cannot be used.
     """
 
-    def __init__(
-        self,
-        settings: Settings,
-        robot: RobotModel,
-        planner: Mapping[str, object],
-        worker: Worker,
-        heard: Heard,
-        outlets: Outlets,
-        diagnostics: NodeDiagnostics,
-    ):
-        self._settings = settings
-        self._robot = robot
-        self._planner = planner
-        self._worker = worker
-        self.heard = heard
-        self._outlets = outlets
-        self._diagnostics = diagnostics
+    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+        self._settings, self._robot, self._diagnostics = settings, robot, ports.diagnostics
+        self._planner, self._publishers = ports.parameters["planner"], ports.publishers
+        twin = ports.poses["twin/joint_states"]
+        # without a physical arm the twin's pose counts as measured
+        self._twin, self._arm = twin, ports.poses.get("physical/joint_states", twin)
+        self._frames = listen_to_frames(robot, settings.tf_prefix, settings.service_timeout, self._diagnostics.refuse)
+        self._worker = Worker()
+        rospy.on_shutdown(self._worker.close)
+        # what became of a plan is read in the record after a restart
+        self.heard = Heard(ports.connections, rospy.is_shutdown, robot_file(ports.parameters[RECORD], robot.name))
         self.session: WorkSession | None = None
         #: Why there is no work, and whether there will be none any more.
         self._problem: str = "the model is being read"
         self._broken = False
-        self._told: WorkTasks | None = None
+        self._told = ""
         self._drawn: set[str] = set()
         self._publish()
 
@@ -221,11 +172,11 @@ class WorkNode:
         if files is not None:
             self._show_building(prepared, files)
         neighbours = Neighbours(
-            self._outlets.twin_pose,
-            self._outlets.arm_pose,
+            functools.partial(self._twin.pose, MAX_POSE_AGE, MAX_POSE_AGE),
+            functools.partial(self._arm.pose, MAX_POSE_AGE, MAX_POSE_AGE),
             functools.partial(self._worker.ask, "plan"),
             self._plan_work,
-            lambda: self._outlets.call("plan_way_back", Trigger).message,
+            lambda: self._call("plan_way_back", Trigger).message,
             self._edit_scene,
             self._diagnostics.refuse,
             functools.partial(rospy.loginfo, "%s"),
@@ -243,13 +194,25 @@ class WorkNode:
 
     def _plan_work(self, task: str, source: str, segments: Sequence[WorkSegment]) -> UnderReview:
         messages = [work_segment_to_msg(segment) for segment in segments]
-        answer = self._outlets.call("plan_work", PlanWork, task=task, source=source, segments=messages)
+        answer = self._call("plan_work", srv.PlanWork, task=task, source=source, segments=messages)
         return UnderReview(answer.message, task, answer.plan_id, answer.plan_hash, answer.duration)
 
     def _edit_scene(self, before: str, change: SceneChange, after: str) -> str:
         put = list(map(object_to_msg, change.put))
         fields = {"before": before, "put": put, "remove": list(change.remove), "after": after}
-        return str(self._outlets.call("edit_scene", EditScene, **fields).hash)
+        return str(self._call("edit_scene", srv.EditScene, **fields).hash)
+
+    def _call(self, name: str, kind: type, **fields: object) -> Any:
+        """Return the answer of a service; raise NoAnswer, or RequestRefused where it is a no."""
+        service = rospy.resolve_name(name)
+        try:
+            rospy.wait_for_service(service, self._settings.service_timeout)
+            answer = rospy.ServiceProxy(service, kind)(**fields)
+        except (rospy.ROSException, rospy.ServiceException) as error:
+            raise NoAnswer(f"{service} does not answer: {error}") from error
+        if not answer.success:
+            raise RequestRefused(answer.message)
+        return answer
 
     # -- services
 
@@ -258,35 +221,25 @@ class WorkNode:
             raise WorkRefused(self._problem)
         return self.session
 
-    def on_plan_task(self, request: WorkPlanTaskRequest) -> Outcome:
+    def on_plan_task(self, request: srv.WorkPlanTaskRequest) -> Outcome:
         """Have a task planned, or while the arm is engaged the way back."""
         fields = asdict(self._opened().plan(request.task, self._settings.service_timeout))
         return Outcome(True, fields.pop("message"), fields=fields)
 
-    def on_decide(self, request: WorkDecideRequest) -> str:
+    def on_decide(self, request: srv.WorkDecideRequest) -> str:
         """Take what a person decides of a task or the schedule."""
         return self._opened().decide(
             request.decision, request.task, request.answer, request.person, request.reason, request.question
         )
 
-    def on_measured(self, request: WorkMeasuredRequest) -> Outcome:
+    def on_measured(self, request: srv.WorkMeasuredRequest) -> Outcome:
         """Take where a person has measured an element."""
-        pose = self._pose_in_base(request)
+        header = request.pose.header
+        pose = product(self._frames.in_base(header.frame_id, header.stamp), pose_from_msg(request.pose.pose))
         found = self._opened().measured(request.element, pose, request.person, request.reason)
         distance, angle = found.distance * 1e3, math.degrees(found.angle)
         sentence = f"{request.element} is {distance:.2f} mm and {angle:.3f} deg from where the model has it"
         return Outcome(True, sentence, fields={"deviation_mm": distance, "deviation_deg": angle})
-
-    def _pose_in_base(self, request: WorkMeasuredRequest) -> Pose:
-        pose = pose_from_msg(request.pose.pose)
-        frame = request.pose.header.frame_id
-        if frame in ("", tf_frame(self._settings.tf_prefix, self._robot.base_link)):
-            return pose
-        try:
-            transform = self._outlets.transform(frame, request.pose.header.stamp)
-        except FrameError as error:
-            raise WorkRefused(str(error)) from error
-        return product(pose_from_transform_msg(transform.transform), pose)
 
     def take(self, topic: str, read: Callable[[Any], Any], message: Any) -> None:
         """Hand on what a message says; one that cannot be read is refused."""
@@ -309,19 +262,16 @@ class WorkNode:
         session = self.session
         if session is None:
             engaged = self.heard.execution is not None and self.heard.execution.engaged
-            message = WorkTasks(
-                model=Path(self._settings.model).name, engaged=engaged, reading=not self._broken, reason=self._problem
-            )
+            model, reading = Path(self._settings.model).name, not self._broken
+            message = msg.WorkTasks(model=model, engaged=engaged, reading=reading, reason=self._problem)
         else:
-            message = to_msg(session.report(), WorkTasks)
-        if self._told is not None:
-            message.header.stamp = self._told.header.stamp
-            # of numbers that are not known, only their text is the same
-            if repr(message) == repr(self._told):
-                return
+            message = to_msg(session.report(), msg.WorkTasks)
+        # of numbers that are not known, only their text is the same
+        if repr(message) == self._told:
+            return
+        self._told = repr(message)
         message.header.stamp = rospy.Time.now()
-        self._told = message
-        self._outlets.tasks.publish(message)
+        self._publishers["work/tasks"].publish(message)
         if session is not None:
             self._draw(session)
 
@@ -331,7 +281,7 @@ class WorkNode:
         base, tip = tf_frame(prefix, robot.base_link), tf_frame(prefix, robot.tip_link)
         markers = work_markers(session.appearances(), triangles, base, tip, self._drawn)
         self._drawn = {marker.ns for marker in markers if marker.action == marker.ADD}
-        self._outlets.markers.publish(MarkerArray(markers))
+        self._publishers["work/markers"].publish(MarkerArray(markers))
 
     def report(self) -> Report:
         """Return the state of the work for `/diagnostics`."""
@@ -347,46 +297,6 @@ class WorkNode:
             return Report(WARN if asks else OK, board.summary(time.time_ns()), values)
 
 
-def _call(timeout: float, name: str, kind: type, **fields: object) -> Any:
-    """Call a service; see `Outlets.call`. It must be there within a time [s]."""
-    service = rospy.resolve_name(name)
-    try:
-        rospy.wait_for_service(service, timeout)
-        answer = rospy.ServiceProxy(service, kind)(**fields)
-    except (rospy.ROSException, rospy.ServiceException) as error:
-        raise NoAnswer(f"{service} does not answer: {error}") from error
-    if not answer.success:
-        raise RequestRefused(answer.message)
-    return answer
-
-
-def start(settings: Settings, robot: RobotModel, ports: Ports) -> WorkNode:
-    """Return the node with its parameters, topics and services."""
-    refuse = ports.diagnostics.refuse
-    twin = ports.poses["twin/joint_states"]
-    # without a physical arm the twin's pose counts as measured
-    arm = ports.poses.get("physical/joint_states", twin)
-    worker = Worker()
-    rospy.on_shutdown(worker.close)
-    return WorkNode(
-        settings,
-        robot,
-        ports.parameters["planner"],
-        worker,
-        # what became of a plan is read in the record after a restart
-        Heard(ports.connections, rospy.is_shutdown, robot_file(ports.parameters[RECORD], robot.name)),
-        Outlets(
-            functools.partial(twin.pose, MAX_POSE_AGE, MAX_POSE_AGE),
-            functools.partial(arm.pose, MAX_POSE_AGE, MAX_POSE_AGE),
-            listen_to_frames(robot, settings.tf_prefix, settings.service_timeout, refuse).transform,
-            functools.partial(_call, settings.service_timeout),
-            ports.publishers["work/tasks"],
-            ports.publishers["work/markers"],
-        ),
-        ports.diagnostics,
-    )
-
-
 def _hears(topic: str, kind: type, read: Callable[[Any], Any], queue_size: int) -> Subscription:
     return Subscription(topic, kind, lambda node, message: node.take(topic, read, message), queue_size=queue_size)
 
@@ -395,23 +305,25 @@ INTERFACE = Interface(
     report=WorkNode.report,
     parameters=(SharedParameter("planner", {}), SharedParameter(RECORD, "")),
     publishes=(
-        Publication("work/tasks", WorkTasks, queue_size=5, latch=True),
+        Publication("work/tasks", msg.WorkTasks, queue_size=5, latch=True),
         Publication("work/markers", MarkerArray, queue_size=2, latch=True),
     ),
     reads=(NewestPose("twin/joint_states"), NewestPose("physical/joint_states", when=has_arm)),
     hears=(
-        _hears("engagement", Engagement, functools.partial(from_msg, EngagementReport), 5),
-        _hears("execution", Execution, functools.partial(from_msg, ExecutionReport), 50),
-        _hears("plan", Plan, lambda plan: KnownPlan(plan_from_msg(plan), (*map(change_from_msg, plan.segments),)), 5),
-        _hears("review", Review, functools.partial(from_msg, Verdict), 20),
-        _hears("scene", Scene, scene_from_msg, 2),
-        _hears("tool", ToolState, tool_report_from_msg, 5),
+        _hears("engagement", msg.Engagement, functools.partial(from_msg, EngagementReport), 5),
+        _hears("execution", msg.Execution, functools.partial(from_msg, ExecutionReport), 50),
+        _hears(
+            "plan", msg.Plan, lambda plan: KnownPlan(plan_from_msg(plan), (*map(change_from_msg, plan.segments),)), 5
+        ),
+        _hears("review", msg.Review, functools.partial(from_msg, Verdict), 20),
+        _hears("scene", msg.Scene, scene_from_msg, 2),
+        _hears("tool", msg.ToolState, tool_report_from_msg, 5),
     ),
     listeners=FRAMES,
     serves=(
-        Served("work/plan", WorkPlanTask, WorkNode.on_plan_task, refused=lambda _, request: {"task": request.task}),
-        Served("work/decide", WorkDecide, WorkNode.on_decide),
-        Served("work/measured", WorkMeasured, WorkNode.on_measured, refused=lambda *_: NOT_MEASURED),
+        Served("work/plan", srv.WorkPlanTask, WorkNode.on_plan_task, refused=lambda _, request: {"task": request.task}),
+        Served("work/decide", srv.WorkDecide, WorkNode.on_decide),
+        Served("work/measured", srv.WorkMeasured, WorkNode.on_measured, refused=lambda *_: NOT_MEASURED),
     ),
 )
 
@@ -430,9 +342,5 @@ def check(settings: Settings, _robot: RobotModel, _shared: Shared) -> None:
             raise ConfigurationError(name, given, f"{path}, as {cell} says; give {name}:={path}")
 
 
-NODE = NodeShell("work", Settings, start, INTERFACE, check)
-
-
-def main() -> None:
-    """Run the node until shutdown."""
-    NODE.run()
+NODE = NodeShell("work", Settings, WorkNode, INTERFACE, check)
+main = NODE.run

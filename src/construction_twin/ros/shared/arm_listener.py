@@ -223,7 +223,7 @@ class OtherArm:
                 self._shape = self._arm.carrying(carried.objects)
             except SceneError as error:
                 raise NeighbourUnknownError(
-                    name, Sentence("what it carries cannot be used: {problem}", problem=error.sentence)
+                    name, Sentence("what it carries cannot be used: {problem}", problem=str(error))
                 ) from error
             self._rows = np.empty(0) if plan is None else plan_rows(plan)[1]
             self._path = () if plan is None else self._shape.along(self._rows)
@@ -250,9 +250,7 @@ def await_robot(name: str) -> None:
     space = f"{rosgraph.names.namespace(rospy.get_namespace())}{name}"
     needed = (f"{space}/robot_description", f"{space}/executor/arm")
     if not all(map(rospy.has_param, needed)):
-        rospy.logwarn(
-            "%s", Sentence("waiting for {space}, the other robot of the cell: nobody has launched it", space=space)
-        )
+        rospy.logwarn("waiting for %s, the other robot of the cell: nobody has launched it", space)
     while not all(map(rospy.has_param, needed)):
         rospy.sleep(0.5)
 

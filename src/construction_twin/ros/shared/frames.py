@@ -144,22 +144,19 @@ class Frames:
         """Return the tf frame that a person means: a link by its URDF name is the twin's, as commanded; empty is the base."""
         return self._links.get(frame, frame) if frame else self.base
 
-    def transform(self, frame: str, stamp: rospy.Time) -> TransformStamped:
-        """Return where a frame is in the base at a stamp (0: the latest).
+    def in_base(self, frame: str, stamp: rospy.Time) -> Pose:
+        """Return where a frame is in the base at a stamp (0: the latest); the base itself is known without tf.
 
         Raises:
             FrameError: If it is not known, with the frames that are.
         """
+        name = self.tf_name(frame)
+        if name == self.base:
+            return Pose(np.zeros(3), np.eye(3))
         try:
-            return self._lookup(self.tf_name(frame), stamp)
+            return pose_from_transform_msg(self._lookup(name, stamp).transform)
         except tf2_ros.TransformException as error:
             raise FrameError(frame, self.base, str(error), (*self._links, *self._others())) from error
-
-    def in_base(self, frame: str, stamp: rospy.Time) -> Pose:
-        """Return the same as a pose; the base itself is known without tf."""
-        if self.tf_name(frame) == self.base:
-            return Pose(np.zeros(3), np.eye(3))
-        return pose_from_transform_msg(self.transform(frame, stamp).transform)
 
     def _others(self) -> tuple[str, ...]:
         """Return the frames that tf knows, without those of the robot's own links."""

@@ -68,7 +68,7 @@ def run_node(name: str, start: Callable[[], object], refused: Callable[[str], ob
         except ConstructionTwinError as error:
             # under a name that ends nobody
             rospy.init_node(name, argv=sys.argv[:1], anonymous=True, disable_signals=True)
-            refused(error.sentence)
+            refused(str(error))
             return
         try:
             _serve(name, start, refused)
@@ -84,7 +84,7 @@ def _serve(name: str, start: Callable[[], object], refused: Callable[[str], obje
             expect_wall_clock(rosgraph.get_master_uri())
             node = start()
         except ConstructionTwinError as error:
-            refused(error.sentence)
+            refused(str(error))
             return
         rospy.on_shutdown(release_realtime)
         rospy.loginfo(request_realtime(rospy.get_param("~realtime_priority", 0)))

@@ -10,6 +10,7 @@ from std_srvs.srv import Trigger
 from construction_twin.core.errors import RequestRefused, SilenceError
 from construction_twin.link.requests import GoalRequest, ReviewRequest
 from construction_twin.ros.messages.plan_services import PLAN_SERVICES, request_fields
+from construction_twin.ros.shared.master import expect_publisher
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.transport.persistent_service import PersistentService
 from construction_twin.srv import PreviewPlan, ReviewPlan, TakeResponsibility
@@ -61,6 +62,15 @@ class OperatorClient:
     def arm(self, responsible: str) -> Outcome:
         """Arm a bare PLC in the name of the person who is responsible for what is not checked."""
         return self.ask("arm", TakeResponsibility, responsible=responsible)
+
+    def latched(self, name: str, kind: Any, silent: str, to_do: str) -> Any:
+        """Return what is latched on a topic of the robot; SilenceError when nothing is."""
+        topic = f"{self._namespace}/{name}"
+        expect_publisher(topic)
+        try:
+            return rospy.wait_for_message(topic, kind, self._timeout)
+        except rospy.ROSException as error:
+            raise SilenceError(topic, silent, to_do) from error
 
     def ask(self, name: str, kind: Any, **fields: object) -> Outcome:
         """Call any service of the robot."""

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from construction_twin.ros.messages.records import sentences_of, with_sentences
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -27,8 +29,9 @@ class Outcome:
     @classmethod
     def of(cls, answer: Any) -> Outcome:
         """Return what became of a request by a service's answer; what it has no field for stays as it is without."""
-        known = {name: getattr(answer, name) for name in answer.__slots__}
-        return cls(known.pop("success"), known.pop("message"), known.pop("expired", False), known)
+        known, sentences = {name: getattr(answer, name) for name in answer.__slots__}, sentences_of(answer)
+        message = known.pop("message")
+        return cls(known.pop("success"), sentences.get(message, message), known.pop("expired", False), known)
 
     def response(self, kind: Any) -> Any:
         """Return the response of a kind of service; what it has no field for is left out."""
@@ -36,4 +39,4 @@ class Outcome:
         for name, value in {"expired": self.expired, **self.fields}.items():
             if hasattr(made, name):
                 setattr(made, name, value)
-        return made
+        return with_sentences(made, self.message)

@@ -27,14 +27,18 @@ class Parameters(Protocol):
         """Return a parameter's value by a name as the node has it; KeyError where there is none, and no default."""
 
 
-class NodeSettings(pydantic.BaseModel):
+class PrivateSettings(pydantic.BaseModel):
+    """Private parameters of a node: a misspelt key is an error, not a silent default."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+
+class NodeSettings(PrivateSettings):
     """Private parameters of a node on the 250 Hz path.
 
     Attributes:
         realtime_priority: SCHED_FIFO priority where the system permits it; 0: none.
     """
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     realtime_priority: int = pydantic.Field(0, ge=0, le=99)
 
@@ -48,17 +52,7 @@ def settings_of(model: type[Settings], values: Mapping[str, object], where: str 
 
 
 def read_parameters(model: type[Settings], parameters: Parameters = rospy) -> Settings:
-    """Read the node's private parameters into `model`.
-
-    Roslaunch leaves its own bookkeeping and other nodes' keys elsewhere, so everything under ``~`` must be known to the
-    model: a misspelt key is an error, not a silent default.
-
-    Args:
-        model: A pydantic model with ``extra="forbid"``.
-
-    Raises:
-        ConfigurationError: With the parameter's name, its value and what was expected.
-    """
+    """Return the node's private parameters; raises like `settings_of`."""
     return settings_of(model, parameters.get_param("~", {}))
 
 

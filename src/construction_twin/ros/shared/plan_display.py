@@ -10,7 +10,6 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.motion_errors import SceneError
-from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Chain
 from construction_twin.msg import Execution, Plan, Rehearsal, Review
 from construction_twin.msg import Scene as SceneMsg
@@ -106,10 +105,7 @@ class PlanDisplay:
         """Show what the rehearsal of the plan under review has found."""
         report = from_msg(RehearsalReport, message)
         if not is_whole(report) or len(report.worst_pose) not in (0, len(self._robot.joint_names)):
-            self._refuse(
-                "rehearsal",
-                Sentence("the rehearsal of plan {plan} is not what its hash says", plan=repr(report.plan_id)),
-            )
+            self._refuse("rehearsal", f"the rehearsal of plan {report.plan_id!r} is not what its hash says")
             return
         with self._news:
             # it may come before its plan

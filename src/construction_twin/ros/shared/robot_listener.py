@@ -10,7 +10,6 @@ from typing import TypeVar
 
 import genpy
 import rospy
-from std_msgs.msg import String
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.motion_errors import SceneError
@@ -34,7 +33,6 @@ _REPORTS = {
     "sync": Sync,
     "hold": Hold,
     "execution": Execution,
-    "approval_obstacle": String,
     "plan": Plan,
     "plan_caller": PlanCaller,
     "review": Review,
@@ -133,7 +131,6 @@ class RobotListener:
             execution=_record(ExecutionReport, newest.get("execution")),
             hold=_record(HoldReport, newest.get("hold")) if "sync" not in silent else None,
             plan=plan,
-            approval_obstacle=getattr(newest.get("approval_obstacle"), "data", ""),
             silent=silent,
         )
 

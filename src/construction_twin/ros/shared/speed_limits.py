@@ -17,7 +17,6 @@ import rospy
 from construction_twin.core.errors import ExpiredError, PayloadError
 from construction_twin.core.freshness import TOO_OLD
 from construction_twin.core.reports import SpeedChange
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.speed_limit import LimitState, SpeedLimit
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.speed_limits import NOBODY, UNKNOWN, SpeedLimits, read_people, write_people
@@ -92,10 +91,7 @@ class SpeedLimitService:
                 with self._file_lock:
                     self._write(limits.asked(*given, present(), now_ns()))
                     if self._file_problem:
-                        raise PayloadError(
-                            "file",
-                            Sentence("the speed limit of people is not raised: {problem}", problem=self._file_problem),
-                        )
+                        raise PayloadError("file", f"the speed limit of people is not raised: {self._file_problem}")
             with self._lock:
                 before, sentence = limits.people, limits.set(*given, present(), now_ns())
                 self._publish()

@@ -13,7 +13,6 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.msg import Feedback
 from construction_twin.ros.transport.publisher import Publisher
@@ -165,13 +164,10 @@ def joint_values(message: JointState, names: tuple[str, ...]) -> tuple[float, ..
             or set(message.name) != set(names)
             or len(message.name) != len(names)
         ):
-            sentence = Sentence(
-                "joint state names {found}, {count} positions; expected {expected}",
-                found=str(message.name),
-                count=len(message.position),
-                expected=str(list(names)),
+            raise PayloadError(
+                "names",
+                f"joint state names {message.name}, {len(message.position)} positions; expected {list(names)}",
             )
-            raise PayloadError("names", sentence)
         by_name = dict(zip(message.name, message.position))
         q = tuple(by_name[name] for name in names)
     if not all(map(math.isfinite, q)):
@@ -180,7 +176,7 @@ def joint_values(message: JointState, names: tuple[str, ...]) -> tuple[float, ..
 
 
 def _not_finite(q: tuple[float, ...]) -> PayloadError:
-    return PayloadError("values", Sentence("joint state with positions {found}; expected finite numbers", found=str(q)))
+    return PayloadError("values", f"joint state with positions {q}; expected finite numbers")
 
 
 class JointPublisher:

@@ -33,7 +33,6 @@ PUBLISHERS = {
     "rehearsal": "rehearsal",
     "scene": "scene",
     "execution": "executor",
-    "approval_obstacle": "executor",
     "engagement": "executor",
     "tool_command": "executor",
     "tool": "mqtt_bridge",

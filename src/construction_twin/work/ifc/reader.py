@@ -305,7 +305,7 @@ def _elements(file: ifcopenshell.file, found: _Found) -> tuple[dict[str, Element
                 matrices[product.id()] = None
                 found.doubts.everything = (
                     "the reader of the file says, of what holds for all elements or for nobody knows which: "
-                    f"{error.sentence}"
+                    f"{str(error)}"
                 )
             if (body := body_of(product)) is not None:
                 bodies[product.id()] = body
