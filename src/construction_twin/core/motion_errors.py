@@ -118,8 +118,8 @@ class NotFoundError(KinematicsError):
             best = Sentence("the best attempt was {away:.3} and {turned:.4} away", away=away, turned=turned)
         super().__init__(
             Sentence(
-                "no joint solution was found in the time given ({seconds} s, {tried} starts); it may still be reachable: {seen}",
-                seconds=f"{budget_s:.3g}",
+                "no joint solution was found in the time given ({budget:.3g} s, {tried} starts); it may still be reachable: {seen}",
+                budget=budget_s,
                 tried=tried,
                 seen=both(best, hint, Sentence("allow more time or turn the target")),
             )
@@ -154,9 +154,9 @@ class NoPathError(PlanningError):
         self.budget = budget
         super().__init__(
             Sentence(
-                "{planner} found no path within {seconds} s; allow more time or choose another goal",
+                "{planner} found no path within {budget:.3g} s; allow more time or choose another goal",
                 planner=planner,
-                seconds=f"{budget:.3g}",
+                budget=budget,
             )
         )
 

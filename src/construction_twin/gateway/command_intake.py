@@ -194,10 +194,8 @@ class CommandIntake:
         if behind > self._config.speed_limit_backlog:
             event, cause = Event.SPEED_IGNORED, Sentence("speed limit {limit:g} not obeyed", limit=player.fraction)
             if player.stood:
-                event, cause = (
-                    Event.REPLIES_LOST,
-                    Sentence("{count} standstills, replies did not arrive in time", count=player.stood),
-                )
+                event = Event.REPLIES_LOST
+                cause = Sentence("{count} standstills, replies did not arrive in time", count=player.stood)
             most = self._config.speed_limit_backlog
             why = Sentence(
                 "arm {behind:.3f} s behind its stream, allowed {most:g} s: {cause}",

@@ -208,9 +208,8 @@ class ControllerClock:
         fast, percent, ends = off > 0.0, 100.0 * abs(off), ""
         if abs(off) > FOLLOWED:
             ends = Sentence("; a long motion ends in a stop ({cause})", cause="silence" if fast else "lead")
-        off_by = Sentence("{percent:.2f} % fast", percent=percent)
-        if not fast:
-            off_by = Sentence("{percent:.2f} % slow", percent=percent)
+        slow = Sentence("{percent:.2f} % slow", percent=percent)
+        off_by = Sentence("{percent:.2f} % fast", percent=percent) if fast else slow
         return Sentence(
             "the controller's clock is {off_by} against this PC's, and so is the arm{ends}; one of both clocks is simulated, "
             "virtual, or being set",

@@ -211,11 +211,9 @@ class Gateway:
             machine.on(Event.ORIGIN_REFUSED, Occasion(taken.refusal))
         state, elapsed = machine.state, taken.elapsed
         if self.tool is not None:
-            why = (
-                Sentence("this session is not answered: {reason}", reason=machine.reason)
-                if state is State.JOINED
-                else ""
-            )
+            why = ""
+            if state is State.JOINED:
+                why = Sentence("this session is not answered: {reason}", reason=machine.reason)
             self.tool.hear(why, taken.missed)
         if state is State.JOINED or state is State.READ_ONLY or state is State.FAILED:
             self.counters["telegrams_unanswered"] += 1

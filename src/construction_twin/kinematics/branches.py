@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from construction_twin.core.motion_errors import OrientationError, PoseRangeError, PositionRangeError
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.solution import TURN, Configuration, IkSettings, IkSolution, InverseKinematics
 from construction_twin.robot.description import JointValues
@@ -62,6 +63,18 @@ class BranchInverse(InverseKinematics, abc.ABC):
             else:
                 least, nearest = square, (number, square, q)
         return nearest
+
+    def excess(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return branches, shape (m, n), turned towards the middle of the ranges, and by how much each joint is out of range."""
+        lower, upper = self.ranges.lower, self.ranges.upper
+        middle = 0.5 * (lower + upper)
+        q = rows - TURN * np.rint((rows - middle) / TURN)
+        return q, np.maximum(lower - q, q - upper)
+
+    def range_error(self, joint: int, value: float, placed: bool) -> PoseRangeError:
+        """Return the error of a joint out of range; `placed`: the position could be reached, in another orientation."""
+        robot, kind = self.chain.robot, OrientationError if placed else PositionRangeError
+        return kind(robot.joint_names[joint], value, robot.lower[joint], robot.upper[joint], robot.linear[joint])
 
     def nearest_confirmed(
         self,

@@ -16,8 +16,6 @@ import numpy as np
 from construction_twin.core.motion_errors import (
     BranchError,
     NotFoundError,
-    OrientationError,
-    PositionRangeError,
     UnreachableError,
 )
 from construction_twin.kinematics.branches import BranchInverse
@@ -157,7 +155,6 @@ class ClosedFormInverse(BranchInverse):
         self._solver = model.solver()._robot
         self._lower, self._upper = np.array(chain.robot.lower), np.array(chain.robot.upper)
         # None: the arm's base is the model's
-        at_base = bool(np.abs(model.base_T_opw - np.eye(4)).max() < 1e-15)
         self._opw_T_base = None if at_base else np.linalg.inv(model.base_T_opw)
         self._tip_T_flange = np.linalg.inv(model.flange_T_tip)
         self._target = np.eye(4)
@@ -348,9 +345,8 @@ class ClosedFormInverse(BranchInverse):
 
         Where joints 1 to 3 of some branch are in range, another orientation could be reached.
         """
-        middle = 0.5 * (self._lower + self._upper)
-        q = branches - TURN * np.rint((branches - middle) / TURN)
-        excess = np.maximum(self._lower - q, q - self._upper) - self.settings.tolerance_rad
+        q, excess = self.excess(branches)
+        excess -= self.settings.tolerance_rad
         placed = excess[:, :3].max(axis=1, initial=-math.inf) <= 0.0
         candidates = np.flatnonzero(placed) if placed.any() else np.arange(len(q))
         if not len(candidates):
@@ -358,10 +354,7 @@ class ClosedFormInverse(BranchInverse):
         row = candidates[excess[candidates].max(axis=1).argmin()]
         joint = int(excess[row].argmax())
         if excess[row, joint] > 0.0:
-            kind = OrientationError if placed.any() else PositionRangeError
-            robot = self.chain.robot
-            low, high, linear = robot.lower[joint], robot.upper[joint], robot.linear[joint]
-            raise kind(robot.joint_names[joint], float(q[row, joint]), low, high, linear)
+            raise self.range_error(joint, float(q[row, joint]), bool(placed.any()))
 
     def is_too_close(self, flange: np.ndarray) -> bool:
         """Return whether an unreachable target, shape (4, 4), is inside the inner edge of the reach, not beyond the outer one."""

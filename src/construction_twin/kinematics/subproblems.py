@@ -20,8 +20,6 @@ import numpy as np
 from construction_twin.core.motion_errors import (
     KinematicsError,
     NotFoundError,
-    OrientationError,
-    PositionRangeError,
     UnreachableError,
     UnreachableOrientationError,
 )
@@ -31,7 +29,6 @@ from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.decomposition import ClosedForm
 from construction_twin.kinematics.numeric import NumericInverse
 from construction_twin.kinematics.solution import (
-    TURN,
     ArmKind,
     Configuration,
     IkSolution,
@@ -198,25 +195,15 @@ class SubproblemInverse(BranchInverse):
         missing = self._search.missing_position(pose, np.array(seed))
         placed = missing <= self.settings.tolerance_m
         if len(reached):
-            self._raise_range_error(reached, placed)
+            q, excess = self.excess(reached)
+            row = int(excess.max(axis=1).argmin())
+            joint = int(excess[row].argmax())
+            raise self.range_error(joint, float(q[row, joint]), placed)
         if not placed:
             distance = float(np.linalg.norm(pose.position - self.chain.shoulder))
             bound = distance - self.chain.reach
             raise UnreachableError(bound if bound > 0.0 else missing, distance < 0.5 * self.chain.reach)
         raise UnreachableOrientationError
-
-    def _raise_range_error(self, rows: np.ndarray, placed: bool) -> NoReturn:
-        """Raise the error that names the joint out of range, of the branch that is out of range by the least."""
-        robot = self.chain.robot
-        lower, upper = np.array(robot.lower), np.array(robot.upper)
-        middle = 0.5 * (lower + upper)
-        q = rows - TURN * np.rint((rows - middle) / TURN)
-        excess = np.maximum(lower - q, q - upper)
-        row = int(excess.max(axis=1).argmin())
-        joint = int(excess[row].argmax())
-        kind = OrientationError if placed else PositionRangeError
-        low, high, linear = robot.lower[joint], robot.upper[joint], robot.linear[joint]
-        raise kind(robot.joint_names[joint], float(q[row, joint]), low, high, linear)
 
 
 def _may_align(axes: Alignment) -> bool:
