@@ -153,8 +153,8 @@ class ClosedFormInverse(BranchInverse):
         # The package's public entry takes scipy transforms; building one takes six times as long as computing the branches.
         # Its private core takes matrices. The package's version is pinned.
         self._solver = model.solver()._robot
-        self._lower, self._upper = np.array(chain.robot.lower), np.array(chain.robot.upper)
         # None: the arm's base is the model's
+        at_base = bool(np.abs(model.base_T_opw - np.eye(4)).max() < 1e-15)
         self._opw_T_base = None if at_base else np.linalg.inv(model.base_T_opw)
         self._tip_T_flange = np.linalg.inv(model.flange_T_tip)
         self._target = np.eye(4)
