@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import rospy
 import rostest
-from construction_twin.core.axis_name import axis_name
+from construction_twin.core.units import axis_name
 from construction_twin.msg import Sync, Transition
 from twin_client import LEFT, RobotTest, Stream, TwinClient, wait
 
