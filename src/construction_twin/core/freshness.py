@@ -71,7 +71,9 @@ def staleness(seen: Moment, now: Moment) -> str:
         )
     oldest = LIFETIME / NANOSECONDS
     if now.at - seen.at > LIFETIME:
-        return Sentence("too old: it is of {age:.1f} s ago, allowed {oldest:g} s; look again", age=age, oldest=oldest)
+        return Sentence(
+            "too old: it is of {age:.1f} s ago, after {oldest:g} s it is void; look again", age=age, oldest=oldest
+        )
     return ""
 
 
