@@ -28,8 +28,8 @@ from link_world import environment
 
 from construction_twin.core.units import CYCLE
 from construction_twin.physics.arm import Servo, SimulatedArm
-from construction_twin.physics.constants import GRAVITY
 from construction_twin.physics.drive import drives_of, read_drives
+from construction_twin.physics.mass import GRAVITY
 from construction_twin.physics.model import Load, build_model
 from construction_twin.physics.rehearsal import Rehearsal
 from construction_twin.robot.description import read_robot_files

@@ -33,21 +33,6 @@ from construction_twin.views.message_history import Message
 from construction_twin.views.scene_view import SceneView
 from construction_twin.views.status_line import Line
 
-REASONS = [
-    "reason.",
-    "executor.",
-    "review.",
-    "link.",
-    "gateway.",
-    "motion.",
-    "work.",
-    "startup.",
-    "expected.",
-    "telegram.",
-    "ifc.",
-    "rehearsal.",
-    "physics.",
-]
 #: What the page checks, by the name of the constant in web/src/schemas.js; of a kind of request its answer. `pause/ack` is as
 #: `stop/ack`.
 CHECKED: dict[str, Any] = {
@@ -118,12 +103,8 @@ def page_schemas() -> str:
         f"/** {_about(kind)}. */\nexport const {name} = {json.dumps(schema(kind, words=False))};\n"
         for name, kind in CHECKED.items()
     ]
-    reasons = (
-        f"/** Beginnings of the keys of reasons and answers, as core/sentences.py has them. */\n"
-        f"export const REASONS = {json.dumps(REASONS)};\n"
-    )
-    head = "// Made from the records by scripts/schemas.py; check.js and sentences.js read it.\n"
-    return "\n".join([head, *constants, reasons])
+    head = "// Made from the records by scripts/schemas.py; check.js reads it.\n"
+    return "\n".join([head, *constants])
 
 
 def _about(kind: Any) -> str:

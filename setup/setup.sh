@@ -111,12 +111,12 @@ find_node() {
   [ -x "$node" ] || "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --target "$wheel" -r "$root/setup/requirements-node.txt"
 }
 
-# What the page depends on: its sources, the sentences that robot and page share, and docs/, whose pages come with it. Neither page nor node_modules is in the repository.
+# What the page depends on: its sources, its words, what makes its schemas, and docs/, whose pages come with it. Neither page nor node_modules is in the repository.
 page_inputs() {
   (
     cd "$root/web"
     cat package.json package-lock.json ./*.js
-    find src ../docs ../scripts/schemas.py ../src/construction_twin/{core,link,views,physics,mqtt} -type f -not -path '*/images/*' -not -name schemas.js -not -name '*.pyc' -print0 | sort -z | xargs -0 sha256sum
+    find src locale ../docs ../scripts/schemas.py ../src/construction_twin/{core,link,views,physics,mqtt} -type f -not -path '*/images/*' -not -name schemas.js -not -name '*.pyc' -print0 | sort -z | xargs -0 sha256sum
     declare -f build_page
   ) | sha256sum
 }

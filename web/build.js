@@ -1,5 +1,5 @@
 /**
- * Builds the page: `node build.js FOLDER`. Script, style and the sentences of each language get names with their hash, which the
+ * Builds the page: `node build.js FOLDER`. Script, style and the words of each language but English get names with their hash, which the
  * console lets browsers keep for ever. Works without a network once `npm ci` has run.
  */
 import {createHash} from "node:crypto";
@@ -9,7 +9,7 @@ import {fileURLToPath} from "node:url";
 import {gzipSync} from "node:zlib";
 import {build} from "esbuild";
 import {writePages} from "./docs_pages.js";
-import {tableOf} from "./src/sentences.js";
+import {readTranslations} from "./po.js";
 
 const here = path.dirname(fileURLToPath(import.meta.url));
 const target = path.resolve(process.argv[2] ?? path.join(here, "..", ".ws", "console", "page"));
@@ -17,13 +17,9 @@ const fresh = `${target}.new`;
 await rm(fresh, {recursive: true, force: true});
 await mkdir(fresh, {recursive: true});
 
-const sentences = JSON.parse(await readFile(path.join(here, "..", "src", "construction_twin", "core", "sentences.json"), "utf8"));
-const files = {};
-for (const language of Object.keys(sentences["page.title"])) {
-  const text = JSON.stringify(tableOf(sentences, language));
-  files[language] = `sentences.${language}.${createHash("sha256").update(text).digest("hex").slice(0, 16)}.json`;
-  await writeFile(path.join(fresh, files[language]), text);
-}
+const words = JSON.stringify(readTranslations(path.join(here, "locale", "de.po")));
+const german = `sentences.de.${createHash("sha256").update(words).digest("hex").slice(0, 16)}.json`;
+await writeFile(path.join(fresh, german), words);
 const docs = path.join(here, "..", "docs");
 const result = await build({
   entryPoints: [path.join(here, "src", "main.js"), path.join(here, "src", "style.css")],
@@ -32,7 +28,7 @@ const result = await build({
   splitting: true,
   chunkNames: "[name].[hash]",
   alias: Object.fromEntries(["STL", "Collada"].map((each) => [`three/examples/jsm/loaders/${each}Loader.js`, path.join(here, "no_loader.js")])),
-  define: {SENTENCES: JSON.stringify(files)},
+  define: {SENTENCES: JSON.stringify({de: german})},
   minify: true,
   format: "esm",
   target: ["es2022", "chrome110", "firefox110", "safari16"],

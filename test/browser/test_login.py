@@ -13,7 +13,7 @@ def test_where_the_page_s_script_or_its_words_do_not_arrive_a_line_says_what_to_
     page = ConsolePage(browser, site.url)
     try:
         page.page.route(f"**/{file}", lambda route: route.abort("internetdisconnected"))
-        page.open()
+        page.open("?language=de")
         expect(page.page.locator("#loading")).to_contain_text("reload the page: nothing can be stopped from here")
         page.page.unroute_all()
         page.page.reload()

@@ -68,10 +68,9 @@ def test_the_page_works_below_a_path_behind_a_proxy_and_a_reload_keeps_the_login
             True,
             "Strict",
         )
-        # script, words, models, meshes, icon and manifest
+        # script, models, meshes, icon and manifest
         for name in (
             r"main\.\w+\.js",
-            r"sentences\.en\.\w+\.json",
             r"private/one/robot.urdf",
             r"private/mesh/\w+\.dae",
             "private/rights.json",

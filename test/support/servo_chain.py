@@ -20,10 +20,10 @@ from construction_twin.mock.faults import Fault
 from construction_twin.mock.program import MockSettings, PhysicsServo, axis_angles, build_controller, joint_angles
 from construction_twin.mock.servo import RealisticServo, Servo
 from construction_twin.monitor.states import SyncState, Transition
+from construction_twin.physics.arm import Plant, bare_model
 from construction_twin.physics.drive import drives_of as urdf_drives
 from construction_twin.physics.drive import read_drives
 from construction_twin.physics.mass import payload_of
-from construction_twin.physics.plant import Plant, bare_model
 from construction_twin.robot.plan import Plan
 from construction_twin.ros.commands.identify import drives_of
 from construction_twin.ros.shared.gateway_config import gateway_config

@@ -22,9 +22,8 @@ from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.objects import product
 from construction_twin.work import process
-from construction_twin.work.jobs import TaskMotions
 from construction_twin.work.motions import Failed, PlanBuilder, Search
-from construction_twin.work.process import Process
+from construction_twin.work.process import Process, TaskMotions
 from construction_twin.work.recipe import SHARED, Finite, Length, Override, Recipe, numbers
 from construction_twin.work.site import inverse, pose_of
 
@@ -77,25 +76,26 @@ def plan(search: Search) -> TaskMotions:
     for point in search.recipe.points:
         if furthest is not None and search.late:
             break
+        name = f"point {' '.join(f'{1e3 * value:g}' for value in point)} mm"
         try:
-            return _at(search, point)
+            return _at(search, point, name)
         except Failed as failed:
+            failed.method = name
             furthest = failed
     assert furthest is not None
     raise furthest
 
 
-def _at(search: Search, point: tuple[float, float, float]) -> TaskMotions:
-    recipe, name = search.recipe, f"point {' '.join(f'{1e3 * value:g}' for value in point)} mm"
-    scene, job = search.scene, search.job
+def _at(search: Search, point: tuple[float, float, float], name: str) -> TaskMotions:
+    recipe, scene, job = search.recipe, search.scene, search.job
     there = job.base_T_goal.position + job.base_T_goal.rotation @ np.array(point)
     tcp_T_tool0 = inverse(pose_of(search.tool.tool.tool0_T_tcp))
     at, above = (
         product(Pose(there + np.array([0.0, 0.0, height]), _DOWN), tcp_T_tool0)
         for height in (recipe.gap, recipe.gap + recipe.way)
     )
-    search.demand_reach(at, name, "at the point")
-    befores = search.solutions(above, search.start, scene, TO_POINT, name, "above the point")
+    search.demand_reach(at, "at the point")
+    befores = search.solutions(above, search.start, scene, TO_POINT, "above the point")
     furthest: Failed | None = None
     for number in search.nearest(befores)[: search.limits.pairs]:
         try:
@@ -108,9 +108,9 @@ def _at(search: Search, point: tuple[float, float, float]) -> TaskMotions:
 
 def _planned(search: Search, before: np.ndarray, at: Pose, above: Pose, name: str) -> TaskMotions:
     scene, scale = search.scene, search.recipe.free_speed_scale
-    down = search.line(before, at, scale, scene, TOUCH, name)
-    back = search.line(down.positions[-1], above, scale, scene, BACK, name)
-    free = search.free(search.start, before, scale, scene, TO_POINT, name)
+    down = search.line(before, at, scale, scene, TOUCH)
+    back = search.line(down.positions[-1], above, scale, scene, BACK)
+    free = search.free(search.start, before, scale, scene, TO_POINT)
     empty = search.tool.tool.release.signals()
     made = PlanBuilder(search, scene)
     made.add(TO_POINT, free.trajectory, False, empty, (), scene, free.clearance)
@@ -124,7 +124,7 @@ PROCESS = Process(
     recipe=TouchRecipe,
     overrides={
         **SHARED,
-        "Point": Override(("points",), "IfcLabel", "point to touch [m]: `0 0 0.1`", lambda value: (numbers(value),)),
+        "Point": Override(("points",), "IfcLabel", lambda value: (numbers(value),)),
     },
     check_recipe=check_recipe,
     mass=lambda job, name, recipe, tool: job.element.mass,

@@ -42,8 +42,8 @@ from construction_twin.scene.scene_change import SceneChange
 from construction_twin.work import session
 from construction_twin.work.ledger import read_entries
 from construction_twin.work.prepared import ElementFacts, Prepared
-from construction_twin.work.racks import Slot, StockPlan
 from construction_twin.work.schedule import Job, Schedule
+from construction_twin.work.site_scene import Slot, StockPlan
 from construction_twin.work.task_board import TaskBoard
 from construction_twin.work.task_memory import Entry
 

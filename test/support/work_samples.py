@@ -19,13 +19,12 @@ from construction_twin.robot.tool import ToolFile, read_tool
 from construction_twin.scene.objects import SceneObject
 from construction_twin.scene.self_collision import SelfCollision, read_self_collision
 from construction_twin.work.building import Body, BuildingModel, Element
-from construction_twin.work.jobs import WorkJob
-from construction_twin.work.motions import TaskLimits
+from construction_twin.work.motions import TaskLimits, TaskPlanner
+from construction_twin.work.process import WorkJob
 from construction_twin.work.recipes import Recipes, read_recipes
 from construction_twin.work.schedule import Job
 from construction_twin.work.site import Site, read_site
 from construction_twin.work.site_scene import Layout
-from construction_twin.work.task_planner import TaskPlanner
 
 ROOT = Path(__file__).resolve().parents[2]
 TOOL = ROOT / "config/tools/vacuum_frame.yaml"

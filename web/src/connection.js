@@ -6,6 +6,7 @@
  */
 import mqtt from "mqtt";
 import {TOPICS} from "./store.js";
+import {mark} from "./texts.js";
 
 /** Wait before the next attempt [ms]: at first, and at most. */
 const FIRST_WAIT = 500;
@@ -20,6 +21,24 @@ const CLOSED = {4001: "broker_away", 4002: "not_mqtt", 4003: "too_much"};
 /** Reason codes of CONNACK that another attempt with the same account does not change. */
 const REFUSED = [4, 5, 134, 135, 138];
 const NOT_AUTHORIZED = 135;
+const STATES = {
+  off: mark("Not connected."),
+  connecting: mark("Connecting ..."),
+  connected: mark("Connected."),
+  lost: mark("NOT CONNECTED. Nothing that is tapped here goes out. {why} Trying again."),
+  refused: mark("The broker refuses the login."),
+};
+const WHY = {
+  broker_away: mark("The console runs, and the broker does not answer it."),
+  silent: mark("Nothing was heard any more."),
+  closed: mark("The connection has ended."),
+  not_mqtt: mark("The console has ended the connection: what this page sent was not MQTT."),
+  too_much: mark("The console has ended the connection: too many messages or too many connections."),
+  subscribe: mark("The broker did not take the subscription."),
+};
+
+/** Say what has become of a connection. */
+export const whyLost = ({state, reason}, texts) => texts(STATES[state], {why: reason in WHY ? texts(WHY[reason]) : ""});
 
 /**
  * Why a message was not sent, or is not known to have arrived.

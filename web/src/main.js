@@ -12,11 +12,12 @@ import {languageOf, makeTexts, withoutLanguage} from "./texts.js";
 
 const root = document.documentElement;
 const asked = new URLSearchParams(location.search);
-// build.js writes a file of sentences per language, and its name here
-const language = languageOf(Object.keys(SENTENCES), asked.get("language") ?? remembered("language"), navigator.languages ?? ["en"]);
-const texts = makeTexts(language, await (await fetch(SENTENCES[language])).json());
+// build.js writes a file of sentences per language but English, and its name here
+const languages = ["en", ...Object.keys(SENTENCES)];
+const language = languageOf(languages, asked.get("language") ?? remembered("language"), navigator.languages ?? ["en"]);
+const texts = makeTexts(language, language === "en" ? {} : await (await fetch(SENTENCES[language])).json());
 root.lang = language;
-document.title = texts("page.title");
+document.title = texts("construction_twin console");
 
 // the device's, until a person chooses one
 const device = matchMedia("(prefers-color-scheme: dark)");
@@ -37,7 +38,7 @@ function onLanguage() {
   location.search = withoutLanguage(location.search);
 }
 
-const store = makeStore();
+const store = makeStore({hear: texts.hear});
 const socket = new URL("mqtt", location.href);
 socket.protocol = location.protocol === "https:" ? "wss:" : "ws:";
 socket.search = "";

@@ -15,6 +15,7 @@
  *   unknown     the connection broke before the broker answered, or the broker refused it for another reason
  */
 import {setText} from "./dom.js";
+import {mark} from "./texts.js";
 
 /** Longest wait for an answer [ms], where it is no second: a session is answered when it is armed or is not, a plan when it is found. */
 const WITHIN = {reset: 15000, arm: 15000, plan_request: 60000, answer: 5000, acknowledge: 5000};
@@ -26,6 +27,19 @@ const SHOWN = ["resume", "reset", "arm", "raise_speed", "plan_request", "answer"
 const BAD = ["refused", "expired", "silent", "nobody", "not_sent", "no_right", "unknown"];
 /** The broker's reason code for a message that nobody has subscribed to (MQTT 5.0, section 3.4.2.1). */
 export const NOBODY = 16;
+/** What is said of an outcome. */
+const SAID = {
+  sending: mark("{what}: on its way ..."),
+  waiting: mark("{what}: under way, no answer yet ..."),
+  done: mark("{what}: done. {reason}"),
+  refused: mark("{what} was NOT carried out: {reason}"),
+  expired: mark("{what} does not count: what this page had shown was too old, or something has changed since. "
+    + "Look again, then press anew. {reason}"),
+  silent: mark("{what}: NO ANSWER. Do not rely on it: look at the state above, and stop the arm if in doubt."),
+  not_sent: mark("{what} did NOT go out: no connection."),
+  no_right: mark("{what} did NOT go out: this account does not have the right."),
+  unknown: mark("{what}: it is not known whether it went out. Look at the state above."),
+};
 
 /** Return the record before anything was asked. */
 export function idle() {
@@ -74,14 +88,14 @@ export const isBusy = (record) => ["sending", "waiting"].includes(outcome(record
 /** Return the reasons that the answers give, in the page's language. */
 export const reasonsOf = ({answers}, texts) => answers.map(({reason}) => texts.reason(reason)).filter(Boolean).join("; ");
 
-/** Say in one line what became of a request; `what` is what was pressed, `wordsOf` has the sentence of an outcome. */
-export function showOutcome(element, record, texts, {what, wordsOf = (found) => `sent.${found}`, reason = reasonsOf(record, texts), hidden = false}) {
+/** Say in one line what became of a request; `what` is what was pressed, `sentences` has the template of each outcome. */
+export function showOutcome(element, record, texts, {what, sentences = SAID, reason = reasonsOf(record, texts), hidden = false}) {
   const found = hidden ? "none" : outcome(record);
   element.classList.add("outcome");
   element.classList.toggle("is-bad", BAD.includes(found));
   element.classList.toggle("is-done", found === "done");
-  const said = found === "none" ? "" : texts(wordsOf(found), {what, reason});
-  setText(element, said && record.time ? texts("sent.at", {time: record.time, what: said}) : said);
+  const said = found === "none" ? "" : texts(sentences[found], {what, reason});
+  setText(element, said && record.time ? `${record.time} ${said}` : said);
 }
 
 /**

@@ -93,9 +93,12 @@ function checkPath({times, tool_path: points}) {
  * @param {object} [options]
  * @param {() => number} [options.now] milliseconds of a monotonic clock
  * @param {(plan: object) => Promise<object>} [options.check] checks a plan's hash; see plan_hash.js
+ * @param {(message: object) => void} [options.hear] gets each message that was checked, before anybody is told of it
  * @param {(error: Error) => void} [options.report] where exceptions of the page's parts go: the browser's console
  */
-export function makeStore({now = () => performance.now(), check: checkHash = checkPlan, report = (error) => globalThis.reportError(error)} = {}) {
+export function makeStore({
+  now = () => performance.now(), check: checkHash = checkPlan, report = (error) => globalThis.reportError(error), hear = () => {},
+} = {}) {
   const robots = new Map();
   const listeners = new Map();
   const plans = new Map();
@@ -152,7 +155,6 @@ export function makeStore({now = () => performance.now(), check: checkHash = che
   }
 
   function takeView(robot, view) {
-    checkView(view);
     const last = robot.view;
     // a lower number of the same run is an older one
     if (last !== null && view.online && last.run === view.run && view.seq <= last.seq) return;
@@ -283,8 +285,12 @@ export function makeStore({now = () => performance.now(), check: checkHash = che
       try {
         const value = text === "" ? null : JSON.parse(text);
         expect(value !== null || STORED.includes(kind), `an empty ${kind}`);
-        if (kind !== "view" && value !== null) check(SCHEMAS[kind], value, kind);
-        if (kind === "path" && value !== null) checkPath(value);
+        if (value !== null) {
+          if (kind === "view") checkView(value);
+          else check(SCHEMAS[kind], value, kind);
+          if (kind === "path") checkPath(value);
+          hear(value);
+        }
         if (kind === "view") takeView(robot, value);
         else if (kind === "plan") await takePlan(robot, value);
         else if (KEPT.includes(kind)) put(robot, kind, value);

@@ -12,12 +12,13 @@ import {add, button, setText} from "./dom.js";
  *
  * @param {Element} parent
  * @param {Function} texts
- * @param {string[]} names of the panels, in their order; the first is open at first
+ * @param {object} words templates of the panels by name, in their order; the first is open at first
  * @param {(name: string) => Element} makePanel
  * @returns {Object<string, Element>} the panels by name
  */
-export function makeTabs(parent, texts, names, makePanel) {
-  const list = add(parent, "div", {className: "tabs", role: "tablist", "aria-label": texts("page.tabs")});
+export function makeTabs(parent, texts, words, makePanel) {
+  const names = Object.keys(words);
+  const list = add(parent, "div", {className: "tabs", role: "tablist", "aria-label": texts("Beside the picture")});
   const [first] = names;
   const panels = {};
   const tabs = {};
@@ -46,7 +47,7 @@ export function makeTabs(parent, texts, names, makePanel) {
 
   for (const name of names) {
     tabs[name] = button(list, "", () => open(name), {role: "tab", id: `tab-${name}`, className: `tab tab-${name}`, "aria-controls": name});
-    add(tabs[name], "span", {text: texts(`page.tab.${name}`)});
+    add(tabs[name], "span", {text: texts(words[name])});
     const badge = add(tabs[name], "span", {className: "tab-badge", hidden: true});
     panels[name] = makePanel(name);
     panels[name].setAttribute("role", "tabpanel");

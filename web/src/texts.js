@@ -1,8 +1,26 @@
-/** The page's words in the person's language. */
-import {fill, makeSentences} from "./sentences.js";
+/** The page's words in the person's language: English stands where it is said, and web/locale/de.po has its German. */
 
-/** Places of a sentence that hold a program's own word, such as a state: `word.` and it are the key of what a person calls it. */
-const PROGRAMS_WORDS = new Set(["state", "outcome"]);
+/** Most sentences of robots whose templates are kept. */
+const MOST_HEARD = 2000;
+/** A place in a template; how a number is written in it is for who wrote it. */
+const PLACE = /\{(\w+)(?::[^}]*)?\}/g;
+/** The unit of angles behind a number. */
+const DEGREES = /(?<=\d )deg\b/g;
+
+/** Mark a template that stands in a table, so that scripts/translations.py finds it. */
+export const mark = (template) => template;
+
+/** Places of a robot's sentence for a state, and the states. In another place such a word is a name. */
+const OF_STATES = ["state", "outcome", "found"];
+const STATES = [
+  mark("waiting"), mark("in_sync"), mark("holding"), mark("replanning"), mark("stale"), mark("stopped"), mark("fault"), mark("idle"),
+  mark("playing"), mark("stopping"), mark("pausing"), mark("paused"), mark("held"), mark("at_boundary"), mark("disconnected"),
+  mark("gateway_offline"), mark("no_controller"), mark("mismatch"), mark("resync"), mark("armed"), mark("needs_reset"), mark("mirror"),
+  mark("read_only"), mark("joined_running"), mark("ready"), mark("following"), mark("braking"), mark("failed"), mark("measuring"),
+  mark("other_cycle"), mark("carried"), mark("planned"), mark("working"), mark("gripping"), mark("carrying"), mark("releasing"),
+  mark("retreating"), mark("done"), mark("skipped"), mark("asks"), mark("free"), mark("planning"), mark("discarding"), mark("review"),
+  mark("withdrawing"), mark("moving"), mark("settling"), mark("finished"), mark("dropped"),
+];
 
 /** Return which of the languages to use: the one that was chosen before, else the first of the browser's that there is, else English. */
 export function languageOf(languages, chosen, wanted) {
@@ -17,39 +35,46 @@ export function withoutLanguage(search) {
   return asked.toString();
 }
 
+/** Return a template with its places filled in; a place without a value stays. */
+const fill = (template, values) => template.replace(PLACE, (place, name) => (Object.hasOwn(values, name) ? String(values[name]) : place));
+
 /**
- * Return the function `texts(key, values)`: the sentence of a key, with its values (sentences.js).
+ * Return the function `texts(template, values)`: a sentence in the page's language, in English where the table has no other words.
  *
- * A key that is missing is an error: tests compare the keys.
- *
- * @param table the language's sentences, as `tableOf` of sentences.js makes it
+ * @param {object} table words of the language by English template; none for English
  */
-export function makeTexts(language, table) {
-  const {wordsOf, canSay, understood} = makeSentences(table);
-  const texts = (key, values = {}) => {
-    const words = wordsOf(key, language);
-    if (words === undefined) throw new RangeError(`no text ${key} in ${language}`);
-    return fill(words, values, {value, unit});
-  };
-  const value = (each, place) => {
-    if (typeof each === "object" && each !== null) return texts(each.key, each.values);
-    const word = `word.${String(each).toLowerCase()}`;
-    return language !== "en" && PROGRAMS_WORDS.has(place) && texts.has(word) ? texts(word) : String(each);
-  };
-  const unit = (name) => {
-    const [base, ...per] = name.split("/");
-    return [texts.has(`unit.${base}`) ? texts(`unit.${base}`) : base, ...per].join("/");
-  };
+export function makeTexts(language, table = {}) {
+  const heard = new Map();
+  const words = (template) => (Object.hasOwn(table, template) ? table[template] : undefined);
+  const texts = (template, values = {}) => fill(words(template) ?? template, values);
   texts.language = language;
-  /** Return what a robot has said as key and values; without a key of this page, or with other values than it needs, its text. */
-  texts.said = (said, text) => (canSay(said) ? texts(said.key, said.values) : texts.reason(text));
-  /** Return a reason or an answer that a robot has sent as English text; where it is none of the sentences, as it came. */
-  texts.reason = (text) => {
-    const said = language === "en" || typeof text !== "string" ? null : understood(text);
-    return said === null ? text : texts(said.key, said.values);
+  /** Return what a table of templates has for a program's word; the word itself where it has nothing. */
+  texts.word = (templates, word) => (Object.hasOwn(templates, word) ? texts(templates[word]) : word);
+  /** Keep the templates of the sentences in what a robot has sent: `said` of a document, or of each line or message of a list. */
+  texts.hear = (document) => {
+    for (const each of [document].flat()) {
+      for (const [text, sentence] of Object.entries({...each.said, ...each.line?.said})) {
+        heard.delete(text);
+        heard.set(text, sentence);
+      }
+    }
+    for (const text of heard.keys()) {
+      if (heard.size <= MOST_HEARD) break;
+      heard.delete(text);
+    }
   };
-  /** Return the key of a reason that a robot has sent as English text; "": it is none that this page knows. */
-  texts.keyOf = (text) => understood(text)?.key ?? "";
-  texts.has = (key) => wordsOf(key, language) !== undefined;
+  /** Return an English sentence of a robot in the page's language; where it has no words, as it came. */
+  texts.reason = (text) => {
+    const {template = text, values = {}} = heard.get(text) ?? {};
+    const found = words(template);
+    if (found === undefined) return text;
+    const value = (each, place) => {
+      const state = each.toLowerCase();
+      if (STATES.includes(state)) return OF_STATES.includes(place) ? texts(state) : each;
+      // a value is a part of its sentence: who sends another one gets no circle
+      return each.length < text.length ? texts.reason(each).replace(DEGREES, texts("deg")) : each;
+    };
+    return fill(found, Object.fromEntries(Object.entries(values ?? {}).map(([place, each]) => [place, value(String(each), place)])));
+  };
   return texts;
 }

@@ -137,7 +137,7 @@ test("rights are those of the account by the list, and unknown without one", asy
 
 // -- messages
 
-const LINE = {topic: "link", state: "NEEDS_RESET", words: "link.NEEDS_RESET", values: {}, level: 2, sentence: "The arm was stopped, and holds.", reason: "", said: null,
+const LINE = {topic: "link", state: "NEEDS_RESET", level: 2, sentence: "The arm was stopped, and holds.",
   waits_for: "", who: "", todo: "", page: ""};
 const MESSAGE = {id: "m1", at: 1000, line: LINE, until: null, acknowledged_by: "", acknowledged_at: null};
 
@@ -154,7 +154,7 @@ async function history(list, may = () => true) {
 
 test("messages stand newest first, and those that nobody has read are counted", async () => {
   const read = {...MESSAGE, id: "m0", at: 10, until: 20, acknowledged_by: "bob", acknowledged_at: 30};
-  const act = {...MESSAGE, id: "m2", at: 2000, until: 2000, line: {...LINE, topic: "person", state: "reset", words: "person.reset", values: {person: "ada", lifts: "stop 3"}}};
+  const act = {...MESSAGE, id: "m2", at: 2000, until: 2000, line: {...LINE, topic: "person", state: "reset", sentence: "ada asked for a reset. It lifts: stop 3"}};
   const page = await history([read, MESSAGE, act]);
   const texts = page.items().map((each) => each.textContent);
   assert.match(texts[0], /ada asked for a reset\. It lifts: stop 3/);

@@ -17,9 +17,8 @@ test("every keyword of the schemas is understood: none stands there that would n
     if (schema.items) look(schema.items);
     if (schema.additionalProperties) look(schema.additionalProperties);
   };
-  const {REASONS, ...checked} = schemas;
-  assert.ok(REASONS.length > 0 && Object.keys(checked).length > 0);
-  Object.values(checked).forEach(look);
+  assert.ok(Object.keys(schemas).length > 0);
+  Object.values(schemas).forEach(look);
 });
 
 test("a value of another type is refused, with its place and what was expected", () => {

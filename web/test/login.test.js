@@ -29,7 +29,7 @@ test("who waits for a login is told what it waits for: the form covers the rest 
   const page = form();
   page.connection.change("refused", "login");
   page.connection.change("connecting");
-  assert.equal(page.said(), page.texts("connection.connecting"));
+  assert.equal(page.said(), page.texts("Connecting ..."));
   page.connection.change("lost", "broker_away");
   assert.equal(page.shown(), true);
   assert.match(page.said(), /NOT CONNECTED.*broker does not answer.*Trying again/);

@@ -7,7 +7,7 @@ import * as tasks from "../src/panels/tasks.js";
 import {readModels} from "../src/planning/model.js";
 import {counts, group, isAskable, nextTask, stateOfElement, taskOfElement, waitsFor} from "../src/work/task_list.js";
 import {fakePage, view} from "./support/fake.js";
-import {robotSays, textsIn} from "./support/sentences.js";
+import {textsIn} from "./support/sentences.js";
 
 const URDF = readFileSync(new URL("support/track.urdf", import.meta.url), "utf8");
 const NAMES = ["track", "joint_a1", "joint_a2", "joint_a3", "joint_a4", "joint_a5", "joint_a6"];
@@ -57,7 +57,7 @@ test("nothing is tried to find out a right; a person sets a goal where the robot
     assert.deepEqual(page.connection.sent, []);
     assert.equal(page.text(".plan-told"), "");
     assert.equal(page.find(".plan-work").hidden, true);
-    page.press("plan.begin");
+    page.press("Set a goal");
     assert.equal(page.find(".plan-work").hidden, false);
     assert.deepEqual(page.goal().names, NAMES);
     assert.deepEqual(page.goal().positions, POSITIONS);
@@ -83,8 +83,8 @@ test("an account that may not plan reads who can, and gets no sliders", async ()
 
 test("where no list says it, the broker's refusal of what a person asks for is told, until the next connection", async () => {
   const page = await planPanel({account: "kr120-viewer", refuse: "refused"});
-  page.press("plan.begin");
-  page.press("plan.ask");
+  page.press("Set a goal");
+  page.press("Ask for this plan");
   await settle();
   assert.equal(page.find(".plan-work").hidden, true);
   assert.equal(page.find(".plan-begin").hidden, true);
@@ -100,7 +100,7 @@ test("where no list says it, the broker's refusal of what a person asks for is t
 test("where no list says it, a refused question for joint values is told: the broker answers the first", async () => {
   const drag = (page) => page.store.set("drag", "kr120", {position: [1, 0, 1], quaternion: [0, 0, 0, 1], done: true});
   const page = await planPanel({refuse: "refused"});
-  page.press("plan.begin");
+  page.press("Set a goal");
   drag(page);
   await settle();
   assert.deepEqual(page.connection.sent.map(({topic, qos}) => [topic, qos]), [["ik/kr120-planner-ada", 1]]);
@@ -111,8 +111,8 @@ test("where no list says it, a refused question for joint values is told: the br
 
 test("a list that says more than the broker is not believed, and names who else can", async () => {
   const page = await planPanel({rights: listed({"kr120-planner-ada": "ada", pia: "pia"}), refuse: "refused"});
-  page.press("plan.begin");
-  page.press("plan.ask");
+  page.press("Set a goal");
+  page.press("Ask for this plan");
   await settle();
   assert.equal(page.text(".plan-told"), "This account may not ask for plans. Who can: pia.");
 });
@@ -121,7 +121,7 @@ test("a goal can be set as soon as the robot says its pose", async () => {
   const page = await planPanel();
   await page.hear("kr120", "view", trackView({twin: null, arm: null}));
   assert.equal(page.find(".plan-begin").disabled, true);
-  assert.equal(page.text(".plan-told"), page.texts("plan.no_pose"));
+  assert.equal(page.text(".plan-told"), page.texts("Where the robot is, is not known, so no goal can be set."));
   await page.hear("kr120", "view", trackView());
   assert.equal(page.find(".plan-begin").disabled, false);
   assert.equal(page.text(".plan-told"), "");
@@ -140,7 +140,7 @@ test("a model that cannot be read is told with the reason", async () => {
 
 test("a slider sets the joint in degrees, and the handle follows the tool", async () => {
   const page = await planPanel();
-  page.press("plan.begin");
+  page.press("Set a goal");
   const before = page.handle().position;
   const slider = page.parent.querySelectorAll(".plan-joint input[type=range]")[1];
   page.enter(slider, "30");
@@ -151,7 +151,7 @@ test("a slider sets the joint in degrees, and the handle follows the tool", asyn
 
 test("a number that is typed outside of the range is not taken, and said", async () => {
   const page = await planPanel();
-  page.press("plan.begin");
+  page.press("Set a goal");
   const field = page.parent.querySelectorAll(".plan-joint input[type=text]")[1];
   page.enter(field, "200");
   assert.equal(page.goal().positions[1], POSITIONS[1]);
@@ -162,14 +162,14 @@ test("a number that is typed outside of the range is not taken, and said", async
 
 test("dragging the tool asks where it is now, and the goal follows the answers to this page only", async () => {
   const page = await planPanel();
-  page.press("plan.begin");
+  page.press("Set a goal");
   const drag = (x, done = false) => page.store.set("drag", "kr120", {position: [x, 0, 1], quaternion: [0, 0, 0, 1], done});
   drag(1.0);
   drag(1.1);
   drag(1.2, true);
   const asked = page.connection.sent.filter(({topic}) => topic.startsWith("ik/"));
   assert.deepEqual(asked.map(({payload}) => payload.position[0]), [1.0]);
-  assert.equal(page.buttonOf("plan.ask").disabled, true);
+  assert.equal(page.buttonOf("Ask for this plan").disabled, true);
   const joints = Object.fromEntries(NAMES.map((name, number) => [name, POSITIONS[number] + 0.01]));
   const account = "ik/ack/kr120-planner-ada";
   await page.hear("kr120", account, {id: "other-1", reach: "free", joints, sentence: "", between: []});
@@ -181,25 +181,25 @@ test("dragging the tool asks where it is now, and the goal follows the answers t
   assert.deepEqual(later.map(({qos}) => qos), [1, 0]);
   assert.deepEqual(later.map(({payload}) => payload.position[0]), [1.0, 1.2]);
   assert.equal(page.goal().reach, "free");
-  assert.equal(page.buttonOf("plan.ask").disabled, true);
+  assert.equal(page.buttonOf("Ask for this plan").disabled, true);
   const touched = {reach: "contact", joints, sentence: "link_3 and floor.", between: ["link_3", "floor"]};
   await page.hear("kr120", account, {id: later[1].payload.id, ...touched});
   assert.equal(page.goal().reach, "contact");
   assert.match(page.text(".plan-reach"), /would touch something there\. link_3 and floor\./);
-  assert.equal(page.buttonOf("plan.ask").disabled, false);
+  assert.equal(page.buttonOf("Ask for this plan").disabled, false);
   // where the finger left it, also where the arm does not get
   assert.ok(page.handle() !== null);
 });
 
 test("a planner's word that this page does not know is no answer, and no exception", async () => {
   const page = await planPanel();
-  page.press("plan.begin");
+  page.press("Set a goal");
   page.store.set("drag", "kr120", {position: [1, 0, 1], quaternion: [0, 0, 0, 1], done: true});
   const [{payload}] = page.connection.sent;
   const joints = Object.fromEntries(NAMES.map((name, number) => [name, POSITIONS[number]]));
   await page.hear("kr120", "ik/ack/kr120-planner-ada", {id: payload.id, reach: "near_singular", joints, sentence: "close to a singularity"});
   assert.match(page.text(".plan-reach"), /^It is not known whether the arm gets there\. close to a singularity$/);
-  assert.equal(page.buttonOf("plan.ask").disabled, true);
+  assert.equal(page.buttonOf("Ask for this plan").disabled, true);
   assert.equal(page.goal().reach, "unknown");
 });
 
@@ -211,23 +211,23 @@ test("a drag without a goal asks nothing", async () => {
 
 test("the plan that is asked for is the one that is shown, and the planner's answer is told", async () => {
   const page = await planPanel();
-  page.press("plan.begin");
+  page.press("Set a goal");
   const options = [...page.parent.querySelectorAll("option")];
   assert.deepEqual(options.map((option) => option.value), ["0", "0.1", "0.25", "0.5", "1"]);
-  page.press("plan.ask");
+  page.press("Ask for this plan");
   await settle();
   const {topic, payload, qos} = page.connection.sent.at(-1);
   assert.deepEqual([topic, qos, payload.kind], ["plan_request/kr120-planner-ada", 1, "joints"]);
   assert.deepEqual(NAMES.map((name) => payload.joints[name]), page.goal().positions);
   assert.match(page.text(".plan-answer"), /Sent\. The planner is looking/);
-  assert.equal(page.buttonOf("plan.ask").disabled, true);
+  assert.equal(page.buttonOf("Ask for this plan").disabled, true);
   const ack = {account: "kr120-planner-ada", kind: "joints", plan_id: "", plan_hash: "", duration: 0};
   await page.hear("kr120", "plan_request/ack", {...ack, id: "another", ok: true, reason: ""});
   assert.match(page.text(".plan-answer"), /looking/);
   await page.hear("kr120", "plan_request/ack", {...ack, id: payload.id, ok: false, reason: "the floor is in the way"});
   assert.equal(page.text(".plan-answer"), "No plan: the floor is in the way");
-  assert.equal(page.buttonOf("plan.ask").disabled, false);
-  page.press("plan.line");
+  assert.equal(page.buttonOf("Ask for this plan").disabled, false);
+  page.press("Ask for a straight line of the tool");
   await settle();
   const line = page.connection.sent.at(-1).payload;
   assert.equal(line.kind, "line");
@@ -238,12 +238,12 @@ test("the plan that is asked for is the one that is shown, and the planner's ans
 
 test("a request whose answer was lost with the connection is told as such, and none is sent twice", async () => {
   const page = await planPanel();
-  page.press("plan.begin");
-  page.press("plan.ask");
+  page.press("Set a goal");
+  page.press("Ask for this plan");
   await settle();
   const sent = page.connection.sent.length;
   page.connection.change("lost", "closed");
-  assert.equal(page.buttonOf("plan.ask").disabled, true);
+  assert.equal(page.buttonOf("Ask for this plan").disabled, true);
   page.connection.change("connected");
   await page.hear("kr120", "view", trackView());
   await settle();
@@ -253,24 +253,24 @@ test("a request whose answer was lost with the connection is told as such, and n
 
 test("saved poses come back, and a name is needed", async () => {
   const page = await planPanel();
-  page.press("plan.begin");
-  page.press("plan.pose.save");
+  page.press("Set a goal");
+  page.press("Save the goal");
   assert.match(page.text(".plan-note"), /Give the pose a name first/);
   const name = page.find(".plan-poses input");
   name.value = "<b>home</b>";
-  page.press("plan.pose.save");
+  page.press("Save the goal");
   assert.equal(page.find(".plan-poses option").textContent, "<b>home</b>");
   page.enter(page.parent.querySelectorAll(".plan-joint input[type=range]")[2], "-60");
   assert.notDeepEqual(page.goal().positions, POSITIONS);
   page.find(".plan-poses option").setAttribute("selected", "");
-  page.press("plan.pose.go");
+  page.press("Take this pose as goal");
   assert.deepEqual(page.goal().positions, POSITIONS);
 });
 
 test("a discarded goal is gone from the picture, too", async () => {
   const page = await planPanel();
-  page.press("plan.begin");
-  page.press("plan.discard");
+  page.press("Set a goal");
+  page.press("Discard the goal");
   assert.deepEqual([page.goal(), page.handle()], [null, null]);
   assert.equal(page.find(".plan-begin").hidden, false);
 });
@@ -285,10 +285,10 @@ test("a browser that forbids pages to keep anything has the panel all the same, 
     },
   });
   const page = await planPanel({keeps: false});
-  page.press("plan.begin");
+  page.press("Set a goal");
   page.enter(page.find(".plan-poses input"), "above");
-  page.press("plan.pose.save");
-  assert.equal(page.text(".plan-note"), page.texts("plan.pose.not.storage"));
+  page.press("Save the goal");
+  assert.equal(page.text(".plan-note"), page.texts("This browser keeps nothing for pages, so the pose was not saved."));
 });
 
 // -- tasks
@@ -318,7 +318,7 @@ async function tasksPanel(value = work(), account = "kr120-planner-ada", languag
 }
 
 test("every state that the table of tasks has is in a group", () => {
-  const states = readFileSync(new URL("../../src/construction_twin/work/task_states.py", import.meta.url), "utf8");
+  const states = readFileSync(new URL("../../src/construction_twin/work/task_memory.py", import.meta.url), "utf8");
   const table = states.slice(states.indexOf("class TaskState"), states.indexOf("class TaskEvent"));
   const words = [...table.matchAll(/= "(\w+)"/g)].map(([, word]) => word);
   assert.ok(words.length > 10);
@@ -452,20 +452,20 @@ test("who may not answer reads who can", async () => {
 });
 
 test("what a task waits for and what is asked of it is said in the page's language", async () => {
-  const said = (key, values) => ({
-    en: robotSays(key, values), de: textsIn("de")(key, values),
-  });
-  const reason = said("work.task.waits", {tasks: "'Place 2' (2)"});
-  const question = said("work.question.where", {element: "stud 4", known: {key: "work.known.carried", values: {}}});
-  const whole = said("work.can_plan", {task: "'Place 2' (2)"});
-  const asked = work({reason: whole.en, tasks: [task("3", "waiting", {reason: reason.en}), task("4", "asks", {question: question.en})]});
-  for (const language of ["en", "de"]) {
+  // three sentences of the page's own stand for those of a robot
+  const texts = textsIn("de");
+  const sentences = [["Next: {task}", {task: "Place 2"}], ["Waits for: {what}", {what: "Place 2"}], ["Element: {element}", {element: "stud 4"}]];
+  const [whole, reason, question] = sentences.map(([template, values]) => textsIn("en")(template, values));
+  const said = Object.fromEntries(sentences.map(([template, values]) => [textsIn("en")(template, values), {template, values}]));
+  const asked = work({reason: whole, tasks: [task("3", "waiting", {reason}), task("4", "asks", {question})], said});
+  const german = sentences.map(([template, values]) => texts(template, values));
+  for (const [language, expected] of [["en", [whole, reason, question]], ["de", german]]) {
     const page = await tasksPanel(asked, undefined, language);
-    assert.equal(page.find(".tasks-reason").textContent, whole[language]);
+    assert.equal(page.find(".tasks-reason").textContent, expected[0]);
     page.click(page.items()[0]);
-    assert.ok(page.find(".tasks-detail").textContent.includes(reason[language]));
+    assert.ok(page.find(".tasks-detail").textContent.includes(expected[1]));
     page.click(page.items()[1]);
-    assert.ok(page.find(".tasks-question").textContent.includes(question[language]));
+    assert.ok(page.find(".tasks-question").textContent.includes(expected[2]));
   }
 });
 

@@ -40,7 +40,8 @@ test("one line says that it passed, and the axis that uses most; opened, each ax
 
 test("of one that failed the reasons stand below the line, in the page's language", async () => {
   const reason = "the flange carries 240.0 kg; the arm is rated for 120.0 kg";
-  const page = await panel({...REHEARSAL, state: "failed", reasons: [reason]}, "de");
+  const said = {[reason]: {template: "the flange carries {mass:.1f} kg; the arm is rated for {rated:.1f} kg", values: {mass: "240.0", rated: "120.0"}}};
+  const page = await panel({...REHEARSAL, state: "failed", reasons: [reason], said}, "de");
   assert.equal(page.find(".rehearsal summary").textContent, "Geprobt: nicht bestanden");
   assert.equal(page.find(".rehearsal summary").className, "is-bad");
   assert.deepEqual(page.all(".rehearsal-why li").map((item) => item.textContent), ["am Flansch hängen 240.0 kg; der Arm ist für 120.0 kg bemessen"]);
@@ -100,8 +101,8 @@ async function held({account = "ada", language = "en", obstacle = AGAINST, right
   verdict.make(fake.parent, fake.store, fake.connection, fake.texts, {now: () => fake.clock.now, every: (_, call) => timers.push(call)});
   const find = (selector) => fake.document.querySelector(selector);
   const fire = (element, type, values = {}) => element.dispatchEvent(Object.assign(new fake.window.Event(type, {bubbles: true}), values));
-  const say = (against) => fake.hear("kr120", "view", view({plan: "p1", approval_obstacle: against}));
-  await fake.hear("kr120", "view", view({plan: "p1", approval_obstacle: obstacle}));
+  const say = (against) => fake.hear("kr120", "view", view({plan: "p1", approval_obstacle: against, overridable: against.startsWith("plan p1")}));
+  await say(obstacle);
   await fake.hear("kr120", "plan", plan());
   if (rehearsal !== null) await fake.hear("kr120", "rehearsal", rehearsal);
   const pass = async (ms, against = obstacle) => {
@@ -127,7 +128,7 @@ for (const language of ["en", "de"]) {
     assert.equal(it.find(".verdict-approve").disabled, true);
     // without a reason a finger does nothing
     assert.equal(it.find(".override-approve").disabled, true);
-    assert.equal(it.text(".override-hint"), it.texts("verdict.override.reason"));
+    assert.equal(it.text(".override-hint"), it.texts("Say why, then the plan can be approved in spite of its rehearsal."));
     it.press();
     await it.pass(1200);
     assert.deepEqual(it.connection.sent, []);
@@ -151,16 +152,16 @@ test("a press that is let go too early, or that meets another word of the rehear
   it.press();
   await it.pass(500);
   it.fire(it.find(".override-approve"), "pointerup");
-  assert.equal(it.text(".verdict-notice"), it.texts("verdict.cancelled.early"));
+  assert.equal(it.text(".verdict-notice"), it.texts("Not approved: the button was released before the second was over."));
   it.press();
   await it.pass(500);
   await it.pass(1500, "plan p1 could not be rehearsed: it took too long");
-  assert.equal(it.text(".verdict-notice"), it.texts("verdict.cancelled.rehearsal"));
+  assert.equal(it.text(".verdict-notice"), it.texts("Not approved: what the rehearsal says has changed while the button was held."));
   // and it has passed after all
   it.press();
   await it.pass(500, "plan p1 could not be rehearsed: it took too long");
   await it.pass(1500, "");
-  assert.equal(it.text(".verdict-notice"), it.texts("verdict.cancelled.rehearsal"));
+  assert.equal(it.text(".verdict-notice"), it.texts("Not approved: what the rehearsal says has changed while the button was held."));
   assert.equal(it.find(".override").hidden, true);
   assert.deepEqual(it.connection.sent, []);
 });
@@ -168,13 +169,13 @@ test("a press that is let go too early, or that meets another word of the rehear
 test("who may not is told who can approve, and is offered nothing; where nobody is listed that is said", async () => {
   const it = await held({account: "vic"});
   assert.equal(it.find(".override").hidden, true);
-  assert.equal(it.text(".verdict-hint"), it.texts("verdict.blocked.right", {who: "ada, Grace"}));
+  assert.equal(it.text(".verdict-hint"), it.texts("This account may not approve. Who can: {who}.", {who: "ada, Grace"}));
   it.give();
   it.press();
   await it.pass(1500);
   assert.deepEqual(it.connection.sent, []);
   const none = await held({account: "vic", rights: {approve: {}}});
-  assert.equal(none.text(".verdict-hint"), none.texts("verdict.blocked.nobody"));
+  assert.equal(none.text(".verdict-hint"), none.texts("This account may not approve, and nobody is listed who can."));
 });
 
 for (const obstacle of ["", "the executor is EXECUTING: a plan is played"]) {
@@ -208,7 +209,7 @@ for (const [what, before, after] of [["comes", null, FAILED], ["replaces another
     await it.hear("kr120", "rehearsal", after);
     await it.pass(1500);
     assert.deepEqual(it.connection.sent, []);
-    assert.equal(it.text(".verdict-notice"), it.texts("verdict.cancelled.rehearsal"));
+    assert.equal(it.text(".verdict-notice"), it.texts("Not approved: what the rehearsal says has changed while the button was held."));
     // what is shown now is what a second press is about
     it.press();
     await it.pass(1100);
@@ -227,7 +228,7 @@ test("what the executor or the broker refuses is told, and can be asked again", 
   it.connection.refuse("refused");
   it.press();
   await it.pass(1200);
-  assert.equal(it.text(".verdict-notice"), it.texts("verdict.failed.refused_override", {verdict: it.texts("verdict.word.approved")}));
+  assert.equal(it.text(".verdict-notice"), it.texts("{verdict} refused by the broker: this account may not approve in spite of a rehearsal.", {verdict: it.texts("Approval")}));
 });
 
 test("on a broker without accounts the console's own account asks, and the typed name goes with it", async () => {

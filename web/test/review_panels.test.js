@@ -4,7 +4,7 @@ import * as playback from "../src/panels/playback.js";
 import * as status from "../src/panels/status.js";
 import * as stop from "../src/panels/stop.js";
 import * as verdict from "../src/panels/verdict.js";
-import {robotSays, textsIn} from "./support/sentences.js";
+import {textsIn} from "./support/sentences.js";
 import {fakePage, plan, view, work} from "./support/fake.js";
 
 const PLAN = plan({
@@ -107,7 +107,7 @@ test("an approval that was too late says so, and counts anew only for who has lo
   it.fire(it.find(".verdict-approve"), "pointerup");
   await it.hear("kr120", "review/ack", {account: "ada", reviewer: "ada", plan_id: "p1", plan_hash: "h1", verdict: "approved", ok: false,
     expired: true, reason: "the approval is too old: it is of 6.0 s ago"});
-  assert.equal(it.text(".verdict-notice"), it.texts("verdict.expired", {verdict: it.texts("verdict.word.approved")}));
+  assert.equal(it.text(".verdict-notice"), it.texts("{verdict} NOT accepted: it reached the robot too late after what this page had shown, and is void. Look again, then approve anew.", {verdict: it.texts("Approval")}));
   assert.ok(it.find(".verdict-notice").classList.contains("is-bad"));
   assert.equal(it.find(".verdict-approve").disabled, true);
   assert.equal(it.find(".verdict-checks").hasAttribute("open"), false, "it has to be opened again");
@@ -148,20 +148,20 @@ for (const word of ["away", "lost", "model"]) {
     assert.equal(it.store.robot("kr120").playback.time, time);
     assert.equal(it.find(".playback-waits").hidden, false);
     assert.equal(it.find(".verdict-approve").disabled, true);
-    assert.equal(it.text(".verdict-hint"), it.texts(`verdict.unseen.${word}`));
+    assert.equal(it.text(".verdict-hint"), it.texts(verdict.UNSEEN[word]));
     it.store.set("drawn", "kr120", "seen");
-    assert.equal(it.text(".verdict-hint"), it.texts("verdict.blocked.look"));
+    assert.equal(it.text(".verdict-hint"), it.texts("Play the plan to its end, or open its checks, then it can be approved."));
     await it.pass(1300);
     assert.equal(it.find(".verdict-approve").disabled, false);
     // nobody approves what is not to be seen; what was reached stays
     it.store.set("drawn", "kr120", "away");
     assert.equal(it.find(".verdict-approve").disabled, true);
-    assert.equal(it.text(".verdict-hint"), it.texts("verdict.unseen.away"));
+    assert.equal(it.text(".verdict-hint"), it.texts("The picture is not in view: come back to it, then the plan can be approved."));
     it.store.set("drawn", "kr120", "seen");
     assert.equal(it.find(".verdict-approve").disabled, false);
     it.store.set("said", "kr120", "cut");
     assert.equal(it.find(".verdict-approve").disabled, true);
-    assert.equal(it.text(".verdict-hint"), it.texts("verdict.blocked.unread"));
+    assert.equal(it.text(".verdict-hint"), it.texts("The sentence at the top is cut off or old: read it first."));
     it.store.set("said", "kr120", "whole");
     it.fire(it.find(".verdict-approve"), "pointerdown", {button: 0});
     await it.pass(1200);
@@ -172,9 +172,9 @@ for (const word of ["away", "lost", "model"]) {
 test("why a playback does not count is said in both languages, and that there is no picture", async () => {
   for (const language of ["en", "de"]) {
     const it = await planned(undefined, {language});
-    assert.equal(it.text(".verdict-hint"), textsIn(language)("verdict.unseen.none"));
+    assert.equal(it.text(".verdict-hint"), textsIn(language)("There is no picture here, so a playback shows nothing: open the plan's checks, then it can be approved."));
     it.store.set("drawn", "kr120", "away");
-    assert.equal(it.text(".verdict-hint"), textsIn(language)("verdict.unseen.away"));
+    assert.equal(it.text(".verdict-hint"), textsIn(language)("The picture is not in view: come back to it, then the plan can be approved."));
     // the checks are another way to look, but not one to approve without the picture
     await it.pass(1400);
     openChecks(it);
@@ -289,7 +289,7 @@ test("a rejection goes out with the reason that was picked and the person's word
   const reject = it.find(".verdict-reject");
   assert.equal(reject.disabled, true);
   const [words] = it.document.querySelectorAll(".verdict-rejection input");
-  it.choose(it.find(".verdict-rejection select"), "scene");
+  it.choose(it.find(".verdict-rejection select"), "the scene is not as shown");
   assert.equal(reject.disabled, false);
   it.enter(words, "the wall moved");
   it.click(reject);
@@ -504,35 +504,24 @@ test("the worst line comes first and large, with whom it waits for and what to d
 test("in another language the robot's sentences are in the page's words, with the reason as the robot says it", async () => {
   const it = await page([status], {language: "de"});
   await it.hear("kr120", "view", view());
-  const line = {...LINE, topic: "link", state: "NEEDS_RESET", words: "link.NEEDS_RESET", values: {}, level: 2,
-    sentence: "The arm was stopped, and holds: it braked", reason: "it braked", waits_for: "a reset", who: "operator", todo: "remove the cause"};
+  const sentence = "The link says so: the arm waits for 3 deg";
+  const line = {...LINE, topic: "link", state: "NEEDS_RESET", level: 2, sentence, waits_for: "a reset", who: "operator", todo: "remove the cause",
+    said: {[sentence]: {template: "Waits for: {what}", values: {what: "the arm waits for 3 deg"}}}};
   await it.hear("kr120", "screen", [line]);
-  assert.equal(it.text(".status-worst .status-sentence"), "Der Arm wurde angehalten und steht: it braked");
-  assert.match(it.text(".status-worst"), /Wartet auf: ein Zurücksetzen \(reset\) \(jemand an der Zelle\)Zu tun: die Ursache beseitigen/);
-  // what a start misses has its own words beside those of the start, and so has a value of them
-  await it.hear("kr120", "screen", [{...line, topic: "startup", state: "waiting", words: "startup.gateway_there", values: {broker: "10.0.0.5:8883"},
-    reason: ""}]);
-  assert.match(it.text(".status-worst"), /Noch ist nicht alles da\..*das Gateway.*--broker 10\.0\.0\.5:8883/);
-  const de = textsIn("de");
-  await it.hear("kr120", "screen", [{...line, topic: "startup", state: "waiting", words: "startup.controller", values: {rsi: robotSays("startup.rsi_elsewhere")},
-    reason: ""}]);
-  assert.ok(it.text(".status-worst").includes(de("line.startup.controller.todo", {rsi: de("startup.rsi_elsewhere")})));
+  assert.equal(it.text(".status-worst .status-sentence"), "Wartet auf: the arm waits for 3 °");
+  assert.match(it.text(".status-worst"), /Verbindung zum Arm.*Wartet auf: ein Zurücksetzen \(reset\) \(jemand an der Zelle\)Zu tun: remove the cause/);
 });
 
-test("words that this page does not know are the robot's own", async () => {
-  for (const words of [undefined, "link.UNHEARD", "../link.ARMED", "__proto__.x"]) {
-    const it = await page([status], {language: "de"});
-    await it.hear("kr120", "view", view());
-    const line = {...LINE, topic: "link", state: "UNHEARD", words, waits_for: "rain", todo: "wait"};
-    await it.hear("kr120", "screen", [line]);
-    assert.match(it.text(".status-worst"), /The arm holds its pose\.Wartet auf: rainZu tun: wait/, String(words));
-    // what is no word at all does not come this far, and what was said before stays
-    for (const bad of [{words: null}, {words: 7}, {words: {}}, {values: null}, {values: {broker: 7}}, {todo: 3}, {level: "2"}]) {
-      await it.hear("kr120", "screen", [{...line, waits_for: "snow", ...bad}]);
-    }
-    assert.equal(it.store.refused, 7);
-    assert.match(it.text(".status-worst"), /Wartet auf: rain/);
-  }
+test("what this page has no words for is the robot's own", async () => {
+  const it = await page([status], {language: "de"});
+  await it.hear("kr120", "view", view());
+  const line = {...LINE, sentence: "It rains.", topic: "weather", state: "UNHEARD", waits_for: "rain", who: "cloud", todo: "wait"};
+  await it.hear("kr120", "screen", [line]);
+  assert.match(it.text(".status-worst"), /weatherIt rains\.Wartet auf: rain \(cloud\)Zu tun: wait/);
+  // what is no line at all does not come this far, and what was said before stays
+  for (const bad of [{todo: 3}, {level: "2"}]) await it.hear("kr120", "screen", [{...line, waits_for: "snow", ...bad}]);
+  assert.equal(it.store.refused, 2);
+  assert.match(it.text(".status-worst"), /Wartet auf: rain/);
 });
 
 test("a page of the docs leads nowhere else", () => {

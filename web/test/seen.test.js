@@ -1,7 +1,8 @@
 import assert from "node:assert/strict";
 import {test} from "node:test";
 import {IN_VIEW, seenWord} from "../src/picture/seen.js";
-import {textsIn} from "./support/sentences.js";
+import {GERMAN} from "./support/sentences.js";
+import {UNSEEN} from "../src/panels/verdict.js";
 
 const SEEN = {lost: false, ready: true, shown: true, inView: 1, visible: true};
 
@@ -17,6 +18,6 @@ for (const [what, change, word] of [
 ]) {
   test(`a robot is not seen: ${what}`, () => {
     assert.equal(seenWord({...SEEN, ...change}), word);
-    assert.ok(textsIn("de").has(`verdict.unseen.${word}`));
+    assert.ok(UNSEEN[word] in GERMAN);
   });
 }

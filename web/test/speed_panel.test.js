@@ -181,6 +181,9 @@ test("a second without an answer is told", async () => {
 });
 
 test("it speaks German", async () => {
-  const it = await page({language: "de"}, byDora(0.3));
+  const it = await page({language: "de"});
+  const template = "{person} has limited the speed to {percent:.0f}%";
+  const limit = byDora(0.3);
+  await it.hear("kr120", "view", view({speed: limit, said: {[limit.reason]: {template, values: {person: "dora", percent: "30"}}}}));
   assert.equal(it.text(".speed-now"), "Es gelten höchstens 30 % der geplanten Geschwindigkeit (dora hat die Geschwindigkeit auf 30 % begrenzt).");
 });

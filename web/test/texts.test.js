@@ -1,32 +1,25 @@
 import assert from "node:assert/strict";
-import {readFileSync} from "node:fs";
 import {test} from "node:test";
-import {fill, makeSentences, tableOf} from "../src/sentences.js";
-import {REASONS} from "../src/schemas.js";
-import {languageOf, withoutLanguage} from "../src/texts.js";
-import {SENTENCES, robotSays, textsIn} from "./support/sentences.js";
+import {languageOf, makeTexts, withoutLanguage} from "../src/texts.js";
+import {textsIn} from "./support/sentences.js";
 
-const {understood, wordsOf} = makeSentences(SENTENCES);
-
-const cases = JSON.parse(readFileSync(new URL("./support/sentence_cases.json", import.meta.url), "utf8"));
-
-// test/unit/core/test_sentences.py fills in the same ones, and compares the languages
-for (const {template, values, text} of cases) {
-  test(`${template} with ${JSON.stringify(values)} is ${text}`, () => assert.equal(fill(template, values), text));
-}
-
-test("a key that is missing is an error, and values are filled in as text", () => {
+test("values are filled in as text, and a place without one stays", () => {
   const texts = textsIn("en");
-  assert.throws(() => texts("page.nothing"), RangeError);
-  assert.throws(() => texts("toString"), RangeError);
-  assert.equal(texts("page.account", {account: "<b>$&"}), "Logged in as <b>$&");
+  assert.equal(texts("Logged in as {account}", {account: "<b>$&"}), "Logged in as <b>$&");
+  assert.equal(texts("{a:.3} and {b:g} and {toString}", {a: "1.5 deg"}), "1.5 deg and {b:g} and {toString}");
 });
 
-test("a program's own word in a reason is what a person calls it, and a name that is such a word stays", () => {
-  const said = "gateway was stopped (stop 3) and is holding: asked for by account stopped";
-  assert.equal(textsIn("de").reason(said), "das Gateway wurde angehalten (Halt 3) und ist angehalten: verlangt von Konto stopped");
-  assert.equal(textsIn("en").reason(said), said);
-  assert.equal(textsIn("de").reason("re-plan after HOLDING"), "Neuplanung, weil der Monitor angehalten war");
+test("the words are the language's, and English where it has none", () => {
+  assert.equal(textsIn("de")("Log out"), "Abmelden");
+  assert.equal(textsIn("de")("nothing of the kind {a}", {a: 1}), "nothing of the kind 1");
+  assert.equal(textsIn("de")("constructor"), "constructor");
+  assert.equal(textsIn("en")("Log out"), "Log out");
+});
+
+test("a program's word is what a table has for it, else itself", () => {
+  const de = textsIn("de");
+  assert.equal(de.word({reset: "Log out"}, "reset"), "Abmelden");
+  assert.equal(de.word({reset: "Log out"}, "constructor"), "constructor");
 });
 
 test("the language is the chosen one, else the browser's, else English", () => {
@@ -41,81 +34,53 @@ test("another language is another page of the same robots", () => {
   assert.equal(withoutLanguage(""), "");
 });
 
-const DIFFERS = {key: "reason.gate.differs", values: {
-  joint: "joint_a3", difference: {value: 0.0123456789, unit: "rad"}, threshold: {value: 0.01, unit: "rad"},
-}};
-const GAVE_UP = {key: "reason.gate.gave_up", values: {held: 30.004, reason: DIFFERS}};
+const TABLE = {
+  "{joint} differs by {error:.3}": "{joint} weicht um {error} ab", "it holds: {reason}": "er hält: {reason}", "no pose": "keine Stellung",
+  "gateway was stopped and is {state}: by {who}": "das Gateway wurde von {who} angehalten und ist {state}", "{a}": "<{a}>",
+  stopped: "angehalten", holding: "wartend", deg: "°",
+};
+const german = () => makeTexts("de", TABLE);
 
-test("what a robot has said with key and values is said in the page's language, in deg, and in itself", () => {
-  const de = textsIn("de");
-  assert.match(de.said(DIFFERS, "?"), /joint_a3 .*0\.7074 °.*0\.5730 °/);
-  assert.ok(de.said(GAVE_UP, "?").includes(de.said(DIFFERS, "?")));
+test("what a robot has said is said by its template, with the sentences and units in it", () => {
+  const de = german();
+  const [differs, holds] = ["joint_a3 differs by 0.707 deg", "it holds: joint_a3 differs by 0.707 deg"];
+  de.hear({reason: holds, said: {
+    [differs]: {template: "{joint} differs by {error:.3}", values: {joint: "joint_a3", error: "0.707 deg"}},
+    [holds]: {template: "it holds: {reason}", values: {reason: differs}},
+  }});
+  assert.equal(de.reason(holds), "er hält: joint_a3 weicht um 0.707 ° ab");
+  assert.equal(de.reason(differs), "joint_a3 weicht um 0.707 ° ab");
+  assert.equal(makeTexts("en").reason(holds), holds);
 });
 
-test("what it has said without a key of the page, or with values that do not fit, is its own text", () => {
-  const de = textsIn("de");
-  const without = (changes) => ({key: DIFFERS.key, values: {...DIFFERS.values, ...changes}});
-  for (const said of [
-    null, undefined, 7, "reason.gate.differs", {}, {key: "reason.gate.differs"}, {key: "reason.gate.other", values: {}},
-    {key: "page.title", values: {}}, {key: "constructor", values: {}}, without({joint: undefined}), without({joint: {}}),
-    without({difference: 0.1}), without({difference: {value: "0.1", unit: "rad"}}), without({difference: {value: 0.1}}),
-    {key: GAVE_UP.key, values: {held: "30", reason: DIFFERS}}, {key: GAVE_UP.key, values: {held: 30, reason: {key: "page.title", values: {}}}},
-  ]) assert.equal(de.said(said, "the text"), "the text", JSON.stringify(said));
+test("a sentence without values is its own template, and what has no words comes as it is", () => {
+  const de = german();
+  assert.equal(de.reason("no pose"), "keine Stellung");
+  for (const text of ["", "no poses", "{joint}", "constructor", undefined]) assert.equal(de.reason(text), text);
+  de.hear({said: {"x 1": {template: "x {n}", values: {n: "1"}}}});
+  assert.equal(de.reason("x 1"), "x 1");
 });
 
-const reasons = Object.keys(SENTENCES).filter((key) => REASONS.some((each) => key.startsWith(each)));
-
-test("a page in English needs no reasons, one in another language their English beside their own, and both have the same words else", () => {
-  const [en, de] = ["en", "de"].map((language) => tableOf(SENTENCES, language));
-  // what can be answered the page says itself, and by what a rehearsal has said it knows that it may be overridden
-  const known = reasons.filter((key) => key.startsWith("work.answer.") || key.startsWith("review.rehearsal."));
-  assert.ok(known.length > 7 && known.every((key) => key in en));
-  assert.deepEqual([...Object.keys(en), ...reasons.filter((key) => !known.includes(key))].sort(), Object.keys(SENTENCES).sort());
-  assert.deepEqual(Object.keys(de).sort(), Object.keys(SENTENCES).sort());
-  assert.deepEqual(de["reason.gate.differs"], SENTENCES["reason.gate.differs"]);
-  assert.deepEqual(de["page.title"], {de: SENTENCES["page.title"].de});
-  assert.deepEqual(en["page.title"], {en: SENTENCES["page.title"].en});
+test("a state is what a person calls it, and a name that is such a word stays", () => {
+  const de = german();
+  const text = "gateway was stopped and is HOLDING: by stopped";
+  de.hear({said: {[text]: {template: "gateway was stopped and is {state}: by {who}", values: {state: "HOLDING", who: "stopped"}}}});
+  assert.equal(de.reason(text), "das Gateway wurde von stopped angehalten und ist wartend");
 });
 
-test("what a rehearsal holds back is known by its key in every language, whatever its reasons are", () => {
-  const reason = {key: "review.rehearsal.more", values: {first: "joint_a3 needs 2000 Nm", count: 2}};
-  const said = robotSays("review.rehearsal.failed", {plan: "p1", reason});
-  for (const language of ["en", "de"]) {
-    const texts = textsIn(language);
-    assert.equal(texts.keyOf(said), "review.rehearsal.failed");
-    assert.equal(texts.keyOf("somebody says something"), "");
-    assert.equal(texts.keyOf(""), "");
-  }
+test("lines and messages have their own, and the oldest of too many are forgotten", () => {
+  const de = german();
+  const said = (text) => ({[text]: {template: "it holds: {reason}", values: {reason: text.slice(10)}}});
+  de.hear([{said: said("it holds: 1")}, {line: {said: said("it holds: 2")}}, {line: {}}, {}]);
+  assert.equal(de.reason("it holds: 1"), "er hält: 1");
+  assert.equal(de.reason("it holds: 2"), "er hält: 2");
+  for (let k = 3; k < 2002; k += 1) de.hear({said: said(`it holds: ${k}`)});
+  assert.equal(de.reason("it holds: 1"), "it holds: 1");
+  assert.equal(de.reason("it holds: 2"), "er hält: 2");
 });
 
-test("a page in English shows a reason as it comes", () => {
-  const en = textsIn("en");
-  assert.equal(en.said(DIFFERS, "joint_a3 differs"), "joint_a3 differs");
-  assert.equal(en.reason("joint_a3 differs"), "joint_a3 differs");
-});
-
-test("a reason that came as text is found in it again, and said in the page's language", () => {
-  const de = textsIn("de");
-  assert.ok(reasons.length > 100);
-  for (const key of reasons) {
-    const values = {};
-    for (const [, name, decimals, form] of wordsOf(key, "en").matchAll(/\{(\w+)(?::(?:\.(\d))?(\w))?\}/g)) {
-      const number = Number((1.23456789).toFixed(Number(decimals ?? 3)));
-      values[name] = form === "p" || form === "q" ? {value: form === "p" ? Math.PI * 12.5 / 180 : number, unit: "rad"}
-        : form === "f" || form === "g" ? number : form === "s" ? {key: "executor.where.before", values: {}} : "word";
-    }
-    const text = robotSays(key, values);
-    assert.equal(understood(text)?.key, key, text);
-    assert.equal(de.reason(text), de(key, values));
-  }
-});
-
-test("a text that is no reason to the letter stays as it is", () => {
-  const de = textsIn("de");
-  for (const text of ["", "at 2.1 s", "this; that", "this: that", "joint_a3 differs by 0.7 deg", "Twin and arm agree.", "before the first"]) {
-    assert.equal(understood(text), null, text);
-    assert.equal(de.reason(text), text);
-  }
-  assert.equal(de.reason(undefined), undefined);
-  assert.equal(textsIn("en").reason("goal reached"), "goal reached");
+test("a sentence that has itself as a value ends", () => {
+  const de = german();
+  de.hear({said: {a: {template: "{a}", values: {a: "a"}}}});
+  assert.equal(de.reason("a"), "<a>");
 });

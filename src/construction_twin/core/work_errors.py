@@ -42,7 +42,7 @@ class TaskPlanningError(WorkError):
 
     Attributes:
         stage: Segment that was not possible with the method that came furthest; empty: before any.
-        method: Name of that method, see `work.jobs.TaskMotions`; empty: none.
+        method: Name of that method, see `work.process.TaskMotions`; empty: none.
     """
 
     def __init__(self, task: str, reason: str, stage: str = "", method: str = ""):

@@ -20,6 +20,7 @@ Differences of stamps are taken in int64, so that float64 keeps them to far belo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -96,7 +97,7 @@ class Alignment:
 class TwinPath:
     """The twin's motion as a function of time.
 
-    Samples whose stamp does not lie after all earlier ones (a restarted or repeated stream) are left out and counted.
+    Samples whose stamp does not lie after all earlier ones (a restarted or repeated stream) are left out.
 
     Args:
         base: Stamp that times are counted from [ns].
@@ -106,10 +107,7 @@ class TwinPath:
         newest = np.maximum.accumulate(twin.stamps)
         increasing = np.concatenate([[True], twin.stamps[1:] > newest[:-1]])
         if np.count_nonzero(increasing) < 2:
-            raise ConstructionTwinError(
-                "the twin's stamps do not increase; was the recording made with a stopped clock?"
-            )
-        self.dropped = int(np.count_nonzero(~increasing))
+            raise ConstructionTwinError("the twin's stamps do not increase; was it recorded with a stopped clock?")
         self._times = (twin.stamps[increasing] - base).astype(float)
         self._positions = twin.positions[increasing]
         periods = np.diff(self._times)
@@ -171,28 +169,17 @@ def align_instant(recording: Recording, window: Window) -> Alignment:
 
 
 def align_by_command(recording: Recording, window: Window) -> Alignment | None:
-    """Pair each physical sample inside the window with the twin's pose at its command stamp.
-
-    Returns:
-        None when the recording has no command stamps inside the window.
-    """
+    """Pair each physical sample inside the window with the twin's pose at its command stamp; None: there are none inside."""
     return _align_command("by_command", recording, window, 0.0)
 
 
 def align_lag_removed(recording: Recording, window: Window, lag_ns: float) -> Alignment | None:
-    """Pair each physical sample inside the window with the twin's pose `lag_ns` [ns] before its command stamp.
-
-    Returns and raises as `align_by_command`.
-    """
+    """Pair each physical sample as `align_by_command`, with the twin's pose `lag_ns` [ns] before its command stamp."""
     return _align_command("lag_removed", recording, window, lag_ns)
 
 
 def align_expected(recording: Recording, window: Window) -> Alignment | None:
-    """Pair each physical sample inside the window with the pose that the gate expected of the servos.
-
-    Returns:
-        None when the recording holds none inside the window.
-    """
+    """Pair each physical sample inside the window with the pose that the gate expected of the servos; None: there are none."""
     if recording.expected is None:
         return None
     physical, expected = recording.physical, recording.expected
@@ -245,8 +232,7 @@ def round_trips(recording: Recording, window: Window) -> np.ndarray:
     return (answered.stamps - answered.command_stamps) / NANOSECONDS
 
 
-@dataclass(frozen=True)
-class _Answered:
+class _Answered(NamedTuple):
     stamps: np.ndarray
     positions: np.ndarray
     command_stamps: np.ndarray
@@ -276,8 +262,6 @@ def _align_command(name: str, recording: Recording, window: Window, lag_ns: floa
 def _paired(name, stamps, times, measured, path: TwinPath, missing: int = 0) -> Alignment:
     covered = path.covers(times)
     if not covered.any():
-        raise ConstructionTwinError(
-            f"alignment {name}: no physical sample inside the evaluated time meets the twin's recording"
-        )
+        raise ConstructionTwinError(f"alignment {name}: no physical sample of that time meets the twin's recording")
     errors = measured[covered] - path(times[covered])
     return Alignment(name, stamps[covered], errors, missing + int(np.count_nonzero(~covered)))

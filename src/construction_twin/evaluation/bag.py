@@ -102,20 +102,14 @@ class Bag:
         if found != kind:
             raise ConstructionTwinError(f"{topic} in the bag is a {found}; expected a {kind}")
         if connection.digest != self._known[kind]:
-            raise ConstructionTwinError(
-                f"{topic} in the bag was recorded with another definition of {kind} (md5 {connection.digest}, "
-                f"installed is {self._known[kind]}); evaluate it with the version of the package that "
-                "recorded it"
-            )
+            sums = f"md5 {connection.digest}, installed is {self._known[kind]}"
+            other = f"{topic} in the bag was recorded with another definition of {kind} ({sums})"
+            raise ConstructionTwinError(f"{other}; evaluate it with the version of the package that recorded it")
 
 
 @contextmanager
 def open_bag(path: str | Path) -> Iterator[Bag]:
-    """Open a bag for reading. No code is generated from what it contains.
-
-    Raises:
-        ConstructionTwinError: If the file cannot be read as a bag, also if that shows while it is read.
-    """
+    """Open a bag for reading. No code is generated from what it contains."""
     try:
         # rosbags says of a file that is not there that it is damaged
         Path(path).open("rb").close()
@@ -125,9 +119,8 @@ def open_bag(path: str | Path) -> Iterator[Bag]:
         raise FileError(str(path), error) from error
     except (*_DAMAGED, OSError) as error:
         if "not indexed" in str(error):
-            raise ConstructionTwinError(
-                f"{path} was not closed properly; run `rosbag reindex {path}` and try again"
-            ) from error
+            said = f"{path} was not closed properly; run `rosbag reindex {path}` and try again"
+            raise ConstructionTwinError(said) from error
         raise ConstructionTwinError(f"{path} cannot be read as a rosbag: {problem_of(error)}") from error
 
 
@@ -242,16 +235,13 @@ class _Run:
         for _, message in messages:
             names = tuple(message.name)
             if names not in columns:
-                missing = [joint for joint in self._joints if joint not in names]
-                if missing:
-                    raise ConstructionTwinError(
-                        f"a message on {topic} lacks {', '.join(missing)}; each must name all joints"
-                    )
+                if missing := [joint for joint in self._joints if joint not in names]:
+                    lacking = f"a message on {topic} lacks {', '.join(missing)}"
+                    raise ConstructionTwinError(f"{lacking}; each must name all joints")
                 columns[names] = [names.index(joint) for joint in self._joints]
             if len(message.position) != len(names):
-                raise ConstructionTwinError(
-                    f"a message on {topic} has {len(message.position)} values for {len(names)} joints"
-                )
+                found = f"{len(message.position)} values for {len(names)} joints"
+                raise ConstructionTwinError(f"a message on {topic} has {found}")
             rows.append([message.position[column] for column in columns[names]])
         return np.array(rows, dtype=float).reshape(len(rows), len(self._joints))
 

@@ -32,9 +32,7 @@ class Stream:
     def __post_init__(self):
         if self.positions.ndim != 2 or not len(self.stamps) == len(self.positions) == len(self.received):
             shapes = f"{self.stamps.shape}, {self.positions.shape}, {self.received.shape}"
-            raise ConstructionTwinError(
-                f"stamps, positions and received have shapes {shapes}; expected (k,), (k, n), (k,)"
-            )
+            raise ConstructionTwinError(f"stamps, positions, received of {shapes}; expected (k,), (k, n), (k,)")
         if not np.isfinite(self.positions).all():
             raise ConstructionTwinError("a recorded joint position is not a finite number; the recording is damaged")
 
@@ -154,21 +152,18 @@ class Recording:
     expected: Stream | None = None
 
     def __post_init__(self):
-        if not self.joint_names:
+        count = len(self.joint_names)
+        if not count:
             raise ConstructionTwinError(
-                "twin and physical arm report no joint in common; check the joint names in the recording"
+                "twin and physical arm report no joint in common; check their names in the recording"
             )
-        for name in ("twin", "physical"):
-            count = len(getattr(self, name))
-            if count < 2:
-                raise ConstructionTwinError(
-                    f"the recording holds {count} {name} samples; a comparison needs at least 2"
-                )
         for name in ("twin", "physical", "feedback", "command", "expected"):
             stream = getattr(self, name)
-            if stream is not None and stream.positions.shape[1] != len(self.joint_names):
+            if stream is not None and stream.positions.shape[1] != count:
+                raise ConstructionTwinError(f"{name} has {stream.positions.shape[1]} joints, expected {count}")
+            if name in ("twin", "physical") and len(stream) < 2:
                 raise ConstructionTwinError(
-                    f"{name} has {stream.positions.shape[1]} joints, expected {len(self.joint_names)}"
+                    f"the recording holds {len(stream)} {name} samples; a comparison needs at least 2"
                 )
 
     @property

@@ -24,11 +24,7 @@ _MOCK_LIMITS = ("start_pose_deg", "correction_lower_deg", "correction_upper_deg"
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A recording with its alignments.
-
-    Attributes:
-        lag_ns: Estimated constant lag [ns].
-    """
+    """A recording with its alignments; `lag_ns`: estimated constant lag [ns]."""
 
     recording: Recording
     window: Window

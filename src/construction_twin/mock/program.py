@@ -37,7 +37,7 @@ from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.tool import read_tool, tool_of
 
 if TYPE_CHECKING:
-    from construction_twin.physics.plant import Plant
+    from construction_twin.physics.arm import Plant
 
 
 class PhysicsServo(WithMass, Servo):
@@ -219,9 +219,9 @@ def build_servo(settings: MockSettings, robot: RobotModel) -> Servo:
 def _physics_servo(settings: MockSettings, robot: RobotModel, period: float) -> Servo:
     check_extras("physics")
     # only here: what simulates is not everywhere
+    from construction_twin.physics.arm import Plant, bare_model
     from construction_twin.physics.drive import drives_of, read_drives
     from construction_twin.physics.mass import payload_of
-    from construction_twin.physics.plant import Plant, bare_model
     from construction_twin.scene.collision_bodies import RobotBodies
 
     bodies = RobotBodies(robot)

@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import pydantic
-import yaml
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.validation import configuration_error
 from construction_twin.robot.description import RobotModel
-from construction_twin.robot.urdf import parse_urdf, read_text
+from construction_twin.robot.urdf import parse_urdf, read_yaml
 
 _Positive = Annotated[float, pydantic.Field(gt=0.0, le=1e7, allow_inf_nan=False)]
 _NotNegative = Annotated[float, pydantic.Field(ge=0.0, le=1e7, allow_inf_nan=False)]
@@ -102,11 +101,7 @@ def drives_of(robot: RobotModel) -> ArmDrives:
 
 def read_drives(path: str | Path, robot: RobotModel) -> ArmDrives:
     """Read the file of an arm's drives, see config/kr120_drives.yaml."""
-    try:
-        content = yaml.safe_load(read_text(path))
-    except yaml.YAMLError as error:
-        raise ConfigurationError(str(path), " ".join(str(error).split()), "a YAML file") from error
-    return load_drives(content, robot, str(path))
+    return load_drives(read_yaml(path), robot, str(path))
 
 
 def load_drives(content: object, robot: RobotModel, where: str) -> ArmDrives:
@@ -116,11 +111,8 @@ def load_drives(content: object, robot: RobotModel, where: str) -> ArmDrives:
     except pydantic.ValidationError as error:
         raise configuration_error(error, _DrivesFile, where) from error
     if set(read.joints) != set(robot.joint_names):
-        raise ConfigurationError(
-            f"{where}/joints",
-            sorted(read.joints),
-            f"one entry for each of {list(robot.joint_names)}",
-        )
+        expected = f"one entry for each of {list(robot.joint_names)}"
+        raise ConfigurationError(f"{where}/joints", sorted(read.joints), expected)
     axes = [read.joints[name] for name in robot.joint_names]
     efforts = _efforts(robot)
     return ArmDrives(

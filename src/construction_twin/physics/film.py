@@ -16,7 +16,6 @@ import mujoco
 import numpy as np
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.sentences import Sentence
 from construction_twin.physics.arm import SimulatedArm
 from construction_twin.physics.model import PhysicsModel
 
@@ -138,7 +137,7 @@ def open_context():
                 del sys.modules[name]
         else:
             return context
-    raise ConstructionTwinError(Sentence("no picture can be drawn here: {problem}", problem="; ".join(problems)))
+    raise ConstructionTwinError(f"no picture can be drawn here: {'; '.join(problems)}")
 
 
 def _camera(frames: list[_Frame]) -> mujoco.MjvCamera:

@@ -19,9 +19,17 @@ import numpy as np
 import pinocchio
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.physics.constants import FRICTION, GRAVITY, STEP
 from construction_twin.physics.drive import ArmDrives
-from construction_twin.physics.mass import MassProperties, of_link, of_object, of_shape, together
+from construction_twin.physics.mass import (
+    FRICTION,
+    GRAVITY,
+    STEP,
+    MassProperties,
+    of_link,
+    of_object,
+    of_shape,
+    together,
+)
 from construction_twin.robot.packages import Packages
 from construction_twin.scene.collision_bodies import Body, RobotBodies, mesh_triangles
 from construction_twin.scene.objects import Scene
@@ -55,9 +63,6 @@ def world_of(bodies: RobotBodies, scene: Scene, drives: ArmDrives, folder: Path,
     Args:
         folder: Where the meshes will be: absolute path.
         priority: SCHED_FIFO of the thread that simulates, where permitted; 0: none.
-
-    Raises:
-        SceneError: If the scene names links or objects that do not exist, or a mesh cannot be used.
     """
     return _Builder(bodies, scene, drives, folder).build(priority)
 
@@ -66,14 +71,10 @@ def check_serial(bodies: RobotBodies) -> None:
     """Raise a ConfigurationError for an arm with a joint that follows another: the plugin knows one serial chain."""
     names = [name for index, name in enumerate(bodies.model.names) if index and name not in bodies.robot.joint_names]
     if names:
-        raise ConfigurationError(
-            "URDF",
-            ", ".join(names),
-            (
-                f"an arm of which no joint follows another: Gazebo moves one serial chain (here {', '.join(names)}"
-                "); twin:=mujoco moves this one"
-            ),
+        expected = (
+            "an arm of which no joint follows another: Gazebo moves one serial chain; twin:=mujoco moves this one"
         )
+        raise ConfigurationError("URDF", ", ".join(names), expected)
 
 
 class _Builder:
@@ -135,12 +136,9 @@ class _Builder:
         model = self._bodies.model
         data = model.createData()
         pinocchio.forwardKinematics(model, data, pinocchio.neutral(model))
-        drives = dict(
-            zip(
-                self._bodies.robot.joint_names,
-                zip(self._drives.torque, self._drives.armature, self._drives.damping, self._drives.friction),
-            )
-        )
+        drive = self._drives
+        each = zip(drive.torque, drive.armature, drive.damping, drive.friction)
+        drives = dict(zip(self._bodies.robot.joint_names, each))
         if self._drives.estimates:
             keys = ", ".join(self._drives.estimates)
             self._remarks.append(f"of the arm these are estimates: {keys}; torques: {self._drives.source}")

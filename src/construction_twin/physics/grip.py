@@ -50,28 +50,22 @@ class SuctionGrip:
     @staticmethod
     def of(cups: Cups, tip_T_tcp: Place) -> SuctionGrip:
         """Return the grip of all cups of a tool."""
-        pose = (*tip_T_tcp.xyz, *rpy_to_quaternion(tip_T_tcp.rpy_deg))
-        return SuctionGrip(
-            pinocchio.XYZQUATToSE3(np.array(pose, dtype=float)),
-            np.array(cups.at, dtype=float),
-            cups.radius,
-            cups.holds * GRAVITY,
-        )
+        pose = np.array((*tip_T_tcp.xyz, *rpy_to_quaternion(tip_T_tcp.rpy_deg)), dtype=float)
+        at = np.array(cups.at, dtype=float)
+        return SuctionGrip(pinocchio.XYZQUATToSE3(pose), at, cups.radius, cups.holds * GRAVITY)
 
     def on(self, pieces: Sequence[Body]) -> SuctionGrip:
         """Return the cups that lie on a workpiece, of which `pieces` are placed as seen from the tip link."""
         ball = coal.Sphere(_BALL)
         request = coal.CollisionRequest()
+        placed = [
+            (piece.geometry, coal.Transform3s(piece.placement.rotation, piece.placement.translation))
+            for piece in pieces
+        ]
         lying = []
         for x, y in self.cups:
-            centre = self.tip_T_tcp.act(np.array([x, y, _DEPTH]))
-            at = _transform(pinocchio.SE3(np.eye(3), centre))
-            lying.append(
-                any(
-                    coal.collide(ball, at, piece.geometry, _transform(piece.placement), request, coal.CollisionResult())
-                    for piece in pieces
-                )
-            )
+            at = coal.Transform3s(np.eye(3), self.tip_T_tcp.act(np.array([x, y, _DEPTH])))
+            lying.append(any(coal.collide(ball, at, *piece, request, coal.CollisionResult()) for piece in placed))
         return replace(self, cups=self.cups[np.array(lying, dtype=bool)])
 
     def usages(self, forces: np.ndarray, moments: np.ndarray) -> np.ndarray:
@@ -91,10 +85,6 @@ class SuctionGrip:
         shears = np.hypot(shears[:, : len(x)], shears[:, len(x) :])
         loads = np.maximum(pulls, 0.0) + shears / FRICTION
         return loads.max(axis=1) / (self.holds / len(_LIP))
-
-
-def _transform(placement: pinocchio.SE3) -> coal.Transform3s:
-    return coal.Transform3s(placement.rotation, placement.translation)
 
 
 class GripWatch:

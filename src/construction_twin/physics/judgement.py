@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from construction_twin.physics.mass import MassProperties
 from construction_twin.physics.report import PayloadLoad, RehearsalReport
 from construction_twin.scene.collision_bodies import RobotBodies
 
-#: An object that was let go stays where it is when it moves and turns by no more than this [m], [rad].
+#: An object stays where it is when it moves and turns by no more than this [m], [rad].
 STAYS, STAYS_TURNED = 0.005, math.radians(1.0)
 #: For so long what was let go is watched [s].
 SETTLING = 2.0
@@ -23,47 +23,24 @@ SETTLING = 2.0
 LARGEST_TRACKING = math.radians(0.5)
 
 
-@dataclass(frozen=True)
-class Limits:
-    """From where on a rehearsal has failed.
-
-    Attributes:
-        torque: Fraction of an axis' torque.
-        stays, stays_turned: How far what is let go may move [m] and turn [rad].
-        settling: For how long that is watched [s].
-    """
-
-    torque: float = 1.0
-    stays: float = STAYS
-    stays_turned: float = STAYS_TURNED
-    settling: float = SETTLING
-
-
-def reasons(report: RehearsalReport, limits: Limits, linear: Set[str]) -> Iterator[Sentence]:
+def reasons(report: RehearsalReport, linear: Set[str]) -> Iterator[Sentence]:
     """Yield why a rehearsal has failed; `linear`: names of prismatic joints."""
-    load = report.payload
-    if load.rated_mass and load.mass > load.rated_mass:
-        yield Sentence(
-            "the flange carries {mass:.1f} kg; the arm is rated for {rated:.1f} kg",
-            mass=load.mass,
-            rated=load.rated_mass,
-        )
-    if load.rated_inertia and load.inertia > load.rated_inertia:
-        yield Sentence(
-            "the load has a moment of inertia of {inertia:.1f} kg m^2 at the flange; the arm is rated "
-            "for {rated:.1f} kg m^2",
-            inertia=load.inertia,
-            rated=load.rated_inertia,
-        )
-    for place, rated in ((load.across, load.rated_across), (load.along, load.rated_along)):
-        if rated and abs(place) > rated:
+    load, centre = report.payload, Sentence("centre of mass from the flange")
+    for what, found, rated, unit in (
+        (Sentence("mass"), load.mass, load.rated_mass, "kg"),
+        (Sentence("moment of inertia at the flange"), load.inertia, load.rated_inertia, "kg m^2"),
+        (centre, abs(load.across) * 1e3, load.rated_across * 1e3, "mm"),
+        (centre, abs(load.along) * 1e3, load.rated_along * 1e3, "mm"),
+    ):
+        if rated and found > rated:
             yield Sentence(
-                "the load's centre of mass is {distance:.1} from the flange; the arm is rated for {rated:.1}",
-                distance=Quantity(place, "m"),
-                rated=Quantity(rated, "m"),
+                "the load's {what} is {found:.1q}; the arm is rated for {rated:.1q}",
+                what=what,
+                found=Quantity(found, unit),
+                rated=Quantity(rated, unit),
             )
     for axis in report.axes:
-        if axis.limit and axis.usage > limits.torque:
+        if axis.limit and axis.usage > 1.0:
             unit = "N" if axis.joint in linear else "Nm"
             yield Sentence(
                 "{joint} needs {peak:.0q} after {time:.2f} s; it has {limit:.0q} ({percent:.0f} %)",
@@ -73,18 +50,17 @@ def reasons(report: RehearsalReport, limits: Limits, linear: Set[str]) -> Iterat
                 percent=axis.usage * 100.0,
                 time=axis.time,
             )
-    if report.braking.usage > limits.torque and not report.contacts:
+    if report.braking.usage > 1.0 and not report.contacts:
         yield Sentence(
-            "braking after {time:.2f} s takes {percent:.0f} % of an axis' torque: the arm would not stop "
-            "within its limits",
+            "braking after {time:.2f} s takes {percent:.0f} % of an axis' torque: the arm would not stop within its limits",
             time=report.braking.time,
             percent=report.braking.usage * 100.0,
         )
     if report.grip.usage > 1.0:
         grip = report.grip
         yield Sentence(
-            "at {time:.2f} s {object} may slip or come off: of its {cups} cups one would need "
-            "{percent:.0f} % of what it holds; plan a slower motion, or another grip",
+            "at {time:.2f} s {object} may slip or come off: one of its {cups} cups would need {percent:.0f} % of what it holds; "
+            "plan a slower motion, or another grip",
             object=grip.name,
             time=grip.time,
             percent=grip.usage * 100.0,
@@ -99,29 +75,29 @@ def reasons(report: RehearsalReport, limits: Limits, linear: Set[str]) -> Iterat
             force=contact.force,
         )
     for one in report.objects:
-        if math.isfinite(one.released):
-            if one.fell > limits.stays:
-                yield Sentence(
-                    "{object}, let go after {time:.2f} s, falls {distance:.0f} mm",
-                    object=one.name,
-                    time=one.released,
-                    distance=one.fell * 1e3,
-                )
-            elif one.moved > limits.stays or one.turned > limits.stays_turned:
-                yield Sentence(
-                    "{object}, let go after {time:.2f} s, does not stay: it moves {distance:.0f} mm and turns "
-                    "{angle:.1}",
-                    object=one.name,
-                    time=one.released,
-                    distance=one.moved * 1e3,
-                    angle=Quantity(one.turned, "rad"),
-                )
-        elif one.moved > limits.stays or one.turned > limits.stays_turned:
+        moves, let_go = one.moved > STAYS or one.turned > STAYS_TURNED, math.isfinite(one.released)
+        distance, angle = one.moved * 1e3, Quantity(one.turned, "rad")
+        if let_go and one.fell > STAYS:
+            yield Sentence(
+                "{object}, let go after {time:.2f} s, falls {distance:.0f} mm",
+                object=one.name,
+                time=one.released,
+                distance=one.fell * 1e3,
+            )
+        elif let_go and moves:
+            yield Sentence(
+                "{object}, let go after {time:.2f} s, does not stay: it moves {distance:.0f} mm and turns {angle:.1}",
+                object=one.name,
+                time=one.released,
+                distance=distance,
+                angle=angle,
+            )
+        elif moves:
             yield Sentence(
                 "{object}, which the plan does not touch, moves {distance:.0f} mm and turns {angle:.1}",
                 object=one.name,
-                distance=one.moved * 1e3,
-                angle=Quantity(one.turned, "rad"),
+                distance=distance,
+                angle=angle,
             )
     if report.tracking > LARGEST_TRACKING and not report.contacts:
         error = Quantity(report.tracking, "m" if report.tracking_joint in linear else "rad")

@@ -16,6 +16,14 @@ import pinocchio
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.scene.collision_bodies import Body
 
+#: Length of a step [s]: a quarter of a cycle.
+STEP = 0.001
+#: Acceleration of gravity, along -z of the root [m/s^2] (DIN 1305).
+GRAVITY = 9.80665
+#: Friction of two bodies [1] of which nobody says more: wood, brick and steel lie between 0.3 and 0.6.
+FRICTION = 0.4
+
+
 #: Taken for a shape of unknown material [kg/m^3]: between spruce and aluminium, as what a lab carries is.
 UNKNOWN_DENSITY = 1000.0
 #: A body of no volume, a plate of a surface mesh, has this mass [kg]: MuJoCo simulates nothing that weighs nothing.
@@ -64,9 +72,8 @@ def payload_of(numbers: Sequence[float], name: str) -> MassProperties | None:
     mass, *centre = numbers
     is_payload = len(numbers) in (1, 4) and LEAST_MASS <= mass <= _LARGEST_PAYLOAD
     if not is_payload or not math.hypot(*centre) <= _LARGEST_DISTANCE:
-        raise ConfigurationError(
-            name, tuple(numbers), "a mass above 0 [kg], or a mass and its centre in the tip link: KG,X,Y,Z [kg], [m]"
-        )
+        expected = "a mass above 0 [kg], or a mass and its centre in the tip link: KG,X,Y,Z [kg], [m]"
+        raise ConfigurationError(name, tuple(numbers), expected)
     # a cube of 20 cm, when nobody says more
     return MassProperties(mass, np.array(centre or (0.0, 0.0, 0.0)), np.eye(3) * mass * 0.04 / 6.0)
 
@@ -104,11 +111,7 @@ def of_shape(geometry: coal.CollisionGeometry, density: float = UNKNOWN_DENSITY)
 
 
 def of_object(pieces: Sequence[Body]) -> MassProperties:
-    """Return the properties of a scene object of one density, in its own frame.
-
-    Args:
-        pieces: What `RobotBodies.place` gives.
-    """
+    """Return the properties of a scene object of one density, in its own frame; `pieces`: what `RobotBodies.place` gives."""
     shapes = pieces[0].shapes
     if shapes is not None and shapes.whole is not None:
         return of_shape(shapes.whole)
@@ -131,9 +134,8 @@ def of_link(name: str, inertia: pinocchio.Inertia, shapes: Sequence[MassProperti
     if high <= 0.0:
         matrix, low, middle, high = matrix + np.eye(3) * 1e-6, 1e-6, 1e-6, 1e-6
     if low < 0.0 or high > (low + middle) * (1 + 1e-6):
-        raise ConfigurationError(
-            f"URDF link {name} inertia",
-            np.round([low, middle, high], 6).tolist(),
-            ("principal moments of which none is negative and the largest is at most the sum of the others [kg m^2]"),
+        expected = (
+            "principal moments of which none is negative and the largest is at most the sum of the others [kg m^2]"
         )
+        raise ConfigurationError(f"URDF link {name} inertia", np.round([low, middle, high], 6).tolist(), expected)
     return MassProperties(inertia.mass, np.array(inertia.lever, dtype=float), matrix)

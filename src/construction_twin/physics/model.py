@@ -15,9 +15,17 @@ import mujoco
 import numpy as np
 import pinocchio
 
-from construction_twin.physics.constants import FRICTION, GRAVITY, STEP
 from construction_twin.physics.drive import ArmDrives
-from construction_twin.physics.mass import MassProperties, of_link, of_object, of_shape, together
+from construction_twin.physics.mass import (
+    FRICTION,
+    GRAVITY,
+    STEP,
+    MassProperties,
+    of_link,
+    of_object,
+    of_shape,
+    together,
+)
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.scene.collision_bodies import Body, RobotBodies, is_convex, mesh_triangles
 from construction_twin.scene.collision_world import checked_pairs
@@ -133,25 +141,16 @@ def build_model(
     self_collision: SelfCollision,
     drives: ArmDrives,
     load: Load = Load(),
-    gravity: Sequence[float] = (0.0, 0.0, -GRAVITY),
     contacts: bool = True,
 ) -> PhysicsModel:
-    """Compile the model.
-
-    Args:
-        gravity: Length 3. In the root of the URDF [m/s^2].
-        contacts: Whether bodies touch each other; if not, they have masses and no shapes.
-
-    Raises:
-        SceneError: If the scene names links or objects that do not exist, or a mesh cannot be used.
-    """
-    return _Builder(bodies, scene, self_collision, drives, load, gravity, contacts).build()
+    """Compile the model; `contacts`: whether bodies touch each other; if not, they have masses and no shapes."""
+    return _Builder(bodies, scene, self_collision, drives, load, contacts).build()
 
 
 class _Builder:
     """Builds one model; the order of its steps is that of `build`."""
 
-    def __init__(self, bodies, scene, self_collision, drives, load, gravity, contacts):
+    def __init__(self, bodies, scene, self_collision, drives, load, contacts):
         self._robot_bodies: RobotBodies = bodies
         self._scene: Scene = scene
         self._self_collision: SelfCollision = self_collision
@@ -166,7 +165,7 @@ class _Builder:
         self._spec = spec = mujoco.MjSpec()
         spec.modelname = bodies.robot.name
         spec.option.timestep = STEP
-        spec.option.gravity = list(gravity)
+        spec.option.gravity = [0.0, 0.0, -GRAVITY]
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         spec.compiler.degree = False

@@ -19,10 +19,9 @@ from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.physics.arm import Servo, SimulatedArm
-from construction_twin.physics.constants import GRAVITY
 from construction_twin.physics.drive import ArmDrives
 from construction_twin.physics.grip import GripWatch, SuctionGrip
-from construction_twin.physics.judgement import Limits, reasons, worst_payload
+from construction_twin.physics.judgement import SETTLING, STAYS, STAYS_TURNED, reasons, worst_payload
 from construction_twin.physics.known_mass import TOOL, body_of
 from construction_twin.physics.mass import MassProperties
 from construction_twin.physics.model import Load, PhysicsModel, build_model
@@ -72,21 +71,18 @@ class Rehearsal:
         flange: A payload without a shape, in the frame of the tip link.
         grip: The tool's cups; None: it has none, and whether it holds what it carries is not looked at.
         tool, inputs: Hashes of the tool file, and of what else decides the result, as the report has them.
-        gravity: Length 3. In the root of the URDF [m/s^2].
     """
 
     bodies: RobotBodies
     self_collision: SelfCollision
     drives: ArmDrives
     servo: Servo = Servo()
-    limits: Limits = Limits()
     masses: Mapping[str, float] = field(default_factory=dict)
     unweighed: Sequence[str] = ()
     flange: MassProperties | None = None
     grip: SuctionGrip | None = None
     tool: str = ""
     inputs: str = ""
-    gravity: tuple[float, float, float] = (0.0, 0.0, -GRAVITY)
 
     def of_plan(
         self,
@@ -109,15 +105,8 @@ class Rehearsal:
         last = plan.segments[-1].scene_after if plan.segments else plan.scene
         missing = [each for each in (*wanted, last) if each not in scenes]
         if missing:
-            return finished(
-                replace(
-                    named,
-                    reasons=(
-                        Sentence("the scene {scene} that a segment needs is not known here", scene=missing[0][:12]),
-                    ),
-                ),
-                clock() - begin,
-            )
+            reason = Sentence("the scene {scene} that a segment needs is not known here", scene=missing[0][:12])
+            return finished(replace(named, reasons=(reason,)), clock() - begin)
         ends = [segment.end for segment in plan.segments] or [plan.trajectory.duration]
         parts = [Part(scenes[scene], end) for scene, end in zip(wanted, ends)]
         run = _Run(self, plan.trajectory, parts, scenes[last], progress)
@@ -125,9 +114,8 @@ class Rehearsal:
             found = run.report(named, clock)
         # ValueError: MuJoCo's compiler refuses a model
         except (ConstructionTwinError, mujoco.FatalError, ValueError) as error:
-            found = replace(
-                named, reasons=(Sentence("the simulation broke off: {problem}", problem=" ".join(str(error).split())),)
-            )
+            reason = Sentence("the simulation broke off: {problem}", problem=" ".join(str(error).split()))
+            found = replace(named, reasons=(reason,))
         return finished(found, clock() - begin)
 
 
@@ -267,38 +255,18 @@ class _Run:
         objects = [item for item in scene.objects if self._bodies[item.name] in known]
         near = nearest(objects, self._bodies, of.bodies.robot, setpoints) if len(known) > MOST else sorted(known)
         pieces = {item.name: self._bodies[item.name] for item in objects if self._bodies[item.name] in near[:MOST]}
-        standing = come_to_rest(partial(self._model, scene), pieces, setpoints[0], of.servo, of.limits)
+        standing = come_to_rest(partial(self._model, scene), pieces, setpoints[0], of.servo)
         if standing is None:
             return False
         self._standing, self._fixed = standing, frozenset({*standing.restless, *near[MOST:]})
         if standing.restless:
-            most = max(standing.restless.values()) * 1e3
-            self._remarks.append(
-                Sentence(
-                    "without any plan these would move by up to {distance:.1f} mm: {objects}; they stand on "
-                    "nothing that the scene has, or inside each other. They are fixed in this rehearsal, and "
-                    "nothing tips them over",
-                    objects=listed(standing.restless),
-                    distance=most,
-                )
-            )
+            most = f"{max(standing.restless.values()) * 1e3:.1f} mm: {listed(standing.restless)}"
+            self._remarks.append(f"fixed in this rehearsal, as they would move without any plan, by up to {most}")
         if near[MOST:]:
-            self._remarks.append(
-                Sentence(
-                    "the {most} elements nearest to the path can be tipped over; {count} further ones are fixed "
-                    "in this rehearsal",
-                    most=MOST,
-                    count=len(near) - MOST,
-                )
-            )
+            more = f"{len(near) - MOST} elements further from the path than the nearest {MOST}"
+            self._remarks.append(f"fixed in this rehearsal: {more}")
         if of.unweighed:
-            self._remarks.append(
-                Sentence(
-                    "nobody says what these weigh: {objects}. They are fixed in this rehearsal, and nothing tips "
-                    "them over",
-                    objects=listed(of.unweighed),
-                )
-            )
+            self._remarks.append(f"fixed in this rehearsal, as nobody says what they weigh: {listed(of.unweighed)}")
         return True
 
     def _arm(self, scene: Scene, pose: np.ndarray, before: SimulatedArm | None, begin: float) -> SimulatedArm:
@@ -317,7 +285,7 @@ class _Run:
             for name in before.physics.loose:
                 if name in physics.loose:
                     arm.put_loose(name, *before.loose_state(name))
-                elif (displaced := self._found(before, name)).moved > self._of.limits.stays:
+                elif (displaced := self._found(before, name)).moved > STAYS:
                     # the arm picks up where the plan has it, but it is not there any more
                     self._displaced[name] = displaced
             for name in sorted(physics.loose.keys() - before.physics.loose.keys()):
@@ -330,8 +298,7 @@ class _Run:
 
     def _model(self, scene: Scene, loose: Mapping[str, str]) -> PhysicsModel:
         of = self._of
-        load = Load(of.masses, loose, of.flange)
-        return build_model(of.bodies, scene, of.self_collision, of.drives, load, of.gravity)
+        return build_model(of.bodies, scene, of.self_collision, of.drives, Load(of.masses, loose, of.flange))
 
     def _watch(self, scene: Scene, physics: PhysicsModel) -> GripWatch | None:
         """Return what looks at the cups while the arm carries something in a scene; None: it does not, or there are none."""
@@ -416,7 +383,7 @@ class _Run:
         duration = self._trajectory.duration
         # nobody has planned how far the tool is from what it has let go of at the very end
         without = {name for name, released in self._released.items() if released >= duration}
-        for _ in range(round((self._of.limits.settling if arm.physics.loose else _COMING_TO_REST) / CYCLE)):
+        for _ in range(round((SETTLING if arm.physics.loose else _COMING_TO_REST) / CYCLE)):
             for _step in arm.steps(setpoint):
                 if arm.data.ncon:
                     self._note_contacts(arm.physics, arm.data, duration, without)
@@ -426,8 +393,7 @@ class _Run:
         found = dict(self._displaced)
         for name in arm.physics.loose:
             one = self._found(arm, name)
-            limits = self._of.limits
-            if name in self._released or one.moved > limits.stays or one.turned > limits.stays_turned:
+            if name in self._released or one.moved > STAYS or one.turned > STAYS_TURNED:
                 found.setdefault(name, one)
         return tuple(found.values())
 
@@ -464,7 +430,7 @@ class _Run:
             return self._diverged(named, self._trajectory.duration if math.isfinite(braking.usage) else braking.time)
         robot = self._of.bodies.robot
         linear = {name for name, slides in zip(robot.joint_names, robot.linear) if slides}
-        why = tuple(reasons(report, self._of.limits, linear))
+        why = tuple(reasons(report, linear))
         return replace(report, state=FAILED if why else PASSED, reasons=why)
 
     def _braking(self) -> Braking:

@@ -16,7 +16,7 @@ import numpy as np
 from construction_twin.core.units import CYCLE
 from construction_twin.kinematics.chain import Chain
 from construction_twin.physics.arm import Servo, SimulatedArm
-from construction_twin.physics.judgement import Limits
+from construction_twin.physics.judgement import SETTLING, STAYS, STAYS_TURNED
 from construction_twin.physics.model import PhysicsModel
 from construction_twin.robot.description import RobotModel
 from construction_twin.scene.objects import SceneObject
@@ -56,11 +56,7 @@ def displacement(before: np.ndarray, now: np.ndarray) -> tuple[float, float, flo
 
 
 def come_to_rest(
-    build: Callable[[Mapping[str, str]], PhysicsModel],
-    pieces: Mapping[str, str],
-    pose: np.ndarray,
-    servo: Servo,
-    limits: Limits,
+    build: Callable[[Mapping[str, str]], PhysicsModel], pieces: Mapping[str, str], pose: np.ndarray, servo: Servo
 ) -> Standing | None:
     """Let bodies come to rest around an arm that stands still; None: the simulation came apart.
 
@@ -76,7 +72,7 @@ def come_to_rest(
             break
         arm = SimulatedArm(build(left), pose, servo)
         before = {body: arm.loose_state(body)[0] for body in arm.physics.loose}
-        _settle(arm, pose, limits.settling)
+        _settle(arm, pose)
         if not np.isfinite(arm.data.qpos).all():
             return None
         after = {body: arm.loose_state(body) for body in before}
@@ -84,10 +80,7 @@ def come_to_rest(
         found = {
             body: way
             for body, (way, turned, sunk) in moved.items()
-            if sunk > SINKS
-            or way > limits.stays
-            or turned > limits.stays_turned
-            or np.abs(after[body][1]).max() > STILL
+            if sunk > SINKS or way > STAYS or turned > STAYS_TURNED or np.abs(after[body][1]).max() > STILL
         }
         if not found:
             return Standing({body: place for body, (place, _) in after.items()}, restless)
@@ -95,8 +88,8 @@ def come_to_rest(
     return Standing({}, restless)
 
 
-def _settle(arm: SimulatedArm, pose: np.ndarray, longest: float) -> None:
-    """Let everything loose part from what it is inside of, and then lie until it sleeps, for `longest` [s] at most."""
+def _settle(arm: SimulatedArm, pose: np.ndarray) -> None:
+    """Let everything loose part from what it is inside of, and then lie until it sleeps, for `SETTLING` at most."""
     data = arm.data
     speeds = np.concatenate([arm.speeds_of(body) for body in arm.physics.loose])
     for _ in range(round(_PARTING / CYCLE)):
@@ -104,7 +97,7 @@ def _settle(arm: SimulatedArm, pose: np.ndarray, longest: float) -> None:
             # two bricks that are planned a millimetre into each other part; they do not jump
             data.qvel[speeds] = 0.0
     arm.physics.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
-    for _ in range(round(longest / CYCLE)):
+    for _ in range(round(SETTLING / CYCLE)):
         arm.cycle(pose)
         # what sleeps has no speed at all
         if not data.qvel[speeds].any():

@@ -10,10 +10,12 @@ import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 from xml.etree import ElementTree
 from xml.parsers.expat import ExpatError
 
 import xacro
+import yaml
 from urdf_parser_py.urdf import URDF, Joint
 from urdf_parser_py.xml_reflection.core import ParseError
 from xacro.substitution_args import ArgException
@@ -167,3 +169,11 @@ def read_text(path: str | Path) -> str:
         return Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(str(path), problem_of(error), "a readable text file") from error
+
+
+def read_yaml(path: str | Path, of_what: str = "") -> Any:
+    """Return what a YAML file holds; `of_what`: what it describes, for messages."""
+    try:
+        return yaml.safe_load(read_text(path))
+    except yaml.YAMLError as error:
+        raise ConfigurationError(str(path), " ".join(str(error).split()), f"a YAML file{of_what}") from error

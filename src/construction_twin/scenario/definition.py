@@ -114,11 +114,7 @@ class Expectation(_Model):
 
 
 class Scenario(_Model):
-    """A scenario; see the module.
-
-    Attributes:
-        limit: Longest that all of it may take, from the first step to the end [s].
-    """
+    """A scenario; `limit`: longest that all of it may take, from the first step to the end [s]."""
 
     name: Annotated[str, pydantic.Field(pattern=r"^[a-z0-9_]+$")]
     title: Annotated[str, pydantic.Field(min_length=1)]

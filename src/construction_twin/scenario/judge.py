@@ -148,11 +148,7 @@ class Judgement:
 def judge(
     scenario: Scenario, run: Run, trace: Sequence[TraceEntry], limits: MotionLimits, decimals: int, cycle: float
 ) -> Judgement:
-    """Judge a run.
-
-    Args:
-        cycle: The controller's cycle [s]: a reply, and a pose of the arm, in each.
-    """
+    """Judge a run; `cycle`: the controller's cycle [s]: a reply, and a pose of the arm, in each."""
     expect = scenario.expect
     checks = [Check("carried out", "every step", run.failure or "every step", not run.failure), *_begun(scenario, run)]
     checks += [_order(expect.sync, run.states("sync")), *_finals(run, expect.final), _end(scenario, run)]
@@ -329,13 +325,9 @@ def _growth(run: Run, closing: SyncMoment, crossing: _Crossing, stalled: str) ->
         return Check("error of the stalled joint", "poses after it stalled", "none that can be compared", False)
     worst = float(np.abs(aligned.errors[:, joint]).max())
     bound = threshold + speed * delay
-    sentence = f"{math.degrees(threshold):.3f} deg and {delay * 1e3:.1f} ms at {math.degrees(speed):.1f} deg/s"
-    return Check(
-        "error of the stalled joint",
-        f"at most {math.degrees(bound):.3f} deg ({sentence})",
-        f"{math.degrees(worst):.3f} deg",
-        worst <= bound,
-    )
+    parts = f"{math.degrees(threshold):.3f} deg and {delay * 1e3:.1f} ms at {math.degrees(speed):.1f} deg/s"
+    expected = f"at most {math.degrees(bound):.3f} deg ({parts})"
+    return Check("error of the stalled joint", expected, f"{math.degrees(worst):.3f} deg", worst <= bound)
 
 
 def _errors(scenario: Scenario, run: Run, measured: dict) -> list[Check]:
@@ -430,10 +422,9 @@ def _stop(scenario: Scenario, run: Run, cycle: float, measured: dict) -> list[Ch
         return []
     topic, value = bound.event.split(" ", 1)
     event = run.first(topic, value, since=run.start)
+    expected = f"at most {bound.distance_deg:g} deg after {bound.event}"
     if event is None:
-        return [
-            Check("stop distance", f"at most {bound.distance_deg:g} deg after {bound.event}", "no such event", False)
-        ]
+        return [Check("stop distance", expected, "no such event", False)]
     released = [
         c.stamp
         for c in run.changes
@@ -449,7 +440,6 @@ def _stop(scenario: Scenario, run: Run, cycle: float, measured: dict) -> list[Ch
     largest = float(np.degrees(distance).max())
     measured |= {"stop_distance_deg": largest, "stop_time_s": rest}
     found = f"{largest:.4f} deg, at rest after {rest:.3f} s"
-    expected = f"at most {bound.distance_deg:g} deg after {bound.event}"
     checks = [Check("stop distance", expected, found, largest <= bound.distance_deg)]
     if event.topic == "fault" and run.stated:
         further = float((np.degrees(distance) - np.abs(run.stated)).max())

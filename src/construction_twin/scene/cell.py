@@ -26,11 +26,7 @@ class _Place(pydantic.BaseModel):
 
 
 class Cell:
-    """Robots and where they stand: the root of each one's URDF in ``world``.
-
-    Args:
-        places: ``world_T_root`` by the robot's name.
-    """
+    """Robots and where they stand: ``world_T_root`` of each one's URDF, by the robot's name."""
 
     def __init__(self, places: Mapping[str, Pose]):
         self._places = dict(places)

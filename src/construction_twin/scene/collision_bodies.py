@@ -128,14 +128,7 @@ class RobotBodies:
         )  # fmt: skip
 
     def rows(self, qs: np.ndarray) -> np.ndarray:
-        """Return joint values in Pinocchio's order, those that follow included.
-
-        Args:
-            qs: Shape (m, n). [rad] or [m], order of ``robot.joint_names``.
-
-        Returns:
-            Shape (m, size)
-        """
+        """Return joint values, shape (m, n), in Pinocchio's order, those that follow included, shape (m, size)."""
         rows = np.empty((len(qs), self.size))
         rows[:, self.order] = qs
         self.follow(rows)
@@ -158,14 +151,13 @@ class RobotBodies:
         return tuple(axes)
 
     def joint_places(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return where all joints are at many joint values at once.
+        """Return where all joints of the model are at many joint values at once: by Pinocchio's index, 0 is the world.
 
         Args:
             rows: Shape (m, size). Pinocchio's order.
 
         Returns:
-            rotations: Shape (m, j, 3, 3).
-            positions: Shape (m, j, 3) [m]. Of every joint of the model by Pinocchio's index, 0 is the world.
+            Rotations, shape (m, j, 3, 3), and positions, shape (m, j, 3) [m].
         """
         rotations = np.empty((len(rows), self.model.njoints, 3, 3))
         positions = np.zeros((len(rows), self.model.njoints, 3))
@@ -189,14 +181,7 @@ class RobotBodies:
         return rotations, positions
 
     def link_pose(self, q: JointValues, link: str) -> Pose:
-        """Return a link's pose in the base_link.
-
-        Args:
-            q: Length n. [rad] or [m], order of ``robot.joint_names``.
-
-        Raises:
-            SceneError: If the robot has no such link.
-        """
+        """Return a link's pose in the base_link; SceneError: the robot has no such link."""
         if link not in self.link_joints:
             raise SceneError("a link's name", link, f"a link of the robot: {sorted(self.link_joints)}")
         data = self.model.createData()
@@ -210,18 +195,14 @@ class RobotBodies:
 
         Args:
             objects: Names of the objects of its scene, which it may name in `touch`.
-
-        Raises:
-            SceneError: If it names a link or object that does not exist, has a link's name, or its mesh cannot be used.
         """
+        links = f"a link of the robot: {sorted(self.link_joints)}"
         if item.link and item.link not in self.link_joints:
-            expected = f"a link of the robot: {sorted(self.link_joints)}"
-            raise SceneError(f"object {item.name!r} link", item.link, expected)
+            raise SceneError(f"object {item.name!r} link", item.link, links)
         for name in item.touch:
             if name not in self.link_joints and (name not in objects or name == item.name):
-                links, others = str(sorted(self.link_joints)), listed(set(objects) - {item.name})
-                expected = f"a link of the robot: {links}, or another object of the scene: {others}"
-                raise SceneError(f"object {item.name!r} touch", name, expected)
+                others = f"another object of the scene: {listed(set(objects) - {item.name})}"
+                raise SceneError(f"object {item.name!r} touch", name, f"{links}, or {others}")
         if item.name in self.link_joints:
             raise SceneError("an object's name", item.name, "a name that no link of the robot has")
         pose = pinocchio.SE3(item.pose.rotation, item.pose.position)
@@ -283,9 +264,6 @@ def scene_geometry(item: SceneObject) -> coal.CollisionGeometry:
     """Return the shape of a scene object, centred in the object's frame: one, of a mesh that is not convex its surface.
 
     What contacts are checked with are `scene_shapes`.
-
-    Raises:
-        SceneError: If its mesh file has changed since the object was made, or cannot be used: see `mesh_file.parse_mesh`.
     """
     if item.shape == "box":
         return coal.Box(*item.size)
@@ -330,9 +308,8 @@ def _mesh(item: SceneObject) -> coal.CollisionGeometry:
     where = f"object {item.name!r} mesh"
     contents = read_mesh_file(item.name, item.mesh)
     if hashlib.sha256(contents).hexdigest() != item.mesh_digest:
-        raise SceneError(
-            where, item.mesh, "the file that the object was made with; it has changed, add the object again"
-        )
+        expected = "the file that the object was made with; it has changed, add the object again"
+        raise SceneError(where, item.mesh, expected)
     x, y, z = item.size
     vertices, triangles = parse_mesh(where, item.mesh, contents, (x, y, z))
     mesh = surface(vertices, triangles)
@@ -368,12 +345,7 @@ def mesh_triangles(mesh: coal.BVHModelBase) -> tuple[np.ndarray, np.ndarray]:
 
 
 def is_convex(vertices: np.ndarray, triangles: np.ndarray) -> bool:
-    """Return whether triangles make a closed convex body.
-
-    Args:
-        vertices: Shape (v, 3). [m]
-        triangles: Shape (t, 3), integers
-    """
+    """Return whether triangles, shape (t, 3), of vertices, shape (v, 3) [m], make a closed convex body."""
     edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     _, uses = np.unique(edges, axis=0, return_counts=True)
     if not (uses == 2).all():
@@ -417,9 +389,6 @@ def measured(
 
     Where Coal knows no depth, the first shape is moved by up to 0.1 mm, which the distance then is wrong by at most: it is told as
     that much smaller.
-
-    Raises:
-        SceneError: If Coal knows none beside there either.
     """
     request, result = coal.DistanceRequest(), coal.DistanceResult()
     request.gjk_tolerance = _GJK_TOLERANCE

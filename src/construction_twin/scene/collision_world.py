@@ -52,13 +52,7 @@ class Contact:
 
 @dataclass(frozen=True)
 class PairDistance:
-    """How far two bodies are from each other.
-
-    Attributes:
-        between: Length 2. As in `Contact`.
-        distance: Negative for two bodies that penetrate each other [m].
-        margin: At this distance or less they are in contact [m].
-    """
+    """How far two bodies are from each other [m]; at the margin or less they are in contact."""
 
     between: tuple[str, str]
     distance: float
@@ -77,9 +71,6 @@ class CollisionWorld:
     standing objects whose boxes it comes near; the others cannot touch it.
 
     Not for use from several threads at once: it works in buffers of its own.
-
-    Raises:
-        SceneError: If the scene names links or objects that do not exist, or a mesh cannot be used.
     """
 
     def __init__(self, robot: RobotModel, scene: Scene, self_collision: SelfCollision):
@@ -161,13 +152,9 @@ class CollisionWorld:
         return _Checks(self._robot_bodies, bodies, only + reached_pairs, bool(reached))
 
     def _beside(self, qs: np.ndarray, gap: float) -> CollisionWorld:
-        """Return a world without the standing objects that stay further than `gap` from the arm in all rows.
+        """Return a world without the standing objects that stay further than `gap` [m] and the paddings from the arm in all rows.
 
         With few bodies it is this one.
-
-        Args:
-            qs: Shape (m, n)
-            gap: Paddings come on top of it [m].
         """
         if self._only is not None or len(self._near) <= MANY_BODIES:
             return self
@@ -240,19 +227,15 @@ class CollisionWorld:
         return per_body.max(axis=1, initial=0.0)[robot.order]
 
     def is_free(self, q: JointValues) -> bool:
-        """Return whether nothing touches. The fastest check: it ends at the first contact.
-
-        Args:
-            q: Length n. [rad] or [m]; an array is the fastest. Not checked against the ranges.
-        """
+        """Return whether nothing touches; `q` is not checked against the ranges. The fastest check: it ends at the first one."""
         return self._checks.is_free(q)
 
     def contact(self, q: JointValues) -> Contact | None:
-        """Return a pair that touches, or None where `is_free`; parameters as there."""
+        """Return a pair that touches, or None where `is_free`."""
         return self._beside(np.array([q]), 0.0)._checks.contact(q)
 
     def contacts(self, q: JointValues) -> list[Contact]:
-        """Return every pair of names that touches; slower than `contact`; parameters as there."""
+        """Return every pair of names that touches; slower than `contact`."""
         return self._checks.contacts(q)
 
     def unchecked_pairs(self) -> list[tuple[SceneObject, str]]:
@@ -262,13 +245,9 @@ class CollisionWorld:
         return [(item, link) for item in standing for link in links if link not in item.touch]
 
     def distance(self, q: JointValues, first: str, second: str) -> float:
-        """Return the smallest distance between the shapes of two links or objects, whether the pair is checked or not.
+        """Return the smallest distance between the shapes of two links or objects [m], whether the pair is checked or not.
 
-        Args:
-            q: Length n. [rad] or [m]
-
-        Returns:
-            [m]; negative: how deep one is in the other; inf if one of them has no shape.
+        Negative: how deep one is in the other; inf if one of them has no shape.
         """
         data = self._robot_bodies.model.createData()
         pinocchio.forwardKinematics(self._robot_bodies.model, data, self._rows(np.array([q]))[0])
@@ -277,17 +256,11 @@ class CollisionWorld:
             if body.owner in placed:
                 place = data.oMi[body.joint] * body.placement
                 placed[body.owner].append((body.geometry, coal.Transform3s(place.rotation, place.translation)))
-        return min(
-            (measured(*one, *other).min_distance for one in placed[first] for other in placed[second]),
-            default=np.inf,
-        )
+        found = (measured(*one, *other).min_distance for one in placed[first] for other in placed[second])
+        return min(found, default=np.inf)
 
     def object_pose(self, q: JointValues, name: str) -> Pose:
-        """Return an object's pose in the base_link, at joint values `q` when a link carries it.
-
-        Raises:
-            SceneError: If the scene has no such object.
-        """
+        """Return an object's pose in the base_link, at joint values `q` when a link carries it; SceneError: there is none."""
         item = self.scene.get(name)
         return product(self.link_pose(q, item.link), item.pose) if item.link else item.pose
 
@@ -296,11 +269,7 @@ class CollisionWorld:
         return self._robot_bodies.link_pose(q, link)
 
     def all_free(self, qs: np.ndarray) -> int | None:
-        """Return the first row that is in contact, None when none is.
-
-        Args:
-            qs: Shape (m, n). [rad] or [m]
-        """
+        """Return the first row of joint values, shape (m, n), that is in contact, None when none is."""
         world = self
         # poses far from each other come near most objects: all are checked
         if len(self._near) > MANY_BODIES and len(qs) > 1 and float(np.abs(np.diff(qs, axis=0)).max()) <= _CLOSE:
@@ -308,30 +277,20 @@ class CollisionWorld:
         return world._checks.first_blocked(qs)
 
     def clearance(self, q: JointValues, changing: bool = False) -> Clearance:
-        """Return the smallest distance of a checked pair; the padding is not subtracted.
+        """Return the smallest distance of a checked pair; the padding is not subtracted; inf if no pair is checked.
 
         Args:
-            q: Length n. [rad] or [m]
             changing: Only of pairs whose distance some joint changes. A link that turns about an upright axis stays as far from the
                 floor as it is: that tells nothing of a pose or a plan.
-
-        Returns:
-            Negative for two bodies that penetrate each other; inf if no pair is checked.
         """
         return self._checks.clearance(q, changing)
 
     def first_contact(self, qs: np.ndarray) -> tuple[float, Contact] | None:
-        """Return where a motion first touches something, None where nothing touches anywhere on it, also not between two rows.
+        """Return where a motion through rows, shape (m, n), first touches something, and what; None: it does not, anywhere.
 
-        Each joint goes evenly from one row to the next. What is found free is free by a bound of how far the bodies move, not by
-        samples: nothing comes closer than its margin by more than half of `distance_bounds.RESOLUTION` (0.01 mm).
-
-        Args:
-            qs: Shape (m, n). Successive joint values, [rad] or [m]; m >= 1.
-
-        Returns:
-            place: In rows: 3.5 is half way from row 3 to row 4.
-            contact
+        Each joint goes evenly from one row to the next; 3.5 is half way from row 3 to row 4. What is found free is free by a bound
+        of how far the bodies move, not by samples: nothing comes closer than its margin by more than half of
+        `distance_bounds.RESOLUTION` (0.01 mm).
         """
         world = self._beside(qs, 0.0)
         found, doubtful = world._checks.first_contact(self._rows(qs))
@@ -344,17 +303,10 @@ class CollisionWorld:
         return float(doubtful[index]), contact
 
     def clearance_of(self, qs: np.ndarray, changing: bool = False) -> tuple[Clearance, float]:
-        """Return the smallest distance over a motion, also between its rows, and where it is.
+        """Return the smallest distance over a motion, also between its rows, and its place as of `first_contact`.
 
-        Each joint goes evenly from one row to the next. Successive rows should be close to each other: then only few distances need
-        to be measured, see `distance_bounds`.
-
-        Args:
-            qs: Shape (m, n). m >= 1; [rad] or [m]
-
-        Returns:
-            clearance: As from `clearance`, within 1e-4 m or a hundredth of it, whichever is more; its time is 0.
-            place: In rows: 3.5 is half way from row 3 to row 4.
+        It is as from `clearance`, within 1e-4 m or a hundredth of it, whichever is more; its time is 0. Successive rows should be
+        close to each other: then only few distances need to be measured, see `distance_bounds`.
         """
         gap = _NEAR
         while True:
@@ -366,7 +318,7 @@ class CollisionWorld:
             gap = clearance.distance
 
     def distances(self, q: JointValues) -> list[PairDistance]:
-        """Return every checked pair, measured one by one; far slower than `is_free` and `clearance`; parameters as there."""
+        """Return every checked pair, measured one by one; far slower than `is_free` and `clearance`."""
         return self._checks.distances(q)
 
 
@@ -570,14 +522,7 @@ class _Checks:
 def checked_pairs(
     bodies: Sequence[Body], padding: float, self_collision: SelfCollision
 ) -> list[tuple[int, int, float]]:
-    """Return the pairs of bodies that must not touch, and the distance below which they do.
-
-    Args:
-        padding: The scene's [m].
-
-    Returns:
-        Indices into `bodies`, in the order in which reports name them, and the margin [m].
-    """
+    """Return the pairs of bodies that must not touch: indices, in the order in which reports name them, and the margin [m]."""
     pairs: list[tuple[int, int, float]] = []
     for first, second in _moving_pairs(bodies):
         one, other = bodies[first], bodies[second]

@@ -1,17 +1,213 @@
-"""A mesh that is not convex as convex pieces, for the planner and the simulation alike. Metres."""
+"""A body that is not convex as convex pieces, for planner, simulation and elements alike. Metres.
+
+A body of flat faces is cut exactly by planes of its own faces (`convex_cells`), any other is held by hulls of its parts
+(`convex_cover`). That pieces hold a closed body is calculated (the body without them has no volume), of one that is not closed
+tested at points; how far they reach beyond it is measured at points.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
+import coal
 import manifold3d
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from construction_twin.scene.containment import HELD, excess, extra_volume, farthest_outside, lost
-from construction_twin.scene.convex_cells import convex_cells
-from construction_twin.scene.solids import mesh_of, parts, solid, union
+from construction_twin.scene.solids import hull_solid, mesh_of, parts, solid, triangle_area, union
+from construction_twin.scene.triangle_mesh import surface
+
+#: What lies further outside of all pieces is not held [m]; also the thickness below which a leftover is rounding.
+HELD = 1e-6
+#: By how much pieces are made larger or smaller before they are compared with the body [m].
+_APART = 1e-7
+#: Points on each triangle at which a body that is not closed is tested: corners of a grid.
+_GRID = 6
+#: Points at which what the pieces have more is measured: on its surface, most of them; inside of it along each axis.
+_MOST_POINTS, _INSIDE = 4000, 14
+
+
+def lost(
+    vertices: np.ndarray, triangles: np.ndarray, body: manifold3d.Manifold | None, pieces: Sequence[np.ndarray]
+) -> float:
+    """Return how far a body reaches beyond the pieces [m]; 0: they hold it within 1e-6 m.
+
+    Args:
+        body: The same as a closed body, if it is one.
+        pieces: Corners of each, shape (k, 3).
+    """
+    outside = farthest_outside(points_on(vertices, triangles), pieces)
+    if body is not None:
+        rest = body - union(hull_solid(resized(points, _APART)) for points in pieces)
+        # a sheet of that thickness over the whole surface is what rounding may leave
+        if rest.volume() > HELD * triangle_area(vertices, triangles):
+            outside = max(outside, farthest_outside(mesh_of(rest)[0], pieces), 2.0 * HELD)
+    return outside if outside > HELD else 0.0
+
+
+def extra_volume(body: manifold3d.Manifold, pieces: Sequence[np.ndarray]) -> float:
+    """Return by how much more volume pieces without overlaps have than a closed body [m^3]; 0: the same, but for rounding."""
+    difference = sum(hull_solid(points).volume() for points in pieces) - body.volume()
+    return difference if abs(difference) > HELD * body.surface_area() else 0.0
+
+
+def points_on(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Return the corners of triangles and points on their edges and faces, shape (n, 3); large meshes: corners and middles."""
+    corners = vertices[triangles]
+    steps = _GRID if len(triangles) <= 2000 else 1
+    weights = [(a, b, steps - a - b) for a in range(steps + 1) for b in range(steps + 1 - a)]
+    inner = np.einsum("wc,tcx->twx", np.array(weights) / steps, corners).reshape(-1, 3)
+    return np.concatenate([vertices[np.unique(triangles)], inner, corners.mean(axis=1)])
+
+
+def farthest_outside(points: np.ndarray, pieces: Sequence[np.ndarray]) -> float:
+    """Return how far the worst of some points lies outside of the piece that it lies least outside of: at most its distance [m]."""
+    least = np.full(len(points), np.inf)
+    for planes in (ConvexHull(corners).equations for corners in pieces):
+        least = np.minimum(least, (points @ planes[:, :3].T + planes[:, 3]).max(axis=1))
+    return float(np.maximum(least, 0.0).max(initial=0.0))
+
+
+def excess(body: manifold3d.Manifold, pieces: Sequence[np.ndarray]) -> float:
+    """Return the largest distance from a closed body of what its pieces have more [m]; a cavity that they fill counts."""
+    vertices, triangles = mesh_of(body)
+    rounding = HELD * triangle_area(vertices, triangles)
+    found = [hull_solid(resized(points, -_APART)) - body for points in pieces]
+    more = [rest for rest in found if rest.volume() > rounding / len(pieces)]
+    return max((_reach(rest, vertices, triangles) for rest in more), default=0.0)
+
+
+def resized(points: np.ndarray, by: float) -> np.ndarray:
+    """Return corners whose extents along their own main axes are larger by twice a distance, or smaller where it is negative [m].
+
+    manifold3d may give a wrong difference of bodies whose faces lie in one plane but for the last digits (3.5.4: a convex part of a
+    body minus the body was the whole part); so the pieces are compared a little larger, or smaller, than they are.
+    """
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    axes = np.linalg.svd(points - middle, full_matrices=False)[2]
+    local = (points - middle) @ axes.T
+    extents = np.ptp(local, axis=0)
+    return middle + (local * (1.0 + 2.0 * by / np.maximum(extents, 4.0 * abs(by)))) @ axes
+
+
+def _reach(more: manifold3d.Manifold, vertices: np.ndarray, triangles: np.ndarray) -> float:
+    """Return the largest distance of a body's points from a mesh [m]."""
+    points = mesh_of(more)[0]
+    size = float(np.ptp(points, axis=0).max())
+    length = size / 20.0
+    if more.surface_area() / length**2 < _MOST_POINTS:
+        points = mesh_of(more.refine_to_length(length))[0]
+    points = np.concatenate([points[:: max(len(points) // _MOST_POINTS, 1)], _inside(more)])
+    return float(distances(points, vertices, triangles).max(initial=0.0))
+
+
+def _inside(body: manifold3d.Manifold) -> np.ndarray:
+    """Return points of a grid that lie in a body, shape (n, 3)."""
+    vertices, triangles = mesh_of(body)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    x, y, z = (np.linspace(a, b, _INSIDE + 2)[1:-1] for a, b in zip(low, high))
+    found = []
+    for column in [(float(one), float(other)) for one in x for other in y]:
+        # along a line of the grid: inside after an odd number of faces
+        hits = body.ray_cast((*column, float(low[2]) - 1.0), (*column, float(high[2]) + 1.0))
+        if hits:
+            heights = np.array([hit.position[2] for hit in hits])
+            inside = z[(heights[None, :] < z[:, None]).sum(axis=1) % 2 == 1]
+            found.append(np.column_stack([np.tile(column, (len(inside), 1)), inside]))
+    return np.concatenate(found) if found else np.empty((0, 3))
+
+
+def distances(points: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Return the distance of each point from triangles, shape (n,) [m]."""
+    mesh = surface(vertices, triangles)
+    radius = 1e-9
+    point, here = coal.Sphere(radius), coal.Transform3s.Identity()
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    found = np.empty(len(points))
+    for row, position in enumerate(points):
+        result.clear()
+        place = coal.Transform3s(np.eye(3), position)
+        found[row] = max(coal.distance(point, place, mesh, here, request, result), 0.0) + radius
+    return found
+
+
+#: Distance from a plane within which a point lies on it [m].
+_ON = 1e-8
+#: A part is convex when its hull has no more volume than this fraction.
+_SAME = 1e-9
+
+
+def convex_cells(body: manifold3d.Manifold, most: int) -> list[np.ndarray] | None:
+    """Return the corners of convex bodies that fill a closed body without overlaps; None: there would be more than `most`."""
+    waiting = [body]
+    kept: list[np.ndarray] = []
+    while waiting:
+        part = waiting.pop()
+        corners, triangles = mesh_of(part)
+        if part.volume() <= _ON * part.surface_area():
+            continue
+        hull = part.hull()
+        if hull.volume() - part.volume() <= _SAME * hull.volume():
+            kept.append(mesh_of(hull)[0])
+            continue
+        plane = _largest_within(corners, triangles)
+        if plane is None or len(kept) + len(waiting) > 8 * most:
+            return None
+        waiting += part.split_by_plane(tuple(plane[:3]), float(plane[3]))
+    cells = _joined(kept)
+    return sorted(cells, key=lambda cell: np.round(cell.min(axis=0), 6).tolist()) if 0 < len(cells) <= most else None
+
+
+def _largest_within(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray | None:
+    """Return normal and offset of the plane with most area of faces, of those that have the body on both sides."""
+    corners = vertices[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas = np.linalg.norm(normals, axis=1)
+    found, most = None, 0.0
+    left = areas > 0
+    for row in np.argsort(-np.round(areas, 12), kind="stable"):
+        if not left[row]:
+            continue
+        normal = normals[row] / areas[row]
+        heights = (vertices - corners[row, 0]) @ normal
+        mine = left & (np.abs(heights[triangles]).max(axis=1) <= _ON)
+        left &= ~mine
+        left[row] = False
+        area = round(float(areas[mine].sum()), 9)
+        if heights.max() > _ON and heights.min() < -_ON and area > most:
+            found, most = np.array((*normal, normal @ corners[row, 0])), area
+    return found
+
+
+def _joined(cells: list[np.ndarray]) -> list[np.ndarray]:
+    """Join two bodies whose union is convex, until there are none."""
+    alive = dict(enumerate(cells))
+    volumes = {number: float(ConvexHull(cell).volume) for number, cell in alive.items()}
+    queue = [(one, other) for one in alive for other in alive if one < other]
+    while queue:
+        left: list[tuple[int, int]] = []
+        for one, other in queue:
+            if one not in alive or other not in alive or not _near(alive[one], alive[other]):
+                continue
+            hull = ConvexHull(np.concatenate([alive[one], alive[other]]))
+            volume = volumes[one] + volumes[other]
+            if hull.volume - volume > _SAME * volume:
+                continue
+            number = max(volumes) + 1
+            del alive[one], alive[other]
+            left += [(near, number) for near in alive]
+            alive[number], volumes[number] = hull.points[hull.vertices], float(hull.volume)
+        queue = left
+    return list(alive.values())
+
+
+def _near(one: np.ndarray, other: np.ndarray) -> bool:
+    return bool(
+        (one.min(axis=0) <= other.max(axis=0) + _ON).all() and (other.min(axis=0) <= one.max(axis=0) + _ON).all()
+    )
+
 
 #: Of planes that are compared by points alone, how many are tried.
 _TRIED = 6
@@ -166,14 +362,8 @@ def convex_pieces(vertices: np.ndarray, triangles: np.ndarray) -> Pieces | None:
     """Return convex pieces of what a mesh encloses; the same mesh gives the same ones, and is divided once per process.
 
     A mesh of flat faces is filled exactly, without overlaps; a curved one is held by hulls of its parts. That they hold the
-    mesh within 1e-6 m is checked, and how far they reach beyond it is measured.
-
-    Args:
-        vertices: Shape (v, 3). [m]
-        triangles: Shape (t, 3), integers
-
-    Returns:
-        None: the mesh is not closed, or has more than 5,000 triangles.
+    mesh within 1e-6 m is checked, and how far they reach beyond it is measured. None: it is not closed, or has more than 5,000
+    triangles.
     """
     if len(triangles) > _MOST_COVERED:
         return None

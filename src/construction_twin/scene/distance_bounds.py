@@ -28,13 +28,9 @@ _DIVIDED = 64
 
 
 def pair_levers(robot: RobotBodies, bodies: Sequence[Body], pairs: Sequence[tuple]) -> np.ndarray:
-    """Return how far the two bodies of each pair move relative to each other at most per unit of each joint.
+    """Return how far the two bodies of each pair move relative to each other at most per unit of each joint, shape (p, size).
 
-    Args:
-        pairs: Their first two entries are indices into `bodies`.
-
-    Returns:
-        Shape (p, size). [m/rad], or 1 for prismatic joints; Pinocchio's order.
+    [m/rad], or 1 for prismatic joints; Pinocchio's order. The first two entries of `pairs` are indices into `bodies`.
     """
     below = np.zeros((len(bodies), robot.model.nq), dtype=bool)
     for index, body in enumerate(bodies):
@@ -58,11 +54,7 @@ class Travel:
         np.cumsum(np.abs(np.diff(rows, axis=0)), axis=0, out=self._way[1:])
 
     def at(self, places: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-        """Return the travel of some pairs, each up to a place [m], shape (k,).
-
-        Args:
-            places, pairs: Shape (k,).
-        """
+        """Return the travel of some pairs, each up to a place [m], all of shape (k,)."""
         row = places.astype(int)
         low, high = self._way[row], self._way[np.minimum(row + 1, len(self._way) - 1)]
         return np.einsum("kn,kn->k", low + (places - row)[:, None] * (high - low), self._levers[pairs])
@@ -126,12 +118,7 @@ class Motion:
         self._gaps = _Gaps(float(last), self._distances.reshape(2, pairs), moved)
 
     def smallest(self, without: Sequence[int] = ()) -> tuple[float, int]:
-        """Find the smallest distance of all pairs anywhere on the motion.
-
-        Returns:
-            place
-            pair: Where the smallest distance is. No other is smaller by more than `ACCURACY` or `ACCURACY_PART` of it.
-        """
+        """Return place and pair of the smallest distance: no other is smaller by more than `ACCURACY` or `ACCURACY_PART` of it."""
         wanted = np.ones(self._count, dtype=bool)
         wanted[list(without)] = False
         gaps = self._gaps

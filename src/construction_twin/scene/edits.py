@@ -49,12 +49,7 @@ class SceneFile:
     start: Scene
 
     def load(self) -> Scene:
-        """Return the scene after the last edit of this run; the start if there was none.
-
-        Raises:
-            SceneError: If the file cannot be read, is of this run but of another start, or its contents (meshes included) do not
-                have the hash that it names: the surroundings of the arm are then unknown.
-        """
+        """Return the scene after the last edit of this run; the start if there was none."""
         try:
             contents = read_file(self.path, _LARGEST)
         except FileNotFoundError:
@@ -70,10 +65,8 @@ class SceneFile:
         if found.run != self.run:
             return self.start
         if found.start != self.start.hash:
-            raise self._wrong(
-                f"edits of a scene that began as {found.start[:12]}",
-                f"edits of {self.start.hash[:12]}, the one given now",
-            )
+            expected = f"edits of {self.start.hash[:12]}, the one given now"
+            raise self._wrong(f"edits of a scene that began as {found.start[:12]}", expected)
         try:
             scene = Scene(_OBJECTS.validate_python(found.objects), found.padding)
         except (SceneError, pydantic.ValidationError) as error:
@@ -83,11 +76,7 @@ class SceneFile:
         return scene
 
     def save(self, scene: Scene) -> None:
-        """Write the scene, as a whole or not at all.
-
-        Raises:
-            SceneError: If the file cannot be written.
-        """
+        """Write the scene, as a whole or not at all."""
         contents = {"run": self.run, "start": self.start.hash, "hash": scene.hash, "padding": scene.padding}
         contents["objects"] = _OBJECTS.dump_python(scene.objects, mode="json")
         try:

@@ -33,12 +33,7 @@ def parse_mesh(
         scale: Factors for x, y and z that make metres.
 
     Returns:
-        vertices: Shape (v, 3). [m], all finite.
-        triangles: Shape (t, 3), integers. At least one with an area.
-
-    Raises:
-        SceneError: If the file is not what its ending says, has a number that is not finite, no triangles or too many, or a size
-            that makes no sense.
+        Vertices, shape (v, 3) [m], all finite, and triangles, shape (t, 3), at least one with an area.
     """
     try:
         vertices, triangles = _obj(contents) if path.lower().endswith(".obj") else _stl(contents)
@@ -71,9 +66,8 @@ def _check(where: str, path: str, vertices: np.ndarray, triangles: np.ndarray, s
         row = int(wrong[0, 0])
         raise SceneError(where, f"{path} with vertex {row} at {vertices[row].tolist()}", "finite numbers everywhere")
     if triangles.min() < 0 or triangles.max() >= len(vertices):
-        raise SceneError(
-            where, path, f"triangles of its {len(vertices)} vertices; one names a vertex that is not there"
-        )
+        expected = f"triangles of its {len(vertices)} vertices; one names a vertex that is not there"
+        raise SceneError(where, path, expected)
     with np.errstate(over="ignore"):
         corners = vertices[triangles] * scale
     size, far = np.ptp(corners, axis=(0, 1)).max(), np.abs(corners).max()

@@ -29,14 +29,10 @@ class NearBodies:
         self._halves = np.array([half for _, half in boxes]).reshape(-1, 3)
 
     def near(self, rows: np.ndarray, gap: float) -> list[int]:
-        """Return the bodies that move, and the standing ones that a moving one may come near.
+        """Return the bodies that move, and the standing ones that a moving one may come near: into `bodies`, ascending.
 
         Args:
-            rows: Shape (m, n). Joint values, Pinocchio's order; m >= 1.
             gap: Of every body that is left out, the distance from every moving one is larger in each row and between them [m].
-
-        Returns:
-            Into `bodies`, ascending.
         """
         near = np.zeros(len(self._standing), dtype=bool)
         if not len(near) or not self._moving:

@@ -76,11 +76,7 @@ class Neighbour:
         self._use(self._robot_bodies.bodies)
 
     def carrying(self, items: Iterable[SceneObject]) -> Neighbour:
-        """Return the same robot with what its links carry; objects that stand in the world are left out.
-
-        Raises:
-            SceneError: If it has no such link, or a mesh cannot be used.
-        """
+        """Return the same robot with what its links carry; objects that stand in the world are left out."""
         items = tuple(items)
         names = [item.name for item in items]
         other = object.__new__(Neighbour)

@@ -63,11 +63,7 @@ def listed(names: Iterable[str]) -> str:
 
 
 def read_mesh_file(name: str, mesh: str) -> bytes:
-    """Return the contents of an object's mesh file, which `mesh_file` parses.
-
-    Raises:
-        SceneError: If the path is not absolute, the format not STL or OBJ, or the file not readable, regular and of limited size.
-    """
+    """Return the contents of an object's mesh file, which `mesh_file` parses."""
     path = Path(mesh)
     where = f"object {name!r} mesh"
     if not path.is_absolute() or path.suffix.lower() not in _MESH_SUFFIXES:
@@ -96,9 +92,6 @@ class SceneObject:
             stands for what that link carries. Enough if one of two objects names the other.
         fixed: It stays when the scene is cleared. No part of the hash.
         mesh_digest: SHA-256 of the mesh file, read when the object is made.
-
-    Raises:
-        SceneError: Naming the object, the property, its value and what was expected.
     """
 
     name: str
@@ -170,17 +163,8 @@ class SceneObject:
 
     def contents(self) -> dict:
         """Return the object's part of the scene's hash; a mesh enters by its contents, not by its file name."""
-        return {
-            "name": self.name,
-            "shape": self.shape,
-            "size": self.size,
-            "mesh": self.mesh_digest,
-            "position": self.position,
-            "quaternion": self.quaternion,
-            "padding": self.padding,
-            "link": self.link,
-            "touch": self.touch,
-        }
+        keys = ("name", "shape", "size", "position", "quaternion", "padding", "link", "touch")
+        return {**{key: getattr(self, key) for key in keys}, "mesh": self.mesh_digest}
 
 
 @dataclass(frozen=True)
@@ -190,9 +174,6 @@ class Scene:
     Attributes:
         objects: With different names; the order carries no meaning.
         padding: Distance kept from every object [m].
-
-    Raises:
-        SceneError: If two objects have one name, or the padding is negative.
     """
 
     objects: tuple[SceneObject, ...] = ()
@@ -222,11 +203,7 @@ class Scene:
         return tuple(item.name for item in self.objects)
 
     def get(self, name: str) -> SceneObject:
-        """Return the object of that name.
-
-        Raises:
-            SceneError: If there is none.
-        """
+        """Return the object of that name; SceneError: there is none."""
         for item in self.objects:
             if item.name == name:
                 return item
@@ -236,16 +213,12 @@ class Scene:
         """Return the scene with one more object, or with another one in the place of the one of that name.
 
         An object that takes the place of a fixed one is fixed, too.
-
-        Raises:
-            SceneError: If the name is taken and `replace_existing` is false.
         """
         if item.name not in self.names:
             return replace(self, objects=(*self.objects, item))
         if not replace_existing:
-            raise SceneError(
-                "an object's name", item.name, "one that is not in the scene yet, or a request to replace it"
-            )
+            expected = "one that is not in the scene yet, or a request to replace it"
+            raise SceneError("an object's name", item.name, expected)
         return self._with(replace(item, fixed=self.get(item.name).fixed))
 
     def remove(self, name: str) -> Scene:
@@ -262,25 +235,17 @@ class Scene:
         Args:
             pose: Of the object in `link`.
             touch: Links and objects it may touch besides `link`; replaces the present ones.
-
-        Raises:
-            SceneError: If there is no such object, or `link` is empty.
         """
         if not link:
             raise SceneError(f"object {name!r} link", link, "the link that shall carry it")
         return self._with(self.get(name).moved(pose, link, touch))
 
     def detach(self, name: str, pose: Pose) -> Scene:
-        """Return the scene with a carried object standing at `pose` in the base_link.
-
-        Raises:
-            SceneError: If there is no such object, or nothing carries it.
-        """
+        """Return the scene with a carried object standing at `pose` in the base_link."""
         item = self.get(name)
         if not item.link:
-            raise SceneError(
-                f"object {name!r} link", item.link, "a link that carries it; it stands in the world already"
-            )
+            expected = "a link that carries it; it stands in the world already"
+            raise SceneError(f"object {name!r} link", item.link, expected)
         return self._with(item.moved(pose))
 
     def clear(self) -> Scene:

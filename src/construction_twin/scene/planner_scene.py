@@ -68,11 +68,7 @@ class PlannerScene:
 
 
 def planner_scene(bodies: RobotBodies, scene: Scene, self_collision: SelfCollision) -> PlannerScene:
-    """Return a scene as other planners know it.
-
-    Raises:
-        SceneError: If the scene names links or objects that do not exist, or a mesh cannot be read.
-    """
+    """Return a scene as other planners know it."""
     own = (*bodies.bodies, *bodies.place_all(scene))
     names = tuple(dict.fromkeys(body.owner for body in own))
     index = {name: number for number, name in enumerate(names)}

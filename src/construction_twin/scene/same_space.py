@@ -20,9 +20,6 @@ def fills_same_space(
     Args:
         one, other: Meshes count as the hulls of their corners: two hollow ones are told apart no better than that.
         slack: Every corner of each has one of the other within this distance [m]; of round bodies the ends of the axis.
-
-    Raises:
-        SceneError: If a mesh cannot be read.
     """
     if _kind(one) != _kind(other):
         return False

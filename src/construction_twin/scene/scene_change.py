@@ -5,7 +5,6 @@ Where a workpiece of several bodies is gripped or put down, no scene in between 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from construction_twin.core.motion_errors import SceneError
@@ -21,9 +20,6 @@ class SceneChange:
             object it is fixed, too.
         remove: Names of what goes first. One of them may come again in `put`: it is then another object, which nothing may touch
             yet.
-
-    Raises:
-        SceneError: If a name is put or removed twice.
     """
 
     put: tuple[SceneObject, ...] = ()
@@ -32,8 +28,9 @@ class SceneChange:
     def __post_init__(self):
         object.__setattr__(self, "put", tuple(self.put))
         object.__setattr__(self, "remove", tuple(self.remove))
-        _refuse_doubles("put", (item.name for item in self.put))
-        _refuse_doubles("remove", self.remove)
+        for key, names in (("put", [item.name for item in self.put]), ("remove", self.remove)):
+            if len(set(names)) < len(names):
+                raise SceneError(f"a name in {key}", next(x for x in names if names.count(x) > 1), "each name once")
 
     @property
     def carries(self) -> bool:
@@ -45,9 +42,6 @@ class SceneChange:
 
         What stays forgets the names that are removed in `touch`, as in `Scene.remove`. Whether the names in `touch` and `link` of
         what comes exist is checked where the scene meets a robot.
-
-        Raises:
-            SceneError: If an object to remove is not in the scene.
         """
         objects = {item.name: item for item in scene.objects}
         for name in self.remove:
@@ -67,23 +61,14 @@ class SceneChange:
 
         Args:
             before, after: Hashes; empty: any.
-
-        Raises:
-            SceneError: If the scene, or what it becomes, is another one; and as in `apply`.
         """
         if before and scene.hash != before:
-            raise SceneError(
-                "the scene to change",
-                scene.hash,
-                f"{before}, that this change was made for; plan it anew from this one",
-            )
+            expected = f"{before}, that this change was made for; plan it anew from this one"
+            raise SceneError("the scene to change", scene.hash, expected)
         changed = self.apply(scene)
         if after and changed.hash != after:
-            raise SceneError(
-                "the scene after the change",
-                changed.hash,
-                f"{after}; a mesh file may have changed. Nothing was changed",
-            )
+            expected = f"{after}; a mesh file may have changed. Nothing was changed"
+            raise SceneError("the scene after the change", changed.hash, expected)
         return changed
 
     def __str__(self) -> str:
@@ -99,11 +84,3 @@ def _without(item: SceneObject, gone: frozenset[str]) -> SceneObject:
     if gone.isdisjoint(item.touch):
         return item
     return replace(item, touch=tuple(name for name in item.touch if name not in gone))
-
-
-def _refuse_doubles(key: str, names: Iterable[str]) -> None:
-    seen: set[str] = set()
-    for name in names:
-        if name in seen:
-            raise SceneError(f"a name in {key}", name, "each name once")
-        seen.add(name)

@@ -51,9 +51,6 @@ def load_scene(description: Mapping, base_dir: str | Path) -> Scene:
         description: Keys ``padding`` [m] and ``objects``: a mapping of names to their properties. Rotations are ``rpy_deg``: about
             the fixed x, y and z axes, in this order [deg].
         base_dir: Directory that mesh files are relative to.
-
-    Raises:
-        SceneError: Naming the key (``objects/wall/size``) or the object, its value and what was expected.
     """
     try:
         parsed = _SceneDescription.model_validate(dict(description))
@@ -65,14 +62,7 @@ def load_scene(description: Mapping, base_dir: str | Path) -> Scene:
 
 
 def read_scene(path: str | Path) -> Scene:
-    """Read a scene from a YAML file; see `load_scene`, also for what it raises.
-
-    Args:
-        path: `NONE` or empty: a scene of nothing.
-
-    Raises:
-        SceneError: Also if the file cannot be read.
-    """
+    """Read a scene from a YAML file, see `load_scene`; `NONE` or an empty path: a scene of nothing."""
     if str(path) in ("", NONE):
         return Scene()
     try:

@@ -19,13 +19,12 @@ from typing import Annotated, Literal
 import numpy as np
 import pinocchio
 import pydantic
-import yaml
 from urdf_parser_py.urdf import URDF
 
-from construction_twin.core.errors import ConfigurationError, problem_of
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.validation import wrong_value
 from construction_twin.robot.description import RobotModel
-from construction_twin.robot.urdf import parse_urdf
+from construction_twin.robot.urdf import parse_urdf, read_yaml
 from construction_twin.scene.collision_bodies import RobotBodies, make_reliable, shape_contents
 
 #: Pair of link names.
@@ -62,10 +61,7 @@ def parse_pairs(description: Mapping, where: str) -> PairFile:
 
 def read_pairs_yaml(path: str | Path) -> dict:
     """Return the contents of a file, not yet checked."""
-    try:
-        description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigurationError(str(path), problem_of(error), "a YAML file of self collision pairs") from error
+    description = read_yaml(path, " of self collision pairs")
     if not isinstance(description, dict):
         raise ConfigurationError(str(path), description, "a mapping with the keys that `self_collision` writes")
     return description

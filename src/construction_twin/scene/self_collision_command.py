@@ -1,4 +1,8 @@
-"""Command line: samples a robot's self collisions, writes the file, and proposes convex hulls. Needs no ROS master."""
+"""Command line: samples a robot's self collisions, writes the file, and proposes convex hulls. Needs no ROS master.
+
+A hull in place of a collision mesh is closed, quick to check, and encloses its mesh; but it also fills hollows, which the arm then
+cannot use. Nothing is replaced: the proposal is a URDF of its own beside its meshes. Metres; volumes in m^3.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +11,20 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from xml.etree import ElementTree
 
+import coal
+import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from scipy.spatial import ConvexHull, QhullError
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.robot.description import RobotModel, read_robot_files
-from construction_twin.scene.collision_bodies import RobotBodies
-from construction_twin.scene.convex_hulls import hull_lines, mesh_hulls, write_proposal
+from construction_twin.scene.collision_bodies import RobotBodies, is_convex, mesh_triangles
+from construction_twin.scene.mesh_file import binary_stl
 from construction_twin.scene.self_collision import (
     SAMPLES,
     SEED,
@@ -24,6 +33,95 @@ from construction_twin.scene.self_collision import (
     sample_self_collision,
     self_collision_yaml,
 )
+from construction_twin.scene.solids import parts, solid, union
+from construction_twin.scene.triangle_mesh import hull_mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Hull:
+    """The convex hull of one collision mesh.
+
+    Attributes:
+        number: Which collision element of the link, from 0.
+        triangles: Of the mesh.
+        volume: Of the mesh [m^3]; None: it is not closed, so that it has none.
+        vertices: Shape (v, 3). Of the hull, in the frame of the collision element [m].
+        faces: Shape (t, 3), integers. Of the hull, counterclockwise seen from outside.
+        hull_volume: [m^3]
+    """
+
+    link: str
+    number: int
+    triangles: int
+    volume: float | None
+    vertices: np.ndarray
+    faces: np.ndarray
+    hull_volume: float
+
+
+def mesh_hulls(bodies: RobotBodies) -> list[Hull]:
+    """Return the hull of every collision mesh that is not convex itself, in the order of the links."""
+    hulls = []
+    numbers: dict[str, int] = {}
+    for body in bodies.bodies:
+        number = numbers.get(body.link, 0)
+        numbers[body.link] = number + 1
+        if not isinstance(body.geometry, coal.BVHModelBase):
+            continue
+        vertices, triangles = mesh_triangles(body.geometry)
+        if is_convex(vertices, triangles):
+            continue
+        try:
+            # of the numbers that an STL file can hold: rounded later, the faces would no longer be those of a convex body
+            hull = ConvexHull(vertices.astype(np.float32).astype(float))
+        except QhullError as error:
+            raise ConfigurationError(
+                f"URDF link {body.link} collision mesh", f"{len(triangles)} triangles in one plane",
+                "a mesh that has a volume; mend it, or have no hulls proposed",
+            ) from error  # fmt: skip
+        closed = solid(vertices, triangles)
+        # closed surfaces that reach into each other count once
+        volume = None if closed is None else float(union(parts(closed)).volume())
+        corners, faces = hull_mesh(hull)
+        hulls.append(Hull(body.link, number, len(triangles), volume, corners, faces, float(hull.volume)))
+    return hulls
+
+
+def write_proposal(urdf: str, hulls: Sequence[Hull], folder: Path) -> Path:
+    """Write the meshes of the hulls, and a URDF with them in place of the meshes, into a folder; return the URDF's path."""
+    folder = folder.absolute()
+    folder.mkdir(parents=True, exist_ok=True)
+    root = ElementTree.fromstring(urdf.encode())
+    links = {link.get("name"): link for link in root.iter("link")}
+    for hull in hulls:
+        file = folder / f"{hull.link}_{hull.number}.stl"
+        file.write_bytes(binary_stl(hull.vertices[hull.faces]))
+        mesh = links[hull.link].findall("collision")[hull.number].find("geometry/mesh")
+        assert mesh is not None
+        # the hull is in metres: a scale was applied
+        mesh.attrib = {"filename": f"file://{file}"}
+    path = folder / "robot.urdf"
+    note = "<!-- A proposal by `rosrun construction_twin self_collision`: convex hulls in place of the collision meshes. -->"
+    text = f'<?xml version="1.0"?>\n{note}\n{ElementTree.tostring(root, encoding="unicode")}\n'
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def hull_lines(hulls: Sequence[Hull]) -> list[str]:
+    """Return a table of the hulls for a terminal: volumes in litres."""
+    width = max(len("link"), *(len(hull.link) for hull in hulls))
+    lines = [f"{'link':<{width}}  {'triangles':>17}  {'mesh':>9}  {'hull':>9}  added"]
+    for hull in hulls:
+        mesh, added = "?", "unknown: the mesh is not closed"
+        if hull.volume is not None:
+            more = hull.hull_volume - hull.volume
+            mesh, added = f"{hull.volume * 1e3:.2f} l", f"{more * 1e3:.2f} l ({100 * more / hull.volume:.0f} %)"
+        lines.append(
+            f"{hull.link:<{width}}  {hull.triangles:>7} -> {len(hull.faces):>6}  {mesh:>9}  "
+            f"{hull.hull_volume * 1e3:>7.2f} l  {added}"
+        )
+    return lines
+
 
 #: Without a terminal a line is printed each time this part of the poses is done.
 _PART = 0.25
@@ -48,7 +146,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         output.write_text(text, encoding="utf-8")
         print(f"{output}: {len(found.ignored)} pairs left out, geometry {found.geometry_hash[:12]} of {robot.name}")
         if not options.no_hulls:
-            for line in propose_hulls(robot, hull_folder(output)):
+            for line in propose_hulls(robot, output.with_name(f"{output.stem.removesuffix('_self_collision')}_hulls")):
                 print(line)
     except (ConstructionTwinError, OSError) as error:
         sys.exit(f"self_collision: {error}")
@@ -85,11 +183,6 @@ def _check_owner(output: Path | None, robot: RobotModel) -> None:
         raise ConfigurationError(
             str(output), f"the file of robot {owner}", f"a new file for {robot.name}, or one of its own"
         )
-
-
-def hull_folder(output: Path) -> Path:
-    """Return the folder beside a self_collision file in which hulls are proposed."""
-    return output.with_name(f"{output.stem.removesuffix('_self_collision')}_hulls")
 
 
 def propose_hulls(robot: RobotModel, folder: Path) -> list[str]:
@@ -135,10 +228,7 @@ def _lines(samples: int) -> Callable[[int, int], None]:
 
 
 def _check_folder(output: Path | None) -> None:
-    """Refuse an output that cannot be written, before anything is computed.
-
-    Raises ConfigurationError.
-    """
+    """Refuse an output that cannot be written, before anything is computed."""
     if output is None:
         return
     writable = output if output.exists() else output.parent

@@ -15,12 +15,7 @@ _WELD = 1e-7
 
 
 def solid(vertices: np.ndarray, triangles: np.ndarray) -> manifold3d.Manifold | None:
-    """Return the closed body of triangles; None if they do not enclose one.
-
-    Args:
-        vertices: Shape (v, 3). [m]; corners at the same place are welded.
-        triangles: Shape (t, 3), integers
-    """
+    """Return the closed body of triangles, of which corners at the same place are welded; None if they do not enclose one."""
     vertices, triangles = welded(vertices, triangles)
     if len(triangles) < 4:
         return None

@@ -72,11 +72,7 @@ class TaskResult:
 
 
 def summary(results: Sequence[TaskResult], held: int, decisions: Sequence[Decision] = ()) -> dict:
-    """Return the figures of ``work.json``.
-
-    Args:
-        held: Plans that were stopped, held or dropped under way.
-    """
+    """Return the figures of ``work.json``; `held`: plans that were stopped, held or dropped under way."""
     tasks = [one.task for one in results]
     times = [one.planning for one in results if one.plans]
     passed = [one.passed for one in results if one.passed is not None]
@@ -150,10 +146,7 @@ def write_report(
     scene: Scene,
     decisions: Sequence[Decision] = (),
 ) -> tuple[Path, ...]:
-    """Write ``work.json`` and ``as_built.png``; return their paths.
-
-    Raises OSError.
-    """
+    """Write ``work.json`` and ``as_built.png``; return their paths."""
     figures, picture = folder / "work.json", folder / "as_built.png"
     contents = summary(results, held, decisions)
     figures.write_text(json.dumps(contents, indent=2, allow_nan=False) + "\n", encoding="utf-8")

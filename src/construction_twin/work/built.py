@@ -15,8 +15,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import quaternion_to_rotation, rotation_to_quaternion
 from construction_twin.scene.objects import Scene, SceneObject, product, relative
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.work.task_memory import TaskMemory
-from construction_twin.work.task_states import TaskState
+from construction_twin.work.task_memory import TaskMemory, TaskState
 
 #: Further than this from where the model has it, an element was turned by a symmetry of its own [m], [rad].
 _TURNED_BY, _TURNED_ABOUT = 1e-3, math.radians(1.0)

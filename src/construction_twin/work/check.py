@@ -16,13 +16,12 @@ from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.robot.description import RobotModel
 from construction_twin.scene.objects import Scene, product
-from construction_twin.work.jobs import TaskMotions, WorkJob
-from construction_twin.work.process import process_of
+from construction_twin.work.motions import TaskPlanner
+from construction_twin.work.process import TaskMotions, WorkJob, process_of
 from construction_twin.work.recipe import DEFAULT
 from construction_twin.work.schedule import Schedule
 from construction_twin.work.site import pose_of
 from construction_twin.work.site_scene import Layout, WorkState
-from construction_twin.work.task_planner import TaskPlanner
 
 #: Points of the tool's path that are kept are this far apart [s].
 _PATH_STEP = 0.1
@@ -91,10 +90,8 @@ class Checker:
         element = self._layout.building.element(job.element)
         began = self._clock()
         remarks = self._schedule.remarks.get(job.id, ())
-        found = CheckedTask(
-            number, job.id, job.name, job.element, element.name, element.ifc_class, False, remarks=remarks,
-            process=job.process,
-        )  # fmt: skip
+        about = number, job.id, job.name, job.element, element.name, element.ifc_class
+        found = CheckedTask(*about, False, remarks=remarks, process=job.process)
         if job.element in self._unplannable:
             return replace(found, reason=self._unplannable[job.element])
         scene, place = self._turn(number)

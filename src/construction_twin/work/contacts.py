@@ -2,24 +2,21 @@
 
 Metres; poses in the robot's base_link. Only what a job names as its support may be touched, and only while the element or the tool
 goes straight to it or from it; every other body keeps the scene's padding all the time. `touch` switches a pair's check off, so
-`deepest` measures on every sample how deep such bodies are in each other; the task planner refuses more than the recipe allows.
+`motions` measures on every sample how deep such bodies are in each other, and refuses more than the recipe allows.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
 
 import coal
 import numpy as np
 
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rpy_to_quaternion
-from construction_twin.robot.plan import Clearance
-from construction_twin.robot.tool import ToolFile, ToolShape
+from construction_twin.robot.tool import ToolFile
 from construction_twin.scene.collision_bodies import measured, scene_shapes
-from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.scene.scene_change import SceneChange
 
@@ -37,15 +34,14 @@ TOOL = "tool/"
 
 def tool_objects(tool: ToolFile, link: str) -> tuple[SceneObject, ...]:
     """Return a tool's shapes as objects of the scene that a link carries, ``tool/<shape>``."""
-    return tuple(_tool_object(tool, name, shape, link) for name, shape in tool.tool.shapes.items())
-
-
-def _tool_object(tool: ToolFile, name: str, shape: ToolShape, link: str) -> SceneObject:
-    x, y, z, w = map(float, rpy_to_quaternion(shape.rpy_deg))
-    mesh = str((tool.folder / shape.mesh).resolve()) if shape.mesh else ""
-    return SceneObject(
-        f"{TOOL}{name}", shape.shape, shape.size, shape.position, (x, y, z, w), mesh=mesh, link=link, touch=tool.tool.touch
-    )  # fmt: skip
+    found = []
+    for name, shape in tool.tool.shapes.items():
+        x, y, z, w = map(float, rpy_to_quaternion(shape.rpy_deg))
+        mesh = str((tool.folder / shape.mesh).resolve()) if shape.mesh else ""
+        found.append(SceneObject(
+            f"{TOOL}{name}", shape.shape, shape.size, shape.position, (x, y, z, w), mesh=mesh, link=link, touch=tool.tool.touch
+        ))  # fmt: skip
+    return tuple(found)
 
 
 class Shapes:
@@ -191,34 +187,7 @@ def straight(start: Pose, end: Pose) -> list[Pose]:
     return [Pose(position, start.rotation) for position in positions]
 
 
-def touching(item: SceneObject, names: Iterable[str]) -> SceneObject:
-    """Return an object that may touch others besides those it names already."""
-    return replace(item, touch=(*item.touch, *names))
-
-
-def changed(scene: Scene, items: Iterable[SceneObject]) -> Scene:
-    """Return a scene with objects added or replaced, as the service `edit_scene` does."""
-    return SceneChange(tuple(items)).apply(scene)
-
-
 def difference(before: Scene, after: Scene) -> SceneChange:
     """Return the change that makes one scene of another, which lacks no object of it: it only puts."""
-    present: Mapping[str, SceneObject] = {item.name: item for item in before.objects}
-    changed = (
-        item for item in after.objects if item.name not in present or item.contents() != present[item.name].contents()
-    )
-    return SceneChange(tuple(changed))
-
-
-def deepest(world: CollisionWorld, qs: np.ndarray) -> tuple[Clearance, float] | None:
-    """Return how deep bodies that may touch are in each other on a motion, and where; None: nothing may touch.
-
-    Args:
-        qs: Shape (m, n). Successive joint values.
-
-    Returns:
-        clearance: Negative distance: so deep [m].
-        place: In rows: 3.5 is half way from row 3 to row 4.
-    """
-    pairs = world.of_touching()
-    return None if pairs is None else pairs.clearance_of(qs)
+    present = {item.name: item.contents() for item in before.objects}
+    return SceneChange(tuple(item for item in after.objects if item.contents() != present.get(item.name)))

@@ -45,11 +45,7 @@ class Hull:
 
 
 class Pieces:
-    """The pieces of one element, in the element's frame.
-
-    Args:
-        objects: Not empty; `link` empty.
-    """
+    """The pieces of one element, in the element's frame; `objects`: not empty, `link` empty."""
 
     def __init__(self, objects: Sequence[SceneObject]):
         self.objects = tuple(objects)

@@ -49,21 +49,24 @@ def due(
     for base in (scene, *earlier):
         wanted = _wanted(base, left.scenes, leading, element, alternatives)
         if wanted is not None:
-            return _lead(left, scene, wanted, mine)
-    scenes = " or ".join(each[:12] for each in left.scenes) or "none is known"
+            found = _lead(scene, wanted, mine)
+            return Due(found, wanted.hash) if isinstance(found, SceneChange) else _blocked(left, found)
+    problem = Sentence(
+        "no change of the work's objects makes the present scene {scene} the one in which it may go back ({scenes}): look at what "
+        "hangs on the tool, undo what was changed in the scene since",
+        scene=scene.hash[:12],
+        scenes=" or ".join(each[:12] for each in left.scenes) or "none is known",
+    )
+    if not segments:
+        problem = Sentence("plan {plan} is not known any more, and {problem}", plan=left.plan_id, problem=problem)
+    return _blocked(left, problem)
+
+
+def _blocked(left: EngagementReport, problem: str) -> Due:
+    where = f"the arm was left in engaged segment {left.segment!r} of plan {left.plan_id}"
     return Due(
         sentence=Sentence(
-            "{left}; no change of the work's objects makes the present scene {scene} the one in which it may go back "
-            "({scenes}): look at what hangs on the tool, undo what was changed in the scene since, or free the arm by hand "
-            "and call release_engagement"
-            if segments
-            else "{left}; plan {plan} is not known any more, and no change of the work's objects makes the present scene "
-            "{scene} the one in which it may go back ({scenes}): look at what hangs on the tool, undo what was changed in "
-            "the scene since, or free the arm by hand and call release_engagement",
-            left=_left(left),
-            plan=left.plan_id,
-            scene=scene.hash[:12],
-            scenes=scenes,
+            "{left}; {problem}, or free the arm by hand and call release_engagement", left=where, problem=problem
         )
     )
 
@@ -99,7 +102,7 @@ def _wanted(
     return None
 
 
-def _lead(left: EngagementReport, scene: Scene, wanted: Scene, mine: set[str]) -> Due:
+def _lead(scene: Scene, wanted: Scene, mine: set[str]) -> SceneChange | str:
     """Return the change from the present scene to a wanted one, or what of it is not the work's to change."""
     there, then = ({item.name: item for item in one.objects} for one in (scene, wanted))
     put = [item for name, item in then.items() if name not in there or _differ(there[name], item)]
@@ -113,58 +116,26 @@ def _lead(left: EngagementReport, scene: Scene, wanted: Scene, mine: set[str]) -
             replace(there[name], touch=()), replace(then[name], touch=())
         )
 
-    added = [name for name in remove if foreign(name)]
-    where = _left(left)
-    if added:
-        return Due(
-            sentence=Sentence(
-                "{left}; {names} came into the scene since, and blocks the way back: take it out again, or free the arm by "
-                "hand and call release_engagement",
-                left=where,
-                names=_names(added),
-            )
-        )
-    others = [item.name for item in put if foreign(item.name)]
-    if others:
-        return Due(
-            sentence=Sentence(
-                "{left}; {names} was changed or taken out of the scene since: put it back as it was, or free the arm by "
-                "hand and call release_engagement",
-                left=where,
-                names=_names(others),
-            )
+    if added := [name for name in remove if foreign(name)]:
+        return Sentence("{names} came into the scene since: take it out again", names=_names(added))
+    if others := [item.name for item in put if foreign(item.name)]:
+        return Sentence(
+            "{names} was changed or taken out of the scene since: put it back as it was", names=_names(others)
         )
     change = SceneChange(tuple(put), tuple(remove))
     try:
         made = change.apply(scene).hash
     except SceneError as error:
-        return Due(sentence=Sentence("{left}; the scene cannot be restored: {problem}", left=where, problem=str(error)))
-    if made != wanted.hash and scene.padding != wanted.padding:
-        return Due(
-            sentence=Sentence(
-                "{left}; the scene's padding was changed since: set it back to {padding:g} m, or free the arm by hand and "
-                "call release_engagement",
-                left=where,
-                padding=wanted.padding,
-            )
-        )
-    if made != wanted.hash:
-        return Due(
-            sentence=Sentence(
-                "{left}; the scene cannot be restored by putting and removing objects: do it by hand, or free the arm by "
-                "hand and call release_engagement",
-                left=where,
-            )
-        )
-    return Due(change, wanted.hash)
+        return str(error)
+    if made == wanted.hash:
+        return change
+    if scene.padding != wanted.padding:
+        return Sentence("the scene's padding was changed since: set it back to {padding:g} m", padding=wanted.padding)
+    return Sentence("the scene cannot be restored by putting and removing objects: do it by hand")
 
 
 def _differ(one: SceneObject, other: SceneObject) -> bool:
     return one.contents() != other.contents()
-
-
-def _left(left: EngagementReport) -> str:
-    return f"the arm was left in engaged segment {left.segment!r} of plan {left.plan_id}"
 
 
 def _names(names: Sequence[str]) -> str:

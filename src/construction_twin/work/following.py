@@ -21,8 +21,7 @@ from construction_twin.work import engaged_scene
 from construction_twin.work.built import as_built, pose_of_tuple, pose_tuple
 from construction_twin.work.heard import GripReading, Heard, KnownPlan
 from construction_twin.work.task_board import TaskBoard
-from construction_twin.work.task_memory import MEASURED, PLANNED, Entry, TaskMemory
-from construction_twin.work.task_states import UNDER_WAY, TaskEvent, TaskState
+from construction_twin.work.task_memory import MEASURED, PLANNED, UNDER_WAY, Entry, TaskEvent, TaskMemory, TaskState
 
 #: Outcome of a plan that reached its end.
 FINISHED = "finished"
@@ -90,14 +89,9 @@ class _Events:
 
 
 def follow(
-    memory: TaskMemory,
-    plan: Followed,
-    report: ExecutionReport,
-    grip: GripReading,
-    built: tuple[float, ...] = (),
-    source: str = "",
-    confirmed: bool = False,
-) -> list[Entry]:
+    memory: TaskMemory, plan: Followed, report: ExecutionReport, grip: GripReading, built: tuple[float, ...] = (),
+    source: str = "", confirmed: bool = False,
+) -> list[Entry]:  # fmt: skip
     """Return the events that a report adds to the task of a plan; none when it says nothing new of it.
 
     Args:
@@ -187,14 +181,9 @@ class Follower:
     """
 
     def __init__(
-        self,
-        board: TaskBoard,
-        heard: Heard,
-        chain: Chain,
-        arm_pose: Callable[[], tuple[float, ...]],
-        refuse: Callable[[str, str], None],
-        log: Callable[[str], None],
-    ):
+        self, board: TaskBoard, heard: Heard, chain: Chain, arm_pose: Callable[[], tuple[float, ...]],
+        refuse: Callable[[str, str], None], log: Callable[[str], None],
+    ):  # fmt: skip
         self._board, self._heard = board, heard
         self._chain, self._arm_pose = chain, arm_pose
         self._refuse, self._log = refuse, log
@@ -244,15 +233,9 @@ class Follower:
         # after a restart of the executor only the segment's name is known
         number = report.segment if mine else numbers[0] if len(numbers) == 1 else -1
         confirmed = 0 <= number < len(plan.segments) and engaged_scene.confirmed(left, plan.segments[number])
-        ended = ExecutionReport(
-            text="",
-            reason=left.reason,
-            plan_id=plan.id,
-            outcome=(report.outcome if mine else "") or "stopped",
-            segment=number,
-            # only there the arm still stands as it let go
-            at_boundary=mine and (confirmed or report.at_boundary),
-        )
+        # only there the arm still stands as it let go
+        stands, outcome = mine and (confirmed or report.at_boundary), (report.outcome if mine else "") or "stopped"
+        ended = ExecutionReport("", left.reason, plan.id, outcome, segment=number, at_boundary=stands)
         self._write(memory, followed, ended, confirmed)
 
     def _write(self, memory: TaskMemory, followed: Followed, report: ExecutionReport, confirmed: bool = False) -> None:
@@ -320,7 +303,7 @@ class Follower:
             return
         fate = self._heard.fate(memory.plan, memory.offer)
         if fate.outcome != FINISHED:
-            self._settle(memory, fate)
+            self._add(after_restart(memory, fate, self.grip()))
             return
         ended = ExecutionReport("", "", fate.plan, fate.outcome)
         unseen = followed_unseen(fate.plan, memory, fate.outcome)
@@ -332,10 +315,7 @@ class Follower:
 
     def settle_offer(self, task: str, offer: str) -> None:
         """Settle a task whose plan was offered to a planner that did not answer: it may have published it before it went away."""
-        self._settle(self._board.book.tasks[task], self._heard.fate("", offer))
-
-    def _settle(self, memory: TaskMemory, fate: Fate) -> None:
-        self._add(after_restart(memory, fate, self.grip()))
+        self._add(after_restart(self._board.book.tasks[task], self._heard.fate("", offer), self.grip()))
 
     def _drop_if_turned_down(self) -> None:
         """Take note of a plan under review that was rejected, replaced, or is void."""

@@ -25,11 +25,7 @@ _Kept = TypeVar("_Kept")
 
 @dataclass(frozen=True, eq=False)
 class KnownPlan:
-    """A plan that was published.
-
-    Attributes:
-        changes: What each of its segments does to the scene.
-    """
+    """A plan that was published; `changes`: what each of its segments does to the scene."""
 
     plan: Plan
     changes: tuple[SceneChange, ...]

@@ -1,7 +1,8 @@
-"""What the processes make their work plans of: motions from rest to rest that are checked in a scene, and how an attempt fails.
+"""From a job to a work plan: what all processes have alike, and the motions that they make their plans of.
 
-Joint vectors in the order of `RobotModel.joint_names`, SI; poses in the robot's base_link. Not for use from several threads at
-once.
+Every segment begins and ends at rest, is checked at each 4 ms sample and between them in the scene that the segments before it
+leave, and lasts a whole number of cycles. Joint vectors in the order of `RobotModel.joint_names`, SI; poses in the robot's
+base_link. Not for use from several threads at once.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from construction_twin.core.clock import Clock
 from construction_twin.core.motion_errors import KinematicsError, PlanningError, UnreachableError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
+from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import InverseKinematics
 from construction_twin.planning.cartesian import plan_cartesian
@@ -26,16 +28,17 @@ from construction_twin.planning.planner import Planner, PlannerSettings, PlanReq
 from construction_twin.planning.recheck import check_free, check_limits
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.planning.work_segment import WorkSegment
-from construction_twin.robot.description import RobotModel
+from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.segments import Signal, Switch
 from construction_twin.robot.tool import ToolFile
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene
-from construction_twin.work.contacts import Shapes, deepest, difference
-from construction_twin.work.jobs import TaskMotions, WorkJob
-from construction_twin.work.process import REACH
+from construction_twin.scene.self_collision import SelfCollision
+from construction_twin.work.contacts import Shapes, difference, tool_objects
+from construction_twin.work.process import REACH, TaskMotions, WorkJob, process_of
 from construction_twin.work.recipe import Recipe
+from construction_twin.work.recipes import Recipes
 
 #: Largest distance of an arm's wrist from its flange that is reckoned with [m].
 _WRIST = 0.5
@@ -63,26 +66,11 @@ class Failed(Exception):
 
     Attributes:
         stage: What was not possible: a segment, `process.REACH`, or another word of the process.
-        method: Of the attempt; empty: none.
+        method: Of the attempt, which the process adds; empty: none.
     """
 
-    def __init__(self, stage: str, method: str, reason: str, hopeless: bool = False):
-        self.stage, self.method, self.reason = stage, method, reason
-        self.hopeless = hopeless
-
-
-class Worlds:
-    """The collision worlds of one planning, each made once."""
-
-    def __init__(self, make: Callable[[Scene], CollisionWorld]):
-        self._make = make
-        self._worlds: dict[str, CollisionWorld] = {}
-
-    def of(self, scene: Scene) -> CollisionWorld:
-        """Return the world of a scene."""
-        if scene.hash not in self._worlds:
-            self._worlds[scene.hash] = self._make(scene)
-        return self._worlds[scene.hash]
+    def __init__(self, stage: str, reason: str, hopeless: bool = False):
+        self.stage, self.reason, self.hopeless, self.method = stage, reason, hopeless, ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,20 +105,22 @@ class Search:
     tool: ToolFile
     limits: TaskLimits
     clock: Clock
-    worlds: Worlds
+    make_world: Callable[[Scene], CollisionWorld]
     shapes: Shapes = field(repr=False)
+    _worlds: dict[str, CollisionWorld] = field(default_factory=dict, repr=False)
 
     @property
     def late(self) -> bool:
         """Whether the time for another attempt is over."""
         return self.clock() - self.began > self.limits.budget
 
-    @property
-    def size(self) -> float:
-        """How far the tool's centre point can be from the arm's wrist [m]."""
-        return float(np.linalg.norm(self.tool.tool.tool0_T_tcp.xyz)) + _WRIST
+    def world(self, scene: Scene) -> CollisionWorld:
+        """Return the collision world of a scene, which is made once."""
+        if scene.hash not in self._worlds:
+            self._worlds[scene.hash] = self.make_world(scene)
+        return self._worlds[scene.hash]
 
-    def demand_reach(self, pose: Pose, method: str, where: str, room: Callable[[], float] = float) -> None:
+    def demand_reach(self, pose: Pose, where: str, room: Callable[[], float] = float) -> None:
         """Refuse a pose of the flange that the arm does not reach at all.
 
         Args:
@@ -139,28 +129,32 @@ class Search:
         try:
             self.solver.nearest(pose, self.start)
         except UnreachableError as error:
-            hopeless = not error.too_close and error.missing > 2.0 * (room() + self.size)
-            raise Failed(REACH, method, f"{where}: {error}", hopeless) from error
+            # how far the tool's centre point can be from the arm's wrist
+            size = float(np.linalg.norm(self.tool.tool.tool0_T_tcp.xyz)) + _WRIST
+            hopeless = not error.too_close and error.missing > 2.0 * (room() + size)
+            raise Failed(REACH, f"{where}: {error}", hopeless) from error
         except KinematicsError as error:
-            raise Failed(REACH, method, f"{where}: {error}") from error
+            raise Failed(REACH, f"{where}: {error}") from error
 
-    def solutions(
-        self, pose: Pose, seed: np.ndarray, scene: Scene, stage: str, method: str, where: str
-    ) -> list[np.ndarray]:
+    def solutions(self, pose: Pose, seed: np.ndarray, scene: Scene, stage: str, where: str) -> list[np.ndarray]:
         """Return joint solutions of a pose of the flange that touch nothing, the nearest first."""
-        world = self.worlds.of(scene)
+        world = self.world(scene)
         try:
             found = [solution.q for solution in self.solver.all(pose, seed)]
         except KinematicsError as error:
-            raise Failed(REACH, method, f"{where}: {error}") from error
+            raise Failed(REACH, f"{where}: {error}") from error
         free = list(itertools.islice((q for q in found if world.is_free(q)), self.limits.solutions))
         if not free:
-            contact = world.contact(found[0])
-            assert contact is not None
+            self.demand_free(found[0], scene, stage, where)
+        return free
+
+    def demand_free(self, q: np.ndarray, scene: Scene, stage: str, where: str) -> None:
+        """Refuse joint values at which something touches."""
+        contact = self.world(scene).contact(q)
+        if contact is not None:
             one, other = contact.between
             raise Failed(
                 stage,
-                method,
                 Sentence(
                     "{where}, {first} touches {second} or is closer than the padding",
                     where=where,
@@ -168,41 +162,36 @@ class Search:
                     second=other,
                 ),
             )
-        return free
 
-    def line(self, start: np.ndarray, pose: Pose, scale: float, scene: Scene, stage: str, method: str) -> Trajectory:
+    def line(self, start: np.ndarray, pose: Pose, scale: float, scene: Scene, stage: str) -> Trajectory:
         """Return the straight way of the flange to a pose, checked for limits, contacts and depth of what may touch."""
+        recipe: Recipe = self.recipe
         try:
-            return self._line(start, pose, scale, self.worlds.of(scene))
+            motion = plan_cartesian(
+                start, [ToolWaypoint(pose)], self.solver, None, recipe.speed, scale, bounds=self.settings.bounds
+            )
+            trajectory, world = whole_cycles(motion.trajectory), self.world(scene)
+            samples = self._checked(trajectory, world)
         except (PlanningError, KinematicsError) as error:
-            raise Failed(stage, method, str(error)) from error
+            raise Failed(stage, str(error)) from error
+        touching = world.of_touching()
+        found = None if touching is None else touching.clearance_of(samples)[0]
+        if found is not None and found.distance < -recipe.penetration:
+            one, other = found.between
+            depth, most = -1e3 * found.distance, 1e3 * recipe.penetration
+            raise Failed(stage, f"{one} would be {depth:.1f} mm inside of {other}; at most {most:g} mm are allowed")
+        return trajectory
 
-    def free(self, start: np.ndarray, goal: np.ndarray, scale: float, scene: Scene, stage: str, method: str) -> Free:
+    def free(self, start: np.ndarray, goal: np.ndarray, scale: float, scene: Scene, stage: str) -> Free:
         """Return a free way between two joint vectors."""
-        world = self.worlds.of(scene)
+        world = self.world(scene)
         try:
             plan = self.planner.plan_to_joints(start, goal, PlanRequest("work", speed_scale=scale), world)
             trajectory = whole_cycles(plan.trajectory)
             self._checked(trajectory, world)
         except (PlanningError, KinematicsError) as error:
-            raise Failed(stage, method, str(error)) from error
+            raise Failed(stage, str(error)) from error
         return Free(trajectory, plan.report.clearance.distance)
-
-    def demand_free(self, q: np.ndarray, scene: Scene, stage: str, method: str, where: str) -> None:
-        """Refuse joint values at which something touches."""
-        contact = self.worlds.of(scene).contact(q)
-        if contact is not None:
-            one, other = contact.between
-            raise Failed(
-                stage,
-                method,
-                Sentence(
-                    "{where} {first} touches {second} or is closer than the padding",
-                    where=where,
-                    first=one,
-                    second=other,
-                ),
-            )
 
     def nearest(self, solutions: Sequence[np.ndarray]) -> list[int]:
         """Return the numbers of joint solutions, those that the arm gets to soonest first."""
@@ -210,21 +199,6 @@ class Search:
         return sorted(
             range(len(solutions)), key=lambda one: round(float(np.max(np.abs(solutions[one] - self.start) / pace)), 9)
         )
-
-    def _line(self, start: np.ndarray, pose: Pose, scale: float, world: CollisionWorld) -> Trajectory:
-        recipe: Recipe = self.recipe
-        motion = plan_cartesian(
-            start, [ToolWaypoint(pose)], self.solver, None, recipe.speed, scale, bounds=self.settings.bounds
-        )
-        trajectory = whole_cycles(motion.trajectory)
-        found = deepest(world, self._checked(trajectory, world))
-        if found is not None and found[0].distance < -recipe.penetration:
-            one, other = found[0].between
-            raise PlanningError(
-                f"{one} would be {-1e3 * found[0].distance:.1f} mm inside of {other}; at most "
-                f"{1e3 * recipe.penetration:g} mm are allowed"
-            )
-        return trajectory
 
     def _checked(self, trajectory: Trajectory, world: CollisionWorld) -> np.ndarray:
         """Check every 4 ms sample for limits, and the motion through them for contacts; return the samples."""
@@ -236,11 +210,7 @@ class Search:
 
 
 class PlanBuilder:
-    """A work plan in the making: segments one after the other.
-
-    Args:
-        scene: In which the first one begins.
-    """
+    """A work plan in the making: segments one after the other; `scene`: in which the first one begins."""
 
     def __init__(self, search: Search, scene: Scene):
         self._search = search
@@ -249,20 +219,10 @@ class PlanBuilder:
         self._clearances: list[float | None] = []
 
     def add(
-        self,
-        name: str,
-        trajectory: Trajectory,
-        engaged: bool,
-        requires: tuple[Signal, ...],
-        switches: tuple[Switch, ...],
-        after: Scene,
-        clearance: float | None = None,
-    ) -> None:
-        """Add a segment.
-
-        Args:
-            clearance: Of a free way [m]; None: to be computed.
-        """
+        self, name: str, trajectory: Trajectory, engaged: bool, requires: tuple[Signal, ...], switches: tuple[Switch, ...],
+        after: Scene, clearance: float | None = None,
+    ) -> None:  # fmt: skip
+        """Add a segment; `clearance`: of a free way [m], None: to be computed."""
         change = difference(self._scenes[-1], after)
         self._segments.append(WorkSegment(name, trajectory, engaged, requires, switches, change))
         self._scenes.append(after)
@@ -280,7 +240,7 @@ class PlanBuilder:
         if known is not None:
             return known
         samples = segment.trajectory.sample_many(cycle_times(segment.trajectory))[0]
-        return self._search.worlds.of(scene).clearance_of(samples)[0].distance
+        return self._search.world(scene).clearance_of(samples)[0].distance
 
 
 def whole_cycles(trajectory: Trajectory) -> Trajectory:
@@ -294,3 +254,77 @@ def whole_cycles(trajectory: Trajectory) -> Trajectory:
         trajectory.joint_names, times, trajectory.positions, trajectory.velocities / factor,
         trajectory.accelerations / factor**2,
     )  # fmt: skip
+
+
+class TaskPlanner:
+    """Plans tasks of one robot with one tool.
+
+    The same job from the same pose in the same scene gives the same plan, unless a budget runs out.
+
+    Args:
+        clock: Returns seconds from any fixed origin.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        solver: InverseKinematics,
+        settings: PlannerSettings,
+        self_collision: SelfCollision,
+        tool: ToolFile,
+        recipes: Recipes,
+        clock: Clock,
+        limits: TaskLimits = TaskLimits(),
+    ):
+        self._robot, self._solver, self._tool, self._recipes = robot, solver, tool, recipes
+        self._self_collision, self._clock, self._limits = self_collision, clock, limits
+        self._settings = settings
+        budget = min(settings.planning_budget, limits.free_budget)
+        self._planner = Planner(robot, solver, settings.model_copy(update={"planning_budget": budget}), clock)
+        self._shapes = Shapes()
+        self._world: CollisionWorld | None = None
+
+    def plan(self, job: WorkJob, start: JointValues, scene: Scene, held: Pose | None = None) -> TaskMotions:
+        """Plan a task.
+
+        Args:
+            start: Length n. Where the arm stands.
+            held: ``tool0_T_element`` of an element that is in the grip already, as `TaskMotions.tool0_T_element` of the plan that
+                gripped it: the rest of the task is planned.
+        """
+        began = self._clock()
+        name, recipe = self._recipes.of(job)
+        process = process_of(recipe.process)
+        q = np.array(start, dtype=float)
+        search = Search(
+            job, name, recipe, q, scene, held, began, self._robot, self._solver, self._planner, self._settings,
+            self._tool, self._limits, self._clock, self._world_of, self._shapes,
+        )  # fmt: skip
+        process.check(search)
+        self._check_tool(job, scene)
+        try:
+            self._robot.check_range(q)
+        except KinematicsError as error:
+            raise TaskPlanningError(job.task, Sentence("the arm's pose: {problem}", problem=str(error))) from error
+        try:
+            search.demand_free(q, scene, "", "where the arm stands")
+            return process.plan(search)
+        except Failed as failed:
+            raise TaskPlanningError(job.task, failed.reason, failed.stage, failed.method) from failed
+
+    def _world_of(self, scene: Scene) -> CollisionWorld:
+        if self._world is None:
+            self._world = CollisionWorld(self._robot, scene, self._self_collision)
+        else:
+            self._world = self._world.with_scene(scene)
+        return self._world
+
+    def _check_tool(self, job: WorkJob, scene: Scene) -> None:
+        """Refuse a scene without the tool as its file has it."""
+        present = {item.name: item.contents() for item in scene.objects}
+        for item in tool_objects(self._tool, self._robot.tip_link):
+            if present.get(item.name) != item.contents():
+                how = "in the scene, but not as the tool file has it" if item.name in present else "not in the scene"
+                raise TaskPlanningError(
+                    job.task, f"the tool's {item.name!r} is {how}; put the tool into the scene first"
+                )

@@ -10,17 +10,20 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.tool import Tool
 from construction_twin.scene.objects import SceneObject
-from construction_twin.work.book import Present
-from construction_twin.work.ledger import body_digest
+from construction_twin.work.ledger import Present, body_digest
 from construction_twin.work.names import labels
-from construction_twin.work.racks import StockPlan
 from construction_twin.work.schedule import Schedule
+
+if TYPE_CHECKING:
+    # whoever only draws elements waits for no library of shapes
+    from construction_twin.work.site_scene import StockPlan
 
 
 @dataclass(frozen=True, eq=False)

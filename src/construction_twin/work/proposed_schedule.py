@@ -69,15 +69,11 @@ def propose(model: BuildingModel) -> ProposedSchedule:
     notes += _held_at_the_side(solids, before)
     order = _built(solids, before, notes)
     root = Task(global_id("proposed schedule", model.project), "Proposed order", "From the geometry; not accepted yet.")
-    tasks = {
-        number: Task(
-            global_id("proposed task", solids[number].element.id),
-            f"Place {solids[number].element.name or solids[number].element.id}",
-            parent=root.id,
-            products=(solids[number].element.id,),
-        )
-        for number in order
-    }
+    tasks = {}
+    for number in order:
+        element = solids[number].element
+        own = global_id("proposed task", element.id)
+        tasks[number] = Task(own, f"Place {element.name or element.id}", parent=root.id, products=(element.id,))
     sequences = [
         Sequence(tasks[first].id, tasks[second].id)
         for second in order
@@ -216,12 +212,9 @@ def _built(solids: list[_Solid], before: dict[int, set[int]], notes: list[str]) 
     while len(order) < len(solids):
         if not heap:
             number = min((n for n in waiting if n not in done), key=lambda n: keys[n])
-            cut = [solids[first].element.id for first in sorted(waiting[number])]
-            others = first_few(cut)
-            notes.append(
-                f"{solids[number].element.id} rests on {others} and these, in a circle, on it: it comes "
-                "first, being lowest."
-            )
+            others = first_few(solids[first].element.id for first in sorted(waiting[number]))
+            circle = f"{solids[number].element.id} rests on {others} and these, in a circle, on it"
+            notes.append(f"{circle}: it comes first, being lowest.")
             before[number] -= waiting[number]
             waiting[number] = set()
             heapq.heappush(heap, keys[number])

@@ -90,17 +90,11 @@ class Recipe(Strict):
 
 @dataclass(frozen=True)
 class Override:
-    """A property of an element in the model that replaces a key of its recipe."""
+    """A property of an element in the model that replaces a key of its recipe, as `read` makes it of the property's value."""
 
     key: tuple[str, ...]
     ifc_type: str
-    meaning: str
-    read: Callable[[Value], Any]
-
-
-def same(value: Value) -> Value:
-    """Return a property as it is."""
-    return value
+    read: Callable[[Value], Any] = lambda value: value
 
 
 def words(value: Value) -> tuple[str, ...]:
@@ -118,6 +112,4 @@ def numbers(value: Value) -> tuple[float, ...] | tuple[str, ...]:
 
 
 #: What every process lets the model override.
-SHARED: Mapping[str, Override] = {
-    "Speed": Override(("speed",), "IfcReal", "of the tool on the straight ways [m/s]", same)
-}
+SHARED: Mapping[str, Override] = {"Speed": Override(("speed",), "IfcReal")}

@@ -14,28 +14,21 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import pydantic
-import yaml
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.validation import configuration_error, wrong_value
 from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.robot.tool import Tool
+from construction_twin.robot.urdf import read_yaml
 from construction_twin.work.building import Element, Task, Value
-from construction_twin.work.jobs import WorkJob
-from construction_twin.work.process import MODULES, process_of
+from construction_twin.work.process import MODULES, WorkJob, process_of
 from construction_twin.work.recipe import DEFAULT, PROPERTY_SET, RECIPE, Recipe, Strict
 
 #: Property of it that is read by racks of the kind `delivered`. But for this one and `RECIPE` they are the process's own,
 #: `Process.overrides`.
 DELIVERED = "Delivered"
 
-_TYPES: Mapping[str, tuple[type, ...]] = {
-    "IfcLabel": (str,),
-    "IfcInteger": (int,),
-    "IfcReal": (int, float),
-    "IfcBoolean": (bool,),
-}
+_TYPES: dict[str, Any] = {"IfcLabel": str, "IfcInteger": int, "IfcReal": (int, float), "IfcBoolean": bool}
 
 
 @dataclass(frozen=True)
@@ -57,8 +50,9 @@ class Recipes:
         recipe = self.recipes[name]
         if of_task:
             # what the element says to the process of another task is not for this one
-            mine, others = process_of(recipe.process).overrides, self._overrides()
-            own = {key: value for key, value in own.items() if key in mine or key not in others}
+            others = {key for each in self.recipes.values() for key in process_of(each.process).overrides}
+            others -= process_of(recipe.process).overrides.keys()
+            own = {key: value for key, value in own.items() if key not in others}
         return name, self._overridden(job, recipe, {**own, **job.task_properties})
 
     def process(self, element: Element, task: Task | None = None) -> str:
@@ -76,10 +70,6 @@ class Recipes:
         for name, recipe in self.recipes.items():
             process_of(recipe.process).check_recipe(recipe, tool, f"{self.file}/recipes/{name}")
 
-    def _overrides(self) -> set[str]:
-        """Return the properties that any recipe's process knows."""
-        return {name for recipe in self.recipes.values() for name in process_of(recipe.process).overrides}
-
     def _named(self, job: WorkJob, own: Mapping[str, Value]) -> str:
         name = own.get(RECIPE)
         if name is None:
@@ -94,16 +84,8 @@ class Recipes:
             if recipe.match.fits(element):
                 return name
         kind = f"{element.ifc_class} {element.type_name!r}" if element.type_name else element.ifc_class
-        raise TaskPlanningError(
-            job.task,
-            Sentence(
-                "no recipe of {file} fits {element}, {kind}; add one, or name one in {property_set}",
-                file=str(self.file),
-                element=job.called,
-                kind=kind,
-                property_set=PROPERTY_SET,
-            ),
-        )
+        to_do = f"add one, or name one in {PROPERTY_SET}"
+        raise TaskPlanningError(job.task, f"no recipe of {self.file} fits {job.called}, {kind}; {to_do}")
 
     def _overridden(self, job: WorkJob, recipe: Recipe, own: Mapping[str, Value]) -> Recipe:
         overrides = process_of(recipe.process).overrides
@@ -115,9 +97,8 @@ class Recipes:
                 known = f"no such property; did you mean {near[0]}?" if near else "no such property"
                 raise _wrong(job, name, value, known)
             override = overrides[name]
-            if isinstance(value, bool) != (override.ifc_type == "IfcBoolean") or not isinstance(
-                value, _TYPES[override.ifc_type]
-            ):
+            is_bool = override.ifc_type == "IfcBoolean"
+            if isinstance(value, bool) != is_bool or not isinstance(value, _TYPES[override.ifc_type]):
                 raise _wrong(job, name, value, override.ifc_type)
             document = recipe.model_dump()
             inner = document
@@ -134,12 +115,7 @@ class Recipes:
 
 def read_recipes(path: str | Path) -> Recipes:
     """Read a recipes file."""
-    try:
-        description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigurationError(
-            str(path), " ".join(str(error).split()), "a YAML file of recipes, as config/work/recipes.yaml"
-        ) from error
+    description = read_yaml(path, " of recipes, as config/work/recipes.yaml")
     entries = description.get("recipes") if isinstance(description, dict) else None
     if not isinstance(entries, dict) or not entries:
         return Recipes(str(path), _read(path, DEFAULT, description))
@@ -161,7 +137,6 @@ def _process(path: str | Path, recipe: str, entry: object) -> str:
 
 def _read(path: str | Path, process: str, description: object) -> dict[str, Any]:
     """Return recipes of one process."""
-
     of_process: Any = Annotated[dict[str, process_of(process).recipe], pydantic.Field(min_length=1)]  # type: ignore[misc]
     file = pydantic.create_model("File", __base__=Strict, recipes=(of_process, ...))
     try:
@@ -171,13 +146,5 @@ def _read(path: str | Path, process: str, description: object) -> dict[str, Any]
 
 
 def _wrong(job: WorkJob, name: str, value: object, expected: str) -> TaskPlanningError:
-    return TaskPlanningError(
-        job.task,
-        Sentence(
-            "{element}, {property}: found {value}, expected {expected}",
-            element=job.called,
-            property=f"{PROPERTY_SET}.{name}",
-            value=repr(value),
-            expected=expected,
-        ),
-    )
+    where = f"{job.called}, {PROPERTY_SET}.{name}"
+    return TaskPlanningError(job.task, f"{where}: found {value!r}, expected {expected}")

@@ -93,8 +93,7 @@ class Blocker:
     @property
     def text(self) -> str:
         """One sentence's part for people: ``after 'Place stud 1' (2xF...) has finished``."""
-        done, job = "finished" if self.finished else "started", f"{self.job.name!r} ({self.job.id})"
-        since = f"after {job} has {done}"
+        since = f"after {self.job.name!r} ({self.job.id}) has {'finished' if self.finished else 'started'}"
         return since if self.remaining is None else f"{self.remaining:.0f} s from now, its lag {since}"
 
 
@@ -138,17 +137,13 @@ class Schedule:
         unmade = reading.unmade(everything)
         ordered = _in_order(everything, model.tasks)
         reading.notes += _order_notes(everything, model.tasks, proposed)
-        remarks = {
-            job.id: (*model.remarks.get(job.task, ()), *model.remarks.get(job.element, ())) for job in everything
-        }
-        return cls(
-            tuple(job for job in ordered if job.id not in reading.removals),
-            tuple(reading.notes),
-            unmade,
-            proposed or reading.guessed,
-            tuple(job for job in ordered if job.id in reading.removals),
-            {name: said for name, said in remarks.items() if said},
+        said = model.remarks
+        remarks = {job.id: (*said.get(job.task, ()), *said.get(job.element, ())) for job in everything}
+        jobs, removals = (
+            tuple(job for job in ordered if (job.id in reading.removals) is down) for down in (False, True)
         )
+        remarks = {name: each for name, each in remarks.items() if each}
+        return cls(jobs, tuple(reading.notes), unmade, proposed or reading.guessed, removals, remarks)
 
     def job(self, identifier: str) -> Job:
         """Return the job of that id."""
@@ -227,11 +222,10 @@ class _Reading:
                 jobs.append(Job(own, own, name, element.id, (), ()))
         for job in jobs:
             if job.id in self.removals:
-                name = self._model.elements[job.element].name or job.element
-                self.notes.append(
-                    f"{job.element} is to be taken down ({job.name}): it is an obstacle until a person says that "
-                    f"it is gone (`twin work removed {job.id}`)."
+                said = (
+                    f"{job.element} is to be taken down ({job.name}): an obstacle until a person says that it is gone"
                 )
+                self.notes.append(f"{said} (`twin work removed {job.id}`).")
         return tuple(jobs)
 
     def _told_apart(self, jobs: list[Job]) -> list[Job]:
@@ -249,9 +243,8 @@ class _Reading:
         made = {job.element for job in jobs} | self._standing
         left = tuple(identifier for identifier in workpieces(self._model) if identifier not in made)
         if left:
-            self.notes.append(
-                f"No task makes {len(left)} of the elements: {self._called(left)}; the arm leaves them alone."
-            )
+            said = f"No task makes {len(left)} of the elements: {self._called(left)}"
+            self.notes.append(f"{said}; the arm leaves them alone.")
         return left
 
     def _called(self, ids: Iterable[str]) -> str:
@@ -286,9 +279,7 @@ class _Reading:
             if not task.parent:
                 continue
             if task.parent not in self._tasks:
-                raise ScheduleError(
-                    f"task {identifier} ({task.name!r}) nests in {task.parent}, which is no task of the model"
-                )
+                raise ScheduleError(f"task {identifier} ({task.name!r}) nests in {task.parent}, which is no task")
             self._children[task.parent].append(identifier)
         for identifier in self._tasks:
             chain: dict[str, None] = {}
@@ -320,21 +311,17 @@ class _Reading:
             missing = [identifier for identifier in ids if identifier not in self._tasks]
             if missing:
                 raise ScheduleError(f"a sequence from {ids[0]} to {ids[1]} names {missing[0]}, which is no task")
+            called = f"the sequence from {ids[0]} to {ids[1]}"
             if sequence.kind not in _KINDS:
-                expected = ", ".join(_KINDS)
-                raise ScheduleError(
-                    f"the sequence from {ids[0]} to {ids[1]} is of kind {sequence.kind!r}; expected {expected}"
-                )
+                raise ScheduleError(f"{called} is of kind {sequence.kind!r}; expected {', '.join(_KINDS)}")
             if sequence.before in self._above(sequence.after) or sequence.after in self._above(sequence.before):
                 if sequence.kind not in ("START_START", "FINISH_FINISH") or ids[0] == ids[1]:
-                    raise ScheduleError(
-                        f"the sequence from {ids[0]} to {ids[1]} makes a task wait for itself: they are the same, or "
-                        "one nests in the other"
-                    )
+                    why = "they are the same, or one nests in the other"
+                    raise ScheduleError(f"{called} makes a task wait for itself: {why}")
                 needless.append(ids)
                 continue
             if not math.isfinite(sequence.lag):
-                raise ScheduleError(f"the sequence from {ids[0]} to {ids[1]} has a lag of {sequence.lag:g} s")
+                raise ScheduleError(f"{called} has a lag of {sequence.lag:g} s")
             if sequence.lag < 0.0:
                 leads.append(ids)
             if sequence.lag > 0.0 and self._is_completed(sequence.before):
@@ -358,14 +345,11 @@ class _Reading:
             known = tuple(dict.fromkeys(one for one in given if one in self._model.elements))
             unknown = tuple(one for one in task.products if one not in self._model.elements)
             if unknown and not nested:
-                elements = first_few(unknown)
-                self.notes.append(
-                    f"Task {identifier} makes {elements}, which the arm cannot place: no such element was read."
-                )
+                said = f"Task {identifier} makes {first_few(unknown)}, which the arm cannot place"
+                self.notes.append(f"{said}: no such element was read.")
             if nested and known:
-                self.notes.append(
-                    f"What task {identifier} makes is taken from the tasks that nest in it: {self._called(known)}."
-                )
+                said = f"What task {identifier} makes is taken from the tasks that nest in it"
+                self.notes.append(f"{said}: {self._called(known)}.")
             if nested:
                 continue
             known = self._to_do(identifier, known)
@@ -377,10 +361,8 @@ class _Reading:
                     works.append((identifier, element))
                     continue
                 if element in maker:
-                    raise ScheduleError(
-                        f"element {element} ({self._model.elements[element].name!r}) is made twice, by tasks "
-                        f"{maker[element]} and {identifier}; it can be placed once"
-                    )
+                    twice = f"element {element} ({self._model.elements[element].name!r}) is made twice"
+                    raise ScheduleError(f"{twice}, by tasks {maker[element]} and {identifier}; it can be placed once")
                 maker[element] = identifier
             found[identifier] = known
         for identifier, element in works:
@@ -391,13 +373,8 @@ class _Reading:
         idle = [one for one in empty if not self._tasks[one].milestone and self._tasks[one].kind == "makes"]
         idle = [one for one in idle if not self._is_completed(one)]
         if idle:
-            tasks = self._called(idle)
-            several = len(idle) > 1
-            self.notes.append(
-                f"{len(idle)} tasks without element: {tasks}; kept for the order, no time is waited for."
-                if several
-                else f"1 task without element: {tasks}; kept for the order, no time is waited for."
-            )
+            said = f"{len(idle)} {'tasks' if len(idle) > 1 else 'task'} without element: {self._called(idle)}"
+            self.notes.append(f"{said}; kept for the order, no time is waited for.")
         return found
 
     def _to_do(self, identifier: str, known: tuple[str, ...]) -> tuple[str, ...]:
@@ -416,10 +393,8 @@ class _Reading:
         there = tuple(one for one in known if elements[one].status and one not in works)
         if there:
             self._standing |= set(there)
-            self.notes.append(
-                f"Task {identifier} makes {self._called(there)}, which the model has as existing or to be "
-                "taken down: not placed."
-            )
+            said = f"Task {identifier} makes {self._called(there)}, which the model has as existing or to be taken down"
+            self.notes.append(f"{said}: not placed.")
         found: list[str] = []
         for one in known:
             if one in works:
@@ -458,13 +433,12 @@ class _Reading:
             proposal = propose(alone)
             wanted = [one for part in proposal.tasks for one in part.products]
             self.guessed = self.guessed or len(wanted) > 1
-        assembly = f"Task {identifier} makes {model.elements[element].name or element}, which has no body of its own:"
-        self.notes.append(
-            f"{assembly} what is in it is placed one after the other, in an order from the geometry that a person must "
-            f"accept: {self._called(wanted)}."
-            if wanted
-            else f"{assembly} nothing that is in it is left for this task."
-        )
+        said = "nothing that is in it is left for this task"
+        if wanted:
+            order = "one after the other, in an order from the geometry that a person must accept"
+            said = f"what is in it is placed {order}: {self._called(wanted)}"
+        assembly = f"Task {identifier} makes {model.elements[element].name or element}, which has no body of its own"
+        self.notes.append(f"{assembly}: {said}.")
         return tuple(wanted)
 
     def _leave_temporary(self, found: dict[str, tuple[str, ...]], maker: Mapping[str, str]) -> None:
@@ -475,10 +449,8 @@ class _Reading:
             twice = [element for element in found[identifier] if element in removed]
             removed |= set(found[identifier])
             if placed:
-                self.notes.append(
-                    f"Task {identifier} takes down {self._called(placed)}, which another task places: not read, it stays; "
-                    "what comes after does not wait for it to be gone."
-                )
+                said = f"Task {identifier} takes down {self._called(placed)}, which another task places: not read"
+                self.notes.append(f"{said}, it stays; what comes after does not wait for it to be gone.")
             left = tuple(element for element in found[identifier] if element not in {*placed, *twice})
             if left:
                 found[identifier] = left
@@ -563,32 +535,28 @@ def _in_order(jobs: tuple[Job, ...], tasks: Mapping[str, Task]) -> tuple[Job, ..
 
 def _places(jobs: tuple[Job, ...], tasks: Mapping[str, Task]) -> dict[str, tuple[float, int]]:
     """Return date and number of each job, by which they are sorted; no dates where one is missing or cannot be compared."""
-    numbers = {job.id: number for number, job in enumerate(jobs)}
     try:
         # what is to be taken down without a task has no date and comes first
         starts = {job.id: datetime.fromisoformat(tasks[job.task].start) for job in jobs if job.task in tasks}
     except ValueError:
-        return {identifier: (0.0, number) for identifier, number in numbers.items()}
+        starts = {}
     if len({start.tzinfo is None for start in starts.values()}) > 1:
-        return {identifier: (0.0, number) for identifier, number in numbers.items()}
+        starts = {}
     moments = {identifier: start.timestamp() for identifier, start in starts.items()}
-    return {identifier: (moments.get(identifier, -math.inf), number) for identifier, number in numbers.items()}
+    return {job.id: (moments.get(job.id, -math.inf), number) for number, job in enumerate(jobs)}
 
 
 def _order_notes(jobs: tuple[Job, ...], tasks: Mapping[str, Task], proposed: bool) -> list[str]:
     """Return what a person should know of the order: that dates are not used, or that the file says none."""
     starts = {job.task: tasks[job.task].start for job in jobs if job.task in tasks}
     without = [identifier for identifier, start in starts.items() if not start]
+    unused = "Dates are not used for the order, because"
     if without and len(without) < len(starts):
         named = first_few(_called(tasks[one].name, one) for one in without)
-        return [
-            (
-                f"Dates are not used for the order, because there is no start for {len(without)} of {len(starts)}"
-                f" tasks: {named}. What no sequence orders comes as it stands in the file."
-            )
-        ]
+        why = f"there is no start for {len(without)} of {len(starts)} tasks: {named}"
+        return [f"{unused} {why}. What no sequence orders comes as it stands in the file."]
     if not without and len({_has_zone(start) for start in starts.values()}) > 1:
-        return ["Dates are not used for the order, because some starts have a time zone and others have none."]
+        return [f"{unused} some starts have a time zone and others have none."]
     on = {job.id: job.element for job in jobs}
     # of the jobs of one task, and of one element, the file need not say an order
     free = all(wait.job.startswith(f"{job.task}/") or on[wait.job] == job.element for job in jobs for wait in job.after)

@@ -24,13 +24,12 @@ from construction_twin.work import engaged_scene
 from construction_twin.work.built import Deviation, change, pose_tuple
 from construction_twin.work.following import Follower
 from construction_twin.work.heard import Heard
-from construction_twin.work.jobs import TaskMotions
 from construction_twin.work.ledger import Ledger
 from construction_twin.work.prepared import Prepared
+from construction_twin.work.process import TaskMotions
 from construction_twin.work.recipe import DEFAULT
 from construction_twin.work.task_board import Appearance, TaskBoard, WorkRefused
-from construction_twin.work.task_memory import Entry
-from construction_twin.work.task_states import UNDER_WAY, TaskState
+from construction_twin.work.task_memory import UNDER_WAY, Entry, TaskState
 
 #: How long what was changed or planned may take to be heard [s].
 SCENE_TIME = 2.0
@@ -114,10 +113,8 @@ class WorkSession:
         )  # fmt: skip
         board = TaskBoard(prepared, ledger, robot.name, robot.tip_link)
         board.look_around()
-        for said in (
-            f"{prepared.model}: {len(prepared.schedule.jobs)} tasks, {ledger.lines} lines in {ledger.path}",
-            *board.notes,
-        ):
+        opened = f"{prepared.model}: {len(prepared.schedule.jobs)} tasks, {ledger.lines} lines in {ledger.path}"
+        for said in (opened, *board.notes):
             calls.log(said)
         return cls(board, heard, Chain(robot), calls, clock)
 
@@ -244,7 +241,9 @@ class WorkSession:
             raise WorkRefused("a task is being planned already; wait for it")
         heard = self._heard
         try:
-            if problem := self._left_closed():
+            with self.lock:
+                problem = self.board.left_closed(self._follower.grip().commanded)
+            if problem:
                 raise WorkRefused(problem)
             if heard.engaged:
                 heard.wait_for(lambda: not heard.unsaid, SCENE_TIME)
@@ -252,10 +251,6 @@ class WorkSession:
         finally:
             self._planning.release()
             heard.announce()
-
-    def _left_closed(self) -> str:
-        with self.lock:
-            return self.board.left_closed(self._follower.grip().commanded)
 
     def _allowed(self, asked: str) -> str:
         now = self._clock()
@@ -322,20 +317,15 @@ class WorkSession:
         return replace(answer, message=sentence)
 
     def _plan_way_back(self, asked: str) -> UnderReview:
-        heard = self._heard
-        if problem := self._make_for_way_back():
-            raise WorkRefused(
-                Sentence(
-                    "the arm is engaged, only the way back can be planned, and not yet: {problem}", problem=problem
-                )
-            )
+        heard, said = self._heard, ""
+        problem = self._make_for_way_back()
         before = heard.plan.plan.id if heard.plan is not None else ""
         try:
-            said = self._calls.plan_way_back()
+            said = said if problem else self._calls.plan_way_back()
         except ConstructionTwinError as error:
-            raise WorkRefused(
-                Sentence("the arm is engaged, only the way back can be planned: {problem}", problem=str(error))
-            ) from error
+            problem = str(error)
+        if problem:
+            raise WorkRefused(_only_way_back(problem))
         heard.wait_for(lambda: heard.plan is not None and heard.plan.plan.id != before, SCENE_TIME)
         known = heard.plan
         if known is None or known.plan.id == before:
@@ -357,7 +347,7 @@ class WorkSession:
                     sentence = board.answer_all(answer, person, reason)
                 case "answer":
                     sentence = board.answer(task, answer, person, reason, question)
-                    if problem := self._left_closed():
+                    if problem := board.left_closed(self._follower.grip().commanded):
                         sentence = Sentence("{first}; {second}", first=sentence, second=problem)
                 case "skip" | "redo" | "removed":
                     sentence = getattr(board, decision)(task, person, reason)
@@ -380,15 +370,15 @@ class WorkSession:
             report = self.board.report(self._clock())
         if self._heard.execution is None or not self._heard.execution.engaged:
             return report
-        blocked = self._blocked
-        reason = (
-            Sentence("the arm is engaged: only the way back can be planned, and not yet: {problem}", problem=blocked)
-            if blocked
-            else Sentence("the arm is engaged: only the way back can be planned")
-        )
-        return replace(report, engaged=True, reason=reason)
+        return replace(report, engaged=True, reason=_only_way_back(self._blocked))
 
     def appearances(self) -> tuple[Appearance, ...]:
         """Return what each element looks like, see `TaskBoard.appearances`."""
         with self.lock:
             return self.board.appearances(self._clock())
+
+
+def _only_way_back(problem: str) -> str:
+    if not problem:
+        return Sentence("the arm is engaged: only the way back can be planned")
+    return Sentence("the arm is engaged: only the way back can be planned, and not yet: {problem}", problem=problem)

@@ -12,7 +12,6 @@ from typing import Annotated, Literal
 
 import numpy as np
 import pydantic
-import yaml
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.validation import configuration_error
@@ -20,6 +19,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rpy_to_rotation
 from construction_twin.robot.tool import Place as FilePose
 from construction_twin.robot.tool import ToolFile, read_tool
+from construction_twin.robot.urdf import read_yaml
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.work.building import BuildingModel, Element
@@ -156,22 +156,14 @@ class Site:
             return building.elements[asked]
         found = [element for element in building.elements.values() if element.name == asked]
         if len(found) != 1:
-            raise ConfigurationError(
-                f"{self.path}/base_element",
-                asked,
-                f"GlobalId or name of one element of {building.file}; {len(found)} have this name",
-            )
+            expected = f"GlobalId or name of one element of {building.file}; {len(found)} have this name"
+            raise ConfigurationError(f"{self.path}/base_element", asked, expected)
         return found[0]
 
 
 def read_site(path: str | Path) -> Site:
     """Read a cell file and the files that it names."""
-    try:
-        description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigurationError(
-            str(path), " ".join(str(error).split()), "a YAML file of a cell, as config/work/timber_panel.yaml"
-        ) from error
+    description = read_yaml(path, " of a cell, as config/work/timber_panel.yaml")
     try:
         cell = CellFile.model_validate(description)
     except pydantic.ValidationError as error:
@@ -194,9 +186,8 @@ def _check_names(path: str, cell: CellFile, scene: Scene) -> None:
             raise ConfigurationError(f"{path}/racks/{rack}/surface", description.surface, known)
     for item in scene.objects:
         if "/" in item.name:
-            raise ConfigurationError(
-                f"{path}/scene", item.name, "objects without / in their names, which belong to elements and tool"
-            )
+            expected = "objects without / in their names, which belong to elements and tool"
+            raise ConfigurationError(f"{path}/scene", item.name, expected)
 
 
 def pose_of(place: FilePose) -> Pose:

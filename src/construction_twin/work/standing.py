@@ -23,9 +23,6 @@ def check_placement(model: BuildingModel, model_T_base: Pose, reach: float, base
     Args:
         reach: Largest distance of the tool's centre point from the base's origin, along a track and with the tool [m], above 0.
         base: GlobalId of the element that stands for the robot's base, which is not compared; empty: none.
-
-    Raises:
-        PlacementError: If no element has geometry, or all of them are out of reach.
     """
     boxes = {one.id: _box(one) for one in model.elements.values() if one.bodies and one.id != base}
     if not boxes:
@@ -38,22 +35,17 @@ def check_placement(model: BuildingModel, model_T_base: Pose, reach: float, base
     far = tuple(one for one, distance in distances.items() if distance > reach)
     if len(far) == len(boxes):
         nearest = min(distances, key=lambda one: distances[one])
-        raise PlacementError(
-            f"all {len(boxes)} elements are out of the robot's reach of {reach:.2f} m: the nearest, "
-            f"{_named(model, (nearest,))}, is {distances[nearest]:.2f} m from its base at "
-            f"{_figures(model_T_base.position)}. The elements stand at "
-            f"{_figures(np.min([box[0] for box in boxes.values()], axis=0))} to "
-            f"{_figures(np.max([box[1] for box in boxes.values()], axis=0))}."
-        )
+        low = np.min([box[0] for box in boxes.values()], axis=0)
+        high = np.max([box[1] for box in boxes.values()], axis=0)
+        said = f"all {len(boxes)} elements are out of the robot's reach of {reach:.2f} m: the nearest"
+        away = f"{distances[nearest]:.2f} m from its base at {_figures(at)}"
+        stand = f"The elements stand at {_figures(low)} to {_figures(high)}."
+        raise PlacementError(f"{said}, {_named(model, (nearest,))}, is {away}. {stand}")
     if not far:
         return ()
     most = max(distances[one] for one in far)
-    return (
-        (
-            f"{_named(model, far)} out of reach whatever the arm does: up to {most:.2f} m from the base, "
-            f"reach {reach:.2f} m."
-        ),
-    )
+    limits = f"up to {most:.2f} m from the base, reach {reach:.2f} m"
+    return (f"{_named(model, far)} out of reach whatever the arm does: {limits}.",)
 
 
 def _box(element: Element) -> np.ndarray:
@@ -109,10 +101,8 @@ def standing(building: BuildingModel, made: Collection[str], site: Site, reach: 
         if not np.linalg.norm(nearest) > reach + _CARRIED:
             near.append(element)
     shapes, failures = element_shapes(near, folder)
-    notes = tuple(
-        (f"{name} cannot be divided into bodies, its box is the obstacle, and the arm does not place it: {failure}")
-        for name, failure in failures.items()
-    )
+    said = "cannot be divided into bodies, its box is the obstacle, and the arm does not place it"
+    notes = tuple(f"{name} {said}: {failure}" for name, failure in failures.items())
     boxes = {name: (box_of(building.element(name)),) for name in failures}
     return Standing({name: shape.objects for name, shape in shapes.items()} | boxes, notes)
 

@@ -18,22 +18,25 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import WorkError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.objects import SceneObject
-from construction_twin.work.book import Book, placed_elsewhere
 from construction_twin.work.built import Deviation, at, deviation, objects_of, placed_at, pose_of_tuple, pose_tuple
 from construction_twin.work.convex_bodies import Pieces
-from construction_twin.work.ledger import Ledger, replay
+from construction_twin.work.ledger import Book, Ledger, placed_elsewhere, replay
 from construction_twin.work.names import labels, named
 from construction_twin.work.prepared import ElementFacts, Prepared, Scheduled, element_in
 from construction_twin.work.schedule import Job
-from construction_twin.work.task_memory import ACCEPTED, NOT_IN_MODEL, PLANNED, Entry, TaskMemory
-from construction_twin.work.task_states import (
+from construction_twin.work.task_memory import (
+    ACCEPTED,
     ANSWERS_FOR_ALL,
     ANSWERS_OF_FORMER,
+    NOT_IN_MODEL,
     PLANNABLE,
+    PLANNED,
     SAME,
     SETTLED,
     UNDER_WAY,
+    Entry,
     TaskEvent,
+    TaskMemory,
     TaskState,
 )  # fmt: skip
 
@@ -123,7 +126,7 @@ class TaskBoard:
         if self.schedule_word != PROPOSED:
             origin = "the model's own" if self.schedule_word == FROM_MODEL else "accepted already"
             raise WorkRefused(f"the schedule is {origin}: there is nothing to accept")
-        self._named(person)
+        _check_named(person)
         self.ledger.add(Entry(ACCEPTED, person=person, reason=reason, schedule=self.prepared.schedule_digest))
         return f"{person} accepts the proposed schedule of {len(self.prepared.schedule.jobs)} tasks"
 
@@ -134,11 +137,7 @@ class TaskBoard:
         return next((job for job in self.book.after if not self.obstacle(job, now)), "")
 
     def obstacle(self, task: str, now: int) -> str:
-        """Return why a task cannot be planned now, as a sentence; empty: it can.
-
-        Args:
-            now: Since 1970 [ns].
-        """
+        """Return why a task cannot be planned now, as a sentence; empty: it can; `now`: since 1970 [ns]."""
         book = self.book
         if task not in book.after:
             return f"there is no task {task!r}; `twin work list` names them"
@@ -148,10 +147,10 @@ class TaskBoard:
             return f"{self.title(book.asking[0])} asks first: {self._question(book.asking[0])}"
         for name, memory in book.former.items():
             if not memory.body:
-                return (
-                    f"{self._element(name).name} was placed and is not in the model any more, and its shape was "
-                    f"not kept: take it away and say {removed_command(name)}, before anything else is planned"
+                placed = (
+                    f"{self._element(name).name} was placed, is not in the model any more, and its shape was not kept"
                 )
+                return f"{placed}: take it away, and say {removed_command(name)}"
         busy = book.busy
         if busy:
             what = "under review" if book.tasks[busy].state is TaskState.PLANNED else "under way"
@@ -165,10 +164,8 @@ class TaskBoard:
         if state not in PLANNABLE:
             return f"{self.title(task)} is {state.value}"
         if task in self.prepared.removals:
-            return (
-                f"{self._element(task).name} is to be taken down by people; when it is gone, a person says "
-                f"so: {removed_command(self._typed(task))}"
-            )
+            name, say = self._element(task).name, removed_command(self._typed(task))
+            return f"{name} is to be taken down by people; when it is gone, a person says so: {say}"
         robots = self.prepared.schedule.job(task).robots
         if robots and self._robot not in robots:
             return f"{self.title(task)} is for {' or '.join(robots)}, not for {self._robot}"
@@ -188,11 +185,8 @@ class TaskBoard:
         if element in self._gone():
             return f"{name} was taken down; skip {self.title(task)}"
         if placing and not self.book.tasks[placing].placed:
-            state = self.book.tasks[placing].state.value
-            return (
-                f"{name} does not count as placed: {self.title(placing)} is {state}; if it stands, say where "
-                f"(`twin work measured`), else skip {self.title(task)}, too"
-            )
+            to_do = f"if it stands, say where (`twin work measured`), else skip {self.title(task)}, too"
+            return f"{name} does not count as placed: {self.title(placing)} is {self.book.tasks[placing].state.value}; {to_do}"
         return ""
 
     def left_closed(self, commanded: Collection[str]) -> str:
@@ -208,17 +202,10 @@ class TaskBoard:
         doubtful = book.in_state(TaskState.ASKS, TaskState.PLANNED, *UNDER_WAY)
         if not commanded or doubtful or book.in_grip:
             return ""
-        names = ", ".join(commanded)
-        values = ", ".join(
-            f"{name} {'on' if self.prepared.tool.release.set[name] else 'off'}"
-            for name in commanded
-            if name in self.prepared.tool.release.set
-        )
-        return (
-            f"nothing counts as held, but the tool is commanded to grip ({names}): look at it, and hold "
-            f"what may fall; at the controller end the RSI program, switch {values or names} by hand, "
-            "start the program anew, then ask again"
-        )
+        names, off = ", ".join(commanded), self.prepared.tool.release.set
+        values = ", ".join(f"{name} {'on' if off[name] else 'off'}" for name in commanded if name in off)
+        to_do = f"end the controller's RSI program, switch {values or names} by hand, start it anew, then ask again"
+        return f"nothing counts as held, but the tool is commanded to grip ({names}): hold what may fall; {to_do}"
 
     def element_of(self, task: str) -> str:
         """Return the GlobalId of a task's element."""
@@ -301,28 +288,14 @@ class TaskBoard:
             raise WorkRefused(f"{self.title(task)} is {memory.state.value} and asks nothing")
         question = self._question(task)
         if shown and shown != question:
-            raise WorkRefused(
-                Sentence(
-                    "another question is open by now: {question}; look again, and answer that one", question=question
-                )
-            )
+            raise WorkRefused(Sentence("another question is open by now: {question}; look again", question=question))
         if answer not in possible:
-            raise WorkRefused(
-                Sentence(
-                    "{answer} is no answer to: {question}; expected one of {answers}",
-                    answer=repr(answer),
-                    question=question,
-                    answers=", ".join(possible),
-                )
-            )
+            answers = ", ".join(possible)
+            raise WorkRefused(f"{answer!r} is no answer to: {question}; expected one of {answers}")
         if answer == "in_stock":
             self._slot_free(task)
-        sentence = Sentence(
-            "{task}: {element}: {answer}",
-            task=self.title(task),
-            element=self._element(task).name,
-            answer=_MEANINGS[answer],
-        )
+        name, meaning = self._element(task).name, _MEANINGS[answer]
+        sentence = Sentence("{task}: {element}: {answer}", task=self.title(task), element=name, answer=meaning)
         if answer == SAME:
             self._take_as(task, self._counterpart(task), person, reason)
         else:
@@ -332,28 +305,18 @@ class TaskBoard:
 
     def answer_all(self, answer: str, person: str, reason: str) -> str:
         """Answer, with what leaves it an obstacle, what is asked of all that was placed and can be answered so."""
-        self._named(person)
+        _check_named(person)
         if answer not in ANSWERS_FOR_ALL:
-            raise WorkRefused(
-                Sentence(
-                    "{answer} is answered for one task at a time; for all at once only {answers}",
-                    answer=repr(answer),
-                    answers=", ".join(ANSWERS_FOR_ALL),
-                )
-            )
+            answers = ", ".join(ANSWERS_FOR_ALL)
+            raise WorkRefused(f"{answer!r} is answered for one task at a time; for all at once only {answers}")
         count = 0
         for task in self.book.asking:
             # each is looked at when it is its turn: what was answered before may have taken its counterpart
             if self.book.tasks[task].placed and answer in self._answers(task):
                 self.answer(task, answer, person, reason)
                 count += 1
-        left = len(self.book.asking)
-        return Sentence(
-            "{count} answered ({answer}), {left} still ask",
-            count=count,
-            answer=_MEANINGS[answer],
-            left=left,
-        )
+        meaning, left = _MEANINGS[answer], len(self.book.asking)
+        return Sentence("{count} answered ({answer}), {left} still ask", count=count, answer=meaning, left=left)
 
     def _take_as(self, task: str, heir: str, person: str, reason: str) -> None:
         """Count what a task that is no more has placed as placed by one of the schedule."""
@@ -397,7 +360,7 @@ class TaskBoard:
 
     def measured(self, element: str, pose: Pose, person: str, reason: str) -> Deviation:
         """Take where an element really is."""
-        self._named(person)
+        _check_named(person)
         task = self.prepared.schedule.placing.get(element)
         if task is None:
             raise WorkRefused(f"no task places element {element!r}; `twin work list` names them")
@@ -406,11 +369,8 @@ class TaskBoard:
             raise WorkRefused(f"{self._element(task).name} is not placed yet: {self.title(task)} is {state.value}")
         found = deviation(pose, self._element(task).base_T_goal)
         if not (found.distance <= _FARTHEST and np.isfinite(found.angle)):
-            distance, name = f"{found.distance:.3g}", self._element(task).name
-            raise WorkRefused(
-                f"the pose is {distance} m from where the model has {name}; expected within {_FARTHEST:g} m, "
-                "in the robot's base_link"
-            )
+            away = f"the pose is {found.distance:.3g} m from where the model has {self._element(task).name}"
+            raise WorkRefused(f"{away}; expected within {_FARTHEST:g} m, in the robot's base_link")
         self.add(Entry("measured", task, pose=pose_tuple(pose), person=person, reason=reason))
         return found
 
@@ -426,25 +386,20 @@ class TaskBoard:
             there = element not in gone and self._stand(self.prepared.comes_after.get(element, ()))
             if there and not (element in former and former[element].body):
                 wanted[item.name] = item
-        alone, present = [], self._present()
-        for element, memory in former.items():
-            objects = objects_of(self._bodies(memory), memory, None, _ORIGIN, self._tip_link) if memory.body else None
-            if objects is None:
-                alone.append(element)
-            else:
-                wanted |= {item.name: item for item in objects}
+        present = self._present()
+        objects: dict[str, tuple[SceneObject, ...] | None] = {
+            element: objects_of(self._bodies(memory), memory, None, _ORIGIN, self._tip_link) if memory.body else None
+            for element, memory in former.items()
+        }
         for element in self._elements():
             if element in gone or (element in former and former[element].body):
                 continue
             facts, stock = self.prepared.elements[element], self._stock(element) if element in present else None
             known = self._placing(element)
             bodies = self._bodies(known) if known is not None and known.placed and known.body else facts.bodies
-            objects = objects_of(bodies, known, stock, facts.base_T_goal, self._tip_link)
-            if objects is None:
-                alone.append(element)
-            else:
-                wanted |= {item.name: item for item in objects}
-        return wanted, tuple(alone)
+            objects[element] = objects_of(bodies, known, stock, facts.base_T_goal, self._tip_link)
+        wanted |= {item.name: item for items in objects.values() for item in items or ()}
+        return wanted, tuple(element for element, items in objects.items() if items is None)
 
     def _bodies(self, memory: TaskMemory) -> tuple[SceneObject, ...]:
         """Return an element's pieces as they were placed; they are kept, because they do not change."""
@@ -464,10 +419,8 @@ class TaskBoard:
             return ""
         here = _box(self._bodies(memory), placed_at(memory, _ORIGIN))
         for element, heir in self.prepared.schedule.placing.items():
-            facts, free = (
-                self.prepared.elements[element],
-                self.book.tasks[heir].state in (TaskState.WAITING, TaskState.READY),
-            )
+            facts = self.prepared.elements[element]
+            free = self.book.tasks[heir].state in (TaskState.WAITING, TaskState.READY)
             if free and facts.bodies and (facts.name, facts.ifc_class) == (memory.name, memory.ifc_class):
                 if np.abs(here - self._goal_box(heir)).max() <= _SAME_PLACE:
                     return heir
@@ -515,11 +468,7 @@ class TaskBoard:
     # -- for people
 
     def appearances(self, now: int) -> tuple[Appearance, ...]:
-        """Return what each element looks like: in stock and where it is to come, or where it is.
-
-        Args:
-            now: Since 1970 [ns].
-        """
+        """Return what each element looks like: in stock and where it is to come, or where it is; `now`: since 1970 [ns]."""
         found = []
         present, following = self._present(), self.next(now)
         for element in self._elements():
@@ -587,12 +536,8 @@ class TaskBoard:
         return self.obstacle(book.open[0], now) if book.open else "every task is done or skipped"
 
     def _row(self, task: str, now: int) -> TaskReport:
-        job, memory = self._job(task), self.book.tasks[task]
-        facts, far, scheduled = (
-            self._element(task),
-            self.deviation(task),
-            self.prepared.scheduled.get(task, Scheduled()),
-        )
+        job, memory, facts, far = self._job(task), self.book.tasks[task], self._element(task), self.deviation(task)
+        scheduled = self.prepared.scheduled.get(task, Scheduled())
         return TaskReport(
             id=task,
             name=job.name,
@@ -622,20 +567,16 @@ class TaskBoard:
         reason = self._stands(task, now)
         if self.book.tasks[task].state is not TaskState.DONE:
             for remark in self.prepared.schedule.remarks.get(task, ()):
-                reason = Sentence(
-                    "{reason}. Note: {remark}" if reason else "Note: {remark}",
-                    remark=remark,
-                    **({"reason": reason} if reason else {}),
-                )
+                note = Sentence("Note: {remark}", remark=remark)
+                reason = Sentence("{reason}. {note}", reason=reason, note=note) if reason else note
         return reason
 
     def _stands(self, task: str, now: int) -> str:
         memory = self.book.tasks[task]
+        if memory.state is TaskState.ASKS:
+            return ""
         if task not in self.book.after:
-            asks = memory.state is TaskState.ASKS
-            return (
-                "" if asks else "placed, and not in the model: an obstacle until a person says that it was taken away"
-            )
+            return "placed, and not in the model: an obstacle until a person says that it was taken away"
         if memory.state is TaskState.WAITING:
             return f"waits for {self._missing(task)}"
         if memory.state in PLANNABLE:
@@ -646,33 +587,30 @@ class TaskBoard:
             return "its element is gone: skip it, or put another into its stock and redo it"
         if memory.state is TaskState.DONE and memory.gone:
             return "taken down, as a person says"
-        if memory.state is TaskState.DONE and self.prepared.stays(task):
+        if memory.state is not TaskState.DONE:
+            return ""
+        if self.prepared.stays(task):
             return "done"
-        if memory.state is TaskState.DONE:
-            if memory.as_planned:
-                return "placed; as planned, not measured"
-            if not memory.base_T_element:
-                return "placed; where exactly is not known"
-            by = memory.measured
-            return f"placed, measured by {by}" if by else "placed, by the arm's own pose"
-        return ""
+        if memory.as_planned:
+            return "placed; as planned, not measured"
+        if not memory.base_T_element:
+            return "placed; where exactly is not known"
+        return f"placed, measured by {memory.measured}" if memory.measured else "placed, by the arm's own pose"
 
     def _question(self, task: str) -> str:
         memory = self.book.tasks[task]
         if task in self.book.after or memory.state is not TaskState.ASKS:
             return memory.question(self._element(task).name)
         first = self._answers(task)[0]
-        return Sentence(
-            "is the {element} of the model the one that stands there? It has another id now, but the same name, class and "
-            "place. The last that is known of it: {known}"
+        asked = Sentence(
+            "is the {element} of the model the one that stands there? It has another id, but the same name, class and place"
             if first == SAME
-            else "was {element} taken out of the grip and away? The model does not have it any more. The last that is known "
-            "of it: {known}"
+            else "was {element} taken out of the grip and away? The model does not have it"
             if first == "taken_away"
-            else "does {element} still stand? The model does not have it. The last that is known of it: {known}",
+            else "does {element} still stand? The model does not have it",
             element=self._element(task).name,
-            known=memory.known,
         )
+        return Sentence("{question}. The last that is known of it: {known}", question=asked, known=memory.known)
 
     def _answers(self, task: str) -> tuple[str, ...]:
         """Return what can be answered to a task's question; of what has no task any more, whether it stands."""
@@ -691,11 +629,8 @@ class TaskBoard:
         started = {name: memory.begun_ns / 1e9 for name, memory in tasks.items() if memory.begun_ns}
         finished = {name: memory.settled_ns / 1e9 for name, memory in tasks.items() if memory.state in SETTLED}
         # what was skipped has started, too
-        started = {**finished, **started}
-        blockers = self.prepared.schedule.blockers(task, started, finished, now / 1e9)
-        if not blockers:
-            return ""
-        return f"{self.title(task)} waits {named(blockers[0].text, self.prepared.titles)}"
+        blockers = self.prepared.schedule.blockers(task, {**finished, **started}, finished, now / 1e9)
+        return f"{self.title(task)} waits {named(blockers[0].text, self.prepared.titles)}" if blockers else ""
 
     def _stock(self, element: str) -> Pose | None:
         """Return where an element lies before it is taken; None: it has no slot."""
@@ -711,11 +646,9 @@ class TaskBoard:
         other = self.prepared.stock.instead_of(self.element_of(task), self._taken())
         if not other:
             return
-        later = self.prepared.schedule.placing[other]
-        raise WorkRefused(
-            f"{self.prepared.elements[other].name} counts as delivered in the slot of {self._element(task).name}"
-            f": take it out and skip {self.title(later)} first; redo that afterwards"
-        )
+        later = self.title(self.prepared.schedule.placing[other])
+        taken = f"{self.prepared.elements[other].name} counts as delivered in the slot of {self._element(task).name}"
+        raise WorkRefused(f"{taken}: take it out and skip {later} first; redo that afterwards")
 
     def _taken(self) -> list[str]:
         """Return the elements that do not lie in their stock any more."""
@@ -743,16 +676,15 @@ class TaskBoard:
         if task not in self.book.after and not former:
             name = self._element(task).name
             raise WorkRefused(
-                f"{name} is not in the model any more, so nothing is done with it; once it is taken away, say "
-                f"{removed_command(name)}"
+                f"{name} is not in the model any more; once it is taken away, say {removed_command(name)}"
             )
-        self._named(person)
+        _check_named(person)
         return self.book.tasks[task]
 
-    @staticmethod
-    def _named(person: str) -> None:
-        if not person.strip():
-            raise WorkRefused("who says so? Give the name of a person: it is kept with the record")
+
+def _check_named(person: str) -> None:
+    if not person.strip():
+        raise WorkRefused("who says so? Give the name of a person: it is kept with the record")
 
 
 #: What answers mean.

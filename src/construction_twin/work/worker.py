@@ -63,10 +63,7 @@ class Worker:
         return answer
 
     def ask(self, name: str, **arguments: Any) -> Any:
-        """Have a function called there; return its result.
-
-        Raises WorkerError.
-        """
+        """Have a function called there; return its result."""
         with self._busy:
             try:
                 answer = self._answer(name, arguments)

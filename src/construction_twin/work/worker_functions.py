@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
@@ -27,15 +26,14 @@ from construction_twin.work.check import CheckedTask, Checker
 from construction_twin.work.contacts import tool_objects
 from construction_twin.work.element_bodies import element_shapes, element_triangles
 from construction_twin.work.ifc.reading import read_building
-from construction_twin.work.jobs import TaskMotions, WorkJob
+from construction_twin.work.motions import TaskPlanner
 from construction_twin.work.prepared import ElementFacts, Prepared, Scheduled
-from construction_twin.work.process import process_of
+from construction_twin.work.process import TaskMotions, WorkJob, process_of
 from construction_twin.work.proposed_schedule import propose
 from construction_twin.work.schedule import Schedule
 from construction_twin.work.site import Site, pose_of, read_site
 from construction_twin.work.site_scene import Layout
 from construction_twin.work.standing import check_placement, standing
-from construction_twin.work.task_planner import TaskPlanner
 from construction_twin.work.worker import rss_mb, serve_parent
 
 #: By how much bodies may be larger than their element without being told [m].
@@ -103,12 +101,7 @@ def prepare(
             layout.base_T_goal(element), element_triangles(read), _mass(site, building, schedule, read),
             read.ifc_class,
         )  # fmt: skip
-    notes = [
-        *building.notes,
-        *placement,
-        *(str(failure) for failure in failures.values()),
-        *stands.notes,
-    ]
+    notes = [*building.notes, *placement, *(str(failure) for failure in failures.values()), *stands.notes]
     notes += [
         f"{element} is planned with bodies up to {1e3 * shape.excess:.1f} mm larger than it is."
         for element, shape in shapes.items()
@@ -173,11 +166,9 @@ def plan(task: str, element: str, start: tuple[float, ...], scene: Scene, held: 
     Args:
         start: Length n. Where the arm stands.
         held: Length 7 or 0. ``tool0_T_element`` of an element that is in the grip already; empty: it lies in its stock.
-
-    Raises TaskPlanningError.
     """
     if not _SESSIONS:
-        raise TaskPlanningError(task, Sentence("the model has not been read in this process yet"))
+        raise TaskPlanningError(task, "the model has not been read in this process yet")
     session = _SESSIONS[0]
     job = session.layout.job_for(element, scene, task)
     try:

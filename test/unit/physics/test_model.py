@@ -8,8 +8,8 @@ from physics_samples import OTHERS, READY, bodies_of, dynamics_of, model_of, pai
 from scene_samples import FLOOR, clutter, random_poses, write_stl
 
 from construction_twin.kinematics.chain import Chain
-from construction_twin.physics.constants import GRAVITY
 from construction_twin.physics.drive import drives_of
+from construction_twin.physics.mass import GRAVITY
 from construction_twin.physics.model import Load, build_model
 from construction_twin.robot.description import load_robot
 from construction_twin.robot.new_robot import new_description

@@ -14,14 +14,14 @@ from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.urdf import read_text
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.collision_world import CollisionWorld
-from construction_twin.scene.convex_hulls import (
+from construction_twin.scene.mesh_file import binary_stl, parse_mesh
+from construction_twin.scene.objects import Scene
+from construction_twin.scene.self_collision import SelfCollision
+from construction_twin.scene.self_collision_command import (
     hull_lines,
     mesh_hulls,
     write_proposal,
 )
-from construction_twin.scene.mesh_file import binary_stl, parse_mesh
-from construction_twin.scene.objects import Scene
-from construction_twin.scene.self_collision import SelfCollision
 
 
 def arm(folder) -> RobotModel:

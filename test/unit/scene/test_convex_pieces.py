@@ -33,8 +33,7 @@ from construction_twin.scene.collision_bodies import (
     scene_shapes,
 )
 from construction_twin.scene.collision_world import CollisionWorld
-from construction_twin.scene.containment import HELD, distances, excess, farthest_outside, lost
-from construction_twin.scene.convex_pieces import convex_pieces
+from construction_twin.scene.convex_pieces import HELD, convex_pieces, distances, excess, farthest_outside, lost
 from construction_twin.scene.mesh_file import parse_mesh
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.solids import mesh_of, solid

@@ -19,7 +19,7 @@ from construction_twin.views.status_line import (
     status_lines,
     work_state,
 )
-from construction_twin.work.task_states import TaskState
+from construction_twin.work.task_memory import TaskState
 
 HERE = Deployment("/kr120", "mock", "127.0.0.1:1883", "127.0.0.1:49152", True)
 WELL = ReportsNow(Word("ARMED", ""), Word("IN_SYNC", ""), Word("IDLE", ""))

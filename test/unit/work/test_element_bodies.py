@@ -14,11 +14,12 @@ from hypothesis import strategies as st
 from construction_twin.core.work_errors import BodyError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.collision_bodies import scene_geometry
-from construction_twin.scene.containment import points_on
+from construction_twin.scene.convex_pieces import points_on
 from construction_twin.scene.solids import mesh_of
+from construction_twin.work import element_bodies
 from construction_twin.work.building import Body, Element
 from construction_twin.work.convex_bodies import Pieces
-from construction_twin.work.element_bodies import BodySettings, ElementShape, element_shapes
+from construction_twin.work.element_bodies import ElementShape, element_shapes
 
 M = manifold3d.Manifold
 HERE = Pose(np.zeros(3), np.eye(3))
@@ -48,8 +49,8 @@ def element(*bodies: Body, name: str = "2O2Fr$t4X7Zf8NOew3FLOH") -> Element:
     return Element(name, "IfcMember", "stud", "", "", "", "", "", HERE, bodies, {}, None)
 
 
-def element_shape(one: Element, folder: Path, settings: BodySettings | None = None) -> ElementShape:
-    shapes, problems = element_shapes([one], folder, settings)
+def element_shape(one: Element, folder: Path) -> ElementShape:
+    shapes, problems = element_shapes([one], folder)
     for problem in problems.values():
         raise problem
     return shapes[one.id]
@@ -93,10 +94,12 @@ def test_a_wedge_is_one_solid_mesh_with_all_digits(tmp_path):
     assert scene_geometry(item).computeVolume() == pytest.approx(1 / 42)
 
 
-def test_a_curved_hollow_is_held_and_its_excess_is_stated(tmp_path):
+def test_a_curved_hollow_is_held_and_its_excess_is_stated(tmp_path, monkeypatch):
     bowl = (M.sphere(0.3, 12) - M.sphere(0.24, 12)).trim_by_plane((0, 0, -1), 0.0)
     # so few pieces that it is not divided by its own faces
-    shape = element_shape(element(body_of(bowl)), tmp_path, BodySettings(bound=0.1, pieces=8))
+    monkeypatch.setattr(element_bodies, "BOUND", 0.1)
+    monkeypatch.setattr(element_bodies, "MOST_PIECES", 8)
+    shape = element_shape(element(body_of(bowl)), tmp_path)
     vertices, triangles = mesh_of(bowl)
     assert shape.ways == ("cover",)
     assert 0 < shape.excess <= 0.1
@@ -104,9 +107,11 @@ def test_a_curved_hollow_is_held_and_its_excess_is_stated(tmp_path):
     assert not Pieces(shape.objects).contain(np.array([(0.0, 0.0, -0.01)])).any()
 
 
-def test_with_too_few_pieces_a_curved_hollow_becomes_its_surface_with_a_margin(tmp_path):
+def test_with_too_few_pieces_a_curved_hollow_becomes_its_surface_with_a_margin(tmp_path, monkeypatch):
     bowl = (M.sphere(0.3, 24) - M.sphere(0.27, 24)).trim_by_plane((0, 0, -1), 0.0)
-    shape = element_shape(element(body_of(bowl)), tmp_path, BodySettings(pieces=2, margin=0.008))
+    monkeypatch.setattr(element_bodies, "MOST_PIECES", 2)
+    monkeypatch.setattr(element_bodies, "MARGIN", 0.008)
+    shape = element_shape(element(body_of(bowl)), tmp_path)
     assert (shape.ways, shape.excess, shape.objects[0].padding) == (("surface",), 0.008, 0.008)
     assert isinstance(scene_geometry(shape.objects[0]), coal.BVHModelBase)
 

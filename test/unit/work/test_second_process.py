@@ -40,11 +40,10 @@ from construction_twin.work.following import after_restart
 from construction_twin.work.heard import GripReading
 from construction_twin.work.ledger import Ledger
 from construction_twin.work.prepared import Prepared
-from construction_twin.work.racks import StockPlan
 from construction_twin.work.recipes import read_recipes
 from construction_twin.work.schedule import Job, Schedule
-from construction_twin.work.task_memory import Entry, NotNow, TaskMemory
-from construction_twin.work.task_states import TaskState
+from construction_twin.work.site_scene import StockPlan
+from construction_twin.work.task_memory import Entry, NotNow, TaskMemory, TaskState
 
 HOME = np.array(robot().home)
 PLANNER = yaml.safe_load((ROOT / "config/planner.yaml").read_text())

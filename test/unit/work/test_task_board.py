@@ -17,11 +17,10 @@ from construction_twin.scene.scene_change import SceneChange
 from construction_twin.work.built import as_built, change, deviation, pose_tuple
 from construction_twin.work.ledger import Ledger
 from construction_twin.work.prepared import ElementFacts, Prepared
-from construction_twin.work.racks import Slot, StockPlan
 from construction_twin.work.schedule import Job, Schedule, Wait
+from construction_twin.work.site_scene import Slot, StockPlan
 from construction_twin.work.task_board import TaskBoard, WorkRefused
-from construction_twin.work.task_memory import Entry
-from construction_twin.work.task_states import TaskState
+from construction_twin.work.task_memory import Entry, TaskState
 
 ROOT = Path(__file__).parents[3]
 TOOL = read_tool(ROOT / "config/tools/vacuum_frame.yaml").tool

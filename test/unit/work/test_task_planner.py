@@ -18,9 +18,9 @@ from construction_twin.planning.work_plan import plan_work
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.work.contacts import Shapes, deepest, tool_objects
-from construction_twin.work.jobs import TaskMotions
+from construction_twin.work.contacts import Shapes, tool_objects
 from construction_twin.work.motions import TaskLimits
+from construction_twin.work.process import TaskMotions
 from construction_twin.work.site_scene import Layout, WorkState
 
 HOME = np.array(robot().home)
@@ -119,7 +119,8 @@ def test_what_may_touch_does_not_go_into_each_other(plans):
             world = CollisionWorld(robot(), scene, pairs())
             qs = segment.trajectory.sample_many(cycle_times(segment.trajectory))[0]
             assert world.all_free(qs) is None
-            found = deepest(world, qs)
+            touching = world.of_touching()
+            found = None if touching is None else touching.clearance_of(qs)
             if segment.name in ("carry", "to stock"):
                 # the tool may touch the flange, which moves with it
                 assert found is None
@@ -265,7 +266,7 @@ def test_a_scene_that_is_not_that_of_a_start_is_refused(work, change, reason):
 
 def test_an_arm_in_contact_is_not_planned_from(work):
     scene = with_object(work.scene(), "block", (0.3, 0.3, 0.3), tuple(np.array([HOME[0] + 1.35, 0.0, 1.9])))
-    with pytest.raises(TaskPlanningError, match=r"touches .*, or is closer than the padding"):
+    with pytest.raises(TaskPlanningError, match="touches .* or is closer than the padding"):
         planner().plan(work.job_for("brick0", scene), HOME, scene)
 
 

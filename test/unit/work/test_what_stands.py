@@ -16,11 +16,10 @@ from construction_twin.scene.objects import SceneObject
 from construction_twin.work.built import pose_tuple
 from construction_twin.work.ledger import Ledger, read_entries
 from construction_twin.work.prepared import ElementFacts, Prepared
-from construction_twin.work.racks import Slot, StockPlan
 from construction_twin.work.schedule import Job, Schedule
+from construction_twin.work.site_scene import Slot, StockPlan
 from construction_twin.work.task_board import TaskBoard, WorkRefused
-from construction_twin.work.task_memory import Entry
-from construction_twin.work.task_states import TaskState
+from construction_twin.work.task_memory import Entry, TaskState
 
 TOOL = read_tool(Path(__file__).parents[3] / "config/tools/vacuum_frame.yaml").tool
 NOW = 10**18

@@ -24,8 +24,7 @@ from construction_twin.work.following import (
 )
 from construction_twin.work.heard import GripReading, grip_of
 from construction_twin.work.ledger import Ledger
-from construction_twin.work.task_memory import Entry, TaskMemory
-from construction_twin.work.task_states import PLANNABLE, SETTLED, TaskState
+from construction_twin.work.task_memory import PLANNABLE, SETTLED, Entry, TaskMemory, TaskState
 
 HELD_AS = (0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 1.0)
 STANDS = (1.0, 2.0, 0.5, 0.0, 0.0, 0.0, 1.0)

@@ -11,18 +11,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from construction_twin.core.work_errors import LedgerError
-from construction_twin.work.book import fold
-from construction_twin.work.ledger import Ledger, read_entries
-from construction_twin.work.task_memory import Entry, NotNow, TaskMemory
-from construction_twin.work.task_states import (
+from construction_twin.work.ledger import Ledger, fold, read_entries
+from construction_twin.work.task_memory import (
     PLANNABLE,
     ROWS,
     SETTLED,
     TABLE,
     UNDER_WAY,
     Action,
+    Entry,
     Guard,
+    NotNow,
     TaskEvent,
+    TaskMemory,
     TaskState,
 )
 

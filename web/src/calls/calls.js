@@ -6,6 +6,7 @@
 import {add, button, setText} from "../dom.js";
 import {browser} from "../panels/clock.js";
 import {remember, remembered, storageOf} from "../storage.js";
+import {mark} from "../texts.js";
 import {BEATS, makeSound} from "./sound.js";
 import * as state from "./state.js";
 
@@ -15,6 +16,7 @@ const ICONS = {quiet: "icon.svg", calling: "icon_call.svg"};
 /** Whether this device rings is kept in this browser. */
 const KEY = "construction_twin.calls";
 const OFF = "off";
+const WORDS = {hold: mark("Arm holds"), question: mark("Question"), plan: mark("Plan waits"), message: mark("Message")};
 
 /**
  * Keep the screen on while it is wanted, where the browser can (over HTTPS only); it takes that back whenever the page is hidden.
@@ -86,15 +88,15 @@ export function make(parent, store, connection, texts, means = {}) {
     const key = JSON.stringify([count, there[0]?.kind, connection.state, isOn, locked]);
     if (key === shown) return;
     shown = key;
-    const title = texts("page.title");
-    document.title = connection.state === "lost" ? texts("calls.offline", {title})
-      : count ? texts("calls.waits", {count, what: texts(`calls.word.${there[0].kind}`), title}) : title;
+    const title = texts("construction_twin console");
+    document.title = connection.state === "lost" ? texts("Not connected - {title}", {title})
+      : count ? `(${count}) ${texts(WORDS[there[0].kind])} - ${title}` : title;
     // it may be refused; then there is none
     (count ? navigator.setAppBadge?.(count) : navigator.clearAppBadge?.())?.catch(() => {});
     // of two files, because a picture made here would be another source than this server
     document.querySelector('link[rel="icon"]')?.setAttribute("href", count ? ICONS.calling : ICONS.quiet);
-    setText(line, locked ? texts("calls.locked") : "");
-    setText(toggleText, texts(isOn ? "calls.button_on" : "calls.button_off"));
+    setText(line, locked ? texts("No sound yet: touch the page once") : "");
+    setText(toggleText, isOn ? texts("Calls on") : texts("Calls off"));
     toggle.classList.toggle("is-off", !isOn);
     toggle.classList.toggle("is-calling", count > 0);
   }

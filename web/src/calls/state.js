@@ -38,7 +38,7 @@ function wantedOf(robot, now) {
   const wanted = [];
   if (robot.plan) wanted.push({kind: "plan", key: `plan ${robot.plan.id} ${robot.plan.hash}`});
   if (robot.screen && now - robot.heard.screen < SCREEN_OLD_AFTER) {
-    for (const line of robot.screen) if (line.topic === "cause") wanted.push({kind: "hold", key: `hold ${line.words ?? line.state ?? ""}`});
+    for (const line of robot.screen) if (line.topic === "cause") wanted.push({kind: "hold", key: `hold ${line.state}`});
   }
   for (const task of robot.tasks?.tasks ?? []) {
     if (task.state === "asks") wanted.push({kind: "question", key: `question ${task.id} ${task.question ?? ""}`});

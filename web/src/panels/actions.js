@@ -5,9 +5,10 @@
 import {add, setText} from "../dom.js";
 import {holdButton} from "../hold.js";
 import {isBusy, makeRequests, outcome, showOutcome} from "../requests.js";
+import {mark} from "../texts.js";
 import {browser} from "./clock.js";
 
-const VERBS = ["reset", "arm"];
+const VERBS = {reset: mark("Reset"), arm: mark("Arm")};
 
 /** What a person can do: the link waits for a reset, or a bare PLC to be armed, or the gate does not go on without a reset. */
 export function waitsFor(view) {
@@ -18,17 +19,17 @@ export function waitsFor(view) {
 
 /** Make the panel. */
 export function make(parent, store, connection, texts, clock = browser) {
-  const box = add(parent, "div", {className: "actions", role: "group", "aria-label": texts("actions.title"), hidden: true});
+  const box = add(parent, "div", {className: "actions", role: "group", "aria-label": texts("What you can do"), hidden: true});
   const whose = add(box, "p", {className: "actions-who", hidden: true});
   const said = add(box, "p", {className: "actions-result", role: "alert"});
-  const buttons = Object.fromEntries(VERBS.map((verb) => [verb, holdButton(box, {
-    text: texts(`actions.${verb}`), className: `action action-${verb}`, onHeld: () => requests.send(store.selected, verb),
+  const buttons = Object.fromEntries(Object.entries(VERBS).map(([verb, words]) => [verb, holdButton(box, {
+    text: texts(words), className: `action action-${verb}`, onHeld: () => requests.send(store.selected, verb),
     // another stop meanwhile is another thing to lift
     key: () => JSON.stringify([store.selected, link()?.reason, link()?.state, waitsFor(store.robot(store.selected)?.view)]),
   }, clock)]));
 
   const link = () => store.robot(store.selected)?.view?.link ?? null;
-  const requests = makeRequests(store, connection, clock, VERBS.map((verb) => `${verb}_ack`), () => show());
+  const requests = makeRequests(store, connection, clock, Object.keys(VERBS).map((verb) => `${verb}_ack`), () => show());
 
   function show() {
     const robot = store.robot(store.selected);
@@ -38,15 +39,15 @@ export function make(parent, store, connection, texts, clock = browser) {
     const waits = open.length > 0;
     const may = store.rightsOf.may(store.selected, "reset") !== false;
     box.hidden = !waits && (found === "none" || found === "done" || isBusy(record));
-    for (const verb of VERBS) {
+    for (const verb of Object.keys(VERBS)) {
       buttons[verb].hidden = !open.includes(verb) || !may;
       buttons[verb].disabled = !open.includes(verb) || isBusy(record);
     }
-    const none = waits && !may;
-    whose.hidden = !none;
-    const who = none ? store.rightsOf.who(store.selected, "reset") : [];
-    setText(whose, none ? texts(who.length ? "actions.who" : "actions.nobody", {who: who.join(", ")}) : "");
-    showOutcome(said, record, texts, {what: record.verb && texts(`actions.${record.verb}`), hidden: found === "done" && !waits});
+    whose.hidden = !waits || may;
+    const who = store.rightsOf.who(store.selected, "reset").join(", ");
+    setText(whose, whose.hidden ? "" : who ? texts("This account may not reset. Who can: {who}.", {who})
+      : texts("Nobody is listed who may reset from here; at the robot's computer it can be done."));
+    showOutcome(said, record, texts, {what: record.verb && texts(VERBS[record.verb]), hidden: found === "done" && !waits});
   }
 
   for (const kind of ["view", "old", "connection", "selected", "robots", "rights"]) store.on(kind, show);

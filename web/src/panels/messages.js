@@ -5,7 +5,6 @@
 import {add, button, clear} from "../dom.js";
 import {isBusy, makeRequests, outcome, showOutcome} from "../requests.js";
 import {browser} from "./clock.js";
-import {wordsOf} from "./status.js";
 
 /** Topic of what people did: there is nothing to acknowledge. */
 const PERSON = "person";
@@ -17,7 +16,7 @@ export function unread(messages) {
 
 /** Make the panel. */
 export function make(parent, store, connection, texts, {when = timeOf} = {}) {
-  const none = add(parent, "p", {className: "messages-none", text: texts("messages.none")});
+  const none = add(parent, "p", {className: "messages-none", text: texts("Nothing has happened yet that needs a person.")});
   const told = add(parent, "p", {className: "messages-told", role: "status"});
   const list = add(parent, "ul", {className: "messages-list"});
   const requests = makeRequests(store, connection, browser, ["acknowledge_ack"], () => show());
@@ -32,18 +31,21 @@ export function make(parent, store, connection, texts, {when = timeOf} = {}) {
     const record = requests.of(store.selected);
     const isSent = ({id}) => record.payload.message === id && isBusy(record);
     // that it is done stands at the message
-    showOutcome(told, record, texts, {what: texts("messages.acknowledge"), hidden: isBusy(record) || outcome(record) === "done"});
+    showOutcome(told, record, texts, {what: texts("Acknowledge"), hidden: isBusy(record) || outcome(record) === "done"});
     clear(list);
     for (const message of [...messages].reverse()) {
       const {line, until} = message;
       const item = add(list, "li", {className: `message ${line.topic === PERSON ? "is-act" : until === null ? "is-lasting" : ""}`});
       const head = add(item, "p", {className: "message-when"});
-      add(head, "span", {text: texts(until === null ? "messages.since" : "messages.at", {at: when(message.at, texts), until: when(until, texts)})});
-      add(item, "p", {className: "message-what", text: wordsOf(line, texts).sentence});
+      const at = when(message.at, texts);
+      add(head, "span", {text: until === null ? texts("since {at}", {at}) : texts("{at}, until {until}", {at, until: when(until, texts)})});
+      add(item, "p", {className: "message-what", text: texts.reason(line.sentence)});
       if (message.acknowledged_by) {
-        add(item, "p", {className: "message-read", text: texts("messages.read", {account: message.acknowledged_by, at: when(message.acknowledged_at, texts)})});
+        const values = {account: message.acknowledged_by, at: when(message.acknowledged_at, texts)};
+        add(item, "p", {className: "message-read", text: texts("Acknowledged by {account}, {at}", values)});
       } else if (line.topic !== PERSON && may) {
-        button(item, texts("messages.acknowledge"), () => requests.send(store.selected, "acknowledge", {message: message.id}), {className: "message-acknowledge", disabled: isSent(message)});
+        const acknowledge = () => requests.send(store.selected, "acknowledge", {message: message.id});
+        button(item, texts("Acknowledge"), acknowledge, {className: "message-acknowledge", disabled: isSent(message)});
       }
     }
   };

@@ -6,16 +6,19 @@ import {add, addDrawing, clear, setText} from "../dom.js";
 import {axesOf} from "../planning/axes.js";
 import {shown} from "../planning/joints.js";
 import {shortNames} from "../planning/model.js";
+import {mark} from "../texts.js";
 import {browser} from "./clock.js";
-import {textsOf} from "./tool_fields.js";
+import {FIELDS, textsOf} from "./tool_fields.js";
 
 const EVERY = 100;
 const UNKNOWN = "–";
-const VALUES = ["twin", "arm", "expected", "difference"];
-const COLUMNS = ["joint", "range", ...VALUES];
+const COLUMNS = {
+  joint: mark("Joint"), range: mark("Range"), twin: mark("Twin"), arm: mark("Measured"), expected: mark("Expected"),
+  difference: mark("Difference"),
+};
+const VALUES = Object.keys(COLUMNS).slice(2);
 /** Marks on a joint's bar, the uppermost last. */
 const MARKS = ["arm", "twin", "expected"];
-const TOOL = ["x", "y", "z", "a", "b", "c"];
 /** The curve has the largest value of each step [ms], and so many steps: a minute. */
 const STEP = 500;
 const STEPS = 120;
@@ -41,32 +44,36 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   parent.setAttribute("tabindex", "0");
   const area = add(parent, "div", {className: "motion"});
   const facts = add(area, "dl", {className: "motion-facts"});
-  const factOf = (name) => {
+  const factOf = (text) => {
     const group = add(facts, "div");
-    add(group, "dt", {text: texts(`axes.${name}`)});
+    add(group, "dt", {text});
     return add(group, "dd", {text: UNKNOWN});
   };
-  const [mode, override, apart, trip, late] = ["mode", "override", "apart", "round_trip", "late"].map(factOf);
+  const mode = factOf(texts("Operating mode"));
+  const override = factOf(texts("Override"));
+  const apart = factOf(texts("Tool: twin to arm"));
+  const trip = factOf(texts("Round trip to the arm"));
+  const late = factOf(texts("Late replies"));
   const curve = add(area, "figure", {className: "motion-curve"});
   const curveText = add(curve, "figcaption");
   const drawing = addDrawing(curve, "svg", {viewBox: `0 0 ${STEPS} 1`, preserveAspectRatio: "none", "aria-hidden": "true"});
   const bound = addDrawing(drawing, "path");
   const line = addDrawing(drawing, "polyline");
-  const table = add(area, "div", {className: "motion-axes", role: "table", "aria-label": texts("axes.title")});
+  const table = add(area, "div", {className: "motion-axes", role: "table", "aria-label": texts("Joints, twin and arm")});
   const key = add(area, "p", {className: "motion-key"});
   for (const name of ["twin", "arm", "expected"]) {
     add(key, "span", {className: `motion-mark motion-${name}`, "aria-hidden": "true"});
-    add(key, "span", {className: `motion-${name}-name`, text: texts(`axes.${name}`)});
+    add(key, "span", {className: `motion-${name}-name`, text: texts(COLUMNS[name])});
   }
   const note = add(key, "span", {className: "motion-note"});
   const tool = add(area, "div", {className: "motion-tool"});
   const toolName = add(tool, "p", {className: "motion-tool-name"});
   const toolList = add(tool, "dl");
-  const toolFields = Object.fromEntries(TOOL.map((name) => {
+  const toolFields = Object.values(FIELDS).map((name) => {
     const group = add(toolList, "div");
-    add(group, "dt", {text: texts(`axes.tool.${name}`)});
-    return [name, add(group, "dd", {text: UNKNOWN})];
-  }));
+    add(group, "dt", {text: texts(name)});
+    return add(group, "dd", {text: UNKNOWN});
+  });
   let rows = [];
   let shownNames = "";
   let dirty = true;
@@ -77,7 +84,9 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     clear(table);
     rows = [];
     const head = add(table, "div", {className: "motion-row motion-head", role: "row"});
-    for (const column of COLUMNS) add(head, "span", {role: "columnheader", className: `motion-${column}`, text: texts(`axes.${column}`)});
+    for (const [column, words] of Object.entries(COLUMNS)) {
+      add(head, "span", {role: "columnheader", className: `motion-${column}`, text: texts(words)});
+    }
     const short = shortNames(view.joints.names);
     view.joints.names.forEach((name, k) => {
       const row = add(table, "div", {className: "motion-row", role: "row"});
@@ -98,8 +107,10 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     setText(lower, hasLimits ? shown(joint, joint.lower).toFixed(0) : "");
     setText(upper, hasLimits ? shown(joint, joint.upper).toFixed(0) : "");
     const withUnit = (text) => (text === "" ? UNKNOWN : unit === "°" ? `${text}°` : `${text} ${unit}`);
-    const compared = difference === "" || allowed === "" ? withUnit(difference)
-      : texts(isOver ? "axes.over" : "axes.within", {difference: withUnit(difference), allowed: withUnit(allowed)});
+    const [found, bound] = [difference, allowed].map(withUnit);
+    const compared = difference === "" || allowed === "" ? found
+      : isOver ? texts("{difference} over {allowed}", {difference: found, allowed: bound})
+        : texts("{difference} of {allowed}", {difference: found, allowed: bound});
     [withUnit(twin), withUnit(arm), withUnit(expected), compared].forEach((text, k) => setText(cells[k], text));
     row.classList.toggle("is-over", isOver);
     MARKS.map((what) => axis.at[what]).forEach((value, k) => {
@@ -114,9 +125,9 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     tool.hidden = model === null;
     const of = (pose) => (model === null || !pose ? null : model.pose(Object.fromEntries(view.joints.names.map((name, k) => [name, pose.positions[k]]))));
     const [twin, arm] = [of(view.twin), of(view.arm)];
-    if (model !== null) setText(toolName, texts("axes.tool", {tip: model.tip, base: model.base}));
+    if (model !== null) setText(toolName, texts("Tool of the twin: {tip} in {base}", {tip: model.tip, base: model.base}));
     const values = twin === null ? [] : textsOf(twin);
-    TOOL.forEach((name, k) => setText(toolFields[name], values[k] === undefined ? UNKNOWN : k < 3 ? `${values[k]} mm` : `${values[k]}°`));
+    toolFields.forEach((field, k) => setText(field, values[k] === undefined ? UNKNOWN : k < 3 ? `${values[k]} mm` : `${values[k]}°`));
     const distance = twin === null || arm === null ? null : Math.hypot(...twin.position.map((value, k) => value - arm.position[k]));
     setText(apart, distance === null ? UNKNOWN : `${(1000 * distance).toFixed(1)} mm`);
   };
@@ -130,7 +141,9 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     line.setAttribute("points", kept.map(([step, value]) => `${STEPS - 1 - newest + step},${(1 - value / top).toFixed(3)}`).join(" "));
     const percent = (value) => (value === undefined ? UNKNOWN : `${(100 * value).toFixed(0)} %`);
     const [last] = kept.slice(-1).filter(([step]) => newest - step < 3);
-    setText(curveText, texts("axes.deviation", {now: percent(last?.[1]), most: percent(kept.length ? Math.max(...kept.map(([, value]) => value)) : undefined)}));
+    const most = kept.length ? Math.max(...kept.map(([, value]) => value)) : undefined;
+    setText(curveText, texts("Largest difference, last minute: {now} now, {most} at most (100 %: all that is allowed)",
+      {now: percent(last?.[1]), most: percent(most)}));
   };
 
   const show = () => {
@@ -148,10 +161,11 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     axesOf(view, model?.joints ?? null).forEach((axis, k) => showRow(rows[k], axis));
     showTool(view, model);
     showCurve(robot.name);
-    setText(note, robot.model?.trouble ? texts("axes.no_limits", {why: robot.model.trouble}) : "");
+    const why = robot.model?.trouble;
+    setText(note, why ? texts("Limits and tool are not known: the robot's model could not be read ({why}).", {why}) : "");
     const told = (value, unit = "") => {
-      if (view.link === null) return texts("axes.unknown");
-      return value === "" || value === null || value === undefined ? texts("axes.not_sent") : `${value}${unit}`;
+      if (view.link === null) return texts("not known");
+      return value === "" || value === null || value === undefined ? texts("not sent") : `${value}${unit}`;
     };
     setText(mode, told(view.link?.controller?.mode));
     setText(override, told(view.link?.controller?.override_percent, " %"));

@@ -11,6 +11,7 @@ import {IkFollower} from "../planning/ik_follower.js";
 import {ends, fromShown, shown, typed, unit} from "../planning/joints.js";
 import {LONGEST, Poses} from "../planning/poses.js";
 import {storageOf} from "../storage.js";
+import {mark} from "../texts.js";
 import {isBusy, makeRequests, outcome} from "../requests.js";
 import {browser} from "./clock.js";
 import {makeToolFields} from "./tool_fields.js";
@@ -19,6 +20,18 @@ import {makeToolFields} from "./tool_fields.js";
 const SPEEDS = [0, 0.1, 0.25, 0.5, 1];
 /** How often it is looked whether an answer is overdue [ms]. */
 const LOOK_EVERY = 500;
+/** Why a pose is not saved or deleted. */
+const NOT_SAVED = {
+  name: mark("Give the pose a name first (at most 40 characters)."),
+  full: mark("50 poses are saved already. Delete one first."),
+  storage: mark("This browser keeps nothing for pages, so the pose was not saved."),
+};
+const REACH = {
+  free: mark("The arm gets there and touches nothing."),
+  contact: mark("The arm would touch something there."),
+  out: mark("The arm does not get there."),
+  unknown: mark("It is not known whether the arm gets there."),
+};
 
 /** What the panel knows of one robot. */
 class Desk {
@@ -52,35 +65,36 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
   let hasPose = false;
 
   const told = add(parent, "p", {className: "plan-told", role: "status"});
-  const begin = button(parent, texts("plan.begin"), onBegin, {className: "plan-begin"});
+  const begin = button(parent, texts("Set a goal"), onBegin, {className: "plan-begin"});
   const work = add(parent, "div", {className: "plan-work", hidden: true});
-  add(work, "p", {className: "plan-hint", text: texts("plan.hint")});
+  add(work, "p", {className: "plan-hint",
+    text: texts("Nothing moves. What you ask for becomes a plan, which somebody must look at and approve.")});
   const sliders = add(work, "div", {className: "plan-sliders"});
   const toolFields = makeToolFields(work, texts, onToolTyped);
   const reach = add(work, "p", {className: "plan-reach", role: "status"});
   const row = add(work, "div", {className: "plan-row"});
-  button(row, texts("plan.here"), onBegin);
-  button(row, texts("plan.discard"), onDiscard, {className: "quiet"});
+  button(row, texts("Back to where the robot is"), onBegin);
+  button(row, texts("Discard the goal"), onDiscard, {className: "quiet"});
 
   const saved = add(work, "fieldset", {className: "plan-poses"});
-  add(saved, "legend", {text: texts("plan.poses")});
-  const choice = add(saved, "select", {"aria-label": texts("plan.poses")});
-  const go = button(saved, texts("plan.pose.go"), () => usePose(choice.value));
-  const remove = button(saved, texts("plan.pose.remove"), () => removePose(choice.value), {className: "quiet"});
-  const nameText = texts("plan.pose.name");
+  add(saved, "legend", {text: texts("Saved poses")});
+  const choice = add(saved, "select", {"aria-label": texts("Saved poses")});
+  const go = button(saved, texts("Take this pose as goal"), () => usePose(choice.value));
+  const remove = button(saved, texts("Delete"), () => removePose(choice.value), {className: "quiet"});
+  const nameText = texts("Name of the pose");
   const name = add(saved, "input", {type: "text", maxlength: LONGEST, "aria-label": nameText, placeholder: nameText});
-  button(saved, texts("plan.pose.save"), onSave);
+  button(saved, texts("Save the goal"), onSave);
   const note = add(saved, "p", {className: "plan-note", role: "status"});
 
   const asks = add(work, "div", {className: "plan-row"});
-  const speedLabel = add(asks, "label", {text: `${texts("plan.speed")} `});
+  const speedLabel = add(asks, "label", {text: `${texts("Speed")} `});
   const speed = add(speedLabel, "select");
   for (const fraction of SPEEDS) {
-    const text = fraction === 0 ? texts("plan.speed.default") : texts("plan.speed.percent", {percent: Math.round(100 * fraction)});
+    const text = fraction === 0 ? texts("as set at the planner") : texts("{percent} % of the limits", {percent: Math.round(100 * fraction)});
     add(speed, "option", {value: String(fraction), text});
   }
-  const ask = button(asks, texts("plan.ask"), () => onAsk("joints"), {className: "plan-ask"});
-  const line = button(asks, texts("plan.line"), () => onAsk("line"));
+  const ask = button(asks, texts("Ask for this plan"), () => onAsk("joints"), {className: "plan-ask"});
+  const line = button(asks, texts("Ask for a straight line of the tool"), () => onAsk("line"));
   const answer = add(work, "p", {className: "plan-answer", role: "status"});
 
   function desk(robot) {
@@ -100,7 +114,7 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
     if (mine.model !== null) {
       mine.goal = new Goal(model.joints);
       mine.poses = new Poses(storage, robot, model.joints);
-      if (mine.poses.dropped > 0) mine.note = texts("plan.pose.dropped", {count: mine.poses.dropped});
+      if (mine.poses.dropped > 0) mine.note = texts("{count} saved poses do not fit this robot and were left out.", {count: mine.poses.dropped});
     }
     show();
   }
@@ -139,7 +153,7 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
     mine.follower.drop();
     mine.dragged = null;
     if (!mine.goal.setJoints(values)) {
-      setText(reach, texts("plan.outside"));
+      setText(reach, texts("This goal is outside of a joint's range, so it was not taken."));
       return;
     }
     store.set("handle", store.selected, mine.model.pose(mine.goal.values));
@@ -196,7 +210,10 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
   function onUnsent(mine, error) {
     mine.follower.drop();
     if (error.reason === "refused") mine.broker = "refused";
-    else mine.goal.setAnswer(mine.dragged, {reach: "unknown", joints: null, sentence: texts("plan.reach.unsent")});
+    else {
+      const sentence = texts("This did NOT go out. Drag again once the page is connected.");
+      mine.goal.setAnswer(mine.dragged, {reach: "unknown", joints: null, sentence});
+    }
     show();
   }
 
@@ -216,7 +233,7 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
   function onSave() {
     const mine = selected();
     const why = mine.poses.save(name.value, mine.goal.values);
-    mine.note = why === "" ? texts("plan.pose.saved", {name: name.value.trim()}) : texts(`plan.pose.not.${why}`);
+    mine.note = why === "" ? texts("Saved as {name}, on this device only.", {name: name.value.trim()}) : texts(NOT_SAVED[why]);
     if (why === "") name.value = "";
     show();
   }
@@ -229,7 +246,7 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
   function removePose(pose) {
     const mine = selected();
     const why = mine.poses.remove(pose);
-    mine.note = why === "" ? texts("plan.pose.removed", {name: pose}) : texts(`plan.pose.not.${why}`);
+    mine.note = why === "" ? texts("{name} is deleted.", {name: pose}) : texts(NOT_SAVED[why]);
     show();
   }
 
@@ -281,19 +298,20 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
   }
 
   function sentence(robot, mine, connected) {
-    if (mine === null || !connected) return texts("plan.not_connected");
+    if (mine === null || !connected) return texts("Not connected: nothing can be asked for.");
     if (!mayPlan(robot)) return whoPlans(robot);
     const trouble = store.robot(robot)?.model?.trouble;
-    if (trouble) return texts("plan.no_model", {why: trouble});
-    if (mine.model === null) return texts("plan.loading");
-    return hasPose ? "" : texts("plan.no_pose");
+    if (trouble) return texts("The robot's model could not be loaded ({why}), so no goal can be set here.", {why: trouble});
+    if (mine.model === null) return texts("Loading the robot's model ...");
+    return hasPose ? "" : texts("Where the robot is, is not known, so no goal can be set.");
   }
 
   function whoPlans(robot) {
     const who = store.rightsOf.who(robot, "operate");
-    if (who.length > 0) return texts("plan.who", {who: who.join(", ")});
-    if (store.rightsOf.may(robot, "operate") === false) return texts("plan.nobody");
-    return texts("plan.forbidden", {account: connection.account || "-"});
+    if (who.length > 0) return texts("This account may not ask for plans. Who can: {who}.", {who: who.join(", ")});
+    if (store.rightsOf.may(robot, "operate") === false) return texts("This account may not ask for plans, and nobody is listed who can.");
+    return texts("The account {account} may look, and may not ask for plans: the broker has refused it. "
+      + "Whoever looks after the site's accounts can give you one with the right operate.", {account: connection.account || "-"});
   }
 
   function showSliders(mine) {
@@ -317,7 +335,7 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
   function makeSlider(joint) {
     const line_ = add(sliders, "div", {className: "plan-joint"});
     const {min, max, step} = ends(joint);
-    const label = texts("plan.joint", {joint: joint.name, min, max, unit: unit(joint)});
+    const label = texts("{joint}, {min} to {max} {unit}", {joint: joint.name, min, max, unit: unit(joint)});
     add(line_, "span", {className: "plan-joint-name", text: joint.name});
     const slider = add(line_, "input", {type: "range", min, max, step, "aria-label": label});
     const field = add(line_, "input", {type: "text", inputmode: "text", size: 7, "aria-label": label});
@@ -330,7 +348,7 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
       const value = typed(joint, field.value);
       if (value === null) {
         field.setAttribute("aria-invalid", "true");
-        setText(reach, texts("plan.typed_outside", {joint: joint.name, min, max, unit: unit(joint)}));
+        setText(reach, texts("{joint} goes from {min} to {max} {unit}. Write a number in between.", {joint: joint.name, min, max, unit: unit(joint)}));
         return;
       }
       field.removeAttribute("aria-invalid");
@@ -341,10 +359,12 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
   function showReach(mine) {
     const {goal, follower} = mine;
     reach.className = `plan-reach reach-${goal.pose === null ? "unknown" : goal.reach}`;
-    if (follower.isLost(now())) setText(reach, texts("plan.reach.lost"));
-    else if (mine.dragged === null) setText(reach, texts("plan.reach.joints"));
-    else if (!follower.settled && goal.pose === null) setText(reach, texts("plan.reach.waiting"));
-    else setText(reach, `${texts(`plan.reach.${goal.reach}`)} ${texts.reason(goal.sentence)}`.trim());
+    if (follower.isLost(now())) {
+      setText(reach, texts("The planner does not answer where the tool was dragged. Drag again; "
+        + "if it stays so, somebody must look at the planner."));
+    } else if (mine.dragged === null) setText(reach, texts("Whether the way there is free is checked when you ask for the plan."));
+    else if (!follower.settled && goal.pose === null) setText(reach, texts("Looking whether the arm gets there ..."));
+    else setText(reach, `${texts(REACH[goal.reach])} ${texts.reason(goal.sentence)}`.trim());
   }
 
   function showPoses(mine) {

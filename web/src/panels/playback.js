@@ -20,25 +20,29 @@ export function segmentsOf(plan) {
   }));
 }
 
+/** Say what becomes of an output. */
+export const switched = (output, value, texts) => (value ? texts("{output} on", {output}) : texts("{output} off", {output}));
+
 /** Make the panel. */
 export function make(parent, store, connection, texts, {now, every, frame} = browser) {
-  const area = add(parent, "div", {className: "playback", role: "group", "aria-label": texts("playback.title"), hidden: true});
+  const area = add(parent, "div", {className: "playback", role: "group", "aria-label": texts("Playback of the plan"), hidden: true});
   const controls = add(area, "div", {className: "playback-controls"});
   const play = add(controls, "button", {type: "button", className: "playback-play", on: {click: () => onPlay()}});
-  const speed = add(controls, "select", {className: "playback-speed", "aria-label": texts("playback.speed")});
+  const speed = add(controls, "select", {className: "playback-speed", "aria-label": texts("Playback speed")});
   for (const each of SPEEDS) {
-    const option = add(speed, "option", {value: String(each), text: texts("playback.times", {speed: each})});
+    const option = add(speed, "option", {value: String(each), text: `${each} x`});
     option.selected = each === 1;
   }
-  const present = add(controls, "button", {type: "button", className: "playback-present quiet", text: texts("playback.present"), hidden: true,
+  const present = add(controls, "button", {type: "button", className: "playback-present quiet", text: texts("Present"), hidden: true,
     on: {click: () => onPresent()}});
   const row = add(area, "div", {className: "playback-row"});
   const slider = add(row, "input", {type: "range", className: "playback-slider", min: "0", max: "1", step: "0.01", value: "0",
-    "aria-label": texts("playback.slider")});
+    "aria-label": texts("Time in the plan")});
   const time = add(row, "span", {className: "playback-time"});
-  const bar = add(area, "ol", {className: "playback-segments", "aria-label": texts("playback.segments")});
+  const bar = add(area, "ol", {className: "playback-segments", "aria-label": texts("Segments")});
   const segment = add(area, "p", {className: "playback-segment"});
-  const waiting = add(area, "p", {className: "playback-waits", role: "status", text: texts("playback.waits"), hidden: true});
+  const waiting = add(area, "p", {className: "playback-waits", role: "status", hidden: true,
+    text: texts("Waits until the plan can be seen in the picture.")});
   let plan = null;
   let motion = null;
   let visible = false;
@@ -53,15 +57,15 @@ export function make(parent, store, connection, texts, {now, every, frame} = bro
   const show = () => {
     area.hidden = motion === null;
     if (motion === null) return;
-    setText(play, texts(motion.playing ? "playback.pause" : "playback.play"));
+    setText(play, motion.playing ? texts("Pause") : texts("Play"));
     const values = {time: motion.time.toFixed(1), duration: motion.duration.toFixed(1)};
-    setText(time, texts("playback.time", values));
+    setText(time, texts("{time} s of {duration} s", values));
     slider.value = String(motion.time);
     const parts = segmentsOf(plan);
     const number = Math.max(parts.findIndex(({end}) => motion.time < end), motion.time >= motion.duration ? parts.length - 1 : 0);
     const {name} = parts[number];
-    setText(segment, name ? texts("playback.now", {number: number + 1, count: parts.length, name}) : "");
-    slider.setAttribute("aria-valuetext", [texts("playback.time", values), name].filter(Boolean).join(", "));
+    setText(segment, name ? texts("Segment {number} of {count}: {name}", {number: number + 1, count: parts.length, name}) : "");
+    slider.setAttribute("aria-valuetext", [texts("{time} s of {duration} s", values), name].filter(Boolean).join(", "));
     [...bar.children].forEach((item, k) => item.classList.toggle("is-now", k === number));
     present.hidden = !visible;
     waiting.hidden = !motion.playing || !waits();
@@ -133,7 +137,7 @@ export function make(parent, store, connection, texts, {now, every, frame} = bro
         const item = add(bar, "li", {text: part.name, className: part.switches.length ? "has-switch" : ""});
         item.style.setProperty("flex-grow", String(Math.max(part.end - part.begin, 0.01)));
         if (part.switches.length) {
-          const what = part.switches.map(({output, value}) => texts(value ? "playback.on" : "playback.off", {output})).join(", ");
+          const what = part.switches.map(({output, value}) => switched(output, value, texts)).join(", ");
           add(item, "span", {className: "playback-switch", text: what});
         }
       }

@@ -25,9 +25,9 @@ export function make(parent, store, connection, texts, {every} = browser) {
   const titleOf = (robot, {id, segment}) => {
     const known = names.get(robot)?.get(id);
     const task = known?.task ? store.robot(robot).tasks?.tasks.find((each) => each.id === known.task)?.name || known.task : "";
-    const title = known === undefined ? texts("progress.unknown", {plan: id.slice(0, 8)})
-      : task ? texts("verdict.title_task", {task}) : texts("verdict.title", {source: known.source});
-    return segment === null ? title : texts("progress.segment", {title, number: segment.number + 1, name: segment.name});
+    const title = known === undefined ? `Plan ${id.slice(0, 8)}`
+      : task ? texts("Plan of the task {task}", {task}) : texts("Plan by {source}", {source: known.source});
+    return segment === null ? title : texts("{title}, segment {number}: {name}", {title, number: segment.number + 1, name: segment.name});
   };
 
   const show = () => {
@@ -43,9 +43,10 @@ export function make(parent, store, connection, texts, {every} = browser) {
     if (bar.getAttribute("aria-label") !== title) bar.setAttribute("aria-label", title);
     bar.style.setProperty("--done", now.progress.toFixed(3));
     setText(percent, `${whole} %`);
-    setText(left, now.remaining === null ? texts("progress.stands", {time: clock(now.left)}) : texts("progress.remaining", {time: clock(now.remaining)}));
+    setText(left, now.remaining === null ? texts("stands, {time} of the plan left", {time: clock(now.left)})
+      : texts("{time} left", {time: clock(now.remaining)}));
     const values = {speed: now.speed === null ? "-" : Math.round(100 * now.speed), limit: now.limit === null ? "-" : Math.round(100 * now.limit)};
-    setText(speed, texts("progress.speed", values));
+    setText(speed, texts("speed {speed} %, limit {limit} %", values));
   };
 
   store.on("plan", (robot, plan) => {

@@ -6,6 +6,7 @@ import {add, button, setText} from "../dom.js";
 import {holdButton} from "../hold.js";
 import {makeRequests, outcome, showOutcome} from "../requests.js";
 import * as speed from "../speed_state.js";
+import {mark} from "../texts.js";
 import {browser} from "./clock.js";
 
 const TICK_EVERY = 50;
@@ -13,20 +14,36 @@ const TICK_EVERY = 50;
 const ALONG = 10;
 /** The right that each way needs. */
 const RIGHT = {lower: "operate", raise: "approve"};
+const IN_FORCE = {
+  nobody: mark("No speed limit: as fast as planned."),
+  people: mark("Speed limit in force: {percent} % of the planned speed ({reason})."),
+  program: mark("Speed limit in force: {percent} % of the planned speed, by a program ({reason})."),
+};
+const BLOCKED = {
+  offline: mark("Not connected: nothing that is set here goes out."),
+  old: mark("Nothing of the robot is shown now: wait until it is."),
+  right: mark("This account does not have the right to set the speed limit."),
+};
+const ONLY = {
+  lower: mark("This account may lower the limit, not raise it."),
+  raise: mark("This account may raise the limit, not lower it."),
+};
+const PRESSED = {lower_speed: mark("Lower to {percent} %"), raise_speed: mark("Raise to {percent} %")};
 
 /** Return what the robot says of the limit in force, as sentences. */
 export function saying(view, texts, clockOf = (seconds) => new Date(1000 * seconds).toLocaleString()) {
   const said = view.speed ?? null;
   const limit = said?.limit ?? view.execution?.speed_limit ?? null;
-  if (limit === null) return [texts("speed.unknown")];
+  if (limit === null) return [texts("The speed limit in force is not known.")];
   const percent = speed.percentOf(limit).toString();
-  const lines = [texts(said === null ? "speed.in_force" : `speed.in_force_by.${said.by || "nobody"}`, {percent, reason: texts.reason(said?.reason ?? ""), person: said?.person ?? ""})];
+  const lines = [said === null ? texts("Speed limit in force: {percent} % of the planned speed.", {percent})
+    : texts(IN_FORCE[said.by || "nobody"], {percent, reason: texts.reason(said.reason)})];
   if (said !== null && said.person) {
     const values = {
       person: said.person, time: clockOf(said.since), people: speed.percentOf(said.people).toString(),
-      replaced: speed.percentOf(said.replaced).toString(), before: said.replaced_person || texts("speed.nobody"),
+      replaced: speed.percentOf(said.replaced).toString(), before: said.replaced_person || texts("nobody"),
     };
-    lines.push(texts("speed.set_by", values));
+    lines.push(texts("People's limit: {people} %, set by {person} on {time}; before: {replaced} % ({before}).", values));
   }
   return lines;
 }
@@ -35,13 +52,13 @@ export function saying(view, texts, clockOf = (seconds) => new Date(1000 * secon
 export function make(parent, store, connection, texts, clock = browser) {
   const {now, every} = clock;
   const records = new Map();
-  const area = add(parent, "div", {className: "speed", role: "group", "aria-label": texts("speed.title")});
+  const area = add(parent, "div", {className: "speed", role: "group", "aria-label": texts("Speed limit")});
   const title = add(area, "p", {className: "speed-now"});
   const who = add(area, "p", {className: "speed-who", hidden: true});
   const row = add(area, "div", {className: "speed-row"});
-  const less = button(row, "\u2212", () => move(speed.below(place())), {className: "speed-step", "aria-label": texts("speed.less")});
-  const slider = add(row, "input", {type: "range", min: speed.LEAST, max: speed.MOST, step: speed.STEP, className: "speed-slider", "aria-label": texts("speed.title")});
-  const more = button(row, "+", () => move(speed.above(place())), {className: "speed-step", "aria-label": texts("speed.more")});
+  const less = button(row, "\u2212", () => move(speed.below(place())), {className: "speed-step", "aria-label": texts("Lower the speed limit")});
+  const slider = add(row, "input", {type: "range", min: speed.LEAST, max: speed.MOST, step: speed.STEP, className: "speed-slider", "aria-label": texts("Speed limit")});
+  const more = button(row, "+", () => move(speed.above(place())), {className: "speed-step", "aria-label": texts("Ask for a higher speed limit")});
   const shown = add(row, "span", {className: "speed-percent", "aria-hidden": "true"});
   const confirm = holdButton(area, {
     text: "", className: "speed-raise", onHeld: () => raise(store.selected),
@@ -103,25 +120,26 @@ export function make(parent, store, connection, texts, clock = browser) {
     const reason = why(robot);
     area.hidden = view === null || reason === "none";
     if (area.hidden) return;
-    const [first, second = ""] = view.online ? saying(view, texts) : [texts("speed.unknown")];
+    const [first, second = ""] = view.online ? saying(view, texts) : [texts("The speed limit in force is not known.")];
     setText(title, first);
     who.hidden = second === "";
     setText(who, second);
     const at = speed.handle(record, people);
     if (finger === null && Number(slider.value) !== at) slider.value = String(at);
-    slider.setAttribute("aria-valuetext", texts("speed.percent", {percent: String(at)}));
-    setText(shown, texts("speed.percent", {percent: String(at)}));
+    slider.setAttribute("aria-valuetext", `${at} %`);
+    setText(shown, `${at} %`);
     slider.disabled = reason !== "";
     less.disabled = slider.disabled || !may(robot, "lower");
     more.disabled = slider.disabled || !may(robot, "raise");
     const higher = speed.raise(record, people);
     confirm.hidden = higher === null || reason !== "";
-    if (higher !== null) confirm.say(texts("speed.raise", {percent: String(higher)}));
+    if (higher !== null) confirm.say(texts("Hold for a second: raise to {percent} %", {percent: higher}));
     const only = less.disabled === more.disabled ? "" : less.disabled ? "raise" : "lower";
     hint.hidden = reason === "" && higher === null && only === "";
-    if (!hint.hidden) setText(hint, texts(reason !== "" ? `speed.blocked.${reason}` : higher === null ? `speed.only.${only}` : "speed.hint"));
+    if (!hint.hidden) setText(hint, texts(reason !== "" ? BLOCKED[reason]
+      : higher === null ? ONLY[only] : mark("Raising makes the arm faster. Look at the cell first.")));
     const {verb, payload: {limit}} = requests.of(robot);
-    showOutcome(result, requests.of(robot), texts, {what: verb && texts(`speed.pressed.${verb}`, {percent: String(Math.round(100 * limit))})});
+    showOutcome(result, requests.of(robot), texts, {what: verb && texts(PRESSED[verb], {percent: Math.round(100 * limit)})});
   };
   // -- the person
 

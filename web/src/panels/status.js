@@ -3,6 +3,7 @@
  * the page's language, each with its page of the docs; and the page's own, where it hears nothing.
  */
 import {add, clear, setText} from "../dom.js";
+import {mark} from "../texts.js";
 import {browser} from "./clock.js";
 
 /** `screen` comes every second; older sentences [ms] are no longer the present. */
@@ -14,45 +15,36 @@ const PAGE = /^(?:[\w-]+\/)*[\w-]+\.md(?:#[\w-]+)?$/;
 const SIZES = ["1.25rem", "1.1rem", "1rem", "0.9rem", "0.8rem", "0.72rem"];
 /** Topics whose line, where a person is waited for, tells of a fault. */
 const FAULTS = ["cause", "link", "sync"];
+const TOPICS = {
+  cause: mark("Why it holds"), startup: mark("Start"), link: mark("Link to the arm"), sync: mark("Twin and arm"),
+  execution: mark("Motion"), work: mark("Work"), person: mark("People"),
+};
+const WHO = {
+  system: mark("goes on by itself"), operator: mark("a person at the cell"), reviewer: mark("a person who may approve"),
+  technician: mark("a person who knows the machines"),
+};
 
 /** Return the address of a page of the docs as the build writes it (web/docs_pages.js), or "" for what is none. */
 export function addressOf(page) {
   return PAGE.test(page) ? `docs/${page.replace(/\.md(?=#|$)/, ".html")}` : "";
 }
 
-/** Return the page's own line, if it has one: it comes before all others. Words of `texts`, and values. */
-function ownLine({connected, robot, now}) {
-  if (!connected) return {key: "status.not_connected", level: 2};
-  if (robot === null) return {key: "status.nothing", level: 1};
-  if (robot.view === null) return {key: "status.no_view", level: 1};
-  if (robot.view.online === false) return {key: "status.offline", level: 2};
-  if (robot.old) return {key: "status.old", level: 2, values: {seconds: Math.floor((now - robot.heard.view) / 1000)}};
-  if (robot.screen === null) return {key: "status.no_screen", level: 1};
-  const age = now - robot.heard.screen;
-  if (age > SCREEN_OLD_AFTER) return {key: "status.screen_old", level: 1, values: {seconds: Math.floor(age / 1000)}};
-  return null;
-}
-
-/** A key of words, as `screen` has it. */
-const WORDS = /^\w+\.\w+$/;
-
-/**
- * Return what a line says in the page's language: `sentence`, `waits`, `todo`. Where this page has no words for it, the robot's
- * own, which are English; so is a reason that the robot's programs send without a key.
- */
-export function wordsOf(line, texts) {
-  const values = Object.fromEntries(Object.entries(line.values ?? {}).map(([name, value]) => [name, texts.reason(value)]));
-  const own = (part) => {
-    const keys = WORDS.test(line.words) ? [`line.${line.words}.${part}`, `line.${line.topic}.${line.state}.${part}`] : [];
-    const key = keys.find((each) => texts.has(each));
-    return key === undefined ? null : texts(key, values);
-  };
-  const sentence = own("sentence");
-  return {
-    sentence: sentence === null ? line.sentence : line.reason ? `${sentence.slice(0, -1)}: ${texts.said(line.said, line.reason)}` : sentence,
-    waits: line.waits_for && (own("waits") ?? line.waits_for),
-    todo: line.todo && (own("todo") ?? line.todo),
-  };
+/** Return the page's own line, if it has one: it comes before all others. */
+function ownLine({connected, robot, now}, texts) {
+  if (!connected) {
+    return {level: 2, text: texts("Not connected: nothing is known of the arm, and nothing can be sent to it. "
+      + "Somebody at the cell must watch it.")};
+  }
+  if (robot === null) return {level: 1, text: texts("No robot has been heard yet.")};
+  if (robot.view === null) return {level: 1, text: texts("Nothing has been heard of this robot's state yet.")};
+  if (robot.view.online === false) {
+    return {level: 2, text: texts("The program that reports the state (console_node) has ended. What the arm does is not known here.")};
+  }
+  const age = (kind) => now - robot.heard[kind];
+  const seconds = (kind) => ({seconds: Math.floor(age(kind) / 1000)});
+  if (robot.old) return {level: 2, text: texts("Old: nothing was heard for {seconds} s. What the arm does now is not known here.", seconds("view"))};
+  if (robot.screen === null) return {level: 1, text: texts("The robot's state comes without sentences yet.")};
+  return age("screen") > SCREEN_OLD_AFTER ? {level: 1, text: texts("These sentences are {seconds} s old.", seconds("screen"))} : null;
 }
 
 /** Whether an element begins and ends within its box. */
@@ -68,8 +60,8 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   const own = add(box, "p", {className: "status-own", hidden: true});
   const worst = add(box, "div", {className: "status-worst", role: "status"});
   const more = add(parent, "details", {className: "status-more"});
-  const summary = add(more, "summary", {"aria-label": texts("status.more")});
-  add(summary, "span", {className: "status-more-long", text: texts("status.more")});
+  const summary = add(more, "summary", {"aria-label": texts("All states")});
+  add(summary, "span", {className: "status-more-long", text: texts("All states")});
   add(summary, "span", {className: "status-more-short", text: "\u22ef"});
   const list = add(more, "ul", {className: "status-list"});
   let shown = "";
@@ -104,20 +96,19 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   box.addEventListener("scroll", read);
 
   const put = (into, line) => {
-    const known = texts.has(`status.topic.${line.topic}`);
+    const topic = texts.word(TOPICS, line.topic);
     const words = add(into, "div");
-    const said = wordsOf(line, texts);
-    add(words, "p", {className: "status-topic", text: known ? texts(`status.topic.${line.topic}`) : line.topic});
-    add(words, "p", {className: "status-sentence", text: said.sentence});
-    if (said.waits) {
-      const who = texts.has(`status.who.${line.who}`) ? texts(`status.who.${line.who}`) : line.who;
-      add(words, "p", {text: texts(who ? "status.waits_by" : "status.waits", {what: said.waits, who})});
+    add(words, "p", {className: "status-topic", text: topic});
+    add(words, "p", {className: "status-sentence", text: texts.reason(line.sentence)});
+    if (line.waits_for) {
+      const [what, who] = [texts.reason(line.waits_for), texts.word(WHO, line.who)];
+      add(words, "p", {text: who ? texts("Waits for: {what} ({who})", {what, who}) : texts("Waits for: {what}", {what})});
     }
-    if (said.todo) add(words, "p", {className: "status-todo", text: texts("status.todo", {what: said.todo})});
+    if (line.todo) add(words, "p", {className: "status-todo", text: texts("To do: {what}", {what: texts.reason(line.todo)})});
     const address = addressOf(line.page);
     if (address) {
-      add(into, "a", {text: texts("status.page"), href: address, target: "_blank", rel: "noopener",
-        "aria-label": texts("status.page_of", {topic: known ? texts(`status.topic.${line.topic}`) : line.topic})});
+      add(into, "a", {text: texts("Read more"), href: address, target: "_blank", rel: "noopener",
+        "aria-label": texts("Read more about: {topic}", {topic})});
     }
   };
 
@@ -125,11 +116,11 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   const level = (line) => (line.level === 2 && FAULTS.includes(line.topic) ? "level-2 is-fault" : `level-${line.level ?? 0}`);
   const show = () => {
     const robot = store.robot(store.selected);
-    const line = ownLine({connected: connection.state === "connected", robot, now: now()});
+    const line = ownLine({connected: connection.state === "connected", robot, now: now()}, texts);
     own.hidden = line === null;
     if (line !== null) {
       own.className = `status-own ${line.level === 2 ? "is-fault" : "level-2"}`;
-      setText(own, texts(line.key, line.values));
+      setText(own, line.text);
     }
     parent.classList.toggle("is-past", line !== null);
     // why nothing can be read comes in the place of what is past

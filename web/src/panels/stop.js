@@ -7,9 +7,23 @@
  */
 import {add, button, clear, setText} from "../dom.js";
 import {makeRequests, outcome, showOutcome} from "../requests.js";
+import {mark} from "../texts.js";
 import {browser} from "./clock.js";
 
-const VERBS = ["stop", "pause", "resume"];
+const VERBS = {stop: mark("Stop"), pause: mark("Pause"), resume: mark("Resume")};
+/** Who carries it out. */
+const BY = {gateway: mark("Controller side"), executor: mark("Motion")};
+const SAID = {
+  sending: mark("{what}: on its way ..."),
+  waiting: mark("{what}: sent, no answer yet ..."),
+  done: mark("{what}: carried out ({reason})."),
+  refused: mark("{what} was NOT carried out ({reason}). Use the emergency stop if there is danger."),
+  expired: mark("{what} was NOT carried out: it was too late after what this page had shown, and is void. Look again, then press anew."),
+  silent: mark("{what}: NO ANSWER within a second. Do not rely on it: use the emergency stop if there is danger."),
+  not_sent: mark("{what} did NOT go out: no connection. Use the emergency stop if there is danger."),
+  no_right: mark("{what} did NOT go out: this account does not have the right. Use the emergency stop if there is danger."),
+  unknown: mark("{what}: it is not known whether it went out. Use the emergency stop if there is danger."),
+};
 /** The right that a verb needs. */
 const RIGHT = {stop: "stop", pause: "operate", resume: "approve"};
 
@@ -22,12 +36,12 @@ export function make(parent, store, connection, texts, clock = browser) {
   const box = add(bar, "div", {className: "stop-robots"});
   const beside = add(bar, "div", {className: "stop-beside"});
   // always in view, also where the line at the top of the page is not; that one is spoken
-  const offline = add(beside, "p", {className: "stop-offline", text: texts("stop.offline"), hidden: true});
+  const offline = add(beside, "p", {className: "stop-offline", text: texts("NOT CONNECTED: nothing that is pressed here goes out."), hidden: true});
   const who = add(beside, "p", {className: "stop-who", hidden: true});
-  add(beside, "p", {className: "stop-not-emergency", text: texts("stop.not_emergency")});
+  add(beside, "p", {className: "stop-not-emergency", text: texts("This is not an emergency stop. It needs network, programs and broker; the emergency stop is on the pendant and at the cell.")});
   const close = button(results, "\u00d7", () => {
     for (const name of rows.keys()) requests.move(name);
-  }, {className: "stop-close", "aria-label": texts("stop.close")});
+  }, {className: "stop-close", "aria-label": texts("Close these lines")});
 
   const requests = makeRequests(store, connection, clock, ["stop_ack", "pause_ack"], (name) => show(name));
 
@@ -37,12 +51,9 @@ export function make(parent, store, connection, texts, clock = browser) {
     if (row === undefined) return;
     const record = requests.of(name);
     const said = record.answers.filter(({ok}) => ok || outcome(record) === "refused");
-    const reason = said.map(({by, reason: why}) => {
-      const author = texts.has(`stop.by.${by}`) ? texts(`stop.by.${by}`) : by;
-      return why ? texts("stop.said", {who: author, reason: texts.reason(why)}) : author;
-    }).join("; ");
-    const verb = record.verb && texts(`stop.${record.verb}`);
-    showOutcome(row.result, record, texts, {wordsOf: (found) => `stop.result.${found}`, reason, what: verb && name && store.robots.length > 1 ? texts("stop.label", {verb, robot: name}) : verb});
+    const reason = said.map(({by, reason: why}) => [texts.word(BY, by), texts.reason(why)].filter(Boolean).join(": ")).join("; ");
+    const verb = record.verb && texts(VERBS[record.verb]);
+    showOutcome(row.result, record, texts, {sentences: SAID, reason, what: verb && name && store.robots.length > 1 ? `${verb} ${name}` : verb});
     close.hidden = [...rows.keys()].every((each) => outcome(requests.of(each)) === "none");
   };
 
@@ -61,11 +72,12 @@ export function make(parent, store, connection, texts, clock = browser) {
 
   const makeRow = (name) => {
     const several = store.robots.length > 1;
-    const element = add(box, "div", {className: "stop-robot", role: "group", "aria-label": name ? texts("stop.of", {robot: name}) : texts("stop.all")});
+    const group = [texts("Stop, pause, resume"), name].filter(Boolean).join(": ");
+    const element = add(box, "div", {className: "stop-robot", role: "group", "aria-label": group});
     const row = Object.assign(rows.get(name) ?? {}, {name, element, buttons: {}});
-    for (const verb of VERBS) {
-      const label = name ? texts("stop.label", {verb: texts(`stop.${verb}`), robot: name}) : texts(`stop.${verb}`);
-      const shown = several && verb === "stop" ? label : texts(`stop.${verb}`);
+    for (const [verb, words] of Object.entries(VERBS)) {
+      const label = `${texts(words)} ${name}`.trim();
+      const shown = several && verb === "stop" ? label : texts(words);
       if (verb === "stop") row.buttons.stop = stopButton(element, () => requests.send(name, verb), {"aria-label": label, text: shown});
       else row.buttons[verb] = button(element, shown, () => requests.send(name, verb), {className: `stop-${verb}`, "aria-label": label});
     }
@@ -80,12 +92,12 @@ export function make(parent, store, connection, texts, clock = browser) {
     for (const {name, element, buttons} of rows.values()) {
       const selected = name === "" || name === store.selected;
       element.classList.toggle("is-selected", selected);
-      for (const verb of VERBS) buttons[verb].hidden = !may(name, verb) || (verb !== "stop" && !selected);
+      for (const verb of Object.keys(VERBS)) buttons[verb].hidden = !may(name, verb) || (verb !== "stop" && !selected);
     }
-    const none = store.robots.length > 0 && !may(store.selected, "stop");
-    who.hidden = !none;
-    const names = none ? store.rightsOf.who(store.selected, "stop") : [];
-    setText(who, none ? texts(names.length ? "stop.who" : "stop.nobody", {who: names.join(", ")}) : "");
+    who.hidden = store.robots.length === 0 || may(store.selected, "stop");
+    const names = store.rightsOf.who(store.selected, "stop").join(", ");
+    setText(who, who.hidden ? "" : names ? texts("This account cannot stop. Who can: {who}.", {who: names})
+      : texts("This account cannot stop, and nobody else is listed who can."));
   };
 
   const build = () => {
@@ -93,7 +105,7 @@ export function make(parent, store, connection, texts, clock = browser) {
     const names = store.robots.length ? store.robots : [""];
     if (names.length > 1 && names.some((name) => may(name, "stop"))) {
       const all = () => names.filter((name) => may(name, "stop")).forEach((name) => requests.send(name, "stop"));
-      stopButton(box, all, {text: texts("stop.stop_all"), className: "stop-stop stop-all"});
+      stopButton(box, all, {text: texts("Stop ALL"), className: "stop-stop stop-all"});
     }
     for (const name of names) makeRow(name);
     if (store.robots.length && rows.has("")) {

@@ -7,9 +7,23 @@
 import {add, button, clear, setText} from "../dom.js";
 import {showAsking, taskRequest, wayBackRequest} from "../planning/asking.js";
 import {isBusy, makeRequests, showOutcome} from "../requests.js";
-import {counts, group, isAskable, nextTask, taskOfElement, waitsFor} from "../work/task_list.js";
+import {counts, isAskable, group, GROUPS, nextTask, taskOfElement, waitsFor} from "../work/task_list.js";
 import {holdButton} from "../hold.js";
+import {mark} from "../texts.js";
 import {browser} from "./clock.js";
+
+/** What a person can answer to the work's questions. */
+const ANSWERS = {
+  in_stock: mark("it lies in its stock, and the grip is empty"),
+  in_grip: mark("it is in the grip, as it was taken"),
+  placed: mark("it stands at its place, and the grip is empty"),
+  gone: mark("it is none of these: it was taken away; it waits until it is skipped or done again"),
+  same: mark("it is the one that stands there: it counts as placed"),
+  stands: mark("it stands there: an obstacle until a person says that it was taken away"),
+  taken_away: mark("it was taken away: it is no obstacle any more"),
+  done: mark("it was done"),
+  not_done: mark("it was not done: it is to be done again from its beginning"),
+};
 
 /**
  * Make the panel; it and its area are hidden for a robot without a building model.
@@ -27,12 +41,12 @@ export function make(parent, store, connection, texts, clock = browser) {
 
   const root = add(parent, "div", {className: "tasks", hidden: true});
   const progress = add(root, "p", {className: "tasks-progress"});
-  const bar = add(root, "progress", {max: 1, value: 0, "aria-label": texts("tasks.title")});
+  const bar = add(root, "progress", {max: 1, value: 0, "aria-label": texts("Tasks of the building model")});
   const reason = add(root, "p", {className: "tasks-reason", role: "status"});
   const next = add(root, "div", {className: "tasks-next"});
   const nextText = add(next, "p");
-  const askNext = button(next, texts("tasks.ask_next"), () => onAsk(taskRequest("")), {className: "plan-ask"});
-  const back = button(next, texts("tasks.way_back"), () => onAsk(wayBackRequest()), {className: "plan-ask"});
+  const askNext = button(next, texts("Ask for the next task's plan"), () => onAsk(taskRequest("")), {className: "plan-ask"});
+  const back = button(next, texts("Ask for the way back"), () => onAsk(wayBackRequest()), {className: "plan-ask"});
   const answer = add(root, "p", {className: "plan-answer", role: "status"});
   const question = add(root, "div", {className: "tasks-asks", hidden: true});
   const ask = add(question, "p", {className: "tasks-question"});
@@ -81,7 +95,7 @@ export function make(parent, store, connection, texts, clock = browser) {
       return;
     }
     const {done, all} = counts(now_);
-    setText(progress, texts("tasks.progress", {done, all, model: now_.model}));
+    setText(progress, texts("{done} of {all} done ({model})", {done, all, model: now_.model}));
     bar.setAttribute("value", String(all === 0 ? 0 : done / all));
     setText(reason, texts.reason(now_.reason));
     reason.hidden = now_.reason === "";
@@ -93,9 +107,10 @@ export function make(parent, store, connection, texts, clock = browser) {
 
   function showNext(tasks) {
     const coming = nextTask(tasks);
-    if (tasks.engaged) setText(nextText, texts("tasks.engaged"));
-    else if (tasks.schedule === "proposed") setText(nextText, texts("tasks.proposed"));
-    else setText(nextText, coming === null ? texts("tasks.no_next") : texts("tasks.next", {task: coming.name}));
+    if (tasks.engaged) setText(nextText, texts("The arm was stopped in the middle of a task. Only the way back can be planned now."));
+    else if (tasks.schedule === "proposed") setText(nextText, texts("The order of the tasks is a proposal. "
+      + "Somebody must accept it at the robot's computer before anything can be planned."));
+    else setText(nextText, coming === null ? texts("No task can be done now.") : texts("Next: {task}", {task: coming.name}));
     askNext.hidden = tasks.engaged || coming === null || tasks.schedule === "proposed";
     back.hidden = !tasks.engaged;
     askNext.disabled = !canAsk();
@@ -129,8 +144,7 @@ export function make(parent, store, connection, texts, clock = browser) {
   }
 
   function stateText(task) {
-    const key = `tasks.state.${group(task.state)}`;
-    return group(task.state) === "unknown" ? task.state : texts(key);
+    return group(task.state) === "unknown" ? task.state : texts(GROUPS[group(task.state)]);
   }
 
   function showDetail(tasks) {
@@ -143,17 +157,17 @@ export function make(parent, store, connection, texts, clock = browser) {
     const item = list.children[tasks.tasks.indexOf(task)];
     if (detail.parentElement !== item) item.append(detail);
     const element = task.element_name || task.element;
-    const lines = [texts("tasks.element", {element}), texts("tasks.state", {state: stateText(task)})];
+    const lines = [texts("Element: {element}", {element}), texts("State: {state}", {state: stateText(task)})];
     if (task.reason) lines.push(texts.reason(task.reason));
     const before = waitsFor(tasks, task);
-    if (before.length > 0) lines.push(texts("tasks.after", {tasks: before.join(", ")}));
-    if (task.robot) lines.push(texts("tasks.robot", {robot: task.robot}));
+    if (before.length > 0) lines.push(texts("First these must be done: {tasks}", {tasks: before.join(", ")}));
+    if (task.robot) lines.push(texts("Done by {robot}", {robot: task.robot}));
     if (typeof task.deviation_mm === "number") {
-      lines.push(texts("tasks.deviation", {mm: task.deviation_mm.toFixed(1), deg: (task.deviation_deg ?? 0).toFixed(2)}));
+      lines.push(texts("Placed {mm} mm and {deg}° off the model", {mm: task.deviation_mm.toFixed(1), deg: (task.deviation_deg ?? 0).toFixed(2)}));
     }
     for (const text of lines) add(detail, "p", {text});
     if (isAskable(tasks, task)) {
-      button(detail, texts("tasks.ask"), () => onAsk(taskRequest(task.id)), {className: "plan-ask", disabled: !canAsk()});
+      button(detail, texts("Ask for this task's plan"), () => onAsk(taskRequest(task.id)), {className: "plan-ask", disabled: !canAsk()});
     }
   }
 
@@ -167,20 +181,22 @@ export function make(parent, store, connection, texts, clock = browser) {
     if (asked !== key) {
       asked = key;
       clear(choices);
-      setText(ask, text === "" ? "" : texts("tasks.question", {question: texts.reason(text)}));
+      setText(ask, text === "" ? "" : texts("Open question: {question}", {question: texts.reason(text)}));
       const who = may ? [] : store.rightsOf.who(robot, "operate");
-      if (text !== "" && !may) add(choices, "p", {text: texts(who.length ? "tasks.who_answers" : "tasks.nobody_answers", {who: who.join(", ")})});
+      if (text !== "" && !may) {
+        add(choices, "p", {text: who.length ? texts("Who can answer: {who}.", {who: who.join(", ")})
+          : texts("Nobody is listed who may answer from here; at the robot's computer it can be done: twin work answer.")});
+      }
       for (const answer of may && text !== "" ? task.answers ?? [] : []) {
-        const words = `work.answer.${answer}`;
         holdButton(choices, {
-          text: texts.has(words) ? texts(words) : answer, className: "tasks-answer", onHeld: () => onAnswer(robot, task, answer),
+          text: texts.word(ANSWERS, answer), className: "tasks-answer", onHeld: () => onAnswer(robot, task, answer),
           key: () => work()?.tasks.find(({id}) => id === task.id)?.question ?? "",
         }, clock);
       }
     }
     for (const each of choices.querySelectorAll("button")) each.disabled = connection.state !== "connected";
     const record = answers.of(robot);
-    showOutcome(answered, record, texts, {what: texts("tasks.answer"), hidden: record.payload.task !== task?.id});
+    showOutcome(answered, record, texts, {what: texts("The answer"), hidden: record.payload.task !== task?.id});
   }
 
   function onAnswer(robot, task, answer) {

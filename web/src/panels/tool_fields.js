@@ -2,8 +2,9 @@
 import {add, button, setText} from "../dom.js";
 import {fromAngles, shownAngle, toAngles} from "../planning/angles.js";
 import {numberOf} from "../planning/joints.js";
+import {mark} from "../texts.js";
 
-const FIELDS = ["x", "y", "z", "a", "b", "c"];
+export const FIELDS = {x: "X", y: "Y", z: "Z", a: mark("A (about Z)"), b: mark("B (about Y')"), c: mark("C (about X'')")};
 /** Farthest that is sent [mm]: what is typed wrongly is told here, and what an arm does not reach the planner says. */
 const FARTHEST = 100000;
 
@@ -24,14 +25,14 @@ export function textsOf({position, quaternion}) {
  */
 export function makeToolFields(parent, texts, onPose) {
   const details = add(parent, "details", {className: "plan-tool"});
-  add(details, "summary", {text: texts("plan.tool")});
-  const form = add(details, "div", {className: "plan-tool-fields", role: "group", "aria-label": texts("plan.tool")});
-  const fields = FIELDS.map((name) => {
+  add(details, "summary", {text: texts("Goal of the tool as numbers")});
+  const form = add(details, "div", {className: "plan-tool-fields", role: "group", "aria-label": texts("Goal of the tool as numbers")});
+  const fields = Object.entries(FIELDS).map(([name, words]) => {
     const label = add(form, "label");
-    add(label, "span", {text: texts(`axes.tool.${name}`)});
+    add(label, "span", {text: texts(words)});
     const unit = "xyz".includes(name) ? "mm" : "°";
     const field = add(label, "input", {type: "text", inputmode: "text", size: 7, autocomplete: "off",
-      "aria-label": `${texts(`axes.tool.${name}`)} [${unit}]`});
+      "aria-label": `${texts(words)} [${unit}]`});
     add(label, "span", {text: unit});
     field.addEventListener("input", () => {
       field.removeAttribute("aria-invalid");
@@ -39,7 +40,7 @@ export function makeToolFields(parent, texts, onPose) {
     });
     return field;
   });
-  button(form, texts("plan.tool.go"), onGo, {className: "plan-tool-go"});
+  button(form, texts("Take as goal"), onGo, {className: "plan-tool-go"});
   const wrong = add(form, "p", {className: "plan-tool-note", role: "status"});
   let last = "";
 
@@ -55,7 +56,7 @@ export function makeToolFields(parent, texts, onPose) {
       if (values[k] === null) field.setAttribute("aria-invalid", "true");
     });
     if (values.includes(null)) {
-      setText(wrong, texts("plan.tool.wrong"));
+      setText(wrong, texts("Write numbers: X, Y, Z in mm, A, B, C in degrees, at most 360."));
       return;
     }
     last = "";

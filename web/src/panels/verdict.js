@@ -8,24 +8,84 @@ import {add, clear, setText} from "../dom.js";
 import {onHold} from "../press.js";
 import * as verdict from "../verdict_state.js";
 import {browser} from "./clock.js";
-import {segmentsOf} from "./playback.js";
-import {makeReason} from "./reason.js";
-import {isOverridable, make as makeRehearsal, makeOverride, rehearsalOf} from "./rehearsal.js";
+import {mark} from "../texts.js";
+import {segmentsOf, switched} from "./playback.js";
+import {BLOCKED, makeReason} from "./reason.js";
+import {make as makeRehearsal, makeOverride, rehearsalOf} from "./rehearsal.js";
 
 const TICK_EVERY = 50;
-/** Reasons of a rejection to pick from: `verdict.why.<word>`. */
-export const REASONS = ["too_close", "wrong_place", "scene", "person", "too_fast", "not_now"];
+/** Reasons of a rejection to pick from. */
+const REASONS = [
+  mark("too close to something"), mark("wrong goal or wrong element"), mark("the scene is not as shown"),
+  mark("a person is in the cell"), mark("too fast"), mark("not now"),
+];
 const LONGEST_NAME = 64;
 /** Words of picture/seen.js for a picture that a person cannot see: nothing is approved without it. */
 const HIDDEN = ["away", "small", "lost"];
 const GOOD = ["accepted"];
 /** The broker's reason code for a message that nobody has subscribed to (MQTT 5.0, section 3.4.2.1). */
 const NOBODY = 16;
+const CHECKS = {
+  duration: mark("Duration"), clearance: mark("Closest distance"), velocity: mark("Velocity"), acceleration: mark("Acceleration"),
+  jerk: mark("Jerk"), planner: mark("Planned by"), source: mark("Asked for by"), task: mark("Task"), scene: mark("Scene"),
+  hash: mark("Hash of what is shown"),
+};
+/** Words of plan_hash.js. */
+const REFUSED = {
+  content: mark("what came is not what its hash names."),
+  trajectory: mark("its motion is not the one that its hash names."),
+  missing: mark("it came without its motion, which is too long for a message. Look at it at the desk."),
+  insecure: mark("this browser checks hashes only over HTTPS, or on the robot's own PC."),
+};
+/** Words of picture/seen.js, and where there is no picture. */
+export const UNSEEN = {
+  away: mark("The picture is not in view: come back to it, then the plan can be approved."),
+  small: mark("The picture is too small to judge a motion: make the window larger, or show one robot alone."),
+  model: mark("The robot is not drawn in the picture, so a playback shows nothing: open the plan's checks, then it can be approved."),
+  lost: mark("The browser draws nothing at the moment: wait for the picture, or reload the page."),
+  none: mark("There is no picture here, so a playback shows nothing: open the plan's checks, then it can be approved."),
+};
+const VERDICTS = {approved: mark("Approval"), rejected: mark("Rejection")};
+/** What has become of a verdict: kinds of a notice of verdict_state.js, and its states on the way. */
+const NOTICES = {
+  sending: mark("{verdict}: sent, the broker has not answered yet."),
+  waiting: mark("{verdict}: the broker has it, the executor has not answered yet."),
+  accepted: mark("{verdict} accepted. {reason}"),
+  refused: mark("{verdict} NOT accepted: {reason}"),
+  expired: mark("{verdict} NOT accepted: it reached the robot too late after what this page had shown, and is void. "
+    + "Look again, then approve anew."),
+  other: mark("{account} was first: {verdict} accepted. Yours does not count. {reason}"),
+  unanswered: mark("{verdict}: no answer from the executor. It may have counted: watch the arm, and look at the plan again. "
+    + "An approval that has started nothing by now starts nothing any more."),
+  unknown: mark("{verdict}: the connection broke or another plan came before the answer. It is not known whether it counted: watch the arm."),
+};
+/** Why a press became no verdict. */
+const CANCELLED = {
+  obstacle: mark("Not sent: meanwhile something came up against it."),
+  rehearsal: mark("Not approved: what the rehearsal says has changed while the button was held."),
+  early: mark("Not approved: the button was released before the second was over."),
+  offline: mark("Not approved: the connection was lost while the button was held."),
+  plan: mark("Not approved: another plan came, or the plan was taken away."),
+  view: mark("Not approved: the robot no longer says that this plan is under review."),
+  old: mark("Not approved: the arm's state was not heard while the button was held."),
+  stood: mark("Not approved: this page stood still while the button was held."),
+  hidden: mark("Not approved: picture or sentence could not be seen any more while you held."),
+};
+/** Why a verdict did not go out, or nobody has taken it: reasons of NotPublished. */
+const FAILED = {
+  not_connected: mark("{verdict} did NOT go out: not connected."),
+  refused: mark("{verdict} refused by the broker: this account does not have the right to approve."),
+  refused_override: mark("{verdict} refused by the broker: this account may not approve in spite of a rehearsal."),
+  broker: mark("{verdict} was not taken by the broker."),
+  unanswered: mark("{verdict}: the broker has not answered. It may still count: watch the arm."),
+  nobody: mark("{verdict} does NOT count: nobody takes verdicts at the moment. Somebody must look at console_node."),
+  format: mark("{verdict} could not be sent."),
+};
 
-/** Return what there is to know of a plan before it is approved: rows of key and text. */
+/** Return what there is to know of a plan before it is approved: rows of a word of `CHECKS` and text. */
 function checksOf(plan, texts) {
   const rows = [
-    ["duration", texts("verdict.seconds", {seconds: plan.duration.toFixed(1)})],
+    ["duration", `${plan.duration.toFixed(1)} s`],
     ["planner", plan.planner],
     ["source", plan.source],
     ...(plan.task ? [["task", plan.task]] : []),
@@ -34,20 +94,18 @@ function checksOf(plan, texts) {
   ];
   const {clearance, use} = plan;
   if (clearance !== null) {
-    const values = {
-      distance: clearance.distance === null ? "" : (1000 * clearance.distance).toFixed(0), between: clearance.between.join(" - "),
-      time: clearance.time.toFixed(1),
-    };
-    rows.splice(1, 0, ["clearance", texts(clearance.distance === null ? "verdict.clear" : "verdict.closest", values)]);
+    const [distance, between] = [(1000 * clearance.distance).toFixed(0), clearance.between.join(" - ")];
+    rows.splice(1, 0, ["clearance", clearance.distance === null ? texts("nothing near")
+      : texts("{distance} mm, {between}, at {time} s", {distance, between, time: clearance.time.toFixed(1)})]);
   } else {
-    rows.splice(1, 0, ["clearance", texts("verdict.not_measured")]);
+    rows.splice(1, 0, ["clearance", texts("not measured")]);
   }
   for (const kind of ["jerk", "acceleration", "velocity"]) {
     const values = use[kind];
     if (values.length === 0) continue;
     const most = Math.max(...values);
     const joint = plan.joints[values.indexOf(most)];
-    rows.splice(2, 0, [kind, texts("verdict.use", {percent: (100 * most).toFixed(0), joint})]);
+    rows.splice(2, 0, [kind, texts("{percent} % of the limit ({joint})", {percent: (100 * most).toFixed(0), joint})]);
   }
   return rows;
 }
@@ -55,16 +113,20 @@ function checksOf(plan, texts) {
 /** Return the sentences about a work plan's segments. */
 function segmentSentences(plan, texts) {
   const signals = (given) => (Array.isArray(given) ? given.map(({name, value}) => [name, value]) : Object.entries(given ?? {}))
-    .map(([name, value]) => texts(value ? "playback.on" : "playback.off", {output: name})).join(", ");
+    .map(([name, value]) => switched(name, value, texts)).join(", ");
   const parts = plan.covered?.segments ?? plan.segments ?? [];
   const ends = segmentsOf(plan);
   return parts.map((segment, k) => [
-    texts("verdict.segment", {number: k + 1, name: segment.name, begin: ends[k].begin.toFixed(1), end: ends[k].end.toFixed(1)}),
-    segment.engaged ? texts("verdict.engaged") : "",
-    signals(segment.requires) ? texts("verdict.requires", {signals: signals(segment.requires)}) : "",
-    ...(segment.switches ?? []).map(({output, value, confirm}) => texts(signals(confirm) ? "verdict.switches_confirmed" : "verdict.switches", {
-      output: texts(value ? "playback.on" : "playback.off", {output}), signals: signals(confirm),
-    })),
+    texts("{number}. {name}, {begin} s to {end} s.", {
+      number: k + 1, name: segment.name, begin: ends[k].begin.toFixed(1), end: ends[k].end.toFixed(1),
+    }),
+    segment.engaged ? texts("In contact: after a stop inside only the way back can be planned.") : "",
+    signals(segment.requires) ? texts("Needs {signals}.", {signals: signals(segment.requires)}) : "",
+    ...(segment.switches ?? []).map(({output: name, value, confirm}) => {
+      const output = switched(name, value, texts);
+      return signals(confirm) ? texts("At its end: {output}; goes on when {signals}.", {output, signals: signals(confirm)})
+        : texts("At its end: {output}.", {output});
+    }),
   ].filter(Boolean).join(" "));
 }
 
@@ -78,29 +140,30 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   const short = add(area, "p", {className: "verdict-short"});
   const unfit = add(area, "p", {className: "verdict-unfit", role: "alert", hidden: true});
   const checks = add(area, "details", {className: "verdict-checks"});
-  add(checks, "summary", {text: texts("verdict.checks")});
+  add(checks, "summary", {text: texts("Checks")});
   const table = add(checks, "dl");
   const segments = add(checks, "ol", {className: "verdict-segments"});
   const showRehearsal = makeRehearsal(area, texts);
   const override = makeOverride(area, texts, {
-    press: () => take(store.selected, {type: "press", override: true, reason: override.reason(), rehearsal: hashShown(store.selected)}), release: () => release(), changed: () => show(),
+    press: () => take(store.selected, {type: "press", override: true, reason: override.reason(), rehearsal: hashShown(store.selected)}),
+    release: () => release(), changed: () => show(),
   });
-  const steps = add(area, "ul", {className: "verdict-steps", "aria-label": texts("verdict.steps")});
+  const steps = add(area, "ul", {className: "verdict-steps", "aria-label": texts("What an approval needs")});
   const stepLooked = add(steps, "li");
   const stepShown = add(steps, "li");
   const nameLabel = add(area, "label", {className: "verdict-name", hidden: true});
-  add(nameLabel, "span", {text: texts("verdict.name")});
+  add(nameLabel, "span", {text: texts("Your name")});
   const name = add(nameLabel, "input", {type: "text", maxlength: LONGEST_NAME, autocomplete: "off"});
   // stays in view however long the rest is
   const act = add(area, "div", {className: "verdict-act"});
   const approve = add(act, "button", {type: "button", className: "hold verdict-approve", "aria-describedby": "verdict-hint", disabled: true});
   add(approve, "span", {className: "hold-fill", "aria-hidden": "true"});
-  const approveText = add(approve, "span", {className: "hold-text verdict-approve-text", text: texts("verdict.approve")});
+  const approveText = add(approve, "span", {className: "hold-text verdict-approve-text", text: texts("Approve: hold for 1 s")});
   const hint = add(act, "p", {id: "verdict-hint", className: "verdict-hint"});
   const rejection = add(area, "fieldset", {className: "verdict-rejection"});
-  add(rejection, "legend", {text: texts("verdict.reject_title")});
-  const rejected = makeReason(rejection, texts, "verdict.why", REASONS, () => show());
-  const reject = add(rejection, "button", {type: "button", className: "verdict-reject", text: texts("verdict.reject"), disabled: true});
+  add(rejection, "legend", {text: texts("Reject")});
+  const rejected = makeReason(rejection, texts, REASONS, () => show());
+  const reject = add(rejection, "button", {type: "button", className: "verdict-reject", text: texts("Reject"), disabled: true});
   const notice = add(parent, "p", {className: "verdict-notice", role: "alert", hidden: true});
   let open = "";
 
@@ -138,11 +201,12 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   const showPlan = (plan) => {
     const {clearance} = plan;
     const known = clearance !== null && clearance.distance !== null;
-    const values = {seconds: plan.duration.toFixed(1), distance: known ? (1000 * clearance.distance).toFixed(0) : ""};
-    setText(short, texts(known ? "verdict.short" : "verdict.short_unmeasured", values));
+    const seconds = plan.duration.toFixed(1);
+    setText(short, !known ? texts("{seconds} s; no distance was measured", {seconds})
+      : texts("{seconds} s; closest distance {distance} mm", {seconds, distance: (1000 * clearance.distance).toFixed(0)}));
     clear(table);
     for (const [key, text] of checksOf(plan, texts)) {
-      add(table, "dt", {text: texts(`verdict.check.${key}`)});
+      add(table, "dt", {text: texts(CHECKS[key])});
       add(table, "dd", {text});
     }
     clear(segments);
@@ -155,12 +219,13 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   /** A task is named as in the list of tasks, where it is known; its id and the whole of who asks are among the checks. */
   const showTitle = (plan, tasks) => {
     const name = tasks?.tasks.find(({id}) => id === plan.task)?.name || plan.task;
-    setText(title, plan.task ? texts("verdict.title_task", {task: name}) : texts("verdict.title", {source: texts.reason(plan.source)}));
+    setText(title, plan.task ? texts("Plan of the task {task}", {task: name})
+      : texts("Plan by {source}", {source: texts.reason(plan.source)}));
   };
 
   const step = (element, done, text) => {
     element.classList.toggle("is-done", done);
-    setText(element, texts(done ? "verdict.done" : "verdict.open", {what: text}));
+    setText(element, done ? texts("done: {what}", {what: text}) : texts("not yet: {what}", {what: text}));
   };
 
   const show = () => {
@@ -169,18 +234,19 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     const found = store.robot(robot)?.plan ?? null;
     const waiting = store.robots.filter((each) => each !== robot && store.robot(each).plan !== null);
     other.hidden = waiting.length === 0;
-    setText(other, waiting.length ? texts("verdict.other_robot", {robot: waiting.join(", ")}) : "");
+    setText(other, waiting.length ? texts("A plan waits for review at: {robot}", {robot: waiting.join(", ")}) : "");
     area.hidden = found === null || machine.state === "offline" || machine.state === "none";
     none.hidden = !area.hidden;
-    setText(none, texts(connection.state === "connected" ? "verdict.none" : "verdict.offline"));
+    setText(none, connection.state === "connected" ? texts("No plan is under review.")
+      : texts("Not connected: no plan can be shown or decided."));
     if (found !== null && !area.hidden) {
       const key = `${robot}\n${found.id}\n${found.hash}\n${found.refused}`;
       if (key !== open) showPlan(found);
       open = key;
       showTitle(found, store.robot(robot).tasks);
       unfit.hidden = found.refused === "";
-      setText(unfit, found.refused ? texts("verdict.unfit", {why: texts.has(`verdict.refused.${found.refused}`)
-        ? texts(`verdict.refused.${found.refused}`) : found.refused}) : "");
+      const unfitFor = texts.word(REFUSED, found.refused);
+      setText(unfit, unfitFor ? texts("This plan cannot be shown and cannot be approved here: {why}", {why: unfitFor}) : "");
       checks.hidden = steps.hidden = act.hidden = found.refused !== "";
     } else {
       open = "";
@@ -197,14 +263,15 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     approve.classList.toggle("is-pressing", pressing);
     const held = pressing ? heldFor(machine) : 0;
     approve.style.setProperty("--held", held.toFixed(3));
-    setText(approveText, texts(pressing ? "verdict.keep" : "verdict.approve"));
+    setText(approveText, pressing ? texts("Keep holding ...") : texts("Approve: hold for 1 s"));
     const drawn = store.robot(robot)?.drawn ?? "none";
     const unseen = (why === "look" || why === "unseen") && drawn !== "seen";
-    setText(hint, why === "" ? texts("verdict.hint")
-      : texts(unseen ? `verdict.unseen.${drawn}` : why === "right" && !who.length ? "verdict.blocked.nobody" : `verdict.blocked.${why}`,
-        {reason: texts.reason(machine.obstacle), who: who.join(", ")}));
-    step(stepLooked, machine.played || machine.checks, texts("verdict.step_looked"));
-    step(stepShown, machine.shownFor >= verdict.SHOWN_FOR, texts("verdict.step_shown"));
+    const values = {reason: texts.reason(machine.obstacle), who: who.join(", ")};
+    setText(hint, why === "" ? texts("The arm moves as soon as this is approved. Hold the button for one second; letting go earlier cancels.")
+      : why === "right" && !who.length ? texts("This account may not approve, and nobody is listed who can.")
+        : texts(unseen ? UNSEEN[drawn] : BLOCKED[why], values));
+    step(stepLooked, machine.played || machine.checks, texts("played to its end, or checks opened"));
+    step(stepShown, machine.shownFor >= verdict.SHOWN_FOR, texts("shown for a second"));
     const free = may && (machine.state === "open" || machine.state === "unfit");
     reject.disabled = !free || !named || rejected.said() === "";
     rejected.disable(!free);
@@ -242,16 +309,16 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
       setText(notice, "");
       return;
     }
-    const what = (word) => texts(`verdict.word.${word === "rejected" ? "rejected" : "approved"}`);
+    const what = (word) => texts(VERDICTS[word === "rejected" ? "rejected" : "approved"]);
     if (sending && said?.kind !== "other") {
       notice.className = "verdict-notice";
-      setText(notice, texts(`verdict.${state}`, {verdict: what(sent.verdict)}));
+      setText(notice, texts(NOTICES[state], {verdict: what(sent.verdict)}));
       return;
     }
     notice.className = `verdict-notice ${GOOD.includes(said.kind) ? "is-good" : said.kind === "cancelled" ? "" : "is-bad"}`;
-    const key = ["cancelled", "failed"].includes(said.kind) ? `verdict.${said.kind}.${said.why ?? said.reason}` : `verdict.${said.kind}`;
-    setText(notice, texts(texts.has(key) ? key : "verdict.failed.broker", {
-      verdict: what(said.verdict), account: said.account || texts("verdict.somebody"), reason: texts.reason(said.reason ?? ""),
+    const words = said.kind === "cancelled" ? CANCELLED[said.why] : said.kind === "failed" ? FAILED[said.reason] : NOTICES[said.kind];
+    setText(notice, texts(words ?? FAILED.broker, {
+      verdict: what(said.verdict), account: said.account || texts("somebody else"), reason: texts.reason(said.reason ?? ""),
     }));
   };
 
@@ -275,8 +342,8 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
   // -- what is heard
 
   const planOf = (plan) => (plan === null ? null : {id: plan.id, hash: plan.hash, refused: plan.refused ?? "missing"});
-  const viewOf = ({plan, approval_obstacle: obstacle, execution}) => (
-    {type: "view", plan, obstacle, overridable: isOverridable(obstacle, texts), ended: execution?.outcome ? execution.plan_id : ""}
+  const viewOf = ({plan, approval_obstacle: obstacle, overridable, execution}) => (
+    {type: "view", plan, obstacle, overridable, ended: execution?.outcome ? execution.plan_id : ""}
   );
   // no picture, or none of this robot, is no picture that is covered: then the checks are what a person looks at
   const hides = (robot) => {

@@ -6,9 +6,9 @@ import {waypointsOf} from "../planning/waypoints.js";
 /** Make the panel. */
 export function make(parent, store, connection, texts) {
   const details = add(parent, "details", {className: "waypoints", hidden: true});
-  add(details, "summary", {text: texts("waypoints.title")});
+  add(details, "summary", {text: texts("Waypoints as numbers")});
   const caption = add(details, "p", {className: "waypoints-caption"});
-  const box = add(details, "div", {className: "waypoints-box", tabindex: "0", role: "region", "aria-label": texts("waypoints.title")});
+  const box = add(details, "div", {className: "waypoints-box", tabindex: "0", role: "region", "aria-label": texts("Waypoints as numbers")});
   let made = "";
 
   const usable = () => {
@@ -20,11 +20,11 @@ export function make(parent, store, connection, texts) {
     const view = store.robot(store.selected).view;
     const types = plan.joints.map((name) => view?.joints.types[view.joints.names.indexOf(name)] ?? "revolute");
     const {names, units, rows, step, all} = waypointsOf(plan, types);
-    setText(caption, texts(step > 1 ? "waypoints.some" : "waypoints.all", {step, all}));
+    setText(caption, step > 1 ? texts("One in {step} of {all} waypoints, and the last.", {step, all}) : texts("All {all} waypoints.", {all}));
     clear(box);
     const table = add(box, "table");
     const head = add(add(table, "thead"), "tr");
-    add(head, "th", {scope: "col", text: texts("waypoints.time")});
+    add(head, "th", {scope: "col", text: texts("Time [s]")});
     shortNames(names).forEach((name, k) => add(head, "th", {scope: "col", text: `${name} [${units[k]}]`, title: names[k]}));
     const body = add(table, "tbody");
     for (const [time, ...values] of rows) {

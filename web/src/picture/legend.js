@@ -1,50 +1,48 @@
 /** The legend: one entry for each kind of thing that is drawn now, in the colour that it is drawn in. Pure. */
+import {mark} from "../texts.js";
+import {GROUPS} from "../work/task_list.js";
 import * as colours from "./colours.js";
 
-/** Words of the elements' states, as the list of tasks has them (tasks.state.*), by the colour that they are drawn in. */
-const ELEMENTS = [
-  ["done", "done"], ["working", "moves"], ["ready", "ready"], ["asks", "person"], ["waiting", "waits"], ["skipped", "skipped"],
-].map(([state, word]) => [colours.BY_TASK[state][0], word]);
-
-/** Return the words of an element's colour: a key of the sentences; null for a colour that no state has. */
-export function elementKey(colour) {
-  if (colour === colours.PICKED[0]) return "picture.legend.picked";
-  const word = ELEMENTS.find(([each]) => each === colour)?.[1];
-  return word === undefined ? null : `tasks.state.${word}`;
-}
-
-/** Return the words of a goal: what a person sets by whether it is reached, else the goal of the plan. */
-export function goalKey(reach) {
-  if (reach === null) return "picture.legend.goal";
-  return `picture.reach.${reach in colours.BY_REACH ? reach : "unknown"}`;
-}
+/** Words of the elements, by the colour that they are drawn in: of the chosen task's, then of their states as the list of tasks has them. */
+const ELEMENTS = new Map([
+  [colours.PICKED[0], mark("chosen task's element")],
+  ...[["done", "done"], ["working", "moves"], ["ready", "ready"], ["asks", "person"], ["waiting", "waits"], ["skipped", "skipped"]]
+    .map(([state, word]) => [colours.BY_TASK[state][0], GROUPS[word]]),
+]);
+/** Words of the goal that a person sets, by whether it is reached. */
+const REACH = {
+  free: mark("goal can be reached"), contact: mark("goal touches something"), out: mark("goal is out of reach"),
+  unknown: mark("goal, not checked yet"),
+};
+const closestWords = ({ofPlan}) => (ofPlan ? mark("closest point of the plan: {distance} mm after {time} s ({between})")
+  : mark("closest point: {distance} mm ({between})"));
 
 /**
  * Return the entries.
  *
  * @param {object} drawn what a cell draws (`drawn()` of cell.js): a colour, or null for what is not drawn
- * @returns {{id: string, key: string, colour: number, form: string}[]} `form`: how it is drawn, `body`, `ghost`, `line`, `thin`, `point`, `axes`
+ * @returns {{id: string, words: string, colour: number, form: string}[]} `words`: a template; `form`: how it is drawn, `body`, `ghost`,
+ *   `line`, `thin`, `point`, `axes`
  */
 export function entriesOf(drawn) {
   const entries = [];
-  const add = (id, colour, form, key = `picture.legend.${id}`) => {
-    if (colour !== null && colour !== undefined) entries.push({id, key, colour, form});
+  const add = (id, words, colour, form) => {
+    if (colour !== null && colour !== undefined) entries.push({id, words, colour, form});
   };
-  add("both", drawn.both, "body");
-  add("twin", drawn.twin, "body");
-  add("arm", drawn.arm, "ghost");
-  add("plan", drawn.plan, "ghost");
-  add("goal", drawn.goal?.colour, "ghost", goalKey(drawn.goal?.reach ?? null));
-  add("path", drawn.path, "line");
-  add("engaged", drawn.engaged, "line");
-  add("ahead", drawn.ahead, "line");
-  add("travelled", drawn.travelled, "thin");
-  add("closest", drawn.closest?.colour, "point", drawn.closest?.ofPlan ? "picture.legend.closest_of_plan" : "picture.legend.closest");
-  add("tool", drawn.tool, "axes");
-  add("carried", drawn.carried, "body");
-  add("standing", drawn.standing, "body");
-  const known = new Map(drawn.elements.map((colour) => [colour, elementKey(colour)]));
-  const order = [colours.PICKED[0], ...ELEMENTS.map(([colour]) => colour)];
-  for (const colour of order) if (known.get(colour)) add(`element-${colour.toString(16)}`, colour, "body", known.get(colour));
+  const {goal, closest} = drawn;
+  add("both", mark("twin, and the arm as measured in the same place"), drawn.both, "body");
+  add("twin", mark("twin"), drawn.twin, "body");
+  add("arm", mark("arm as measured"), drawn.arm, "ghost");
+  add("plan", mark("plan at the time shown"), drawn.plan, "ghost");
+  if (goal) add("goal", goal.reach === null ? mark("goal") : REACH[Object.hasOwn(REACH, goal.reach) ? goal.reach : "unknown"], goal.colour, "ghost");
+  add("path", mark("planned path of the tool"), drawn.path, "line");
+  add("engaged", mark("path with the tool engaged"), drawn.engaged, "line");
+  add("ahead", mark("path of the tool, still to go"), drawn.ahead, "line");
+  add("travelled", mark("path of the tool, travelled"), drawn.travelled, "thin");
+  if (closest) add("closest", closestWords(closest), closest.colour, "point");
+  add("tool", mark("tool frame: x red, y green, z blue"), drawn.tool, "axes");
+  add("carried", mark("carried by the arm"), drawn.carried, "body");
+  add("standing", mark("objects of the scene"), drawn.standing, "body");
+  for (const [colour, words] of ELEMENTS) if (drawn.elements.includes(colour)) add(`element-${colour.toString(16)}`, words, colour, "body");
   return entries;
 }

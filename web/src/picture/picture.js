@@ -11,11 +11,14 @@ import {add, button, clear, setText} from "../dom.js";
 import {makeCell} from "./cell.js";
 import {millimetres} from "./closest.js";
 import {drawIcon} from "./icons.js";
+import {mark} from "../texts.js";
 import {makeLabels} from "./labels.js";
 import {entriesOf} from "./legend.js";
 import {IN_VIEW, seenWord} from "./seen.js";
 
-const VIEWS = ["home", "front", "side", "top", "tool"];
+const VIEWS = {
+  home: mark("Fit: show the whole cell"), front: mark("Front"), side: mark("Side"), top: mark("Top"), tool: mark("Tool"),
+};
 /** Smaller parts of the picture begin with the legend folded [px]. */
 const ROOMY = {width: 620, height: 340};
 /** So much of the picture's width is left to an open legend: less than it takes, because little is drawn in that corner. */
@@ -43,13 +46,14 @@ function processorDraws() {
 /** Make the picture. */
 export function make(parent, store, connection, texts) {
   const stage = add(parent, "div", {className: "stage"});
-  const canvas = add(stage, "canvas", {className: "canvas", role: "img", "aria-label": texts("picture.label")});
+  const canvas = add(stage, "canvas", {className: "canvas", role: "img",
+    "aria-label": texts("The robot: drag to turn, two fingers or the right button to move, pinch or wheel to zoom")});
   // above the robots' parts, which come as they are heard
   const above = add(stage, "div", {className: "above"});
   const note = add(above, "p", {className: "picture-note", role: "status", hidden: true});
-  const bar = add(above, "div", {className: "views", role: "group", "aria-label": texts("picture.views")});
+  const bar = add(above, "div", {className: "views", role: "group", "aria-label": texts("Views")});
   const legend = add(above, "details", {className: "legend"});
-  add(legend, "summary", {text: texts("picture.legend")});
+  add(legend, "summary", {text: texts("Legend")});
   const list = add(legend, "ul");
   const software = processorDraws();
   let renderer;
@@ -61,7 +65,7 @@ export function make(parent, store, connection, texts) {
     // three throws a plain Error where there is no WebGL
     bar.hidden = legend.hidden = true;
     note.hidden = false;
-    setText(note, texts("picture.no_webgl"));
+    setText(note, texts("This browser has no WebGL: nothing can be drawn. The rest of the page works."));
     console.warn(error.message);
     return;
   }
@@ -101,18 +105,18 @@ export function make(parent, store, connection, texts) {
     return made;
   }
 
-  for (const view of VIEWS) {
-    tool(view, texts(`picture.view.${view}`), () => {
+  for (const [view, words] of Object.entries(VIEWS)) {
+    tool(view, texts(words), () => {
       for (const {cell} of shown()) if (shown().length === 1 || cell.name === store.selected) cell.look(view);
     });
   }
-  const turn = tool("turn", texts("picture.turn"), () => {
+  const turn = tool("turn", texts("Turn the goal"), () => {
     const cell = cells.get(store.selected)?.cell;
     if (cell) cell.turns = !cell.turns;
     showBar();
     redraw();
   });
-  const all = tool("all", texts("picture.all"), () => {
+  const all = tool("all", texts("All robots"), () => {
     alone = !alone;
     arrange();
   });
@@ -219,7 +223,7 @@ export function make(parent, store, connection, texts) {
   function addRobots() {
     for (const name of store.robots) {
       if (cells.has(name) || cells.size >= MOST) continue;
-      const overlay = add(stage, "div", {className: "overlay", role: "group", "aria-label": texts("picture.part", {robot: name})});
+      const overlay = add(stage, "div", {className: "overlay", role: "group", "aria-label": texts("Picture of {robot}", {robot: name})});
       add(overlay, "span", {className: "overlay-name", text: name});
       const cell = makeCell(name, overlay, store, redraw, renderer.getPixelRatio());
       cell.shadows(!software);
@@ -235,13 +239,16 @@ export function make(parent, store, connection, texts) {
     const robot = store.robot(store.selected);
     const state = cells.get(store.selected)?.cell.state;
     let text = "";
-    if (lost) text = texts("picture.lost");
-    else if (state?.progress) text = texts("picture.loading", state.progress);
-    else if (state?.failed) text = texts("picture.no_model", {why: state.failed});
-    else if (state?.missing.length) text = texts("picture.no_model", {why: state.missing.join(", ")});
-    else if (robot?.playback) text = texts("picture.playback", {time: robot.playback.time.toFixed(1)});
-    else if (state?.stale) text = texts("picture.stale");
-    else if (state?.lacks || state?.unread) text = texts("picture.lacks", {why: state.lacks || state.unread});
+    const why = state?.failed || state?.missing.join(", ");
+    if (lost) {
+      text = texts("The browser has taken the graphics away from this page: nothing is drawn until it gives them back. "
+        + "If that takes long, reload the page.");
+    } else if (state?.progress) text = texts("Loading the robot model: {done} of {all} files", state.progress);
+    else if (why) text = texts("The robot model could not be loaded ({why}). The rest of the page works.", {why});
+    else if (robot?.playback) text = texts("The picture shows the plan at {time} s, not the present.", {time: robot.playback.time.toFixed(1)});
+    else if (state?.stale) {
+      text = texts("The building model here is not the one that the tasks are of: it is not shown, and is fetched again.");
+    } else if (state?.lacks || state?.unread) text = texts("A part of the picture is missing ({why}).", {why: state.lacks || state.unread});
     if (note.textContent === text && note.hidden === (text === "")) return;
     note.hidden = text === "";
     setText(note, text);
@@ -255,8 +262,8 @@ export function make(parent, store, connection, texts) {
     const values = drawn?.closest ? {
       distance: millimetres(drawn.closest.distance), between: drawn.closest.between.join(" - "), time: (drawn.closest.time ?? 0).toFixed(1),
     } : {};
-    const lines = entries.map(({id, key, colour: value, form}) => ({
-      id, form, text: texts(key, id === "closest" ? values : {}), colour: `#${value.toString(16).padStart(6, "0")}`,
+    const lines = entries.map(({id, words, colour: value, form}) => ({
+      id, form, text: texts(words, values), colour: `#${value.toString(16).padStart(6, "0")}`,
     }));
     const wanted = JSON.stringify(lines);
     if (wanted === listed) return;

@@ -2,6 +2,19 @@
 
 import {outcome, reasonsOf} from "../requests.js";
 import {setText} from "../dom.js";
+import {mark} from "../texts.js";
+
+const ANSWERS = {
+  sending: mark("Sending ..."),
+  waiting: mark("Sent. The planner is looking for a way ..."),
+  done: mark("There is a plan ({duration} s). It waits for somebody to look at it and approve it."),
+  refused: mark("No plan: {reason}"),
+  expired: mark("No plan: the request was too late after what this page had shown, and is void. Look again, then ask anew."),
+  nobody: mark("Nobody takes requests at the moment: the planner does not run, or is not connected."),
+  no_right: mark("Not sent: the broker refuses it to the account {account}, which may not ask for plans."),
+  not_sent: mark("This did NOT go out. Ask again once the page is connected."),
+  unknown: mark("No answer came. The request may have arrived: look whether a plan is under review before you ask again."),
+};
 
 // A motion of all joints to {name: value}; speed: fraction of the limits, 0 for what the planner has set.
 export function jointsRequest(joints, speed) {
@@ -34,5 +47,5 @@ export function showAsking(element, record, reviewed, account, texts) {
   const word = found === "done" && id && id !== reviewed ? "none" : found === "silent" ? "unknown" : found;
   element.className = `plan-answer answer-${word}`;
   const values = {account: account || "-", reason: reasonsOf(record, texts), duration: duration.toFixed(1)};
-  setText(element, word === "none" ? "" : texts(`plan.answer.${word}`, values));
+  setText(element, word === "none" ? "" : texts(ANSWERS[word], values));
 }

@@ -1,7 +1,12 @@
 // The tasks of a building model, as a person reads them. Pure.
+import {mark} from "../texts.js";
 
+export const GROUPS = {
+  waits: mark("waits"), ready: mark("ready"), asked: mark("plan waits for approval"), moves: mark("in work"), done: mark("done"),
+  skipped: mark("skipped"), person: mark("needs a person"),
+};
 // The states of docs/reference/states.md, with what they mean for somebody who looks at a list.
-const GROUPS = {
+const BY_STATE = {
   waiting: "waits",
   ready: "ready",
   carried: "ready",
@@ -20,7 +25,7 @@ const ASKABLE = new Set(["ready", "carried"]);
 
 // One of "waits", "ready", "asked", "moves", "done", "skipped", "person"; "unknown" for a state of another version.
 export function group(state) {
-  return Object.hasOwn(GROUPS, state) ? GROUPS[state] : "unknown";
+  return Object.hasOwn(BY_STATE, state) ? BY_STATE[state] : "unknown";
 }
 
 // Whether a plan of the task can be asked for now.

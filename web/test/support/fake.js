@@ -28,7 +28,8 @@ function rethrow(error) {
 export function fakePage({account = "", language = "en", check = async (plan) => ({...plan, refused: ""}), report = rethrow} = {}) {
   const {document, window} = parseHTML("<!doctype html><html><body><main></main></body></html>");
   const clock = {now: 0};
-  const store = makeStore({now: () => clock.now, check, report});
+  const texts = textsIn(language);
+  const store = makeStore({now: () => clock.now, check, report, hear: texts.hear});
   const connection = fakeConnection(store, account);
   // the state's sentence is on the screen, as the status panel would say
   store.on("robots", () => {
@@ -37,7 +38,7 @@ export function fakePage({account = "", language = "en", check = async (plan) =>
   return {
     document, window, store, connection, clock,
     parent: document.querySelector("main"),
-    texts: textsIn(language),
+    texts,
     /** Hear a message: `value` becomes JSON; null is an empty payload. Resolves once it is taken. */
     hear: (robot, topic, value, retained = false) => store.take(robot, topic, value === null ? "" : JSON.stringify(value), retained),
     /** Let time pass [ms] for the store. */
@@ -96,7 +97,7 @@ let seq = 0;
 export function view(changes = {}) {
   seq += 1;
   return {
-    version: 6, compatible: 1, moment: `c0ffee00-${1000 + 40 * seq}`, robot: "kr120", online: true, run: "run", seq, stamp: seq / 25, units: {angle: "rad", length: "m", time: "s"},
+    version: 7, compatible: 1, moment: `c0ffee00-${1000 + 40 * seq}`, robot: "kr120", online: true, run: "run", seq, stamp: seq / 25, units: {angle: "rad", length: "m", time: "s"},
     joints: {names: ["joint_a1", "joint_a2"], types: ["revolute", "revolute"]},
     twin: {stamp: seq / 25, age: 0.01, positions: [0.1, -1.5]},
     arm: {stamp: seq / 25, age: 0.02, positions: [0.1, -1.5]},
@@ -107,7 +108,7 @@ export function view(changes = {}) {
       late: 0, controller: null},
     execution: {state: "IDLE", reason: "", age: 1, plan_id: "", outcome: "", duration: 0, progress: 0, rate: null, speed_limit: 1,
       segment: null},
-    closest: null, plan: "", hold: null, approval_obstacle: "", speed: null,
+    closest: null, plan: "", hold: null, approval_obstacle: "", overridable: false, speed: null, said: {},
     ...changes,
   };
 }

@@ -57,7 +57,7 @@ from construction_twin.work.prepared import Prepared
 from construction_twin.work.session import Neighbours, NoAnswer, UnderReview, WorkSession
 from construction_twin.work.site import read_site
 from construction_twin.work.task_board import WorkRefused
-from construction_twin.work.task_states import TaskState
+from construction_twin.work.task_memory import TaskState
 from construction_twin.work.worker import Worker
 
 #: The executor's record of verdicts.

@@ -7,7 +7,7 @@ import math
 from construction_twin.msg import WorkTasks
 from construction_twin.physics.known_mass import TOOL
 from construction_twin.robot.tool import read_tool
-from construction_twin.work.task_states import TaskState
+from construction_twin.work.task_memory import TaskState
 
 
 def element_masses(message: WorkTasks) -> dict[str, float]:

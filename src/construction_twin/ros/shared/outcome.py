@@ -30,7 +30,7 @@ class Outcome:
     def of(cls, answer: Any) -> Outcome:
         """Return what became of a request by a service's answer; what it has no field for stays as it is without."""
         known, sentences = {name: getattr(answer, name) for name in answer.__slots__}, sentences_of(answer)
-        message = known.pop("message")
+        message, _ = known.pop("message"), known.pop("said", "")
         return cls(known.pop("success"), sentences.get(message, message), known.pop("expired", False), known)
 
     def response(self, kind: Any) -> Any:

@@ -18,6 +18,8 @@ _NUMBER = re.compile(r"#(\d+)")
 _OFFSET = re.compile(r"at offset (\d+)")
 _MISSING = re.compile(r"Instance reference #(\d+) used by instance #(\d+)")
 _SHOWN = 200
+#: Why nothing of a file is sure.
+ABOUT_ALL = "the reader of the file says, of what holds for all elements or for nobody knows which"
 #: Codes of what says nothing of shapes: no style for a colour, a precision of the whole file, a style that is missing, no unit of
 #: angles (told), the hole of a hollow profile turned round (its volume is compared), a point given twice, a triangle
 #: without area; and texts of what says nothing of instances, or is told by `tasks.unique_id`.
@@ -160,10 +162,7 @@ class Doubts:
                 continue
             found = True
         if not found:
-            self.everything = (
-                self.everything
-                or f"the reader of the file says, of what holds for all elements or for nobody knows which: {why}"
-            )
+            self.everything = self.everything or f"{ABOUT_ALL}: {why}"
 
     def _has(self, number: int) -> bool:
         try:

@@ -18,9 +18,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from construction_twin.core.work_errors import BuildingError
-from construction_twin.scene.solids import mesh_of, solid
+from construction_twin.scene.solids import hull_solid, mesh_of, solid
 from construction_twin.work.building import Body
-from construction_twin.work.ifc.notes import Misread, Notes, Where
+from construction_twin.work.ifc.notes import Misread, Notes, Where, label
 from construction_twin.work.ifc.representations import Items, body_of, bounds
 
 #: Triangles of a file.
@@ -112,10 +112,8 @@ def shapes(
     for number, representation in missing.items():
         # one of lines alone has nothing to touch
         if any(_has_surface(part) for part in file.traverse(representation)):
-            yield Shape(number, (), None).doubted(
-                "the geometry kernel cannot make its shape; a box that holds it stands as an obstacle",
-                bounds(representation) * unit,
-            )
+            said = "the geometry kernel cannot make its shape; a box that holds it stands as an obstacle"
+            yield Shape(number, (), None).doubted(said, bounds(representation) * unit)
 
 
 @dataclass(frozen=True)
@@ -164,34 +162,25 @@ def _shape(
     bodies = tuple(_bodies(made, [] if openings else items, about, notes))
     shape = Shape(made.id, bodies, made.matrix)
     if less := _less(items, made.owners):
-        return shape.doubted(
-            (
-                f"the geometry kernel cannot make a part of its shape ({less}); a box that holds that too "
-                "stands as an obstacle"
-            ),
-            *(bounds(item) * unit for item in items),
+        said = (
+            f"the geometry kernel cannot make a part of its shape ({less}); a box that holds it stands as an obstacle"
         )
+        return shape.doubted(said, *(bounds(item) * unit for item in items))
     if not all(map(_is_simple, bodies)):
         return shape.doubted("parts of its shape lie within each other; its box stands as an obstacle")
     if openings:
         cut = _cut(shape, openings, holes)
         if cut is None:
-            return shape.doubted(
-                "its openings take nothing from it, or all of it, or cannot be cut out; its box stands as an obstacle"
-            )
+            said = "its openings take nothing from it, or all of it, or cannot be cut out"
+            return shape.doubted(f"{said}; its box stands as an obstacle")
         shape = replace(shape, bodies=cut)
         if (pieces := pieces_of(cut)) > 1:
-            return replace(
-                shape, doubt=f"it is in {pieces} pieces that do not touch, after its openings; it stands as an obstacle"
-            )
+            said = f"it is in {pieces} pieces that do not touch, after its openings"
+            return replace(shape, doubt=f"{said}; it stands as an obstacle")
     whole = sum(body.volume for body in shape.bodies if body.is_closed)
-    if whole > _hull_volume(made.vertices) * (1.0 + _OVERLAP):
+    if whole > hull_solid(made.vertices).volume() * (1.0 + _OVERLAP):
         return shape.doubted("its bodies have more volume than the hull around them; its box stands as an obstacle")
     return shape
-
-
-def _hull_volume(vertices: np.ndarray) -> float:
-    return float(manifold3d.Manifold.hull_points(np.ascontiguousarray(vertices)).volume())
 
 
 def _is_simple(body: Body) -> bool:
@@ -246,11 +235,9 @@ def pieces_of(bodies: Sequence[Body]) -> int:
 
 
 def _less(items: list[ifcopenshell.entity_instance], owners: np.ndarray) -> str:
-    """Return the items with a surface that gave no triangle, as ``#12=IfcExtrudedAreaSolid``; empty: there is none."""
+    """Return the items with a surface that gave no triangle, as ``#12=IFCEXTRUDEDAREASOLID``; empty: there is none."""
     made = set(owners.tolist())
-    missing = [
-        f"#{item.id()}={item.is_a()}" for item in items if _has_surface(item) and made.isdisjoint(_numbers(item))
-    ]
+    missing = [label(item) for item in items if _has_surface(item) and made.isdisjoint(_numbers(item))]
     return ", ".join(dict.fromkeys(missing[:3]))
 
 

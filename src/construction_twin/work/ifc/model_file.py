@@ -52,10 +52,7 @@ def save(model: BuildingModel, path: Path) -> None:
     size = len(text) + 8 * places["numbers"] + 4 * places["indices"]
     if size > MOST_BYTES // 2:
         raise BuildingError(
-            model.file,
-            "the model",
-            f"{size / 2**20:.0f} MiB as arrays",
-            f"at most {MOST_BYTES >> 21} MiB",
+            model.file, "the model", f"{size / 2**20:.0f} MiB as arrays", f"at most {MOST_BYTES >> 21} MiB"
         )
     joined = {name: np.concatenate(parts).astype(_KINDS[name]) for name, parts in arrays.items()}
     with path.open("wb") as file:
@@ -71,26 +68,18 @@ def load(path: Path, file: str, digest: str) -> BuildingModel:
     """
     try:
         return _load(path, file, digest)
-    except (
-        zipfile.BadZipFile,
-        ValueError,
-        TypeError,
-        LookupError,
-        EOFError,
-        NotImplementedError,
-        RecursionError,
-    ) as error:
-        raise BuildingError(file, "what the reading process wrote", _said(error), "a whole model") from error
+    except _UNREADABLE as error:
+        said = " ".join(str(error).split())
+        said = said if isinstance(error, _NotWhole) else f"{type(error).__name__}: {said}"
+        raise BuildingError(file, "what the reading process wrote", said[:_LONGEST], "a whole model") from error
 
 
 class _NotWhole(ValueError):
     """What the reading process wrote is no whole model; says why."""
 
 
-def _said(error: Exception) -> str:
-    """Return what an exception says, short."""
-    said = " ".join(str(error).split())
-    return (said if isinstance(error, _NotWhole) else f"{type(error).__name__}: {said}")[:_LONGEST]
+#: What NumPy, zipfile, json and pydantic raise for a damaged file.
+_UNREADABLE = (zipfile.BadZipFile, ValueError, TypeError, LookupError, EOFError, NotImplementedError, RecursionError)
 
 
 def _load(path: Path, file: str, digest: str) -> BuildingModel:

@@ -123,14 +123,10 @@ def read_status(product: ifcopenshell.entity_instance, at: str, sets: Sets, note
                     notes.add(f"Elements with the status {word!r}, taken as still to be made", about, at)
             elif any(word in key.casefold() for word in _STATUS_NAMES) and _stands(key, given):
                 where = name if key == "Status" else f"{name} ({key})"
-                notes.add(
-                    (
-                        f"Elements with the status {given[:40]!r} in {where}, which is no `Status` of a set "
-                        "Pset_...Common: not used, taken as still to be made"
-                    ),
-                    about,
-                    at,
+                said = (
+                    f"Elements with the status {given[:40]!r} in {where}, which is no `Status` of a set Pset_...Common"
                 )
+                notes.add(f"{said}: not used, taken as still to be made", about, at)
     return found
 
 
@@ -149,18 +145,25 @@ def _stands(name: str, given: str) -> bool:
 
 
 def read_mass(
-    product: ifcopenshell.entity_instance,
-    at: str,
-    sets: Sets,
-    bodies: tuple[Body, ...],
-    units: Units,
-    notes: Notes,
+    product: ifcopenshell.entity_instance, at: str, sets: Sets, bodies: tuple[Body, ...], units: Units, notes: Notes
 ) -> float | None:
     """Return the mass [kg]: a quantity of weight; or the density of its only material times the volume of its closed bodies.
 
     One that its volume cannot have is noted.
     """
     whole = sum(body.volume for body in bodies) if all(body.is_closed for body in bodies) else 0.0
+    mass = _weight(product, at, sets, units, notes)
+    if mass is None and whole > 0.0 and (density := _density(product, at, units, notes)) is not None:
+        mass = density * whole
+    if mass is not None and whole > 0.0 and not _LIKELY[0] <= mass / whole <= _LIKELY[1]:
+        found = f"{mass:.3g} kg for {1e3 * whole:.3g} l is {mass / whole:.3g} kg/m³"
+        said = f"THE MASS IS DOUBTFUL: {found}, expected {_LIKELY[0]:g} to {_LIKELY[1]:g}"
+        notes.add(said, product.Name or at, at)
+    return mass
+
+
+def _weight(product: ifcopenshell.entity_instance, at: str, sets: Sets, units: Units, notes: Notes) -> float | None:
+    about = product.Name or label(product)
     for quantity in _WEIGHTS:
         for name, values in sets.items():
             value = values.get(quantity)
@@ -168,36 +171,16 @@ def read_mass(
                 continue
             if isinstance(value, (int, float)) and not isinstance(value, bool):
                 if value <= 0:
-                    notes.add("Weights that are not above 0 are left out", product.Name or label(product), at)
+                    notes.add("Weights that are not above 0 are left out", about, at)
                     continue
                 if not units.weighs and not _has_own_unit(product, name, quantity):
                     if not _is_power_of_ten(units.length):
-                        notes.add(
-                            (
-                                f"A weight of {value:.6g} without a unit can be kilograms or pounds, and is not used: the "
-                                "project has no unit of mass, and its unit of length is not metric"
-                            ),
-                            product.Name or label(product),
-                            at,
-                        )
+                        said = f"A weight of {value:.6g} without a unit can be kilograms or pounds, and is not used"
+                        notes.add(f"{said}: the project has no unit of mass, and feet or inches", about, at)
                         continue
                     notes.add("The project has no unit of mass; weights are taken as kilograms")
-                return _noted(float(value), whole, product, at, notes)
-    density = _density(product, at, units, notes)
-    return None if density is None or whole <= 0.0 else _noted(density * whole, whole, product, at, notes)
-
-
-def _noted(mass: float, whole: float, product: ifcopenshell.entity_instance, at: str, notes: Notes) -> float:
-    if whole > 0.0 and not _LIKELY[0] <= mass / whole <= _LIKELY[1]:
-        notes.add(
-            (
-                f"THE MASS IS DOUBTFUL: {mass:.3g} kg for {1e3 * whole:.3g} l is {mass / whole:.3g} kg/m³, "
-                f"expected {_LIKELY[0]:g} to {_LIKELY[1]:g}"
-            ),
-            product.Name or at,
-            at,
-        )
-    return mass
+                return float(value)
+    return None
 
 
 def _density(product: ifcopenshell.entity_instance, at: str, units: Units, notes: Notes) -> float | None:
@@ -213,17 +196,11 @@ def _density(product: ifcopenshell.entity_instance, at: str, units: Units, notes
         return None
     shown = f"{found[0]:g}"
     if factor is None:
-        notes.add(
-            (
-                f"The mass is not known: a density of {shown} without a unit can be kg/m³ or of the project's "
-                "units of mass and volume (pounds where it has feet or inches and no unit of mass), or is "
-                "none of either"
-            ),
-            product.Name or label(product),
-            at,
-        )
+        said = f"The mass is not known: a density of {shown} without a unit can be kg/m³ or of the project's units"
+        notes.add(f"{said} of mass and volume, or is none of either", product.Name or label(product), at)
         return None
-    if units.density is None and found[1] is None and factor == 1.0 and not _is_metric(units):
+    metric = _is_power_of_ten(units.length) and _is_power_of_ten(units.mass)
+    if units.density is None and found[1] is None and factor == 1.0 and not metric:
         notes.add(f"The project has no unit of density; {shown} is taken as kg/m³")
     return float(found[0] * factor)
 
@@ -250,10 +227,6 @@ def _has_own_unit(product: ifcopenshell.entity_instance, set_name: str, name: st
     """Whether a value that was read has a unit of its own."""
     entry = ifcopenshell.util.element.get_psets(product, verbose=True)[set_name][name]
     return "id" in entry and getattr(product.file.by_id(entry["id"]), "Unit", None) is not None
-
-
-def _is_metric(units: Units) -> bool:
-    return _is_power_of_ten(units.length) and _is_power_of_ten(units.mass)
 
 
 def _is_power_of_ten(factor: float) -> bool:

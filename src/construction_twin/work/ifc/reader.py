@@ -19,7 +19,7 @@ from construction_twin.core.files import read_file
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.work.building import Body, BuildingModel, Element, Task
-from construction_twin.work.ifc.doubts import Doubts, check_complete, entries
+from construction_twin.work.ifc.doubts import ABOUT_ALL, Doubts, check_complete, entries
 from construction_twin.work.ifc.geometry import NO_UNIT_CODES, Shape, shapes
 from construction_twin.work.ifc.notes import Misread, Notes, Where, label
 from construction_twin.work.ifc.properties import HEAVIEST, read_mass, read_material, read_properties, read_status
@@ -35,11 +35,7 @@ FARTHEST = 1e8
 
 
 class Placements:
-    """Placements of a file, each computed once.
-
-    Args:
-        unit: Metres per length unit.
-    """
+    """Placements of a file, each computed once; `unit`: metres per length unit."""
 
     def __init__(self, name: str, unit: float):
         self._name, self._unit = name, unit
@@ -54,9 +50,8 @@ class Placements:
         chain: dict[int, ifcopenshell.entity_instance] = {}
         while placement is not None and placement.id() not in self._known:
             if placement.id() in chain:
-                raise BuildingError(
-                    self._name, label(placement), "placed relative to itself", "placements without a loop"
-                )
+                found = "placed relative to itself"
+                raise BuildingError(self._name, label(placement), found, "placements without a loop")
             chain[placement.id()] = placement
             with Where(self._name, placement):
                 placement = placement.PlacementRelTo if placement.is_a("IfcLocalPlacement") else None
@@ -84,9 +79,8 @@ class Placements:
 def check_rigid(name: str, entity: object, matrix: np.ndarray) -> None:
     """Check that a matrix is a rotation and a shift that a building can have."""
     if not np.isfinite(matrix).all() or not np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-6):
-        raise BuildingError(
-            name, label(entity), "axes or a location that are no placement", "finite, axes not parallel"
-        )
+        found = "axes or a location that are no placement"
+        raise BuildingError(name, label(entity), found, "finite, axes not parallel")
     if np.abs(matrix[:3, 3]).max() > FARTHEST:
         far = f"{float(np.abs(matrix[:3, 3]).max()):g} m from the origin"
         raise BuildingError(name, label(entity), far, f"at most {FARTHEST:g} m")
@@ -140,7 +134,8 @@ _STATUS = {
         "Elements that are to be taken down: obstacles until a person says that they are gone (`twin work removed`)"
     ),
 }
-_SPATIAL = ("IfcSpatialElement", "IfcSpatialStructureElement")
+#: What is an element only with a body.
+_WITH_BODY = ("IfcSpatialElement", "IfcSpatialStructureElement", "IfcProxy")
 
 
 @dataclass(frozen=True)
@@ -157,7 +152,10 @@ class _Found:
 def read_ifc(path: str | Path, most_bytes: int) -> BuildingModel:
     """Read a file."""
     name = Path(path).name
-    contents = _contents(path, name, most_bytes)
+    try:
+        contents = read_file(path, most_bytes)
+    except OSError as error:
+        raise BuildingError(name, "the file", error.strerror or str(error), "an IFC file that can be read") from error
     digest = hashlib.sha256(contents).hexdigest()
     notes = Notes()
     contents = for_parser(contents, name, notes)
@@ -219,21 +217,12 @@ def _in_one_piece(
     changed = in_one_piece(elements, tasks, factory)
     for name, element in changed.items():
         if element.bodies:
-            found.notes.add("Comes in one piece: its parts are a body and a mass with it", element.name or name, name)
+            about = element.name or name
+            found.notes.add("Comes in one piece: its parts are a body and a mass with it", about, name)
             if element.mass is None:
-                found.notes.add(
-                    "Comes in one piece with something whose mass is not known: its mass is not known either",
-                    element.name or name,
-                    name,
-                )
+                said = "Comes in one piece with something whose mass is not known: its mass is not known either"
+                found.notes.add(said, about, name)
     return changed
-
-
-def _contents(path: str | Path, name: str, most_bytes: int) -> bytes:
-    try:
-        return read_file(path, most_bytes)
-    except OSError as error:
-        raise BuildingError(name, "the file", error.strerror or str(error), "an IFC file that can be read") from error
 
 
 def _open(contents: bytes, name: str) -> ifcopenshell.file:
@@ -263,10 +252,9 @@ def _note_map(file: ifcopenshell.file, found: _Found) -> None:
         with Where(found.name, conversion):
             shift = [conversion.Eastings, conversion.Northings, conversion.OrthogonalHeight]
             turned = (conversion.XAxisOrdinate or 0.0) != 0.0
-        shown = ", ".join(f"{value:.3f}" for value in shift)
+        shown = ", ".join(f"{value:.3f}" for value in shift) + ", turned" * turned
         found.notes.add(
-            f"The map conversion (eastings, northings, height {shown}{', turned' * turned}) is left out: poses are the "
-            "model's own"
+            f"The map conversion (eastings, northings, height {shown}) is left out: poses are the model's own"
         )
 
 
@@ -280,11 +268,9 @@ def _note_origin(file: ifcopenshell.file, found: _Found) -> None:
             matrix = np.array(ifcopenshell.util.placement.get_axis2placement(system), dtype=float)
         if not np.allclose(matrix, np.eye(4), atol=1e-9):
             shift = ", ".join(f"{value * found.units.length:.3f}" for value in matrix[:3, 3])
-            turned = not np.allclose(matrix[:3, :3], np.eye(3), atol=1e-9)
-            found.notes.add(
-                f"The world coordinate system of the model's context ({shift} m{', turned' * turned}) is left out: "
-                "poses are those of the placements"
-            )
+            turned = ", turned" * (not np.allclose(matrix[:3, :3], np.eye(3), atol=1e-9))
+            said = f"The world coordinate system of the model's context ({shift} m{turned}) is left out"
+            found.notes.add(f"{said}: poses are those of the placements")
 
 
 def _elements(file: ifcopenshell.file, found: _Found) -> tuple[dict[str, Element], dict[int, str]]:
@@ -303,10 +289,7 @@ def _elements(file: ifcopenshell.file, found: _Found) -> tuple[dict[str, Element
             except Misread as error:
                 # it stands nobody knows where
                 matrices[product.id()] = None
-                found.doubts.everything = (
-                    "the reader of the file says, of what holds for all elements or for nobody knows which: "
-                    f"{str(error)}"
-                )
+                found.doubts.everything = f"{ABOUT_ALL}: {error}"
             if (body := body_of(product)) is not None:
                 bodies[product.id()] = body
                 _note_more(product, body, ids[product.id()], found.notes)
@@ -333,13 +316,11 @@ def _elements(file: ifcopenshell.file, found: _Found) -> tuple[dict[str, Element
         elements = {one: replace(each, doubt=each.doubt or found.doubts.everything) for one, each in elements.items()}
     for one, element in elements.items():
         if element.doubt:
-            found.notes.add(
-                f"THE BODY IS DOUBTFUL: {element.doubt}, the arm does not place it", element.name or one, one
-            )
+            said = f"THE BODY IS DOUBTFUL: {element.doubt}, the arm does not place it"
+            found.notes.add(said, element.name or one, one)
     _hand_down_status(elements, found.notes)
-    return _without_doubles(elements, found.notes), {
-        entity: element for entity, element in ids.items() if element in elements
-    }
+    _leave_out_doubles(elements, found.notes)
+    return elements, {entity: element for entity, element in ids.items() if element in elements}
 
 
 def _note_more(
@@ -353,11 +334,7 @@ def _note_more(
         if (each.RepresentationIdentifier, each.ContextOfItems) == (body.RepresentationIdentifier, body.ContextOfItems)
     ]
     if len(same) > 1:
-        notes.add(
-            f"Elements with {len(same)} bodies of one kind, of which the first is taken and the others are not",
-            about,
-            element_id,
-        )
+        notes.add(f"Elements with {len(same)} bodies of one kind, of which only the first is taken", about, element_id)
     voids = getattr(product, "HasOpenings", None) or ()
     if any(body_of(relation.RelatedOpeningElement) is None for relation in voids):
         notes.add("Openings without a body are not cut out", about, element_id)
@@ -367,15 +344,8 @@ def _take_kernel_log(found: _Found) -> None:
     """Note what the kernel said of shapes, and doubt those that it said it of."""
     for entry in entries(ifcopenshell.get_log()):
         if entry.code in NO_UNIT_CODES:
-            raise BuildingError(
-                found.name,
-                "units of the project",
-                entry.text,
-                (
-                    "one project whose unit of length the geometry kernel can read: of the SI, or converted to "
-                    "that in one step"
-                ),
-            )
+            expected = "a unit of length that the geometry kernel can read: of the SI, or converted to that in one step"
+            raise BuildingError(found.name, "units of the project", entry.text, expected)
         found.doubts.take_kernel(entry)
         found.notes.add(f"The geometry kernel says: {entry.text}", entry.about)
 
@@ -385,24 +355,14 @@ def _products(file: ifcopenshell.file, found: _Found) -> list[ifcopenshell.entit
     # by_type gives one class after the other, and numbers are the file's order
     for product in sorted(file.by_type("IfcProduct"), key=lambda product: product.id()):
         with Where(found.name, product):
-            if any(_is(product, kind) for kind in _NOT_THERE):
+            if any(product.is_a(kind) for kind in _NOT_THERE):
                 continue
-            spatial = any(_is(product, kind) for kind in _SPATIAL)
-            if _is(product, "IfcElement") or ((spatial or _is(product, "IfcProxy")) and body_of(product) is not None):
+            has_body = any(product.is_a(kind) for kind in _WITH_BODY) and body_of(product) is not None
+            if product.is_a("IfcElement") or has_body:
                 products.append(product)
     if len(products) > MOST_ELEMENTS:
-        raise BuildingError(
-            found.name,
-            "elements",
-            str(len(products)),
-            f"at most {MOST_ELEMENTS}",
-        )
+        raise BuildingError(found.name, "elements", str(len(products)), f"at most {MOST_ELEMENTS}")
     return products
-
-
-def _is(product: ifcopenshell.entity_instance, kind: str) -> bool:
-    # a class that the schema does not know is none of its entities'
-    return bool(product.is_a(kind))
 
 
 def _element(
@@ -416,12 +376,10 @@ def _element(
     bodies: tuple[Body, ...] = ()
     if matrix is None:
         if shape is None or shape.model_T_shape is None:
-            found.notes.add("Placed on a grid or an alignment, without a body: left out", element_id)
+            said = "Placed on a grid or an alignment, without a body: left out"
+            found.notes.add(said, element_id)
             if shape is not None:
-                found.doubts.everything = (
-                    "the reader of the file says, of what holds for all elements or for nobody knows which: "
-                    "Placed on a grid or an alignment, without a body: left out"
-                )
+                found.doubts.everything = f"{ABOUT_ALL}: {said}"
             return None
         matrix = shape.model_T_shape
         check_rigid(found.name, product, matrix)
@@ -429,17 +387,14 @@ def _element(
     if shape is not None:
         bodies = _in_frame(shape, matrix)
         if product.ObjectPlacement is None:
-            found.notes.add(
-                "HAS A BODY AND NO PLACEMENT: where it is nobody says, taken at the model's origin",
-                product.Name or element_id,
-                element_id,
-            )
+            said = "HAS A BODY AND NO PLACEMENT: where it is nobody says, taken at the model's origin"
+            found.notes.add(said, product.Name or element_id, element_id)
     doubt = "" if shape is None else shape.doubt
     if not doubt and (unknown := found.doubts.shapes.get(product.id())):
         # it can have a body that nobody knows
         doubt = found.doubts.everything = unknown
     wholes = (product, *found.relations.wholes(product))
-    doubt = doubt or next((said for each in wholes if (said := found.doubts.related.get(each.id()))), "")
+    doubt = doubt or next((why for each in wholes if (why := found.doubts.related.get(each.id()))), "")
     properties = read_properties(product, element_id, found.units, found.notes)
     material = read_material(product, element_id, found.notes)
     kind = ifcopenshell.util.element.get_type(product)
@@ -491,8 +446,8 @@ def _hand_down_status(elements: dict[str, Element], notes: Notes) -> None:
             notes.add(_STATUS[status], element.name or name, name)
 
 
-def _without_doubles(elements: dict[str, Element], notes: Notes) -> dict[str, Element]:
-    """An element whose parts fill it has their bodies and none of its own: it would stand where they are to be placed."""
+def _leave_out_doubles(elements: dict[str, Element], notes: Notes) -> None:
+    """Take the body of an element whose parts fill it: it would stand where they are to be placed."""
     filled: dict[str, float] = {}
     for element in elements.values():
         if element.assembly:
@@ -502,7 +457,6 @@ def _without_doubles(elements: dict[str, Element], notes: Notes) -> dict[str, El
         if own > 0 and parts >= own / 2:
             notes.add("Has a body and parts that fill it; only the parts' bodies are taken", whole)
             elements[whole] = replace(elements[whole], bodies=())
-    return elements
 
 
 def _volume(element: Element) -> float:

@@ -45,11 +45,7 @@ class Bounds:
     wall: float = 1800.0
 
 
-def read_building(
-    path: str | Path,
-    cache: str | Path | None = None,
-    bounds: Bounds | None = None,
-) -> BuildingModel:
+def read_building(path: str | Path, cache: str | Path | None = None, bounds: Bounds = Bounds()) -> BuildingModel:
     """Read an IFC file.
 
     Args:
@@ -59,8 +55,16 @@ def read_building(
         BuildingError: One sentence: what is wrong with the file, or which bound its reading went over.
         ConfigurationError: If ifcopenshell is not installed, or the cache cannot be written.
     """
-    path, bounds = Path(path), bounds or Bounds()
-    digest = _digest(path, bounds)
+    path = Path(path)
+    try:
+        contents = read_file(path, bounds.file_bytes)
+    except OSError as error:
+        found = error.strerror or str(error)
+        raise BuildingError(path.name, "the file", found, "an IFC file that can be read") from error
+    check_form(contents, path.name)
+    digest = hashlib.sha256(contents).hexdigest()
+    # it can be large
+    del contents
     if cache is None:
         with tempfile.TemporaryDirectory() as folder:
             return _read(path, digest, Path(folder) / "model.npz", bounds)
@@ -80,17 +84,6 @@ def read_building(
     except OSError as error:
         raise ConfigurationError(str(kept.parent), error.strerror or str(error), "a folder for the cache") from error
     return model
-
-
-def _digest(path: Path, bounds: Bounds) -> str:
-    try:
-        contents = read_file(path, bounds.file_bytes)
-    except OSError as error:
-        raise BuildingError(
-            path.name, "the file", error.strerror or str(error), "an IFC file that can be read"
-        ) from error
-    check_form(contents, path.name)
-    return hashlib.sha256(contents).hexdigest()
 
 
 def _read(path: Path, digest: str, output: Path, bounds: Bounds) -> BuildingModel:
@@ -126,10 +119,8 @@ def _run(path: Path, digest: str, output: Path, bounds: Bounds) -> None:
     if error is not None:
         raise BuildingError(path.name, *error)
     if code != 0 or not output.exists():
-        how = _how_it_ended(code, bounds)
-        raise BuildingError(
-            path.name, "the process that read the file", how, "a file that can be read within its bounds"
-        )
+        what, expected = "the process that read the file", "a file that can be read within its bounds"
+        raise BuildingError(path.name, what, _how_it_ended(code, bounds), expected)
 
 
 def _error(path: Path) -> tuple[str, str, str] | None:

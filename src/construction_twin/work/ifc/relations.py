@@ -123,12 +123,7 @@ def _refuse_loops(file: ifcopenshell.file, name: str, whole: dict[int, ifcopensh
             if at in seen:
                 loop = list(seen)[list(seen).index(at) :]
                 shown = " in ".join(label(file.by_id(each)) for each in loop[:4])
-                raise BuildingError(
-                    name,
-                    label(file.by_id(at)),
-                    f"part of itself ({shown} ...)",
-                    "no loop of parts",
-                )
+                raise BuildingError(name, label(file.by_id(at)), f"part of itself ({shown} ...)", "no loop of parts")
             seen[at] = None
             parent = whole.get(at)
             at = None if parent is None else parent.id()

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
+from functools import partial
 
 import ifcopenshell
 import ifcopenshell.util.date
@@ -27,6 +28,8 @@ from construction_twin.work.ifc.units import Units
 from construction_twin.work.recipe import PROPERTY_SET, RECIPE
 
 _NO_TIME = "The project has no unit of time: a lag or duration that is a number is taken as seconds"
+#: Adds a note on one task or order.
+_Note = Callable[[str], None]
 #: A ratio above this is counted in percent: nobody waits ten times as long as something took.
 _MOST_RATIO = 10.0
 #: Dates of a task, the first that is said counts.
@@ -104,18 +107,9 @@ class Groups:
 
 
 def read_tasks(
-    file: ifcopenshell.file,
-    name: str,
-    groups: Groups,
-    given: Collection[str],
-    units: Units,
-    notes: Notes,
+    file: ifcopenshell.file, name: str, groups: Groups, given: Collection[str], units: Units, notes: Notes
 ) -> tuple[dict[str, Task], tuple[Sequence, ...]]:
-    """Read tasks and sequences.
-
-    Args:
-        given: Ids of elements that a task builds where it has them as inputs only.
-    """
+    """Read tasks and sequences; `given`: ids of elements that a task builds where it has them as inputs only."""
     assigned = _assigned(file, name, notes)
     every = sorted(file.by_type("IfcTask"), key=lambda task: task.id())
     entities = _scheduled(every, assigned, notes)
@@ -126,19 +120,13 @@ def read_tasks(
             task_ids[entity.id()] = unique_id(entity, task_ids.values(), notes)
     tasks = {}
     for entity in entities:
+        about, at = entity.Name or task_ids[entity.id()], task_ids[entity.id()]
         if calendar := _calendar(entity, assigned):
-            about = entity.Name or task_ids[entity.id()]
-            notes.add(
-                (
-                    "Calendars are not read: lags and durations count around the clock, holidays and nights "
-                    f"included, of tasks of one ({calendar})"
-                ),
-                about,
-                task_ids[entity.id()],
-            )
+            said = "lags and durations count around the clock, holidays and nights included, of tasks of one"
+            notes.add(f"Calendars are not read: {said} ({calendar})", about, at)
         with Where(name, entity):
-            task = _task(entity, name, task_ids, assigned, groups, set(given), units, notes)
-            tasks[task.id] = _as_recorded(task, recorded, notes)
+            task = _task(entity, task_ids, assigned, groups, set(given), units, notes)
+            tasks[task.id] = _as_recorded(task, recorded, partial(notes.add, about=about, at=at))
     sequences = []
     for relation in file.by_type("IfcRelSequence") if tasks else ():
         with Where(name, relation):
@@ -241,13 +229,7 @@ def _scheduled(
     kept = [key for key, (_, kind) in schedules.items() if kind not in _OTHER_SCHEDULES] or list(schedules)
     for key in schedules.keys() - set(kept):
         name, kind = schedules[key]
-        notes.add(
-            (
-                f"Schedules of the kind {kind}, left out with their tasks and the orders of these because "
-                "there is another"
-            ),
-            name,
-        )
+        notes.add(f"Schedules of the kind {kind}, left out with their tasks and orders because there is another", name)
     if len(kept) > 1:
         names = ", ".join(schedules[key][0] for key in kept)
         notes.add(f"{len(kept)} schedules, whose tasks are all read: {names}")
@@ -275,11 +257,9 @@ def _recorded(
     groups: Groups,
 ) -> set[str]:
     """Return the elements that are made by completed tasks of a schedule of the kind ``ACTUAL`` that is left out."""
-    left_out = {entity.id(): entity for entity in every}
-    for entity in kept:
-        del left_out[entity.id()]
+    kept_ids = {entity.id() for entity in kept}
     found: set[str] = set()
-    for entity in left_out.values():
+    for entity in (each for each in every if each.id() not in kept_ids):
         above = [*_above(entity, assigned)]
         if _schedule_kind(assigned.schedules.get(above[-1].id())) != "ACTUAL":
             continue
@@ -288,63 +268,40 @@ def _recorded(
     return found
 
 
-def _as_recorded(task: Task, recorded: set[str], notes: Notes) -> Task:
+def _as_recorded(task: Task, recorded: set[str], note: _Note) -> Task:
     """Return a task, completed where a record of what was done says so of everything that it makes."""
     made = recorded.intersection(task.products)
     if task.kind != "makes" or task.completed or not made:
         return task
     if made == set(task.products):
-        sentence = "Tasks that a schedule of the kind ACTUAL says are completed: not done again, what they made stands"
-        notes.add(sentence, task.name or task.id, task.id)
+        note("Tasks that a schedule of the kind ACTUAL says are completed: not done again, what they made stands")
         return replace(task, completed=True)
-    notes.add(
-        (
-            "TASKS OF WHICH A SCHEDULE OF THE KIND ACTUAL SAYS THAT A PART IS DONE, taken as still to be "
-            "done; skip what stands already"
-        ),
-        task.name or task.id,
-        task.id,
-    )
+    part = "TASKS OF WHICH A SCHEDULE OF THE KIND ACTUAL SAYS THAT A PART IS DONE"
+    note(f"{part}, taken as still to be done; skip what stands already")
     return task
 
 
 def _task(
-    entity: ifcopenshell.entity_instance,
-    name: str,
-    task_ids: dict[int, str],
-    assigned: _Assigned,
-    groups: Groups,
-    given: set[str],
-    units: Units,
-    notes: Notes,
-) -> Task:
+    entity: ifcopenshell.entity_instance, task_ids: dict[int, str], assigned: _Assigned, groups: Groups, given: set[str],
+    units: Units, notes: Notes,
+) -> Task:  # fmt: skip
     task_id = task_ids[entity.id()]
-    shown = entity.Name or task_id
-    products = _elements(assigned.products[entity.id()], groups, shown, task_id, notes)
-    inputs = _elements(assigned.inputs[entity.id()], groups, shown, task_id, notes)
-    cancelled = _is_cancelled(entity, assigned)
+    note = partial(notes.add, about=entity.Name or task_id, at=task_id)
+    products = _elements(assigned.products[entity.id()], groups, note)
+    inputs = _elements(assigned.inputs[entity.id()], groups, note)
+    cancelled = any(_status_word(each) in _CANCELLED_WORDS for each in _above(entity, assigned))
     properties = read_properties(entity, task_id, units, notes).get(PROPERTY_SET, {})
     by_recipe = properties.get(RECIPE) is not None
-    kind = _kind(entity, assigned, task_id, shown, by_recipe, notes) if not cancelled else "other"
+    kind = "other" if cancelled else _kind(entity, assigned, by_recipe, note)
     if cancelled:
-        sentence = "Tasks that the file says are cancelled: not done, nothing waits for them but what comes before"
-        notes.add(sentence, shown, task_id)
-    if by_recipe and not products and kind == "makes":
-        products, inputs = inputs, []
-    elif (
-        not products
-        and inputs
-        and kind == "makes"
-        and (made := [each for each in inputs if each in given or each in groups.elements])
-    ):
-        notes.add(
-            "Tasks whose workpieces are assigned as inputs only (IfcRelAssignsToProcess); taken as what they make",
-            shown,
-            task_id,
-        )
+        note("Tasks that the file says are cancelled: not done, nothing waits for them but what comes before")
+    if kind == "makes" and not products:
+        made = inputs if by_recipe else [each for each in inputs if each in given or each in groups.elements]
+        if made and not by_recipe:
+            note("Tasks whose workpieces are assigned as inputs only (IfcRelAssignsToProcess); taken as what they make")
         products, inputs = made, [each for each in inputs if each not in made]
     parent = assigned.parents.get(entity.id())
-    start, duration = _times(_time_of(entity, assigned), units.time, shown, task_id, notes)
+    start, duration = _times(_time_of(entity, assigned), units.time, note)
     return Task(
         id=task_id,
         name=entity.Name or "",
@@ -357,37 +314,29 @@ def _task(
         start=start,
         duration=duration,
         kind=kind,
-        completed=not cancelled and _completed(entity, assigned, task_id, shown, notes),
+        completed=not cancelled and _completed(entity, assigned, note),
         properties=properties,
     )
 
 
-def _kind(
-    entity: ifcopenshell.entity_instance, assigned: _Assigned, task_id: str, shown: str, by_recipe: bool, notes: Notes
-) -> str:
+def _kind(entity: ifcopenshell.entity_instance, assigned: _Assigned, by_recipe: bool, note: _Note) -> str:
     """Return ``makes``, ``takes_down`` or ``other``: of the task, else of its type, else of what it nests in.
 
     A task that names its recipe (`by_recipe`) is the arm's, whatever else its kind says than that it takes down.
     """
-    said = ""
-    for each in _above(entity, assigned):
-        said = _said_kind(each)
-        if said:
-            break
-    shown_kind = said if said and said == _said_kind(entity) else f"{said} (said of what they nest in)"
+    said = next(filter(None, map(_said_kind, _above(entity, assigned))), "")
+    shown = said if said and said == _said_kind(entity) else f"{said} (said of what they nest in)"
     if said in _TAKES_DOWN or any(word in said.casefold() for word in _TAKES_DOWN_WORDS):
-        notes.add(
-            f"Tasks of the kind {shown_kind}: the arm takes nothing down, a person says when it is gone", shown, task_id
-        )
+        note(f"Tasks of the kind {shown}: the arm takes nothing down, a person says when it is gone")
         return "takes_down"
     if by_recipe:
         return "makes"
     if said and said not in _MAKES:
-        notes.add(f"Tasks of the kind {shown_kind}, which places nothing; kept for the order", shown, task_id)
+        note(f"Tasks of the kind {shown}, which places nothing; kept for the order")
         return "other"
     own = _own_word(entity)
     if own and own.upper() not in _MAKES:
-        notes.add(f"Tasks of a kind of their own ({own!r}), taken as placing", shown, task_id)
+        note(f"Tasks of a kind of their own ({own!r}), taken as placing")
     return "makes"
 
 
@@ -433,11 +382,6 @@ def _status_word(entity: ifcopenshell.entity_instance) -> str:
     return "".join(each for each in (entity.Status or "").upper() if each.isalnum() or each in "?%")
 
 
-def _is_cancelled(entity: ifcopenshell.entity_instance, assigned: _Assigned) -> bool:
-    """Return whether the file says of a task, or of what it nests in, that it is not to be done any more."""
-    return any(_status_word(each) in _CANCELLED_WORDS for each in _above(entity, assigned))
-
-
 def _time_of(entity: ifcopenshell.entity_instance, assigned: _Assigned) -> ifcopenshell.entity_instance | None:
     """Return the times of a task; those of IFC2x3 are a control's."""
     return assigned.times.get(entity.id()) or getattr(entity, "TaskTime", None)
@@ -453,91 +397,60 @@ def _says_completed(entity: ifcopenshell.entity_instance, assigned: _Assigned) -
     )
 
 
-def _completed(
-    entity: ifcopenshell.entity_instance, assigned: _Assigned, task_id: str, shown: str, notes: Notes
-) -> bool:
+def _completed(entity: ifcopenshell.entity_instance, assigned: _Assigned, note: _Note) -> bool:
     """Return whether the file says that a task is done; one that is under way, or says both, is noted."""
     time, status = _time_of(entity, assigned), _status_word(entity)
     if _says_completed(entity, assigned):
-        sentence = "Tasks that the file says are completed: not done again, what they made stands"
-        notes.add(sentence, shown, task_id)
+        note("Tasks that the file says are completed: not done again, what they made stands")
         if status and status not in _DONE_WORDS:
-            notes.add(
-                f"Tasks with the status {entity.Status!r} whose times say that they are completed", shown, task_id
-            )
+            note(f"Tasks with the status {entity.Status!r} whose times say that they are completed")
         return True
     begun = getattr(time, "ActualStart", None) is not None or (_completion(time) or 0.0) > 0.0
     said = f"status {entity.Status!r}" if status else "a start or a part that is done"
     whole = next((each for each in _above(entity, assigned) if _says_completed(each, assigned)), None)
     if whole is not None:
         because = f"what they nest in ({whole.Name or whole.GlobalId}) is"
-        if status or begun:
-            notes.add(
-                (
-                    f"TASKS THAT MAY NOT BE COMPLETED ({said}), taken as completed because {because}: what they "
-                    "make counts as standing"
-                ),
-                shown,
-                task_id,
-            )
-        else:
-            notes.add(f"Tasks taken as completed because {because}: what they made stands", shown, task_id)
-        return False
-    if begun or (status and status not in _NOT_BEGUN_WORDS):
-        notes.add(
-            (
-                f"TASKS THAT MAY HAVE BEGUN ({said}), taken as still to be done; if what they make stands "
-                "already, skip them"
-            ),
-            shown,
-            task_id,
-        )
+        doubt = f"TASKS THAT MAY NOT BE COMPLETED ({said}), taken" if status or begun else "Tasks taken"
+        note(f"{doubt} as completed because {because}: what they make counts as standing")
+    elif begun or (status and status not in _NOT_BEGUN_WORDS):
+        note(f"TASKS THAT MAY HAVE BEGUN ({said}), taken as still to be done; if what they make stands, skip them")
     return False
 
 
-def _elements(
-    entities: list[ifcopenshell.entity_instance], groups: Groups, task: str, at: str, notes: Notes
-) -> list[str]:
+def _elements(entities: list[ifcopenshell.entity_instance], groups: Groups, note: _Note) -> list[str]:
     found: dict[str, None] = {}
     for entity in entities:
         if own := groups.named(entity):
             found[own] = None
         else:
-            notes.add(f"Assigned to a task but no element ({entity.is_a()}); left out", task, at)
+            note(f"Assigned to a task but no element ({entity.is_a()}); left out")
     return list(found)
 
 
-def _times(
-    time: ifcopenshell.entity_instance | None,
-    time_unit: float | None,
-    task: str,
-    task_id: str,
-    notes: Notes,
-) -> tuple[str, float | None]:
+def _times(time: ifcopenshell.entity_instance | None, time_unit: float | None, note: _Note) -> tuple[str, float | None]:
     if time is None:
         return "", None
-    starts = (_moment(getattr(time, f"{said}Start"), task, task_id, notes) for said in _DATES)
-    start = next(filter(None, starts), "")
+    start = next(filter(None, (_moment(getattr(time, f"{said}Start"), note) for said in _DATES)), "")
     if start and time.ScheduleStart is None:
-        notes.add("No scheduled start: the early one is taken, or else the late one", task, task_id)
+        note("No scheduled start: the early one is taken, or else the late one")
     given = time.ScheduleDuration
     if isinstance(given, str):
-        return start, _seconds(given, task, (task_id,), notes)
+        return start, _seconds(given, note)
     if given and time_unit is None:
-        notes.add(_NO_TIME, task, task_id)
+        note(_NO_TIME)
     return start, None if given is None else given * (time_unit or 1.0)
 
 
-def _moment(value: str | ifcopenshell.entity_instance | None, task: str, task_id: str, notes: Notes) -> str:
+def _moment(value: str | ifcopenshell.entity_instance | None, note: _Note) -> str:
     if value is None:
         return ""
     try:
-        with Where("", task):
+        with Where("", "a time"):
             if isinstance(value, str):
                 return str(ifcopenshell.util.date.ifc2datetime(value).isoformat())  # type: ignore[union-attr]
             return _date_and_time(value).isoformat()
     except BuildingError:
-        notes.add("A time that is no date is left out", task, task_id)
+        note("A time that is no date is left out")
         return ""
 
 
@@ -552,25 +465,17 @@ def _date_and_time(value: ifcopenshell.entity_instance) -> datetime:
     return datetime(date.YearComponent, date.MonthComponent, date.DayComponent, *clock)
 
 
-def _seconds(value: str, about: str, at: Iterable[str], notes: Notes) -> float | None:
-    """Return a duration [s]; one that cannot be read is noted, also at the tasks of these ids."""
+def _seconds(value: str, note: _Note) -> float | None:
+    """Return a duration [s]; one that cannot be read is noted."""
     try:
         parsed = isodate.parse_duration(value)
     except (ValueError, TypeError, OverflowError, ArithmeticError):
-        sentence = f"{value[:40]!r} is no duration of ISO 8601, and is left out"
-    else:
-        if isinstance(parsed, timedelta):
-            return parsed.total_seconds()
-        sentence = f"A duration in years or months ({value[:40]!r}) has no length in seconds, and is left out"
-    _told(sentence, about, at, notes)
+        note(f"{value[:40]!r} is no duration of ISO 8601, and is left out")
+        return None
+    if isinstance(parsed, timedelta):
+        return parsed.total_seconds()
+    note(f"A duration in years or months ({value[:40]!r}) has no length in seconds, and is left out")
     return None
-
-
-def _told(sentence: str, about: str, at: Iterable[str], notes: Notes) -> None:
-    """Add a note on a relation, and a remark at each of the tasks that it is between."""
-    notes.add(sentence, about)
-    for task in at:
-        notes.remark(sentence, task)
 
 
 def _ends(relation: ifcopenshell.entity_instance) -> tuple[ifcopenshell.entity_instance, ...]:
@@ -612,60 +517,44 @@ def _sequence(
         return None
     process = relation.RelatingProcess
     if not process.is_a("IfcTask"):
-        notes.add(
-            (
-                f"Comes after what the arm does not see happen ({process.is_a()}): only what is before that "
-                "is waited for"
-            ),
-            process.Name or before,
-            after,
+        said = (
+            f"Comes after what the arm does not see happen ({process.is_a()}): only what is before that is waited for"
         )
+        notes.add(said, process.Name or before, after)
+
+    def note(sentence: str) -> None:
+        """Add a note on the relation, and a remark at each of the tasks that it is between."""
+        notes.add(sentence, label(relation))
+        notes.remark(sentence, before)
+        notes.remark(sentence, after)
+
     kind = relation.SequenceType
     if kind not in _KINDS:
-        sentence = "Orders without one of the four kinds, taken as finish to start"
-        _told(sentence, label(relation), (before, after), notes)
+        note("Orders without one of the four kinds, taken as finish to start")
         kind = _KINDS[0]
-    return Sequence(before, after, kind, _lag(relation, tasks[before], after, time_unit, notes))
+    return Sequence(before, after, kind, _lag(relation.TimeLag, tasks[before], time_unit, note))
 
 
-def _lag(
-    relation: ifcopenshell.entity_instance, before: Task, after: str, time_unit: float | None, notes: Notes
-) -> float:
-    lag = relation.TimeLag
+def _lag(lag: ifcopenshell.entity_instance | float | None, before: Task, time_unit: float | None, note: _Note) -> float:
     if lag is None:
         return 0.0
-    about, at = label(relation), (before.id, after)
     if isinstance(lag, (int, float)):
         seconds: float | None = lag * (time_unit or 1.0)
         if lag and time_unit is None:
-            _told(_NO_TIME, about, at, notes)
+            note(_NO_TIME)
     else:
         value = lag.LagValue
-        if value.is_a("IfcRatioMeasure"):
-            if before.duration is None:
-                _told("A lag that is a part of a duration that is not known is left out", about, at, notes)
-                return 0.0
-            percent = value.wrappedValue > _MOST_RATIO
-            seconds = value.wrappedValue * before.duration / (100.0 if percent else 1.0)
-            _told(
-                (
-                    "A lag that is more than ten times the duration of the task before is taken as percent of it"
-                    if percent
-                    else "A lag that is a part of the duration of the task before"
-                ),
-                about,
-                at,
-                notes,
-            )
+        if not value.is_a("IfcRatioMeasure"):
+            seconds = _seconds(value.wrappedValue, note)
+        elif before.duration is None:
+            note("A lag that is a part of a duration that is not known is left out")
+            return 0.0
+        elif value.wrappedValue > _MOST_RATIO:
+            note("A lag that is more than ten times the duration of the task before is taken as percent of it")
+            seconds = value.wrappedValue * before.duration / 100.0
         else:
-            seconds = _seconds(value.wrappedValue, about, at, notes)
+            note("A lag that is a part of the duration of the task before")
+            seconds = value.wrappedValue * before.duration
         if lag.DurationType == "WORKTIME" and seconds:
-            _told(
-                "A lag in working time is waited for around the clock (no calendar is read)",
-                about,
-                at,
-                notes,
-            )
-    if seconds is None or not math.isfinite(seconds):
-        return 0.0
-    return float(seconds)
+            note("A lag in working time is waited for around the clock (no calendar is read)")
+    return float(seconds) if seconds is not None and math.isfinite(seconds) else 0.0

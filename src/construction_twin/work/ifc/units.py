@@ -13,13 +13,16 @@ from construction_twin.work.ifc.notes import Notes, Where
 
 #: Metres per length unit that a building may be drawn in, with much room.
 _SMALLEST, _LARGEST = 1e-7, 1e5
-_LENGTH = {"IfcLengthMeasure", "IfcPositiveLengthMeasure", "IfcNonNegativeLengthMeasure", "IfcQuantityLength"}
-_AREA = {"IfcAreaMeasure", "IfcQuantityArea"}
-_VOLUME = {"IfcVolumeMeasure", "IfcQuantityVolume"}
-_MASS = {"IfcMassMeasure", "IfcQuantityWeight"}
-_ANGLE = {"IfcPlaneAngleMeasure", "IfcPositivePlaneAngleMeasure"}
-_TIME = {"IfcTimeMeasure", "IfcQuantityTime"}
-_DENSITY = {"IfcMassDensityMeasure"}
+#: Which of `Units` holds for a measure or quantity.
+_FACTORS = {
+    "length": ("IfcLengthMeasure", "IfcPositiveLengthMeasure", "IfcNonNegativeLengthMeasure", "IfcQuantityLength"),
+    "area": ("IfcAreaMeasure", "IfcQuantityArea"),
+    "volume": ("IfcVolumeMeasure", "IfcQuantityVolume"),
+    "mass": ("IfcMassMeasure", "IfcQuantityWeight"),
+    "angle": ("IfcPlaneAngleMeasure", "IfcPositivePlaneAngleMeasure"),
+    "time": ("IfcTimeMeasure", "IfcQuantityTime"),
+    "density": ("IfcMassDensityMeasure",),
+}
 #: Powers of the prefix of an SI unit whose name has one.
 _POWERS = {"SQUARE_METRE": 2, "CUBIC_METRE": 3}
 #: Kinds of units of quantities of weight and the like, whose own unit must be of their kind.
@@ -52,43 +55,27 @@ class Units:
 
     def factor(self, measure: str) -> float:
         """Return SI units per unit of a measure or quantity of the schema; 1 for what has no unit or one that is not converted."""
-        for factor, measures in (
-            (self.length, _LENGTH),
-            (self.area, _AREA),
-            (self.volume, _VOLUME),
-            (self.mass, _MASS),
-            (self.angle, _ANGLE),
-            (1.0 if self.time is None else self.time, _TIME),
-            (1.0 if self.density is None else self.density, _DENSITY),
-        ):
-            if measure in measures:
-                return factor
-        return 1.0
+        name = next((name for name, measures in _FACTORS.items() if measure in measures), "")
+        factor = getattr(self, name) if name else None
+        return 1.0 if factor is None else factor
 
 
 def read_units(file: ifcopenshell.file, name: str, notes: Notes) -> Units:
     """Read the project's units."""
     projects = file.by_type("IfcProject")
-    if not projects:
-        raise BuildingError(name, "IFCPROJECT", "none", "a project, which says in which units the model is")
-    if len(projects) > 1:
-        raise BuildingError(
-            name, "IFCPROJECT", str(len(projects)), "one project, which says in which units the model is"
-        )
+    if len(projects) != 1:
+        found = str(len(projects) or "none")
+        raise BuildingError(name, "IFCPROJECT", found, "one project, which says in which units the model is")
     with Where(name, projects[0]):
         assignment = projects[0].UnitsInContext
         given = [getattr(unit, "UnitType", None) for unit in assignment.Units] if assignment else []
-    if "LENGTHUNIT" not in given:
-        raise BuildingError(
-            name, "units of the project", "no length unit", "one, or no length of the model has a meaning"
-        )
-    if given.count("LENGTHUNIT") > 1:
-        raise BuildingError(name, "units of the project", "several length units", "one")
+    if given.count("LENGTHUNIT") != 1:
+        found = "several length units" if "LENGTHUNIT" in given else "no length unit"
+        raise BuildingError(name, "units of the project", found, "one, or no length of the model has a meaning")
     length = _scale(file, name, "LENGTHUNIT")
     if not _SMALLEST <= length <= _LARGEST:
-        raise BuildingError(
-            name, "length unit of the project", f"{length:g} m", "a unit of length that buildings are drawn in"
-        )
+        expected = "a unit of length that buildings are drawn in"
+        raise BuildingError(name, "length unit of the project", f"{length:g} m", expected)
     if "PLANEANGLEUNIT" not in given:
         notes.add("The project has no unit of angles; radians are assumed")
     return Units(

@@ -6,18 +6,18 @@ Metres; poses in the robot's base_link. Each scene allows exactly the contacts t
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from construction_twin.core.errors import ConfigurationError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.tool import ToolFile
 from construction_twin.scene.objects import Scene, SceneObject, product
-from construction_twin.work.contacts import TOOL, Shapes, changed, straight, tool_objects, touching
-from construction_twin.work.jobs import WorkJob
+from construction_twin.scene.scene_change import SceneChange
+from construction_twin.work.contacts import TOOL, Shapes, straight, tool_objects
 from construction_twin.work.place.grips import AXES, Grip
 from construction_twin.work.place.recipe import Direction, PlaceRecipe
+from construction_twin.work.process import WorkJob
 from construction_twin.work.site import inverse, pose_of
 
 
@@ -84,21 +84,13 @@ def direction(asked: Direction, base_T_element: Pose) -> np.ndarray:
         return np.array([0.0, 0.0, 1.0])
     if isinstance(asked, str):
         return base_T_element.rotation @ np.array(AXES[asked], dtype=float)
-    vector = np.array(asked, dtype=float)
-    length = float(np.linalg.norm(vector))
-    if length == 0.0:
-        raise ConfigurationError("direction of a recipe", asked, "a vector that is not zero")
-    return vector / length
+    return np.array(asked) / np.linalg.norm(asked)
 
 
 def scenes(
     scene: Scene, job: WorkJob, recipe: PlaceRecipe, tool: ToolFile, link: str, at: Ways, shapes: Shapes
 ) -> Scenes:
-    """Return the scene of each part of a task.
-
-    Args:
-        scene: The present one: with the tool's shapes and the element in stock.
-    """
+    """Return the scene of each part of a task; `scene`: the present one, with the tool's shapes and the element in stock."""
     bare = tool_objects(tool, link)
     own = {item.name for item in job.bodies}
     supports = [item for item in scene.objects if item.name in job.supports and item.name not in own and not item.link]
@@ -121,19 +113,22 @@ def scenes(
                 names += sorted(own)
             if shape in recipe.grips.beside:
                 names += list(beside_names)
-            items.append(touching(item, names))
+            items.append(replace(item, touch=(*item.touch, *names)))
         return items
 
     def carried(names: Iterable[str]) -> list[SceneObject]:
         return [body.moved(item.pose, link, names) for body, item in zip(job.bodies, held)]
 
     placed = [item.moved(product(job.base_T_goal, item.pose)) for item in job.bodies]
-    approach = changed(scene, tools(stock_tool, True))
-    lift = changed(scene, [*tools(stock_tool, False), *carried(stock_held)])
-    carry = changed(scene, [*bare, *carried(())])
-    set_down = changed(scene, [*tools(goal_tool, False), *carried(goal_held)])
-    retreat = changed(scene, [*tools(goal_tool, True), *placed])
-    return Scenes(scene, approach, lift, carry, set_down, retreat, changed(scene, [*bare, *placed]))
+    after = (
+        tools(stock_tool, True),
+        [*tools(stock_tool, False), *carried(stock_held)],
+        [*bare, *carried(())],
+        [*tools(goal_tool, False), *carried(goal_held)],
+        [*tools(goal_tool, True), *placed],
+        [*bare, *placed],
+    )
+    return Scenes(scene, *(SceneChange(tuple(items)).apply(scene) for items in after))
 
 
 def _moved(pose: Pose, by: np.ndarray) -> Pose:

@@ -17,15 +17,14 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.trajectory import Trajectory
-from construction_twin.scene.objects import Scene, product
+from construction_twin.scene.objects import product
 from construction_twin.work.contacts import FALL
 from construction_twin.work.convex_bodies import Pieces
-from construction_twin.work.jobs import TaskMotions
 from construction_twin.work.motions import Failed, Free, PlanBuilder, Search
 from construction_twin.work.place.grips import Grip, find_grips
 from construction_twin.work.place.phases import Scenes, Ways, direction, scenes, ways
-from construction_twin.work.place.recipe import PlaceRecipe, mass_of
-from construction_twin.work.process import REACH
+from construction_twin.work.place.recipe import OVERRIDES, PlaceRecipe, check_tool, mass_of
+from construction_twin.work.process import REACH, Process, TaskMotions
 from construction_twin.work.site import inverse, pose_of
 
 #: Names of the segments of a plan, in their order.
@@ -46,18 +45,27 @@ def check(search: Search) -> None:
     job = search.job
     mass_of(job, search.name, search.recipe, search.tool.tool)
     if job.base_T_stock is None:
-        raise TaskPlanningError(job.task, Sentence("{element} has no place in stock", element=job.called))
-    if search.held is None:
-        _check_stock(search)
+        raise TaskPlanningError(job.task, f"{job.called} has no place in stock")
+    present = {item.name: item for item in search.scene.objects}
+    if search.held is not None:
+        for item in job.bodies:
+            if item.name not in present or not present[item.name].link:
+                raise TaskPlanningError(job.task, f"{item.name} is not carried in the scene; expected it in the grip")
+        if falls := _falls(search):
+            raise TaskPlanningError(job.task, falls, SET_DOWN)
         return
-    carried = {item.name for item in search.scene.objects if item.link}
+    if not job.bodies:
+        raise TaskPlanningError(job.task, f"element {job.element.id} has no bodies; it cannot be gripped")
     for item in job.bodies:
-        if item.name not in carried:
-            raise TaskPlanningError(
-                job.task, Sentence("{body} is not carried in the scene; expected it in the grip", body=item.name)
-            )
-    if falls := _falls(search):
-        raise TaskPlanningError(job.task, falls, SET_DOWN)
+        found = present.get(item.name)
+        if found is None:
+            raise TaskPlanningError(job.task, f"{item.name} is not in the scene; the element has to be in stock")
+        if found.link:
+            raise TaskPlanningError(job.task, f"{item.name} is carried by {found.link}; expected in stock")
+        away = float(np.linalg.norm(product(job.base_T_stock, item.pose).position - found.pose.position))
+        if away > _ELSEWHERE:
+            where = f"{1e3 * away:.1f} mm from its place in stock"
+            raise TaskPlanningError(job.task, f"{item.name} is {where}; expected in stock")
 
 
 def plan(search: Search) -> TaskMotions:
@@ -79,29 +87,26 @@ def _whole(search: Search) -> TaskMotions:
     except SceneError as error:
         raise TaskPlanningError(job.task, str(error), GRIP) from error
     if not grips.grips:
-        raise TaskPlanningError(
-            job.task,
-            Sentence("recipe {recipe} finds no grip: {reason}", recipe=repr(search.name), reason=grips.reason),
-            GRIP,
-        )
-    furthest = Failed(GRIP, "", Sentence("no grip"))
+        raise TaskPlanningError(job.task, f"recipe {search.name!r} finds no grip: {grips.reason}", GRIP)
+    furthest: Failed | None = None
     for tried, grip in enumerate(grips.grips):
-        if tried and search.late:
-            reason = Sentence(
+        if furthest is not None and search.late:
+            furthest.reason = Sentence(
                 "{reason} ({tried} of {count} grips tried in {seconds:g} s)",
                 reason=furthest.reason,
                 tried=tried,
                 count=len(grips.grips),
                 seconds=search.limits.budget,
             )
-            furthest = Failed(furthest.stage, furthest.method, reason)
             break
         try:
             return _with_grip(search, grip)
         except Failed as failed:
-            furthest = max(furthest, failed, key=_rank)
+            failed.method = grip.name
+            furthest = _further(furthest, failed)
             if failed.hopeless:
                 break
+    assert furthest is not None
     raise furthest
 
 
@@ -118,40 +123,10 @@ def _rest(search: Search, tool0_T_element: Pose) -> TaskMotions:
         try:
             return _OneWay(search, grip, at, there).plan_carried()
         except Failed as failed:
+            failed.method = grip.name
             furthest = _further(furthest, failed)
     assert furthest is not None
     raise furthest
-
-
-def _check_stock(search: Search) -> None:
-    """Refuse a scene that is not that of a task's start: the element in its stock."""
-    job = search.job
-    assert job.base_T_stock is not None
-    present = {item.name: item for item in search.scene.objects}
-    if not job.bodies:
-        raise TaskPlanningError(
-            job.task, Sentence("element {element} has no bodies; it cannot be gripped", element=job.element.id)
-        )
-    for item in job.bodies:
-        found = present.get(item.name)
-        if found is None:
-            raise TaskPlanningError(
-                job.task, Sentence("{body} is not in the scene; the element has to be in stock", body=item.name)
-            )
-        away = float(np.linalg.norm(product(job.base_T_stock, item.pose).position - found.pose.position))
-        if found.link:
-            raise TaskPlanningError(
-                job.task, Sentence("{body} is carried by {link}; expected in stock", body=item.name, link=found.link)
-            )
-        if away > _ELSEWHERE:
-            raise TaskPlanningError(
-                job.task,
-                Sentence(
-                    "{body} is {away:.1f} mm from its place in stock; expected in stock",
-                    body=item.name,
-                    away=1e3 * away,
-                ),
-            )
 
 
 def _falls(search: Search) -> str:
@@ -162,9 +137,8 @@ def _falls(search: Search) -> str:
     if recipe.place.fastened or search.shapes.holder(job.bodies, job.base_T_goal, others, np.array(job.up)):
         return ""
     return Sentence(
-        "nothing holds {element} when the tool lets go: nothing that stands is under it within "
-        "{gap:.0f} mm. If it is fastened before, by what the model does not show, say so: `fastened: "
-        "true` in the recipe's `place`, or the property CTwin_RobotTask.Fastened",
+        "nothing holds {element} when the tool lets go: nothing is under it within {gap:.0f} mm. If something else holds it "
+        "then, say so: `fastened: true` in the recipe's `place`, or the property CTwin_RobotTask.Fastened",
         element=job.element.name or job.element.id,
         gap=1e3 * FALL,
     )
@@ -184,11 +158,11 @@ def _with_grip(search: Search, grip: Grip) -> TaskMotions:
             break
         at = ways(job, grip, recipe, search.tool, leave, arrive)
         try:
-            _check_reach(at, grip, search)
+            _check_reach(at, search)
             if falls:
-                raise Failed(SET_DOWN, grip.name, falls, True)
+                raise Failed(SET_DOWN, falls, True)
             there = scenes(search.scene, job, recipe, search.tool, search.robot.tip_link, at, search.shapes)
-            _check_bodies(search, at, there, grip)
+            _check_bodies(search, at, there)
             return _OneWay(search, grip, at, there).plan()
         except Failed as failed:
             furthest = _further(furthest, failed)
@@ -198,7 +172,7 @@ def _with_grip(search: Search, grip: Grip) -> TaskMotions:
     raise furthest
 
 
-def _check_reach(at: Ways, grip: Grip, search: Search) -> None:
+def _check_reach(at: Ways, search: Search) -> None:
     def size() -> float:
         """Return how far the element reaches from its middle [m]."""
         points = Pieces(search.job.bodies).points
@@ -212,10 +186,10 @@ def _check_reach(at: Ways, grip: Grip, search: Search) -> None:
         ("above its place", at.above),
         ("after letting go", at.after),
     ):
-        search.demand_reach(pose, grip.name, where, size)
+        search.demand_reach(pose, where, size)
 
 
-def _check_bodies(search: Search, at: Ways, there: Scenes, grip: Grip) -> None:
+def _check_bodies(search: Search, at: Ways, there: Scenes) -> None:
     """Refuse what tool and element cannot do, with whatever joint solution."""
     places = (
         (APPROACH, there.fetch, at.before), (APPROACH, there.approach, at.stock), (LIFT, there.carry, at.lifted),
@@ -224,26 +198,18 @@ def _check_bodies(search: Search, at: Ways, there: Scenes, grip: Grip) -> None:
     for stage, scene, pose in places:
         found = search.shapes.obstruction(scene, pose)
         if found is not None:
-            raise Failed(
-                stage,
-                grip.name,
-                Sentence(
-                    "{first} would touch {second}, or come closer than the padding", first=found[0], second=found[1]
-                ),
-            )
+            one, other = found
+            said = Sentence("{first} would touch {second}, or come closer than the padding", first=one, second=other)
+            raise Failed(stage, said)
 
 
 def _options(directions: tuple, lengths: tuple[float, ...], base_T_element: Pose) -> list[np.ndarray]:
     return [length * direction(asked, base_T_element) for asked in directions for length in lengths]
 
 
-def _rank(failed: Failed) -> int:
-    return STAGES.index(failed.stage)
-
-
 def _further(one: Failed | None, other: Failed) -> Failed:
     """Return the attempt that came further, the first of two that came as far."""
-    return other if one is None or _rank(other) > _rank(one) else one
+    return other if one is None or STAGES.index(other.stage) > STAGES.index(one.stage) else one
 
 
 _Made = TypeVar("_Made")
@@ -293,8 +259,9 @@ class _OneWay:
 
     def plan(self) -> TaskMotions:
         """Return the plan; the combinations of joint solutions with the shortest free ways first."""
-        befores = self._solutions(self.at.before, self.search.start, self.scenes.fetch, APPROACH, "before gripping")
-        aboves = self._solutions(self.at.above, befores[0], self.scenes.carry, SET_DOWN, "above its place")
+        find, at, there = self.search.solutions, self.at, self.scenes
+        befores = find(at.before, self.search.start, there.fetch, APPROACH, "before gripping")
+        aboves = find(at.above, befores[0], there.carry, SET_DOWN, "above its place")
         furthest: Failed | None = None
         tried = 0
         for one, other in self._combinations(befores, aboves):
@@ -312,24 +279,21 @@ class _OneWay:
 
     def plan_carried(self) -> TaskMotions:
         """Return the rest of a plan whose element is held already."""
-        recipe, search, there = self._recipe, self.search, self.scenes
-        aboves = self._solutions(self.at.above, search.start, there.carry, SET_DOWN, "above its place")
+        search, there, scale = self.search, self.scenes, self.search.recipe.carry_speed_scale
+        aboves = search.solutions(self.at.above, search.start, there.carry, SET_DOWN, "above its place")
         furthest: Failed | None = None
         for number in search.nearest(aboves)[: search.limits.pairs]:
             if furthest is not None and search.late:
                 break
             try:
                 goal = self._goal(number, aboves[number])
-                carry = self._free(CARRY, search.start, goal.above, recipe.carry_speed_scale, there.carry)
+                carry = search.free(search.start, goal.above, scale, there.carry, CARRY)
             except Failed as failed:
                 furthest = _further(furthest, failed)
                 continue
             return self._carried(PlanBuilder(search, search.scene), carry, goal)
         assert furthest is not None
         raise furthest
-
-    def _solutions(self, pose: Pose, seed: np.ndarray, scene: Scene, stage: str, where: str) -> list[np.ndarray]:
-        return self.search.solutions(pose, seed, scene, stage, self.grip.name, where)
 
     def _combinations(self, befores: list[np.ndarray], aboves: list[np.ndarray]) -> Iterator[tuple[int, int]]:
         robot = self.search.robot
@@ -367,34 +331,23 @@ class _OneWay:
         return _once(self._goals, number, lambda: self._make_goal(above))
 
     def _make_stock(self, before: np.ndarray) -> _Stock:
-        recipe = self._recipe
-        approach = self._line(APPROACH, before, self.at.stock, recipe.free_speed_scale, self.scenes.approach)
-        lift = self._line(LIFT, approach.positions[-1], self.at.lifted, recipe.carry_speed_scale, self.scenes.lift)
-        self._demand_free(lift.positions[-1], self.scenes.carry, LIFT, "lifted, where it is carried freely from,")
+        search, recipe, at, there = self.search, self.search.recipe, self.at, self.scenes
+        approach = search.line(before, at.stock, recipe.free_speed_scale, there.approach, APPROACH)
+        lift = search.line(approach.positions[-1], at.lifted, recipe.carry_speed_scale, there.lift, LIFT)
+        search.demand_free(lift.positions[-1], there.carry, LIFT, "lifted, where it is carried freely from")
         return _Stock(before, approach, lift)
 
     def _make_goal(self, above: np.ndarray) -> _Goal:
-        recipe = self._recipe
-        set_down = self._line(SET_DOWN, above, self.at.goal, recipe.carry_speed_scale, self.scenes.set_down)
-        retreat = self._line(
-            RETREAT, set_down.positions[-1], self.at.after, recipe.free_speed_scale, self.scenes.retreat
-        )
-        self._demand_free(retreat.positions[-1], self.scenes.done, RETREAT, "after letting go")
+        search, recipe, at, there = self.search, self.search.recipe, self.at, self.scenes
+        set_down = search.line(above, at.goal, recipe.carry_speed_scale, there.set_down, SET_DOWN)
+        retreat = search.line(set_down.positions[-1], at.after, recipe.free_speed_scale, there.retreat, RETREAT)
+        search.demand_free(retreat.positions[-1], there.done, RETREAT, "after letting go")
         return _Goal(above, set_down, retreat)
 
-    def _demand_free(self, q: np.ndarray, scene: Scene, stage: str, where: str) -> None:
-        self.search.demand_free(q, scene, stage, self.grip.name, where)
-
-    def _line(self, stage: str, start: np.ndarray, pose: Pose, scale: float, scene: Scene) -> Trajectory:
-        return self.search.line(start, pose, scale, scene, stage, self.grip.name)
-
-    def _free(self, stage: str, start: np.ndarray, goal: np.ndarray, scale: float, scene: Scene) -> Free:
-        return self.search.free(start, goal, scale, scene, stage, self.grip.name)
-
     def _joined(self, stock: _Stock, goal: _Goal) -> TaskMotions:
-        recipe, search, there = self._recipe, self.search, self.scenes
-        fetch = self._free(TO_STOCK, search.start, stock.before, recipe.free_speed_scale, there.fetch)
-        carry = self._free(CARRY, stock.lift.positions[-1], goal.above, recipe.carry_speed_scale, there.carry)
+        search, recipe, there = self.search, self.search.recipe, self.scenes
+        fetch = search.free(search.start, stock.before, recipe.free_speed_scale, there.fetch, TO_STOCK)
+        carry = search.free(stock.lift.positions[-1], goal.above, recipe.carry_speed_scale, there.carry, CARRY)
         grip, release = search.tool.tool.grip, search.tool.tool.release
         # a sensor that is stuck, or a scrap on the cups, is found before anything is gripped
         held, empty = grip.signals(), release.signals()
@@ -408,11 +361,20 @@ class _OneWay:
         """Return the plan that goes on with the element in the grip, up to its end."""
         there, tool = self.scenes, self.search.tool.tool
         held, empty = tool.grip.signals(), tool.release.signals()
-        made.add(CARRY, carry.trajectory, self._recipe.carry_engaged, held, (), there.set_down, carry.clearance)
+        engaged = self.search.recipe.carry_engaged
+        made.add(CARRY, carry.trajectory, engaged, held, (), there.set_down, carry.clearance)
         made.add(SET_DOWN, goal.set_down, True, held, tool.release.switches(), there.retreat)
         made.add(RETREAT, goal.retreat, True, empty, (), there.done)
         return made.plan(self.grip.name, self.at.tool0_T_element)
 
-    @property
-    def _recipe(self) -> PlaceRecipe:
-        return self.search.recipe
+
+PROCESS = Process(
+    moves=True,
+    recipe=PlaceRecipe,
+    overrides=OVERRIDES,
+    check_recipe=check_tool,
+    mass=mass_of,
+    acts=SET_DOWN,
+    check=check,
+    plan=plan,
+)

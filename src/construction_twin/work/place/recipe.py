@@ -11,10 +11,9 @@ from typing import Annotated, Literal
 import pydantic
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.robot.tool import Tool
-from construction_twin.work.jobs import WorkJob
+from construction_twin.work.process import WorkJob
 from construction_twin.work.recipe import (
     PROPERTY_SET,
     SHARED,
@@ -25,7 +24,6 @@ from construction_twin.work.recipe import (
     Scale,
     Strict,
     numbers,
-    same,
     words,
 )  # fmt: skip
 
@@ -125,85 +123,42 @@ class PlaceRecipe(Recipe):
 
 #: The properties by name. Lengths are plain IfcReal in metres whatever the file's unit is.
 OVERRIDES: Mapping[str, Override] = {
-    "Faces": Override(("grips", "faces"), "IfcLabel", "faces to grip, the best first: `up +x any`", words),
-    "Along": Override(
-        ("grips", "along"), "IfcLabel", "offsets along the face's longer side [m]: `0 0.1 -0.1`", numbers
-    ),
-    "Across": Override(("grips", "across"), "IfcLabel", "offsets along the shorter side [m]", numbers),
-    "Yaws_deg": Override(
-        ("grips", "yaws_deg"), "IfcLabel", "turns of the tool from the longer side [deg]: `0 90`", numbers
-    ),
-    "Turns_deg": Override(("grips", "turns_deg"), "IfcLabel", "turns of a symmetric element [deg]: `0 180`", numbers),
-    "MinCups": Override(("grips", "min_cups"), "IfcInteger", "cups that must hold", same),
-    "Beside": Override(
-        ("grips", "beside"), "IfcLabel", "shapes of the tool that may be close to neighbours: `cups`", words
-    ),
-    "Approach": Override(("stock", "approach"), "IfcReal", "straight way of the tool to the element [m]", same),
-    "Leave": Override(("stock", "leave"), "IfcLabel", "which way it leaves the stock: `up +x`", words),
-    "LeaveLengths": Override(("stock", "lengths"), "IfcLabel", "lengths of that way [m]: `0.1 0.2`", numbers),
-    "Arrive": Override(("place", "arrive"), "IfcLabel", "from which side it is set down: `up -y`", words),
-    "ArriveLengths": Override(("place", "lengths"), "IfcLabel", "lengths of that way [m]", numbers),
-    "Retreat": Override(("place", "retreat"), "IfcReal", "straight way of the tool from the element [m]", same),
-    "Fastened": Override(
-        ("place", "fastened"), "IfcBoolean", "something not in the model holds it before the tool lets go", same
-    ),
+    "Faces": Override(("grips", "faces"), "IfcLabel", words),
+    "Along": Override(("grips", "along"), "IfcLabel", numbers),
+    "Across": Override(("grips", "across"), "IfcLabel", numbers),
+    "Yaws_deg": Override(("grips", "yaws_deg"), "IfcLabel", numbers),
+    "Turns_deg": Override(("grips", "turns_deg"), "IfcLabel", numbers),
+    "MinCups": Override(("grips", "min_cups"), "IfcInteger"),
+    "Beside": Override(("grips", "beside"), "IfcLabel", words),
+    "Approach": Override(("stock", "approach"), "IfcReal"),
+    "Leave": Override(("stock", "leave"), "IfcLabel", words),
+    "LeaveLengths": Override(("stock", "lengths"), "IfcLabel", numbers),
+    "Arrive": Override(("place", "arrive"), "IfcLabel", words),
+    "ArriveLengths": Override(("place", "lengths"), "IfcLabel", numbers),
+    "Retreat": Override(("place", "retreat"), "IfcReal"),
+    "Fastened": Override(("place", "fastened"), "IfcBoolean"),
     **SHARED,
-    "CarrySpeedScale": Override(
-        ("carry_speed_scale",), "IfcReal", "fraction of the joints' limits while it is carried", same
-    ),
-    "CarryEngaged": Override(
-        ("carry_engaged",), "IfcBoolean", "only the way back after a stop while it is carried", same
-    ),
-    "Mass": Override(("mass",), "IfcReal", "mass of the element [kg], before every other source", same),
+    "CarrySpeedScale": Override(("carry_speed_scale",), "IfcReal"),
+    "CarryEngaged": Override(("carry_engaged",), "IfcBoolean"),
+    "Mass": Override(("mass",), "IfcReal"),
 }
 
 
 def mass_of(job: WorkJob, name: str, recipe: PlaceRecipe, tool: Tool) -> float:
-    """Return the mass that an element is placed with [kg].
-
-    Raises:
-        TaskPlanningError: If it is not known, or too large for tool or load.
-    """
+    """Return the mass that an element is placed with [kg]."""
     own = job.element.properties.get(PROPERTY_SET, {})
     mass = recipe.mass if "Mass" in own or job.element.mass is None else job.element.mass
     if mass is None:
-        raise TaskPlanningError(
-            job.task,
-            Sentence(
-                "the mass of {element} is not known: give it a weight or a density in the model, "
-                "{property_set}.Mass, or recipe {recipe} a mass",
-                element=job.called,
-                property_set=PROPERTY_SET,
-                recipe=repr(name),
-            ),
-        )
+        said = f"give it a weight or a density in the model, {PROPERTY_SET}.Mass, or recipe {name!r} a mass"
+        raise TaskPlanningError(job.task, f"the mass of {job.called} is not known: {said}")
     if not mass > 0.0:
-        raise TaskPlanningError(
-            job.task, Sentence("{element} has a mass of {mass:g} kg; expected above 0", element=job.called, mass=mass)
-        )
+        raise TaskPlanningError(job.task, f"{job.called} has a mass of {mass:g} kg; expected above 0")
     if mass > tool.payload:
-        raise TaskPlanningError(
-            job.task,
-            Sentence(
-                "{element} has {mass:.1f} kg; tool {tool} carries at most {payload:g} kg",
-                mass=mass,
-                payload=tool.payload,
-                element=job.called,
-                tool=repr(tool.name),
-            ),
-        )
+        most = f"tool {tool.name!r} carries at most {tool.payload:g} kg"
+        raise TaskPlanningError(job.task, f"{job.called} has {mass:.1f} kg; {most}")
     if tool.mass + mass > tool.load:
-        both = tool.mass + mass
-        raise TaskPlanningError(
-            job.task,
-            Sentence(
-                "{element} and tool {tool} together have {mass:.1f} kg; the controller's load data are for {load:g} kg",
-                mass=both,
-                load=tool.load,
-                element=job.called,
-                tool=repr(tool.name),
-            ),
-        )
+        both = f"{job.called} and tool {tool.name!r} together have {tool.mass + mass:.1f} kg"
+        raise TaskPlanningError(job.task, f"{both}; the controller's load data are for {tool.load:g} kg")
     return mass
 
 
