@@ -24,8 +24,7 @@ from construction_twin.evaluation.alignment import Alignment
 class PaperError:
     """One column pair of the paper's Table 1.
 
-    Attributes:
-        average, maximum: Absolute joint angle error between virtual and physical robot [rad], as printed.
+    `average`, `maximum`: Absolute joint angle error between virtual and physical robot [rad], as printed.
     """
 
     average: float
@@ -176,8 +175,7 @@ def table_console(stderr: bool = False, markup: bool = True) -> Console:
 def render_tables(summary: Mapping, console: Console | None = None) -> None:
     """Print a summary: one table per alignment beside the paper's figures, then lag, counts, rates and times.
 
-    Args:
-        console: Default: standard output.
+    `console`: Default: standard output.
     """
     console = console or table_console()
     rows = list(table_rows(summary["tables"]))

@@ -193,8 +193,7 @@ class RobotBodies:
     def place(self, item: SceneObject, objects: Collection[str] = ()) -> tuple[Body, ...]:
         """Return the bodies of a scene object: one, or the convex pieces of its mesh, all with its name; see `scene_shapes`.
 
-        Args:
-            objects: Names of the objects of its scene, which it may name in `touch`.
+        `objects`: Names of the objects of its scene, which it may name in `touch`.
         """
         links = f"a link of the robot: {sorted(self.link_joints)}"
         if item.link and item.link not in self.link_joints:

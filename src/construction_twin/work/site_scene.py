@@ -88,8 +88,7 @@ def plan_stock(
 ) -> StockPlan:
     """Give every element a slot.
 
-    Args:
-        corners: Mapping of str to array, shape (n, 3). Points of each element that enclose it, in its own frame [m].
+    `corners`: Mapping of str to array, shape (n, 3). Points of each element that enclose it, in its own frame [m].
     """
     base_T_model = inverse(site.model_T_base(building))
     members: dict[str, list[Element]] = {name: [] for name in site.file.racks}

@@ -71,8 +71,7 @@ def removed_command(task: str) -> str:
 class TaskBoard:
     """Answers what can be done, and takes what people say. Not for several threads at once.
 
-    Attributes:
-        failures: Why a task could not be planned when it was tried last, by id; not on the disk.
+    `failures`: Why a task could not be planned when it was tried last, by id; not on the disk.
     """
 
     def __init__(self, prepared: Prepared, ledger: Ledger, robot: str, tip_link: str):
@@ -192,11 +191,8 @@ class TaskBoard:
     def left_closed(self, commanded: Collection[str]) -> str:
         """Return what a person does about a grip that is commanded to hold while nothing counts as held; empty: nothing.
 
-        So it is after a grip that was not confirmed, when the element was said to lie in its stock. The next approach would suck
-        it too early, and no plan opens a grip that holds nothing.
-
-        Args:
-            commanded: The tool's outputs that command its grip to hold.
+        So it is after a grip that was not confirmed, when the element was said to lie in its stock. The next approach would suck it
+        too early, and no plan opens a grip that holds nothing. `commanded`: The tool's outputs that command its grip to hold.
         """
         book = self.book
         doubtful = book.in_state(TaskState.ASKS, TaskState.PLANNED, *UNDER_WAY)
@@ -279,8 +275,7 @@ class TaskBoard:
     def answer(self, task: str, answer: str, person: str, reason: str, shown: str = "") -> str:
         """Take the answer to a task's question; return a sentence.
 
-        Args:
-            shown: The question as the person saw it; empty: it is not compared.
+        `shown`: The question as the person saw it; empty: it is not compared.
         """
         memory = self._memory(task, person, former=True)
         possible = self._answers(task)

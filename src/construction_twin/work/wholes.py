@@ -68,9 +68,8 @@ def in_one_piece(
 ) -> dict[str, Element]:
     """Return the wholes that come in one piece, with bodies and mass of all that comes with them, and that without bodies.
 
-    Args:
-        factory: Assemblies that are made elsewhere: in one piece unless a task names a part of them. Any other whole is so if it
-            has a body of its own and a task places it; parts that a task names, or that stand already, are not of it.
+    `factory`: Assemblies that are made elsewhere: in one piece unless a task names a part of them. Any other whole is so if it has
+    a body of its own and a task places it; parts that a task names, or that stand already, are not of it.
     """
     placed = {one for task in tasks.values() if task.kind == "makes" for one in task.products}
     named = {one for task in tasks.values() for one in (*task.products, *task.inputs)}
