@@ -19,6 +19,6 @@ setup(
     version=ElementTree.parse("package.xml").findtext("version"),
     packages=find_packages("src"),
     package_dir={"": "src"},
-    package_data={"construction_twin": ["py.typed", "core/sentences.json"]},
+    package_data={"construction_twin": ["py.typed"]},
     data_files=[(f"share/construction_twin/{file.parent}", [str(file)]) for file in files],
 )

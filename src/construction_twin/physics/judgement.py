@@ -107,8 +107,7 @@ def reasons(report: RehearsalReport, linear: Set[str]) -> Iterator[Sentence]:
 def worst_payload(payloads: Sequence[MassProperties], bodies: RobotBodies, rating: PayloadRating | None) -> PayloadLoad:
     """Return the largest of each number of what the flange carries, one scene after the other, beside the arm's rating.
 
-    Args:
-        payloads: In the frame of the last joint.
+    `payloads`: In the frame of the last joint.
     """
     rated = PayloadLoad()
     if rating is not None:

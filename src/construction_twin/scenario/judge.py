@@ -123,11 +123,9 @@ class Check:
 class Judgement:
     """The outcome of a run.
 
-    Attributes:
-        measured: Figures for the table: ``did``, ``detection_s``, ``detection_samples``, ``worst_error_deg``, ``worst_joint``,
-            ``velocity_fraction``, ``acceleration_fraction`` (of the corrections), ``arm_velocity_fraction``,
-            ``arm_acceleration_fraction`` (of the sound joints), ``missed_replies``, ``stop_distance_deg``, ``stop_time_s``; None
-            where there is none.
+    `measured`: Figures for the table: ``did``, ``detection_s``, ``detection_samples``, ``worst_error_deg``, ``worst_joint``,
+    ``velocity_fraction``, ``acceleration_fraction`` (of the corrections), ``arm_velocity_fraction``, ``arm_acceleration_fraction``
+    (of the sound joints), ``missed_replies``, ``stop_distance_deg``, ``stop_time_s``; None where there is none.
     """
 
     scenario: str

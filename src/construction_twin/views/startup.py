@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 
 from construction_twin.core.sentences import Sentence, both
@@ -212,26 +211,8 @@ class Missing:
         return self.kind, without_counts(self.reason)
 
     def __str__(self) -> str:
-        reason = self.reason
-        for repeated in _REPEATED:
-            reason = repeated.sub("", reason)
-        # what is wrong with a connection comes with what helps against just that
-        todo = "" if self.kind == "broker" and "; " in reason else self.waits.todo
-        return f"waiting for {self.waits.what}: {both(reason, todo)}"
-
-
-#: Of a reason: what says once more what is waited for, or what to do about it.
-_REPEATED = tuple(
-    re.compile(pattern)
-    for pattern in (
-        r"^not connected to the broker( yet)?(: )?",
-        r"^broker \S+:\d+:? ",
-        r"^no gateway answers on the broker; start rsi_gateway on the cell PC$",
-        r"^gateway has no RSI session( to command)?: ",
-        r"^gateway was stopped and is ",
-        r"; (restart rsi_gateway, then )?call reset$",
-    )
-)
+        # a reason that comes with what to do about it needs no more
+        return f"waiting for {self.waits.what}: {self.reason if '; ' in self.reason else both(self.reason, self.waits.todo)}"
 
 
 class StartUp:

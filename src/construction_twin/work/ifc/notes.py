@@ -47,8 +47,7 @@ class Notes:
     def sentences(self, names: Mapping[str, str] | None = None) -> tuple[str, ...]:
         """Return them; beyond the first few a sentence only counts what it is about.
 
-        Args:
-            names: By id: what is noted by its id alone has its name, too. Empty: it has none.
+        `names`: By id: what is noted by its id alone has its name, too. Empty: it has none.
         """
         called = {one: f"{name} ({one})" for one, name in (names or {}).items() if name}
         return tuple(

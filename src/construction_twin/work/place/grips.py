@@ -53,8 +53,7 @@ class Grip:
 class GripSearch:
     """What was found, and why not more.
 
-    Attributes:
-        reason: Why the candidate that came furthest was left out, as a part of a sentence; for when there is no grip.
+    `reason`: Why the candidate that came furthest was left out, as a part of a sentence; for when there is no grip.
     """
 
     grips: tuple[Grip, ...]
