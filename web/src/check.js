@@ -72,8 +72,6 @@ function wrong(schema, value, path, version) {
 /**
  * Check a message.
  *
- * @param {object} schema a constant of schemas.js
- * @param {unknown} message parsed JSON
  * @param {string} kind what it is, for the sentence
  * @param {number} [version] of the message: what a newer one has added is not asked for
  * @throws {TypeError} where it is not what the schema says

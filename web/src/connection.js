@@ -57,13 +57,9 @@ export class NotPublished extends Error {
 /**
  * Make the connection; `login` opens it.
  *
- * @param {object} store see store.js
- * @param {object} options
  * @param {string} options.url of the WebSocket
  * @param {string} options.prefix of all topics
  * @param {Function} [options.keep] called with account and password once the broker has accepted them, with null when they are void
- * @param {Function} [options.connect] as `mqtt.connect`
- * @param {Function} [options.WebSocket]
  */
 export function makeConnection(store, {url, prefix, keep = () => {}, connect = mqtt.connect, WebSocket = globalThis.WebSocket}) {
   let client = null;
@@ -226,9 +222,6 @@ export function makeConnection(store, {url, prefix, keep = () => {}, connect = m
      * Publish now, or not at all. Never retained, never queued.
      *
      * @param {string} topic below the robot's
-     * @param {string} robot
-     * @param {object} payload becomes JSON
-     * @param {object} [options]
      * @param {number} [options.qos] 1; 0 for what is worth nothing later
      * @returns {Promise<number>} resolved once the broker has taken it (quality 1), with its reason code: 16 says that nobody has
      *   subscribed; rejected with NotPublished

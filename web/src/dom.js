@@ -3,8 +3,6 @@
 /**
  * Make an element and append it.
  *
- * @param {Element} parent
- * @param {string} tag
  * @param {object} [options] `text`, `className`, `on` (listeners by event); all else becomes an attribute: true is "", false and
  *   null leave it out
  * @returns {Element}

@@ -33,13 +33,7 @@ function pressesOf(clock, document) {
 /**
  * Make the button.
  *
- * @param {Element} parent
- * @param {object} options
- * @param {string} options.text
- * @param {string} [options.className]
- * @param {() => void} options.onHeld
  * @param {() => string} [options.key] what must not change meanwhile
- * @param {{now: () => number, every: Function}} clock
  * @returns {Element} with `say(text)`
  */
 export function holdButton(parent, {text, className = "", onHeld, key = () => ""}, clock) {

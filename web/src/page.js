@@ -28,11 +28,6 @@ const CLOSING = "verdict";
 /**
  * Build the frame and the panels in it.
  *
- * @param {Element} parent
- * @param {object} store see store.js
- * @param {object} connection see connection.js
- * @param {Function} texts see texts.js
- * @param {object} panels by area: a module or a list of modules with `make`
  * @param {object} actions `onTheme()`, `onLanguage()`
  */
 export function makePage(parent, store, connection, texts, panels, {onTheme, onLanguage} = {}) {

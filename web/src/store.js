@@ -90,7 +90,6 @@ function checkPath({times, tool_path: points}) {
 /**
  * Make the store.
  *
- * @param {object} [options]
  * @param {() => number} [options.now] milliseconds of a monotonic clock
  * @param {(plan: object) => Promise<object>} [options.check] checks a plan's hash; see plan_hash.js
  * @param {(message: object) => void} [options.hear] gets each message that was checked, before anybody is told of it
@@ -271,9 +270,6 @@ export function makeStore({
     /**
      * Take a message.
      *
-     * @param {string} name of the robot
-     * @param {string} topic below it
-     * @param {string} text payload
      * @param {boolean} retained the broker had stored it
      * @returns {Promise<void>} resolved when it was taken or refused; a plan's hash takes a moment
      */

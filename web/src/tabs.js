@@ -10,10 +10,7 @@ import {add, button, setText} from "./dom.js";
 /**
  * Make the tabs.
  *
- * @param {Element} parent
- * @param {Function} texts
  * @param {object} words templates of the panels by name, in their order; the first is open at first
- * @param {(name: string) => Element} makePanel
  * @returns {Object<string, Element>} the panels by name
  */
 export function makeTabs(parent, texts, words, makePanel) {

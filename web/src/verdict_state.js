@@ -143,7 +143,7 @@ const sending = (machine, {at, reviewer}, verdict, account, reason, override) =>
 const approve = (machine, event) => (machine.override
   ? sending(machine, event, "approved", event.sender, machine.reason, true) : sending(machine, event, "approved", event.account, "", false));
 const reject = (machine, event) => sending(machine, event, "rejected", event.account, event.reason, false);
-const fail = (machine, {reason}) => ({...forget(), sent: null, notice: {kind: "failed", reason: machine.sent.override && reason === "refused" ? "refused_override" : reason, verdict: machine.sent.verdict}});
+const fail = (machine, {reason}) => ({...forget(), sent: null, notice: {kind: "failed", reason, verdict: machine.sent.verdict}});
 const wait = (machine, {at}) => ({sent: {...machine.sent, at}});
 const giveUp = (machine) => ({...forget(), sent: null, notice: {kind: "unanswered", verdict: machine.sent.verdict, sent: machine.sent}});
 const win = (machine, {ack}) => ({sent: null, notice: {kind: "accepted", verdict: ack.verdict, reason: ack.reason, plan: ack.plan_id}});

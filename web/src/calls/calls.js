@@ -41,10 +41,6 @@ export function makeAwake(wakeLock, isVisible) {
 /**
  * Make the button that turns calls on and off, and begin to call.
  *
- * @param {Element} parent the page's header
- * @param {object} store see store.js
- * @param {object} connection see connection.js
- * @param {Function} texts see texts.js
  * @param {object} [means] for tests: `now`, `every`, `Audio`, `navigator`, `storage`
  */
 export function make(parent, store, connection, texts, means = {}) {

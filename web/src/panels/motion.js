@@ -37,7 +37,6 @@ function withDeviation(kept, at, value) {
   return added.filter(([each]) => each > step - STEPS);
 }
 
-/** Make the panel. */
 export function make(parent, store, connection, texts, {now, every} = browser) {
   const deviations = new Map();
   // it scrolls, and has nothing else in it that a keyboard reaches

@@ -23,7 +23,6 @@ export function segmentsOf(plan) {
 /** Say what becomes of an output. */
 export const switched = (output, value, texts) => (value ? texts("{output} on", {output}) : texts("{output} off", {output}));
 
-/** Make the panel. */
 export function make(parent, store, connection, texts, {now, every, frame} = browser) {
   const area = add(parent, "div", {className: "playback", role: "group", "aria-label": texts("Playback of the plan"), hidden: true});
   const controls = add(area, "div", {className: "playback-controls"});

@@ -101,7 +101,6 @@ export function make(parent, texts) {
 /**
  * Make the part with which a person approves in spite of the rehearsal.
  *
- * @param {{press: () => void, release: () => void, changed: () => void}} then
  * @returns `reason()`, `clear()` and `show({open, why, held})`: whether it is offered at all, why not now ("": it can be pressed), and
  *   for which part of the second it has been held (null: it is not)
  */

@@ -53,7 +53,6 @@ function isInside(element, box) {
   return inner.top >= outer.top - 1 && inner.bottom <= outer.bottom + 1;
 }
 
-/** Make the panel. */
 export function make(parent, store, connection, texts, {now, every} = browser) {
   // a box of one height: whatever is said, nothing below it moves
   const box = add(parent, "div", {className: "status-box"});

@@ -46,10 +46,7 @@ const rounded = (key, value) => (typeof value === "number" ? Math.round(1e5 * va
 /**
  * Make the cell of a robot.
  *
- * @param {string} name
  * @param {Element} overlay transparent, above its part of the picture: takes the gestures
- * @param {object} store
- * @param {() => void} redraw
  * @param {number} [ratio] pixels of the screen by pixel of the page
  */
 export function makeCell(name, overlay, store, redraw, ratio = 1) {

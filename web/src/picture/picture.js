@@ -43,7 +43,6 @@ function processorDraws() {
   return PROCESSOR.test(name);
 }
 
-/** Make the picture. */
 export function make(parent, store, connection, texts) {
   const stage = add(parent, "div", {className: "stage"});
   const canvas = add(stage, "canvas", {className: "canvas", role: "img",

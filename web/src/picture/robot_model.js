@@ -105,7 +105,6 @@ function quietly(read) {
 /**
  * Read a URDF.
  *
- * @param {string} text
  * @param {string} here address that its meshes are relative to
  * @param {object} [options] of the reader
  * @returns {{robot: URDFRobot, wanted: {path: string, material: Material, done: Function}[]}} the meshes that belong into it
@@ -131,7 +130,6 @@ export function parseRobot(text, here, options = {}) {
  * Load a robot.
  *
  * @param {string} url of its URDF, whose meshes are addresses on this server, relative to it
- * @param {(done: number, all: number) => void} onProgress
  * @returns {Promise<{robot: URDFRobot, lacks: string[]}>} with its meshes, and why some are missing; without any it fails
  */
 export async function loadRobot(url, onProgress) {

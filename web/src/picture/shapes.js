@@ -23,8 +23,6 @@ export function dispose(object) {
 /**
  * Return a translucent material for a ghost.
  *
- * @param {number} colour
- * @param {number} opacity
  * @param {boolean} front it is seen where it has the same surface as the twin, else the twin is
  */
 export function ghostMaterial(colour, opacity, front) {

@@ -17,7 +17,6 @@ export function valueOf(joint, value) {
  * ("" where it is not known); `isOver` the difference is larger than the gate allows; `at` {twin, arm, expected}: where in the limits,
  * from 0 to 1, null where that or the limits are not known.
  *
- * @param {object} view
  * @param {object[] | null} joints as from `limits`; null: the model is not known
  */
 export function axesOf(view, joints) {
