@@ -1,8 +1,9 @@
 /**
  * Whether a message is what its schema says (schemas.js, made from the records of the robot's programs).
  *
- * Understands of JSON Schema what those schemas use. Keys that a schema does not name are left alone, because a newer sender adds
- * some; keys that a newer version has added (`since`) may be missing from an older one. Changes nothing, guesses nothing.
+ * Understands of JSON Schema what those schemas use. Keys that a schema does not name are left alone, because a newer
+ * sender adds some; keys that a newer version has added (`since`) may be missing from an older one. Changes nothing,
+ * guesses nothing.
  */
 
 /** Longest text of a wrong value that is shown. */

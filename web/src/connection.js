@@ -1,8 +1,8 @@
 /**
  * The connection to the broker, by MQTT 5 on a WebSocket of this server: one account, no queue.
  *
- * A message is sent while connected or not at all: each connection has a client of its own, so nothing that was not answered is
- * sent again by the next. What a lost connection leaves open is told as `unanswered`: it may have arrived.
+ * A message is sent while connected or not at all: each connection has a client of its own, so nothing that was not
+ * answered is sent again by the next. What a lost connection leaves open is told as `unanswered`: it may have arrived.
  */
 import mqtt from "mqtt";
 import {TOPICS} from "./store.js";
@@ -43,8 +43,9 @@ export const whyLost = ({state, reason}, texts) => texts(STATES[state], {why: re
 /**
  * Why a message was not sent, or is not known to have arrived.
  *
- * `reason`: `not_connected` (nothing went out), `refused` (the broker's rules do not allow it to this account), `broker` (the broker
- * refuses it for another reason), `unanswered` (it went out; the connection ended or no answer came), `format` (it cannot be sent).
+ * `reason`: `not_connected` (nothing went out), `refused` (the broker's rules do not allow it to this account),
+ * `broker` (the broker refuses it for another reason), `unanswered` (it went out; the connection ended or no answer
+ * came), `format` (it cannot be sent).
  */
 export class NotPublished extends Error {
   constructor(reason, detail = "") {
@@ -223,8 +224,8 @@ export function makeConnection(store, {url, prefix, keep = () => {}, connect = m
      *
      * @param {string} topic below the robot's
      * @param {number} [options.qos] 1; 0 for what is worth nothing later
-     * @returns {Promise<number>} resolved once the broker has taken it (quality 1), with its reason code: 16 says that nobody has
-     *   subscribed; rejected with NotPublished
+     * @returns {Promise<number>} resolved once the broker has taken it (quality 1), with its reason code: 16 says that
+     *   nobody has subscribed; rejected with NotPublished
      */
     publish(topic, robot, payload, {qos = 1} = {}) {
       if (state !== "connected" || client === null || !client.connected) return Promise.reject(new NotPublished("not_connected"));

@@ -3,8 +3,8 @@
 /**
  * Make an element and append it.
  *
- * @param {object} [options] `text`, `className`, `on` (listeners by event); all else becomes an attribute: true is "", false and
- *   null leave it out
+ * @param {object} [options] `text`, `className`, `on` (listeners by event); all else becomes an attribute: true is "",
+ *   false and null leave it out
  * @returns {Element}
  */
 export function add(parent, tag, {text, className, on = {}, ...attributes} = {}) {

@@ -1,8 +1,8 @@
 /**
  * A button that is held to confirm: what it does starts something, or lifts what stops it. A touch alone does nothing.
  *
- * A page that stands still sees no release: a press in which it did, or in which `key()` has changed (what the person was looking at),
- * counts for nothing.
+ * A page that stands still sees no release: a press in which it did, or in which `key()` has changed (what the person
+ * was looking at), counts for nothing.
  */
 import {add, setText} from "./dom.js";
 import {onHold} from "./press.js";

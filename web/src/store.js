@@ -193,16 +193,17 @@ export function makeStore({
     },
 
     /**
-     * What is known of a robot: view, screen, scene, plan, rehearsal, path, tasks, messages, playback, goal, handle, picked, drawn, said, model
-     * (null: not known), `old` (the view is not the present), `heard` [ms] per kind. Null for a robot that was never heard.
+     * What is known of a robot: view, screen, scene, plan, rehearsal, path, tasks, messages, playback, goal, handle,
+     * picked, drawn, said, model (null: not known), `old` (the view is not the present), `heard` [ms] per kind. Null
+     * for a robot that was never heard.
      */
     robot(name) {
       return robots.get(name) ?? null;
     },
 
     /**
-     * The newest moment of a robot that this page has received, as its view has it: what starts something repeats it, and the robot
-     * refuses what is too old. "" while nothing is known.
+     * The newest moment of a robot that this page has received, as its view has it: what starts something repeats it,
+     * and the robot refuses what is too old. "" while nothing is known.
      */
     moment(name) {
       return robots.get(name)?.view?.moment ?? "";

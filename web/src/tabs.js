@@ -1,9 +1,10 @@
 /**
- * The panels that share one place beside the picture: a tab for each. Where the screen is wide enough some have a place of their own
- * and no tab: style.css says which, in `--own`, and is told by the class `offers-<name>` which panels have anything in them.
+ * The panels that share one place beside the picture: a tab for each. Where the screen is wide enough some have a place
+ * of their own and no tab: style.css says which, in `--own`, and is told by the class `offers-<name>` which panels have
+ * anything in them.
  *
- * A panel's element has `tab`: `isOpen()`, `open()`, `offer(is)` (whether there is anything in it), `mark(text)` (a number on its tab), and
- * `onOpen(listener)`.
+ * A panel's element has `tab`: `isOpen()`, `open()`, `offer(is)` (whether there is anything in it), `mark(text)` (a
+ * number on its tab), and `onOpen(listener)`.
  */
 import {add, button, setText} from "./dom.js";
 

@@ -1,7 +1,7 @@
 /**
- * Calls a person to the page while it runs: sound, vibration, title, badge and icon, and the screen stays on while a plan waits. For what,
- * and when it rings, is state.js. It calls for every robot, whichever is selected. A device that is locked or asleep runs no page, and
- * is not called.
+ * Calls a person to the page while it runs: sound, vibration, title, badge and icon, and the screen stays on while a
+ * plan waits. For what, and when it rings, is state.js. It calls for every robot, whichever is selected. A device that
+ * is locked or asleep runs no page, and is not called.
  */
 import {add, button, setText} from "../dom.js";
 import {browser} from "../panels/clock.js";

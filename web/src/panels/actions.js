@@ -1,6 +1,7 @@
 /**
- * What a person can do about what the state says: lift a stop or a fault (`reset`), arm a bare PLC. Held to confirm, in the name of the account;
- * whether it may is the broker's to decide, and whether it counts the robot's. Below stands whose stop it lifts: the state's own reason.
+ * What a person can do about what the state says: lift a stop or a fault (`reset`), arm a bare PLC. Held to confirm, in
+ * the name of the account; whether it may is the broker's to decide, and whether it counts the robot's. Below stands
+ * whose stop it lifts: the state's own reason.
  */
 import {add, setText} from "../dom.js";
 import {holdButton} from "../hold.js";

@@ -1,8 +1,9 @@
 /**
  * Plan a motion: joint sliders, saved poses, the tool dragged by its handle in the picture, a straight line.
  *
- * Nothing moves by it: what is asked for becomes a plan under review. Who may ask stands in the list of rights (rights.js); who may
- * not reads who can, in place of sliders. Where there is no list, everything is drawn, and a refusal of the broker is told.
+ * Nothing moves by it: what is asked for becomes a plan under review. Who may ask stands in the list of rights
+ * (rights.js); who may not reads who can, in place of sliders. Where there is no list, everything is drawn, and a
+ * refusal of the broker is told.
  */
 import {add, button, clear, setText} from "../dom.js";
 import {showAsking} from "../planning/asking.js";

@@ -1,9 +1,10 @@
 /**
- * Stop, pause and resume of every robot, always there. A press goes out at once or not at all, and what became of it is told: a stop
- * that did not go out is said in red. Who may stop is the broker's to decide; drawn is what works by the list of rights (rights.js), and
- * everything where there is none.
+ * Stop, pause and resume of every robot, always there. A press goes out at once or not at all, and what became of it is
+ * told: a stop that did not go out is said in red. Who may stop is the broker's to decide; drawn is what works by the
+ * list of rights (rights.js), and everything where there is none.
  *
- * With several robots one button stops them all, a stop and an answer for each; pause and resume are of the robot that is shown.
+ * With several robots one button stops them all, a stop and an answer for each; pause and resume are of the robot that
+ * is shown.
  */
 import {add, button, clear, setText} from "../dom.js";
 import {makeRequests, outcome, showOutcome} from "../requests.js";

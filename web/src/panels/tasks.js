@@ -1,8 +1,9 @@
 /**
  * The tasks of a building model: what is done, what comes next, what is waited for; a plan of a task can be asked for.
  *
- * A tap on an element in the picture selects its task, and a task that is selected here is told to the picture (`picked`). What
- * only a person beside the element knows (is it in the grip?) is asked here, and answered by who has the right, held to confirm.
+ * A tap on an element in the picture selects its task, and a task that is selected here is told to the picture
+ * (`picked`). What only a person beside the element knows (is it in the grip?) is asked here, and answered by who has
+ * the right, held to confirm.
  */
 import {add, button, clear, setText} from "../dom.js";
 import {showAsking} from "../planning/asking.js";

@@ -1,8 +1,9 @@
 /**
- * The verdict on the plan under review. What may be done when is verdict_state.js; this shows it and takes the person's presses.
+ * The verdict on the plan under review. What may be done when is verdict_state.js; this shows it and takes the person's
+ * presses.
  *
- * A verdict goes to `review/<account>`; whether this account may give one is the broker's to decide, and whether it counts the
- * executor's. Both answers are shown.
+ * A verdict goes to `review/<account>`; whether this account may give one is the broker's to decide, and whether it
+ * counts the executor's. Both answers are shown.
  */
 import {add, clear, setText} from "../dom.js";
 import {onHold} from "../press.js";

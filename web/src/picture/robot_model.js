@@ -42,8 +42,8 @@ export async function readGlb(bytes) {
 }
 
 /**
- * What reads a mesh file, by its ending: from its bytes to a three object in the file's own axes, as rviz takes them. A reader is
- * loaded when a robot has such a file.
+ * What reads a mesh file, by its ending: from its bytes to a three object in the file's own axes, as rviz takes them. A
+ * reader is loaded when a robot has such a file.
  */
 const READERS = {
   ".dae": async (bytes) => {
@@ -210,8 +210,8 @@ export function toolOf(robot) {
 }
 
 /**
- * Return how far the tool gets from the base at most [m], by the lengths of the chain to it: what comes before the second joint that
- * moves stands upright, and is not counted.
+ * Return how far the tool gets from the base at most [m], by the lengths of the chain to it: what comes before the
+ * second joint that moves stands upright, and is not counted.
  */
 export function reachOf(robot) {
   let reach = 0;

@@ -82,8 +82,8 @@ export function sceneBody(object, onChange) {
 }
 
 /**
- * Return the building model in base_link; glTF has Y up. Its elements are found by `userData.element`; `hash` is of the model that it
- * was made from, "" for a file that does not say.
+ * Return the building model in base_link; glTF has Y up. Its elements are found by `userData.element`; `hash` is of the
+ * model that it was made from, "" for a file that does not say.
  */
 export async function loadBuilding(url) {
   const bytes = await fetchOwn(url, (answer) => answer.arrayBuffer());

@@ -16,8 +16,8 @@ const ANSWERS = {
   unknown: mark("No answer came. The request may have arrived: look whether a plan is under review before you ask again."),
 };
 
-// Say what became of a request (requests.js), in words; the planner's own sentence follows where there is one. That there is a plan is
-// said while that is under review: then it was decided, or another one came.
+// Say what became of a request (requests.js), in words; the planner's own sentence follows where there is one. That
+// there is a plan is said while that is under review: then it was decided, or another one came.
 export function showAsking(element, record, reviewed, account, texts) {
   const found = outcome(record);
   const {plan_id: id, duration = 0} = record.answers.at(-1) ?? {};

@@ -39,8 +39,8 @@ export function taskOfElement(work, element) {
   return tasks.find((task) => !isOver(task)) ?? tasks.at(-1) ?? null;
 }
 
-// The state by which an element is coloured: that of this task, but what was placed stands, whatever task on it still waits or was
-// skipped; undefined when it has none.
+// The state by which an element is coloured: that of this task, but what was placed stands, whatever task on it still
+// waits or was skipped; undefined when it has none.
 export function stateOfElement(work, element) {
   const state = taskOfElement(work, element)?.state;
   const stands = work.tasks.some((task) => task.element === element && task.state === "done");
