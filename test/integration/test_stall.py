@@ -10,8 +10,7 @@ import rostest
 from construction_twin.msg import Sync, Transition
 from twin_client import LEFT, RobotTest, Stream, TwinClient, wait
 
-from construction_twin.core.axis_name import axis_name
-from construction_twin.core.units import radians
+from construction_twin.core.units import axis_name, radians
 from construction_twin.ros.shared.params import robot_file
 
 JOINT = "joint_a3"

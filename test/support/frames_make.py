@@ -98,7 +98,10 @@ def fill(text: bytes, target: tuple[float, ...], stamp: int) -> bytes:
 class Rules:
     """A session tells its number: only its beginning has to be judged."""
 
-    follows, drifted = False, ""
+    follows = False
+
+    def drifted(self, distance: str) -> str:
+        return distance
 
     def __init__(self, setup):
         self._limits, self._tolerances = setup.limits, setup.start_tolerances

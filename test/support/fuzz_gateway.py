@@ -35,7 +35,7 @@ from construction_twin.mock.servo import IdealServo
 from construction_twin.mqtt.client import subscriptions
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, Control, Topics, arm_value, reset_value
-from construction_twin.rsi.controller_codec import parse_sensor
+from construction_twin.rsi.controller_codec import SensorDecoder
 
 HOME = radians((0.0, -90.0, 90.0, 0.0, 90.0, 0.0))
 FAR = radians((30.0, -60.0, 110.0, 40.0, 60.0, -50.0))
@@ -222,7 +222,7 @@ class Arm:
                 reply = self._socket.recv(65535)
             except TimeoutError:
                 break
-            read = parse_sensor(reply, "ImFree", AXES)
+            read = SensorDecoder("ImFree", AXES).parse(reply)
             assert not any(read.target), f"IPOC {read.controller_ms} was answered with a motion: {read.target}"
             if read.controller_ms == self.controller.stamp:
                 self.controller.receive(reply)

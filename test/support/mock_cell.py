@@ -9,7 +9,7 @@ from construction_twin.core.units import radians
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.servo import IdealServo
-from construction_twin.rsi.gateway_codec import SensorEncoder, parse_robot
+from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
 from construction_twin.rsi.layout import RsiLayout
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
@@ -59,7 +59,7 @@ class Cell:
         data = self.mock.begin_cycle()
         if data is None:
             return None
-        packet = parse_robot(data, AXES)
+        packet = RobotDecoder(AXES).parse(data)
         self.packets.append(packet)
         if correction is not None:
             self.mock.receive((encoder or self.encoder).encode(correction, packet.controller_ms + ipoc_offset))

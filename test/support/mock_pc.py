@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 from construction_twin.mock.network import MockRsi
 from construction_twin.mock.program import MockSettings, build_controller
-from construction_twin.rsi.gateway_codec import SensorEncoder, parse_robot
+from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 ZERO = (0.0,) * 6
@@ -43,7 +43,7 @@ class Pc(threading.Thread):
             except TimeoutError:
                 continue
             now = time.monotonic_ns()
-            packet = parse_robot(data, AXES)
+            packet = RobotDecoder(AXES).parse(data)
             if self.answering:
                 time.sleep(self.after.get(len(self.received) + 1, 0) / 1e9)
                 self.socket.sendto(self._encoder.encode(ZERO, packet.controller_ms), source)

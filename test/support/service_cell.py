@@ -24,7 +24,7 @@ from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.fast_client import UserProperties
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, Control, arm_value, reset_value
-from construction_twin.rsi.controller_codec import RobotEncoder, parse_sensor
+from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder
 
 AXES = ("A1", "A2")
 # a controller that waits longer than a real one, because this machine may be busy
@@ -69,7 +69,7 @@ class Controller(threading.Thread):
             return None
         if self._ended.is_set():
             return None
-        reply = parse_sensor(data, "ImFree", AXES)
+        reply = SensorDecoder("ImFree", AXES).parse(data)
         assert reply.controller_ms == self.ipoc
         return reply.target
 

@@ -71,14 +71,9 @@ class LastResort:
     def sent(
         self, stamp: int, source: object, target: tuple[float, ...], kept: tuple[float, ...], missed: int | None
     ) -> None:
-        """Take note of a reply that the gateway has sent.
+        """Take note of a reply that the gateway has sent to `source`, whose telegram had this stamp [ms] and count of missed ones.
 
-        Args:
-            stamp: Of the telegram [ms].
-            source: To whom.
-            target: Shape (n,). [rad], [m]
-            kept: Shape (n,) or (). The target that the controller had before, and keeps if this one does not arrive; () for none.
-            missed: The controller's count in the telegram.
+        `kept` is the target, shape (n,), that the controller had before, and keeps if this one does not arrive; () for none.
         """
         self.target, self._kept, self.stamp, self._source = target, kept, stamp, source
         self._missed = missed or 0

@@ -28,56 +28,45 @@ class Layout(Protocol):
     @property
     def make(self) -> str:
         """Name of the make, see `makes`."""
-        ...
 
     @property
     def port(self) -> int:
         """UDP port of the PC."""
-        ...
 
     @property
     def answered(self) -> bool:
         """False: the controller expects no answers and takes nothing."""
-        ...
 
     @property
     def stop(self) -> bool:
         """Whether a reply can end the controller's program."""
-        ...
 
     @property
     def switched(self) -> tuple[str, ...]:
         """Channels of a reply that set a tool's outputs, in order: `ENABLE` and the outputs' names."""
-        ...
 
     @property
     def switched_holdon(self) -> tuple[bool, ...]:
         """Per channel of `switched`: whether it keeps its value when a reply is missed, or falls to 0."""
-        ...
 
     @property
     def not_filled(self) -> tuple[str, ...]:
         """Channels that no reply fills, for people."""
-        ...
 
     @property
     def summary(self) -> str:
         """What is written in telegrams, for people: the few words that a person compares with the controller's file."""
-        ...
 
     @property
     def outputs(self) -> tuple[str, ...]:
         """Outputs of a tool that telegrams tell."""
-        ...
 
     @property
     def inputs(self) -> tuple[str, ...]:
         """Inputs of a tool that telegrams tell."""
-        ...
 
     def document(self) -> dict[str, Any]:
         """Return what configuration file and hash hold of it."""
-        ...
 
 
 #: The layout of one make: what its functions return they take again, so that mypy checks a make as a whole.
@@ -85,48 +74,44 @@ LayoutT = TypeVar("LayoutT", bound=Layout)
 _LayoutOut = TypeVar("_LayoutOut", bound=Layout, covariant=True)
 
 
-class Setup(Protocol[_LayoutOut]):
-    """What a make may know of the arm: the gateway's configuration."""
+class Axes(Protocol[_LayoutOut]):
+    """The axes of an arm and their telegrams."""
 
     @property
     def axes(self) -> tuple[str, ...]:
         """Length n. Names of the axes in the telegrams."""
-        ...
 
     @property
     def units(self) -> tuple[AxisUnit, ...]:
-        """Length n. How each one is written."""
-        ...
+        """Length n. How each one is written; of a mock also (): all revolute, in the controller's own units."""
 
     @property
     def layout(self) -> _LayoutOut:
         """The make's own."""
-        ...
+
+
+class Setup(Axes[_LayoutOut], Protocol[_LayoutOut]):
+    """What a make may know of the arm: the gateway's configuration."""
 
     @property
     def limits(self) -> MotionLimits:
         """Of the axes."""
-        ...
 
     @property
     def cycle(self) -> int:
         """The controller's [ms]."""
-        ...
 
     @property
     def reference(self) -> str:
         """What corrections are relative to, in the make's word."""
-        ...
 
     @property
     def start_tolerances(self) -> tuple[float, ...]:
         """Length n. How close to the held pose a stream may begin [rad], [m]."""
-        ...
 
     @property
     def tool(self) -> GatewayTool | None:
         """None without one."""
-        ...
 
 
 class ControllerStatus(Protocol):
@@ -135,11 +120,9 @@ class ControllerStatus(Protocol):
     @property
     def sentence(self) -> str:
         """Why the arm may not move, or not as expected; "" when nothing of this kind is known."""
-        ...
 
     def report(self) -> dict[str, str | float]:
         """Return what `status` tells of it; {} when nothing is known."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -163,7 +146,6 @@ class Encoder(Protocol):
 
     def template(self, stop: bool | None, switched: tuple[bool, ...] = (), /) -> bytes:
         """Return what a reply is made from that ends the program (True) or does not; the make's own last resort takes it."""
-        ...
 
     def encode(
         self, target: Sequence[float], stamp: int, stop: bool | None = None, switched: tuple[bool, ...] = (), /
@@ -176,7 +158,6 @@ class Encoder(Protocol):
             stop: True: it ends the controller's program; None: it does not.
             switched: One value per name of `Layout.switched`; () leaves a tool's outputs alone.
         """
-        ...
 
 
 class SessionRules(Protocol):
@@ -184,19 +165,18 @@ class SessionRules(Protocol):
 
     Attributes:
         follows: Whether corrections are relative to the programmed position, and so move with it.
-        drifted: Template of the sentence on how far an axis is off where it was programmed; its value is ``distance``.
     """
 
     follows: bool
-    drifted: str
+
+    def drifted(self, distance: str) -> str:
+        """Return the sentence on how far an axis is off where it was programmed."""
 
     def begin(self) -> None:
         """Forget the session before."""
-        ...
 
     def origin(self, telegram: Telegram) -> tuple[tuple[float, ...], str]:
         """Return what targets are relative to, () while it is not known, and why the session must not be answered ("": it may)."""
-        ...
 
     def restarted(
         self, telegram: Telegram, origin: tuple[float, ...], correction: tuple[float, ...], moving: bool
@@ -210,46 +190,25 @@ class SessionRules(Protocol):
             correction: Length n. What the last reply commanded, less the origin [rad]; () for nothing.
             moving: Whether that is being changed.
         """
-        ...
 
 
-class MockSetup(Protocol[_LayoutOut]):
+class MockSetup(Axes[_LayoutOut], Protocol[_LayoutOut]):
     """What a make may know of the controller that a mock stands for."""
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Length n. Names of the axes in the telegrams."""
-        ...
-
-    @property
-    def units(self) -> tuple[AxisUnit, ...]:
-        """Length n, or (): all revolute, in the controller's own units."""
-        ...
-
-    @property
-    def layout(self) -> _LayoutOut:
-        """The make's own."""
-        ...
 
     @property
     def precision(self) -> int:
         """Decimals of sent values."""
-        ...
 
     @property
     def stop_required(self) -> bool:
         """Whether a reply that does not say if it ends the program, and should, is none."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
 class MockStatus:
-    """What a mock controller is to say of itself, in the make's numbers; None: what is.
+    """What a mock controller is to say of itself, in the make's numbers, override in percent; None: what is.
 
     Attributes:
-        mode: Operating mode.
-        program: State of the controller's program.
-        override: Program override [percent].
         slow: Whether the controller limits the tool's speed.
     """
 
@@ -280,10 +239,8 @@ class TelegramEncoder(Protocol):
         Args:
             measured, followed: Length n. Where the axes are, and what they follow [rad], [m].
             measured_pose, followed_pose: Length 6. Position [m] and A, B, C [rad] of the tool for both.
-            missed: The count of missed replies.
             outputs, inputs: A tool's, by their names; None where they are not told.
         """
-        ...
 
 
 @dataclass(frozen=True)
@@ -309,14 +266,11 @@ class Words:
     """What people call things on a make's pendant and in its files.
 
     Attributes:
-        protocol: Between controller and PC.
         stamp: The count in a telegram.
         read_only: That nothing is answered, and why.
         no_stop: Why a reply cannot end the program, and what to do.
-        ends: What happens when the end was asked for.
-        ended: What has happened then.
-        cycle: How a cycle is chosen on the controller, with ``{}`` for its name.
-        cycles: The same of all of them, in words.
+        ends, ended: What happens when the end was asked for, and what has happened then.
+        cycle, cycles: How a cycle is chosen on the controller, with ``{}`` for its name, and the same of all of them.
         timeout: The controller's own time-out.
         description: The file that describes the telegrams.
     """
@@ -339,12 +293,10 @@ class Described(Protocol[_LayoutOut]):
     @property
     def layout(self) -> _LayoutOut:
         """What it says of the telegrams."""
-        ...
 
     @property
     def text(self) -> str:
         """What stands in it."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -355,8 +307,7 @@ class FileForm(Generic[LayoutT]):
         name: For messages.
         ending: Of the name of a file that was written for an arm.
         to_fill: What a person must fill into a file that was written.
-        read: A file, from its text and its name for messages.
-        load: The same, from its path.
+        read, load: A file, from its text and its name for messages; from its path.
         write: The text of a file, from the axes.
         sends_to: Address that a controller sends to, from the path of its file, which must say what the layout does.
     """

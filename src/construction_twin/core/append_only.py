@@ -13,7 +13,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, problem_of
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 
 #: Deferred lines that are kept while the file cannot be written; what comes then is counted, and the number is written later.
@@ -89,11 +88,7 @@ class AppendOnlyFile:
             raise ConfigurationError(str(self.path), str(error), f"a file that no other {writer} writes") from error
 
     def defer(self, now: int, fields: dict) -> None:
-        """Keep a line for the next `flush`; does not touch the disk.
-
-        Args:
-            now: Time since 1970 [ns].
-        """
+        """Keep a line of this time since 1970 [ns] for the next `flush`; does not touch the disk."""
         if len(self._deferred) >= KEPT:
             # no verdict is taken meanwhile: `append` writes these first, and fails
             self._lost_at = now
@@ -137,9 +132,7 @@ class AppendOnlyFile:
         try:
             written = os.write(self._file, data)
             if written != len(data):
-                raise OSError(
-                    Sentence("only {written} of {count} bytes could be written", written=written, count=len(data))
-                )
+                raise OSError(f"only {written} of {len(data)} bytes could be written")
             os.fsync(self._file)
         except OSError as error:
             with contextlib.suppress(OSError):
@@ -153,18 +146,11 @@ class AppendOnlyFile:
         try:
             there, here = os.stat(self.path), os.fstat(self._file)
         except OSError as error:
-            raise self._failure(
-                str(self.path),
-                Sentence(
-                    "the file is gone ({problem}): put it back, or start its node again, which begins another one",
-                    problem=str(error),
-                ),
-            ) from error
+            problem = f"the file is gone ({error}): put it back, or start its node again, which begins another one"
+            raise self._failure(str(self.path), problem) from error
         if (there.st_dev, there.st_ino) != (here.st_dev, here.st_ino):
-            raise self._failure(
-                str(self.path),
-                Sentence("the file was replaced by another: put it back, or start its node again, which checks it"),
-            )
+            problem = "the file was replaced by another: put it back, or start its node again, which checks it"
+            raise self._failure(str(self.path), problem)
 
 
 def _read(path: Path) -> bytes:

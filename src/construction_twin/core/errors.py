@@ -24,12 +24,12 @@ class ConstructionTwinError(Exception):
 _MOST_SHOWN = 300
 
 
-def found_and_expected(where: str, value: object, expected: str) -> Sentence:
+def found_and_expected(where: str, value: object, expected: str) -> str:
     """Return the sentence of what stands somewhere, and what would have been accepted there; a value None: nothing."""
     found = "nothing" if value is None else repr(value)
     if len(found) > _MOST_SHOWN:
         found = f"{found[: _MOST_SHOWN - 3]}..."
-    return Sentence("{where}: found {found}, expected {expected}", where=where, found=found, expected=expected)
+    return f"{where}: found {found}, expected {expected}"
 
 
 class ConfigurationError(ConstructionTwinError):
@@ -114,13 +114,7 @@ class TransitionLogError(ConstructionTwinError):
     """A change of the monitor's state cannot be written down; it is kept and tried again."""
 
     def __init__(self, path: str, problem: str):
-        super().__init__(
-            Sentence(
-                "{path}: {problem}; transitions are kept in memory until the file can be written",
-                path=path,
-                problem=problem,
-            )
-        )
+        super().__init__(f"{path}: {problem}; transitions are kept in memory until the file can be written")
 
 
 class ExecutionError(ConstructionTwinError):
@@ -151,11 +145,10 @@ class MotionRefused(ConstructionTwinError):
         self.joint = joint
         self.value = value
         self.limit = limit
-        subject = f"{joint}: " if joint else ""
         super().__init__(
             Sentence(
                 "{subject}{check} check failed: {value} against {limit}",
-                subject=subject,
+                subject=f"{joint}: " if joint else "",
                 check=reason,
                 value=Quantity(value, unit),
                 limit=Quantity(limit, unit),

@@ -7,11 +7,7 @@ import importlib.util
 from construction_twin.core.errors import ConfigurationError
 
 #: What setup/requirements-<group>.txt installs, by group: the names that Python imports.
-PACKAGES = {
-    "console": ("aiohttp",),
-    "work": ("ifcopenshell", "isodate", "shapely"),
-    "physics": ("mujoco",),
-}
+PACKAGES = {"console": ("aiohttp",), "work": ("ifcopenshell", "isodate", "shapely"), "physics": ("mujoco",)}
 
 
 def check_extras(group: str) -> None:

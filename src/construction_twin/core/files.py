@@ -9,26 +9,22 @@ import tempfile
 from pathlib import Path
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.sentences import Sentence
 
 
 def read_file(path: str | Path, most: int) -> bytes:
-    """Read a regular file of limited size.
+    """Read a regular file of at most so many bytes.
 
     A named pipe would keep its reader waiting for ever, and a device has no end: neither is opened for waiting.
-
-    Args:
-        most: Largest size [bytes].
 
     Raises:
         OSError: If it cannot be read, is not a regular file, or is larger; `strerror` is a phrase for a sentence.
     """
     with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise OSError(errno.EINVAL, Sentence("not a regular file"), str(path))
+            raise OSError(errno.EINVAL, "not a regular file", str(path))
         contents = file.read(most + 1)
     if len(contents) > most:
-        raise OSError(errno.EFBIG, Sentence("larger than {size} MiB", size=f"{most / 2**20:.4g}"), str(path))
+        raise OSError(errno.EFBIG, f"larger than {most / 2**20:.4g} MiB", str(path))
     return contents
 
 
@@ -46,12 +42,9 @@ def write_whole(path: Path, contents: str | bytes) -> None:
 
 
 def write_in_place(path: Path, text: str, room: int) -> None:
-    """Write a short text over what a file holds; it is on the disk then, which may have been full since the file was made.
+    """Write a short text over what a file holds, filled up with blanks to `room` [bytes].
 
-    Args:
-        room: What the file has at least, in blanks behind the text [bytes].
-
-    Raises OSError; what the file holds is not known then.
+    It is on the disk then, which may have been full since the file was made; after an OSError what the file holds is not known.
     """
     data = text.encode().ljust(room)
     file = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)

@@ -14,16 +14,9 @@ from construction_twin.core.units import CYCLE
 
 
 def braking_step(distance: float, deceleration: float) -> float:
-    """Return the largest step after which braking still ends within `distance`.
+    """Return the largest step per cycle after which braking still ends within `distance`; zero or less gives zero.
 
     Discrete and exact: a step v followed by v - a, v - 2a, ... adds up to `distance`. Inverse of v + `braking_distance`.
-
-    Args:
-        distance: [rad]; zero or less gives zero.
-        deceleration: Change of the step per cycle [rad], positive.
-
-    Returns:
-        [rad] per cycle.
     """
     if distance <= 0.0:
         return 0.0
@@ -32,12 +25,7 @@ def braking_step(distance: float, deceleration: float) -> float:
 
 
 class Follower:
-    """Per-joint target following inside the limits.
-
-    Args:
-        q: Shape (n,). Start position, at rest [rad].
-        cycle: Time between two calls [s].
-    """
+    """Per-joint target following inside the limits, from rest at `q`; one call per `cycle` [s]."""
 
     def __init__(self, limits: MotionLimits, decimals: int, q: tuple[float, ...], cycle: float = CYCLE):
         self.cycle = cycle

@@ -51,8 +51,7 @@ def parse_moment(text: object) -> Moment:
     if found is None:
         shown = "nothing" if text is None or text == "" else repr(text)[:60]
         raise PayloadError(
-            "moment",
-            Sentence("found {shown} as moment; expected the text moment of the newest view, as it came", shown=shown),
+            "moment", f"found {shown} as moment; expected the text moment of the newest view, as it came"
         )
     return Moment(found[1], int(found[2]) * _MILLISECOND)
 
@@ -64,22 +63,16 @@ def staleness(seen: Moment, now: Moment) -> str:
         seen, now: What was shown, and the present; compared only where both are of one clock.
     """
     if seen.origin != now.origin:
+        return Sentence("void: it repeats a moment of another computer, or of before this one was started; look again")
+    age = (now.at - seen.at) / NANOSECONDS
+    if age < 0.0:
         return Sentence(
-            "void: it repeats a moment of another computer, or of before this one was started; look "
-            "again, and then ask anew"
+            "void: it repeats a moment {ahead:.3f} s ahead, which no view has shown; look again", ahead=-age
         )
-    age = now.at - seen.at
-    if age < 0:
+    oldest = LIFETIME / NANOSECONDS
+    if now.at - seen.at > LIFETIME:
         return Sentence(
-            "void: it repeats a moment that is {ahead:.3f} s ahead, which no view has shown; look again, "
-            "and then ask anew",
-            ahead=-age / NANOSECONDS,
-        )
-    if age > LIFETIME:
-        return Sentence(
-            "too old: it is of {age:.1f} s ago, and after {oldest:g} s it is void; look again, and then ask anew",
-            age=age / NANOSECONDS,
-            oldest=LIFETIME / NANOSECONDS,
+            "too old: it is of {age:.1f} s ago, after {oldest:g} s it is void; look again", age=age, oldest=oldest
         )
     return ""
 

@@ -8,17 +8,9 @@ from collections.abc import Sequence
 
 
 def percentile(edges: Sequence[float], counts: Sequence[int], fraction: float) -> float | None:
-    """Return the upper edge of the bin that holds the given fraction of all counts.
+    """Return the upper edge of the bin that holds the given fraction, (0, 1], of all counts; None: it has none, or nothing counts.
 
-    The true percentile is at most the value returned and lies above the next lower edge.
-
-    Args:
-        edges: Length b. Upper bin edges, ascending.
-        counts: Length b or b + 1. Counts per bin; the one beyond `edges` is overflow.
-        fraction: (0, 1]
-
-    Returns:
-        None when nothing was counted or the percentile lies in the overflow, which has no upper edge.
+    Edges are the upper ones of the bins, ascending; a count beyond them is overflow. The true percentile is at most the result.
     """
     wanted = math.ceil(fraction * sum(counts) - 1e-9)
     seen = 0

@@ -12,17 +12,11 @@ Pose = tuple[float, ...]
 
 
 def weights(stamp: int, stamp0: int, stamp1: int, before: int | None, after: int | None) -> tuple[float, float, float]:
-    """Return what the differences of neighbouring poses count in the pose at `stamp`.
+    """Return what the differences of neighbouring poses count in the pose at `stamp`: a, b, c.
 
     The pose is ``q0 + (a * (q0 - q_before) + b * (q1 - q0) + c * (q_after - q1))``. Written in differences, poses that are equal
     give exactly that pose. `construction_twin.evaluation.alignment.TwinPath` does the same on arrays, operation by operation.
-
-    Args:
-        stamp, stamp0, stamp1: [ns], ``stamp0 <= stamp <= stamp1``, ``stamp0 < stamp1``.
-        before, after: Stamp of the neighbour before `stamp0` and after `stamp1` [ns]; None when there is none.
-
-    Returns:
-        a, b, c
+    Stamps are ``stamp0 <= stamp <= stamp1``, ``stamp0 < stamp1``; of a neighbour before and after them None where there is none.
     """
     period = stamp1 - stamp0
     fraction = (stamp - stamp0) / period
@@ -52,15 +46,9 @@ def interpolate(
     before: tuple[int, Pose] | None = None,
     after: tuple[int, Pose] | None = None,
 ) -> Pose:
-    """Interpolate between two stamped poses, with regard to their neighbours.
+    """Interpolate between two poses at their stamps, with regard to their neighbours in time; None at the end of what is known.
 
-    Args:
-        stamp: [ns], from the stamp of `start` to that of `end`; at either the pose there is returned as it is.
-        start, end: Stamp [ns] and joint angles [rad], shape (n,).
-        before, after: The neighbours in time; None at the end of what is known.
-
-    Returns:
-        Shape (n,). Joint angles at `stamp` [rad].
+    At the stamp of `start` or `end` the pose there is returned as it is.
     """
     # plain tuples, and no records: these are made and unpacked in every cycle of 4 ms
     stamp0, q0 = start

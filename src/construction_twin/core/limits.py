@@ -70,10 +70,7 @@ class MotionLimits:
 def outside_tolerance(
     q: tuple[float, ...], reference: tuple[float, ...], tolerance: float | Sequence[float]
 ) -> int | None:
-    """Return the index of the first joint further than `tolerance` [rad], [m] from `reference`, or None.
-
-    `tolerance` is one for all joints, or a sequence with one per joint.
-    """
+    """Return the index of the first joint further from its reference than a tolerance for all, or its own [rad], [m]; or None."""
     tolerances = (tolerance,) * len(q) if isinstance(tolerance, float) else tolerance
     for index, (value, expected, allowed) in enumerate(zip(q, reference, tolerances)):
         if abs(value - expected) > allowed:
@@ -98,12 +95,7 @@ def braking_distance(step: float, deceleration: float) -> float:
     Discrete and exact: the sum of step - deceleration, step - 2 deceleration, ... as long as they are positive. The textbook's
     v^2 / 2a is half a step longer and would refuse a motion that ends at the end of its range at full deceleration.
 
-    Args:
-        step: [rad] per cycle, not negative.
-        deceleration: Change of the step per cycle [rad], positive.
-
-    Returns:
-        [rad]
+    Step and deceleration, its change, are per cycle [rad]; the latter is positive.
     """
     cycles = math.floor(step / deceleration)
     return cycles * step - deceleration * cycles * (cycles + 1) / 2
@@ -140,11 +132,7 @@ class MotionCheck:
         self._velocity = (0.0,) * len(q)
 
     def accept(self, stamp: int, q: tuple[float, ...]) -> None:
-        """Check the next setpoint and remember it; on refusal nothing is remembered.
-
-        Args:
-            stamp: Nominal time of the setpoint [ns]; must be later than the last one's.
-            q: Shape (n,). Joint angles [rad].
+        """Check the next setpoint by its nominal time [ns] and remember it; on refusal nothing is remembered.
 
         Raises:
             MotionRefused: Reason ``values``, ``range``, ``order``, ``velocity``, ``acceleration`` or ``braking_room``.

@@ -26,13 +26,11 @@ class UnreachableError(KinematicsError):
     def __init__(self, missing: float, too_close: bool = False):
         self.missing = missing
         self.too_close = too_close
+        mm = missing * 1e3
         super().__init__(
-            Sentence(
-                "the target is too close to the arm by {missing:g} mm; move it away from the base"
-                if too_close
-                else "the target is out of the arm's reach by {missing:g} mm; move it closer to the base",
-                missing=missing * 1e3,
-            )
+            Sentence("the target is too close to the arm by {mm:g} mm; move it away from the base", mm=mm)
+            if too_close
+            else Sentence("the target is out of the arm's reach by {mm:g} mm; move it closer to the base", mm=mm)
         )
 
 
@@ -43,15 +41,13 @@ class JointRangeError(KinematicsError):
         value, lower, upper: [rad] ([m] for a prismatic joint).
     """
 
-    _words = "{joint} is {value}, outside its range {lower} to {upper}"
-
     def __init__(self, joint: str, value: float, lower: float, upper: float, linear: bool = False):
         self.joint, self.value, self.lower, self.upper, self.linear = joint, value, lower, upper, linear
-        numbers = {"value": value, "lower": lower, "upper": upper}
-        unit = "m" if linear else "rad"
-        super().__init__(
-            Sentence(self._words, joint=joint, **{name: Quantity(at, unit) for name, at in numbers.items()})
-        )
+        found, low, high = (Quantity(number, "m" if linear else "rad") for number in (value, lower, upper))
+        super().__init__(self._sentence(joint=joint, value=found, lower=low, upper=high))
+
+    def _sentence(self, **values: str | Quantity) -> Sentence:
+        return Sentence("{joint} is {value}, outside its range {lower} to {upper}", **values)
 
 
 class PoseRangeError(JointRangeError):
@@ -66,13 +62,21 @@ class PoseRangeError(JointRangeError):
 class PositionRangeError(PoseRangeError):
     """The wrist cannot get where the target needs it within the joint ranges."""
 
-    _words = "the target's position needs {joint} at {value}, outside its range {lower} to {upper}; move the target"
+    def _sentence(self, **values: str | Quantity) -> Sentence:
+        return Sentence(
+            "the target's position needs {joint} at {value}, outside its range {lower} to {upper}; move the target",
+            **values,
+        )
 
 
 class OrientationError(PoseRangeError):
     """The target's position can be reached, but not with its orientation within the joint ranges."""
 
-    _words = "the target's orientation needs {joint} at {value}, outside its range {lower} to {upper}; turn the target"
+    def _sentence(self, **values: str | Quantity) -> Sentence:
+        return Sentence(
+            "the target's orientation needs {joint} at {value}, outside its range {lower} to {upper}; turn the target",
+            **values,
+        )
 
 
 class BranchError(KinematicsError):
@@ -93,10 +97,7 @@ class UnreachableOrientationError(KinematicsError):
 
     def __init__(self) -> None:
         super().__init__(
-            Sentence(
-                "the target cannot be reached with its orientation, whatever the joint ranges; its position "
-                "can, turn the target"
-            )
+            Sentence("the target's position can be reached, but not with its orientation: turn the target")
         )
 
 
@@ -112,23 +113,15 @@ class NotFoundError(KinematicsError):
     def __init__(self, tried: int, budget_s: float, residual_m: float, residual_rad: float, hint: str = ""):
         self.tried, self.budget_s, self.hint = tried, budget_s, hint
         self.residual_m, self.residual_rad = residual_m, residual_rad
-        seen = (
-            Sentence(
-                "the best attempt was {away:.3} and {turned:.4} away",
-                away=Quantity(residual_m, "m"),
-                turned=Quantity(residual_rad, "rad"),
-            )
-            if residual_m < 1e3
-            else ""
-        )
-        seen = both(seen, hint, Sentence("allow more time or turn the target"))
+        away, turned, best = Quantity(residual_m, "m"), Quantity(residual_rad, "rad"), ""
+        if residual_m < 1e3:
+            best = Sentence("the best attempt was {away:.3} and {turned:.4} away", away=away, turned=turned)
         super().__init__(
             Sentence(
-                "no joint solution was found in the time given ({seconds} s, {tried} starting points); it "
-                "may still be reachable, because this was searched, not computed: {seen}",
-                seconds=f"{budget_s:.3g}",
+                "no joint solution was found in the time given ({budget:.3g} s, {tried} starts); it may still be reachable: {seen}",
+                budget=budget_s,
                 tried=tried,
-                seen=seen,
+                seen=both(best, hint, Sentence("allow more time or turn the target")),
             )
         )
 
@@ -161,9 +154,9 @@ class NoPathError(PlanningError):
         self.budget = budget
         super().__init__(
             Sentence(
-                "{planner} found no path within {seconds} s; allow more time or choose another goal",
+                "{planner} found no path within {budget:.3g} s; allow more time or choose another goal",
                 planner=planner,
-                seconds=f"{budget:.3g}",
+                budget=budget,
             )
         )
 
@@ -203,14 +196,17 @@ class RetimedCollisionError(CollisionError):
         super().__init__(between, where)
 
     def _sentence(self, **values: str) -> Sentence:
+        values["why"] = self.why
+        if self.lines_free:
+            return Sentence(
+                "{first} touches {second} ({where}), or comes closer than the padding, although the straight lines between the "
+                "points are free; use more points there. The motion was timed anew, because {why}",
+                **values,
+            )
         return Sentence(
-            "{first} touches {second} ({where}), or comes closer than the padding, although the straight lines between the "
-            "points are free; use more points there. The motion was timed anew, because {why}"
-            if self.lines_free
-            else "{first} touches {second} ({where}, on the straight line), or comes closer than the padding; expected no contact, "
-            "choose another way. The times are not the reason: the motion was timed anew, because {why}",
+            "{first} touches {second} ({where}, on the straight line), or comes closer than the padding; choose another way. "
+            "The times are not the reason: the motion was timed anew, because {why}",
             **values,
-            why=self.why,
         )
 
 
@@ -225,11 +221,7 @@ class DurationError(PlanningError):
         self.requested = requested
         self.minimum = minimum
         super().__init__(
-            Sentence(
-                "a duration of {requested:.3f} s breaks the joint limits; the shortest possible is {minimum:.3f} s",
-                requested=requested,
-                minimum=minimum,
-            )
+            f"a duration of {requested:.3f} s breaks the joint limits; the shortest possible is {minimum:.3f} s"
         )
 
 
@@ -266,16 +258,9 @@ class FarWaypointError(PlanningError):
     def __init__(self, waypoint: int, what: str, distance: float, reach: float):
         self.waypoint, self.distance, self.reach = waypoint, distance, reach
         away = f"{distance * 1e3:.0f}" if distance < 1e6 else f"{distance * 1e3:.6g}"
-        reaches = f"{reach * 1e3:.0f}"
         super().__init__(
-            Sentence(
-                "waypoint {waypoint}: {what} is {away} mm from the arm, which reaches {reach} mm; expected a "
-                "place near the arm, in the frame of the request: are unit and frame right?",
-                waypoint=waypoint,
-                what=what,
-                away=away,
-                reach=reaches,
-            )
+            f"waypoint {waypoint}: {what} is {away} mm from the arm, which reaches {reach * 1e3:.0f} mm; expected a place "
+            "near the arm, in the frame of the request: are unit and frame right?"
         )
 
 
@@ -284,15 +269,9 @@ class NoSceneError(PlanningError):
 
     def __init__(self, source: str):
         super().__init__(
-            Sentence(
-                "no scene was received on {source}; the scene node is not running, start it and ask again",
-                source=source,
-            )
+            Sentence("no scene was received on {source}; the scene node is not running, start it", source=source)
             if source
-            else Sentence(
-                "there is no scene; give the pipeline one with set_scene, an empty one where nothing stands "
-                "near the arm"
-            )
+            else "there is no scene; give the pipeline one with set_scene, an empty one where nothing stands near the arm"
         )
 
 
@@ -300,12 +279,9 @@ class SceneChangedError(PlanningError):
     """The scene is another one than the one that was planned in."""
 
     def __init__(self, planned: str, present: str):
+        before, now = planned[:8], present[:8]
         super().__init__(
-            Sentence(
-                "the scene changed while planning, from {planned} to {present}; the plan was dropped, ask again",
-                planned=planned[:8],
-                present=present[:8],
-            )
+            Sentence("the scene changed while planning, from {before} to {now}; ask again", before=before, now=now)
         )
 
 
@@ -315,8 +291,7 @@ class NeighbourUnknownError(PlanningError):
     def __init__(self, neighbour: str, problem: str):
         super().__init__(
             Sentence(
-                "where {neighbour} is, or goes, is not known: {problem}; start it, or start this robot "
-                "without a neighbour",
+                "where {neighbour} is, or goes, is not known: {problem}; start it, or this robot without a neighbour",
                 neighbour=neighbour,
                 problem=problem,
             )
@@ -366,8 +341,7 @@ class CartesianPathError(PlanningError):
         self.fraction, self.distance, self.waypoint = fraction, distance, waypoint
         super().__init__(
             Sentence(
-                "the path ends {distance:.1} along, on the way to waypoint {waypoint} (fraction "
-                "{fraction:.4f}): {what}",
+                "the path ends {distance:.1} along, on the way to waypoint {waypoint} (fraction {fraction:.4f}): {what}",
                 distance=Quantity(distance, "m"),
                 waypoint=waypoint,
                 fraction=fraction,
@@ -396,15 +370,7 @@ class FrameError(PlanningError):
         listed = ", ".join(known[: self.LISTED])
         if len(known) > self.LISTED:
             listed += f" and {len(known) - self.LISTED} more"
-        super().__init__(
-            Sentence(
-                "no transform from frame {frame} to {base}: {cause}; known are {known}",
-                frame=repr(frame),
-                base=repr(base),
-                cause=cause,
-                known=listed,
-            )
-        )
+        super().__init__(f"no transform from frame {frame!r} to {base!r}: {cause}; known are {listed}")
 
 
 class EngagedError(PlanningError):
@@ -413,9 +379,8 @@ class EngagedError(PlanningError):
     def __init__(self, task: str, segment: str, reason: str):
         super().__init__(
             Sentence(
-                "the arm was left in {segment} of task {task}{why}: only the way back along the path that it executed "
-                "can be planned, with plan_way_back (twin back), until it has come to its end, or a person says with "
-                "release_engagement that the arm is free",
+                "the arm was left in {segment} of task {task}{why}: only the way back along its path can be planned "
+                "(plan_way_back, twin back), until its end, or until release_engagement says that it is free",
                 segment=repr(segment),
                 task=task,
                 why=f" ({reason})" if reason else "",

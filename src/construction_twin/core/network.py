@@ -33,12 +33,7 @@ def port_is_free(kind: socket.SocketKind, port: int, host: str = "127.0.0.1") ->
 
 
 def reaches_itself(host: str, timeout: float) -> str:
-    """Return why no program of this machine that listens by IPv4 is reached by an address or name; empty when one is.
-
-    Args:
-        host: What this machine's programs give to others as their own address.
-        timeout: Longest time for the connection [s].
-    """
+    """Return why no program of this machine that listens by IPv4 is reached by an address or name in time; empty when one is."""
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as server:
         server.bind(("", 0))
         server.listen(1)

@@ -11,41 +11,29 @@ from dataclasses import dataclass
 from construction_twin.core.units import NANOSECONDS
 
 
-@dataclass(frozen=True, slots=True)
-class _Written:
-    """When a line was written last [ns], and how many of its kind were left out since."""
-
-    at: int
-    left_out: int = 0
-
-
 class LineLimiter:
-    """At most one line per reason and period: a sender of rubbish must neither fill the disk nor hide other lines.
-
-    Args:
-        period: [ns]
-    """
+    """At most one line per reason and period [ns]: a sender of rubbish must neither fill the disk nor hide other lines."""
 
     def __init__(self, period: int = NANOSECONDS):
         self._period = period
-        self._lines: dict[str, _Written] = {}
+        # per reason: when a line was written last, and how many were left out since
+        self._lines: dict[str, tuple[int, int]] = {}
 
     def note(self, reason: str, now: int) -> str | None:
         """Take a line that is to be written at `now` [ns].
 
         Args:
             reason: Its kind: one of few, never text that came from outside, because every kind is remembered.
-            now: [ns]
 
         Returns:
             What to append to the line, "" or how many like it were left out before; None when it must not be written.
         """
-        last = self._lines.get(reason, _Written(now - self._period))
-        if now - last.at < self._period:
-            self._lines[reason] = _Written(last.at, last.left_out + 1)
+        written, left_out = self._lines.get(reason, (now - self._period, 0))
+        if now - written < self._period:
+            self._lines[reason] = written, left_out + 1
             return None
-        self._lines[reason] = _Written(now)
-        return f" ({last.left_out} more like this since the last such line)" if last.left_out else ""
+        self._lines[reason] = now, 0
+        return f" ({left_out} more like this since the last such line)" if left_out else ""
 
 
 #: Senders that are known at a time: anybody may call himself something new where a broker knows no accounts.
@@ -75,11 +63,7 @@ class TokenBucket:
 
 
 class RollingWindow:
-    """At most so many in any span of time: a bucket of that size would let twice as many pass in its first one.
-
-    Args:
-        span: [ns]
-    """
+    """At most so many in any span of time [ns]: a bucket of that size would let twice as many pass in its first one."""
 
     __slots__ = ("_most", "_span", "_times")
 

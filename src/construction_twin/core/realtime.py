@@ -18,10 +18,7 @@ def request_realtime(priority: int) -> str:
     """Ask for SCHED_FIFO at `priority` for every thread of this process; threads and programs started later inherit it.
 
     With it the processors are asked to stay awake as long as this process lives, or a program that takes its place: an idle one
-    that has to wake up first answers late, in a virtual machine by milliseconds, because its host has given it away.
-
-    Returns:
-        One sentence for the log.
+    that has to wake up first answers late, in a virtual machine by milliseconds. Returns one sentence for the log.
     """
     if priority == 0:
         return "normal scheduling"
@@ -53,12 +50,9 @@ def _let_sleep() -> None:
 
 
 def lock_memory() -> str:
-    """Keep this process's memory from being paged out, so that no cycle waits for a disk; call it once everything is loaded.
+    """Keep this process's memory from being paged out once everything is loaded; return one sentence for the log.
 
     What is allocated later is not locked: where memory that may be locked is limited, that could make an allocation fail.
-
-    Returns:
-        One sentence for the log.
     """
     if sys.platform != "linux":
         return "memory not locked: this system has no mlockall"

@@ -13,7 +13,4 @@ def transition_matrix(omega: float, zeta: float, period: float) -> tuple[tuple[f
     even = cmath.cosh(root * period).real
     odd = (cmath.sinh(root * period) / root).real if root else period
     scale = math.exp(centre * period)
-    return (
-        (scale * (even - centre * odd), scale * odd),
-        (-scale * omega * omega * odd, scale * (even + centre * odd)),
-    )
+    return ((scale * (even - centre * odd), scale * odd), (-scale * omega * omega * odd, scale * (even + centre * odd)))

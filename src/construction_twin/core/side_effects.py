@@ -56,11 +56,9 @@ class SideEffects:
         self._last = ""
 
     def run(self, what: str, part: Callable[..., _Result], *arguments: object) -> _Result | None:
-        """Return what a part returns; None after an unexpected exception, which is counted and kept until it is told.
+        """Return what a part returns; None after an unexpected exception, which is counted by `what` and kept until it is told.
 
-        Args:
-            what: The part, in a word or two of few: each is counted by itself.
-            part: It tells, records or predicts. An act, or what an act depends on, does not belong here.
+        The part tells, records or predicts. An act, or what an act depends on, does not belong here.
         """
         try:
             return part(*arguments)
@@ -85,12 +83,9 @@ class SideEffects:
         return bool(self._unwritten)
 
     def write(self, log: Callable[[str, str], object], failures: list[Failure] | None = None) -> None:
-        """Write what has failed since the last call; not for a thread that must not wait.
+        """Write failures, by default what `take` returns, to a log as `rospy.logerr`; not for a thread that must not wait.
 
-        Args:
-            log: Takes ``"%s"`` and a text, as `rospy.logerr`. When it fails itself, that is counted and the text is lost: what
-                failed is still in `report`.
-            failures: What to write; by default what `take` returns.
+        When the log fails itself, that is counted and the text is lost: what failed is still in `report`.
         """
         failures = self.take() if failures is None else failures
         for failure in failures:

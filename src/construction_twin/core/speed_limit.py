@@ -54,20 +54,15 @@ class SpeedLimit:
         """
         # written so that a nan does not pass
         if not 0.0 <= fraction <= 1.0:
-            wrong = Sentence(
-                "{sender} sent the speed limit {fraction}; expected a fraction from 0 to 1",
-                sender=name,
-                fraction=fraction,
+            raise PayloadError(
+                "speed_limit", f"{name} sent the speed limit {fraction}; expected a fraction from 0 to 1"
             )
-            raise PayloadError("speed_limit", wrong)
         if not name:
             raise PayloadError(
-                "speed_limit_source", Sentence("a speed limit came without its sender's name; expected a node's name")
+                "speed_limit_source", "a speed limit came without its sender's name; expected a node's name"
             )
         if name != self.name and self.is_heard(now):
-            two = Sentence(
-                "{sender} sent a speed limit while {other} does; let only one of them", sender=name, other=self.name
-            )
+            two = f"{name} sent a speed limit while {self.name} does; let only one of them"
             raise PayloadError("speed_limit_source", two)
         self.hear(fraction, name, now)
         words = words.strip() or Sentence("no reason given")

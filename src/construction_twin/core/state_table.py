@@ -103,13 +103,10 @@ class Machine(Generic[S, E, G, A, Occ]):
     Args:
         guards: From the occasion to what speaks against the row, in a sentence; "" for nothing. See `conditions`.
         actions: Takes row and occasion; returns the sentence with which the next state is entered, None for the occasion's own.
-        refusal: Template of the sentence about an event that its state does not take; its values are ``state`` and ``reason``.
+        refusal: Returns the sentence about an event that the present state does not take; None: one with state and reason.
 
     Attributes:
         changed: True after every change of state or reason, until whoever reports it sets it to False.
-
-    Raises:
-        ValueError: When a guard or an action of the table has no function.
     """
 
     def __init__(
@@ -119,7 +116,7 @@ class Machine(Generic[S, E, G, A, Occ]):
         reason: str,
         guards: Mapping[G, Callable[[Occ], str]],
         actions: Mapping[A, Callable[[Row[S, E, G, A], Occ], str | None]],
-        refusal: str = "it is {state}: {reason}",
+        refusal: Callable[[], str] | None = None,
         after: Callable[[Row[S, E, G, A], Occ], None] | None = None,
     ):
         self.state = state
@@ -127,7 +124,7 @@ class Machine(Generic[S, E, G, A, Occ]):
         self.changed = True
         self._rows = rows
         self._guards, self._actions = dict(guards), dict(actions)
-        self._refusal, self._after = refusal, after
+        self._refusal, self._after = refusal or self._is_not_taken, after
         for row in (row for of_cause in rows.values() for row in of_cause):
             if not row.guard.value:
                 self._guards.setdefault(row.guard, _always)
@@ -165,7 +162,10 @@ class Machine(Generic[S, E, G, A, Occ]):
                 if self._after is not None:
                     self._after(row, occasion)
                 return ""
-        return refusal or Sentence(self._refusal, state=_name(self.state), reason=self.reason)
+        return refusal or self._refusal()
+
+    def _is_not_taken(self) -> str:
+        return Sentence("it is {state}: {reason}", state=_name(self.state), reason=self.reason)
 
     def add(self, note: str) -> None:
         """Add to the reason for which the present state was entered, in place of what was added before."""

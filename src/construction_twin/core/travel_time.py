@@ -8,7 +8,6 @@ PayloadError, whose reason is the counter's name.
 from __future__ import annotations
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 
 #: A sequence number may be this far ahead: one second of states.
@@ -37,27 +36,14 @@ class TravelTime:
     def excess(self, stamp: int, received: int) -> int:
         """Return by how much longer than the quickest one a member has travelled, without taking it as a reference.
 
-        Args:
-            stamp: When it was sent, on the sender's clock [ns].
-            received: When it was received, on a monotonic clock [ns].
-
-        Returns:
-            [ns]; negative for one that is quicker than all before it, 0 for the first.
+        `stamp` is on the sender's clock, `received` on a monotonic one [ns]. Negative: quicker than all before it; 0: the first.
         """
         if self._shortest is None:
             return 0
         return received - stamp - self._shortest - round((received - self._at) * MAX_DRIFT)
 
     def take(self, stamp: int, received: int) -> int:
-        """Return by how much longer than the quickest one a member has travelled, itself included.
-
-        Args:
-            stamp: When it was sent, on the sender's clock [ns].
-            received: When it was received, on a monotonic clock [ns].
-
-        Returns:
-            [ns]; 0 for one that is at least as quick as all before it: it is the new reference.
-        """
+        """Return the same, itself included; 0 for one that is at least as quick as all before it: it is the new reference."""
         travelled = received - stamp
         if self._shortest is None:
             shortest = travelled
@@ -94,7 +80,7 @@ class SequenceCheck:
         if not last or 0 < seq - last <= MAX_JUMP:
             self.lost += seq - last - 1 if last else 0
         elif not self._is_confirmed(seq):
-            raise PayloadError("sequence", Sentence("seq {seq} after {last}", seq=seq, last=last))
+            raise PayloadError("sequence", f"seq {seq} after {last}")
         elif seq < last:
             restarted = True
         else:
@@ -135,16 +121,11 @@ class FreshnessCheck:
         excess = self._travel.excess(stamp, received)
         if excess < -self._limit and self._early < CONFIRMATIONS:
             self._early += 1
-            raise PayloadError(
-                "early",
-                Sentence("state travelled {seconds:.3f} s less than the quickest one", seconds=-excess / NANOSECONDS),
-            )
+            raise PayloadError("early", f"state travelled {-excess / NANOSECONDS:.3f} s less than the quickest one")
         self._early = 0
         self._travel.take(stamp, received)
         if excess > self._limit:
-            raise PayloadError(
-                "stale", Sentence("state is {seconds:.3f} s older than the freshest one", seconds=excess / NANOSECONDS)
-            )
+            raise PayloadError("stale", f"state is {excess / NANOSECONDS:.3f} s older than the freshest one")
 
 
 class StateCheck:

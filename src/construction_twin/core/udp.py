@@ -44,11 +44,7 @@ def ask_for_stamps(sock: socket.socket) -> bool:
 
 
 def address_of(host: str, option: str) -> str:
-    """Return the one IPv4 address of a host, which is what a datagram's source is compared with.
-
-    Raises:
-        ConfigurationError: When the name is not known, or stands for several addresses.
-    """
+    """Return the one IPv4 address of a host, which is what a datagram's source is compared with."""
     try:
         found = {str(entry[4][0]) for entry in socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_DGRAM)}
     except (OSError, ValueError) as error:
@@ -61,12 +57,9 @@ def address_of(host: str, option: str) -> str:
 
 
 def receive(sock: socket.socket) -> tuple[bytes, int, tuple]:
-    """Read one datagram.
+    """Read one datagram: its data, when it arrived on the wall clock [ns], and its sender's address and port.
 
-    Returns:
-        data: Longer than `MAX_TELEGRAM` when the datagram was, so that it is refused; maybe not all of it.
-        arrived: Time of arrival on the wall clock [ns]; the time of reading where the system does not tell.
-        source: Address and port of the sender.
+    Of data longer than `MAX_TELEGRAM` so much that it is refused. The time is that of reading where the system does not tell.
 
     Raises:
         BlockingIOError: When there is none.

@@ -6,6 +6,7 @@ Standard library only: the gateway on the cell PC imports it.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 
 #: Length of a cycle of setpoints, and of a controller cycle with `#IPO_FAST` [s] (docs/rsi.md, section 1).
@@ -13,6 +14,8 @@ CYCLE = 0.004
 #: The same in nanoseconds: stamps are integers so that a grid of them stays exact.
 CYCLE_NS = 4_000_000
 NANOSECONDS = 1_000_000_000
+#: An axis as KUKA and ROS-Industrial name it.
+_AXIS = re.compile(r"joint_([ae][1-9])")
 
 
 def seconds(stamp: int) -> float:
@@ -58,11 +61,7 @@ def from_people(value: float, unit: str) -> tuple[float, str]:
 
 
 def for_people(value: float, unit: str) -> str:
-    """Return a quantity as a person enters it: angles in deg, lengths in mm.
-
-    Args:
-        unit: Its unit: rad or m, alone or over a time (``rad/s^2``); another one is left as it is.
-    """
+    """Return a quantity as a person enters it, by `to_people`, with its unit."""
     value, unit = to_people(value, unit)
     # six digits, of a position as many decimals as the wire may have: what is out of range by the last one shows it
     text = f"{value:.6f}" if "/" not in unit and abs(value) < 1e6 else f"{value:.6g}"
@@ -71,14 +70,7 @@ def for_people(value: float, unit: str) -> str:
 
 
 def last_digit(decimals: int, linear: bool = False) -> float:
-    """Return what one unit of the last decimal of a joint string's field is worth.
-
-    Args:
-        linear: True: of mm, for a prismatic joint; False: of deg.
-
-    Returns:
-        [rad], or [m] for a prismatic joint.
-    """
+    """Return what one unit of the last decimal of a joint string's field is worth: of deg [rad], of mm where it is linear [m]."""
     return 10.0**-decimals / 1e3 if linear else math.radians(10.0**-decimals)
 
 
@@ -87,12 +79,11 @@ def format_allowance(decimals: int, linear: bool = False, cycle: float = CYCLE) 
 
     Second differences of values rounded to 10^-d deg carry up to 2 * 10^-d deg of rounding (docs/architecture.md, law 3):
     125 deg/s^2 at 3 decimals, 0.125 at 6; likewise 125 mm/s^2 for a prismatic joint. A ninth of it in a cycle of 12 ms.
-
-    Args:
-        linear: True: of mm, for a prismatic joint; False: of deg.
-        cycle: Time between the rounded values [s].
-
-    Returns:
-        [rad/s^2], or [m/s^2] for a prismatic joint.
     """
     return 2 * last_digit(decimals, linear) / cycle**2
+
+
+def axis_name(joint: str) -> str:
+    """Return what a person at the arm calls a joint: ``A3`` for ``joint_a3``; another name stays."""
+    found = _AXIS.fullmatch(joint)
+    return found[1].upper() if found else joint

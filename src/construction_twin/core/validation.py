@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from construction_twin.core.errors import ConfigurationError
 
@@ -41,20 +41,6 @@ _KINDS = {
 _BOUNDS = {"exclusiveMinimum": "above", "minimum": "at least", "exclusiveMaximum": "below", "maximum": "at most"}
 
 
-class Invalid(Protocol):
-    """What pydantic raises."""
-
-    def errors(self) -> Sequence[Mapping[str, Any]]:
-        """Return what is wrong, one mapping for each place: type, loc, input, msg, ctx."""
-
-
-class Model(Protocol):
-    """A pydantic model."""
-
-    def model_json_schema(self) -> dict[str, Any]:
-        """Return what its documents may hold."""
-
-
 @dataclass(frozen=True)
 class WrongValue:
     """The first thing that is wrong.
@@ -72,8 +58,8 @@ class WrongValue:
         return f"{self.key}: found {'nothing' if self.value is None else repr(self.value)}, expected {self.expected}"
 
 
-def wrong_value(error: Invalid, schema: Schema) -> WrongValue:
-    """Return what is wrong, in words."""
+def wrong_value(error: Any, schema: Schema) -> WrongValue:
+    """Return in words what is wrong by a pydantic.ValidationError."""
     problems = error.errors()
     first = _mistyped(problems) or problems[0]
     keys, place, parent = _walk(schema, first["loc"])
@@ -92,8 +78,8 @@ def _mistyped(problems: Sequence[Mapping[str, Any]]) -> Mapping[str, Any] | None
     return next((problem for problem in strange if problem["loc"][:-1] == beside), None)
 
 
-def configuration_error(error: Invalid, model: Model, where: str = "") -> ConfigurationError:
-    """Return the typed error of what is wrong."""
+def configuration_error(error: Any, model: Any, where: str = "") -> ConfigurationError:
+    """Return the typed error of what is wrong with a document of a pydantic model."""
     wrong = wrong_value(error, model.model_json_schema())
     key = "/".join(filter(None, (where, wrong.key)))
     return ConfigurationError(key, wrong.value, wrong.expected)

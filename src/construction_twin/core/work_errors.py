@@ -22,10 +22,7 @@ class BuildingError(WorkError):
 
     def __init__(self, file: str, what: str, found: str, expected: str):
         self.file, self.what, self.found, self.expected = file, what, found, expected
-        where = f"{file}: {what}"
-        super().__init__(
-            Sentence("{where}: found {found}, expected {expected}", where=where, found=found, expected=expected)
-        )
+        super().__init__(f"{file}: {what}: found {found}, expected {expected}")
 
     def __reduce__(self):
         """Return what it is made of again in another process."""

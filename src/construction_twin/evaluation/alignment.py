@@ -97,10 +97,8 @@ class Alignment:
 class TwinPath:
     """The twin's motion as a function of time.
 
-    Samples whose stamp does not lie after all earlier ones (a restarted or repeated stream) are left out.
-
-    Args:
-        base: Stamp that times are counted from [ns].
+    Samples whose stamp does not lie after all earlier ones (a restarted or repeated stream) are left out. `base`: Stamp that times
+    are counted from [ns].
     """
 
     def __init__(self, twin: Stream, base: int):

@@ -142,8 +142,7 @@ def nanoseconds(time: Any) -> int:
 def read_recording(path: str | Path, namespace: str | None = None) -> Recording:
     """Read one robot's run from a bag.
 
-    Args:
-        namespace: The robot's namespace, e.g. ``/kr120``; default: that of the only robot in the bag.
+    `namespace`: The robot's namespace, e.g. ``/kr120``; default: that of the only robot in the bag.
     """
     with open_bag(path) as bag:
         robot = choose_robot(bag.topics, namespace)

@@ -24,8 +24,7 @@ from construction_twin.evaluation.alignment import Alignment
 class PaperError:
     """One column pair of the paper's Table 1.
 
-    Attributes:
-        average, maximum: Absolute joint angle error between virtual and physical robot [rad], as printed.
+    `average`, `maximum`: Absolute joint angle error between virtual and physical robot [rad], as printed.
     """
 
     average: float
@@ -176,8 +175,7 @@ def table_console(stderr: bool = False, markup: bool = True) -> Console:
 def render_tables(summary: Mapping, console: Console | None = None) -> None:
     """Print a summary: one table per alignment beside the paper's figures, then lag, counts, rates and times.
 
-    Args:
-        console: Default: standard output.
+    `console`: Default: standard output.
     """
     console = console or table_console()
     rows = list(table_rows(summary["tables"]))
@@ -195,7 +193,7 @@ def render_tables(summary: Mapping, console: Console | None = None) -> None:
 def summary_lines(summary: Mapping) -> list[str]:
     """Return the sentences that stand below the tables."""
     said = [f"{name}: {value}" + (f" (paper {paper})" if paper else "") for name, value, paper in facts(summary)]
-    rates = "rates: " + "   ".join(f"{name} {_text(rate, '.3f')} Hz" for name, rate in summary["rate_hz"].items())
+    rates = "rates: " + "   ".join(f"{name} {shown(rate, '.3f')} Hz" for name, rate in summary["rate_hz"].items())
     times = [_times("round trip", summary["round_trip_ms"], "ms"), _times("RSI reply time", summary["reply_us"], "us")]
     return [*said, *times, rates, *remarks(summary)]
 
@@ -210,15 +208,15 @@ def facts(summary: Mapping) -> list[tuple[str, str, str]]:
     lag = summary["lag_s"]
     return [
         ("duration", f"{summary['duration_s']:.3f} s", ""),
-        ("samples", _text(summary["samples"]), str(SAMPLES)),
-        ("waypoints", _text(summary["waypoints"]), str(WAYPOINTS)),
-        ("decimals on the wire", _text(summary["decimals"]), ""),
-        ("servo", _text(summary["servo"]), ""),
+        ("samples", shown(summary["samples"]), str(SAMPLES)),
+        ("waypoints", shown(summary["waypoints"]), str(WAYPOINTS)),
+        ("decimals on the wire", shown(summary["decimals"]), ""),
+        ("servo", shown(summary["servo"]), ""),
         *([("twin", summary["twin"], "")] if summary.get("twin") else []),
         ("lag taken out in lag_removed", "unknown" if lag is None else f"{lag * 1e3:.6f} ms", ""),
-        ("commands sent", _text(summary["commands_sent"]), ""),
-        ("commands lost", _text(summary["commands_lost"]), ""),
-        ("late RSI replies", _text(summary["late_replies"]), ""),
+        ("commands sent", shown(summary["commands_sent"]), ""),
+        ("commands lost", shown(summary["commands_lost"]), ""),
+        ("late RSI replies", shown(summary["late_replies"]), ""),
         ("largest final error", _final_errors(summary), ""),
     ]
 
@@ -233,8 +231,8 @@ def _rich_table(title: str, rows: Sequence[TableRow]) -> Table:
         joint, errors = row.joint, (row.avg_rad, row.max_rad)
         if row.avg_m is not None:
             joint, errors = f"{row.joint} [m]", (row.avg_m, row.max_m)
-        figures = [_text(value, ".4e") for value in (*errors, row.paper_avg_rad, row.paper_max_rad)]
-        table.add_row(joint, *figures, _text(row.avg_ratio, ".3g"), _text(row.max_ratio, ".3g"))
+        figures = [shown(value, ".4e") for value in (*errors, row.paper_avg_rad, row.paper_max_rad)]
+        table.add_row(joint, *figures, shown(row.avg_ratio, ".3g"), shown(row.max_ratio, ".3g"))
     return table
 
 
@@ -245,12 +243,13 @@ def _final_errors(summary: Mapping) -> str:
 
 def _times(name: str, figures: Mapping, unit: str) -> str:
     parts = [
-        f"{key.replace('_', '.')} {_text(value, '.3f' if unit == 'ms' else '.0f')}" for key, value in figures.items()
+        f"{key.replace('_', '.')} {shown(value, '.3f' if unit == 'ms' else '.0f')}" for key, value in figures.items()
     ]
     return f"{name} [{unit}]: " + "   ".join(parts)
 
 
-def _text(value, form: str = "") -> str:
+def shown(value, form: str = "") -> str:
+    """Return a figure; None: ``unknown``."""
     return "unknown" if value is None else format(value, form)
 
 

@@ -66,14 +66,9 @@ class Arrivals:
             self.learned, self._changed = jitter, True
 
     def note_telegram(self, lead: int, clock: int) -> bool:
-        """Take how far the newest command is ahead at a telegram.
+        """Take how far the newest command is ahead of the clock at a telegram; return whether the extremes have changed since.
 
-        Args:
-            lead: Its stamp minus the controller's clock [ns].
-            clock: The controller's clock, 0 at the stream's first command [ns].
-
-        Returns:
-            Whether the extremes have changed since the last call.
+        The clock is the controller's, 0 at the stream's first command [ns].
         """
         if not self._started:
             self._started = True

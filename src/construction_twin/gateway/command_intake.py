@@ -65,61 +65,39 @@ class CommandStream:
         self._last_q: tuple[float, ...] = ()
         self._begin_block()
 
-    def read(self, payload: bytes, properties: CommandProperties | None, now: int) -> Command:
-        """Read a command.
-
-        Args:
-            payload: A joint string.
-            properties: What was beside it.
-            now: [ns]
+    def read(self, payload: bytes, properties: CommandProperties | PayloadError | None, now: int) -> Command:
+        """Read a joint string with what was beside it at `now` [ns].
 
         Raises:
             PayloadError: ``properties``, ``session``, ``duplicate`` (was taken), ``reordered`` (comes behind a newer one),
                 ``sequence`` (too far behind to tell, as a replayed one is, or too far ahead), ``stale``, or a reason of the codec.
         """
+        if isinstance(properties, PayloadError):
+            raise properties
         if not self._config.properties:
             q = self._codec.decode(payload)
             return Command(self._arrival_stamp(now, q), q, 0)
         if properties is None:
-            raise PayloadError("properties", Sentence("command without session, seq and stamp"))
+            raise PayloadError("properties", "command without session, seq and stamp")
         if properties.session != self.session:
-            raise PayloadError(
-                "session",
-                Sentence(
-                    "command of session {session}; armed is {armed}",
-                    session=repr(properties.session),
-                    armed=repr(self.session),
-                ),
-            )
+            raise PayloadError("session", f"command of session {properties.session!r}; armed is {self.session!r}")
         step = properties.seq - self._sequence
-        if step <= 0:
-            raise self._why_behind(properties.seq, -step)
+        if step <= -REMEMBERED or properties.seq < 1:
+            raise PayloadError("sequence", f"seq {properties.seq} after {self._sequence}")
         if step > FARTHEST and self.last_stamp:
             # nor would the count of what was lost mean anything
-            found = Sentence("seq {seq} after {last}: no stream loses so many", seq=properties.seq, last=self._sequence)
-            raise PayloadError("sequence", found)
+            raise PayloadError("sequence", f"seq {properties.seq} after {self._sequence}: no stream loses so many")
+        if step <= 0:
+            found = "duplicate" if self._taken >> -step & 1 else "reordered"
+            raise PayloadError(found, f"seq {properties.seq} after {self._sequence}: {found}")
         q = self._codec.decode(payload)
-        self._check_age(properties.stamp, now)
+        # a command that is late leaves the reference as it is, so it may be taken before it is judged
+        late = self._travel_time.take(properties.stamp, now) / NANOSECONDS
+        if late > self._config.max_age:
+            raise PayloadError("stale", f"command is {late:.3f} s older than the freshest")
         self._sequence = properties.seq
         self._taken = 1 if step >= REMEMBERED else (self._taken << step | 1) & _ALL
         return Command(properties.stamp, q, step - 1)
-
-    def _why_behind(self, seq: int, behind: int) -> PayloadError:
-        if behind >= REMEMBERED or seq < 1:
-            return PayloadError("sequence", Sentence("seq {seq} after {last}", seq=seq, last=self._sequence))
-        if self._taken >> behind & 1:
-            return PayloadError(
-                "duplicate", Sentence("seq {seq} after {last}: it was taken before", seq=seq, last=self._sequence)
-            )
-        return PayloadError(
-            "reordered", Sentence("seq {seq} after {last}: a newer one came first", seq=seq, last=self._sequence)
-        )
-
-    def _check_age(self, stamp: int, now: int) -> None:
-        # a command that is late leaves the reference as it is, so it may be taken before it is judged
-        late = self._travel_time.take(stamp, now) / NANOSECONDS
-        if late > self._config.max_age:
-            raise PayloadError("stale", Sentence("command is {late:.3f} s older than the freshest", late=late))
 
     def _arrival_stamp(self, now: int, q: tuple[float, ...]) -> int:
         """Return a stamp for a command without one: the sender's 4 ms grid, begun anew after a gap in which it was given up.
@@ -158,48 +136,29 @@ class StreamBroken(Exception):
 
     Attributes:
         event: ``STREAM_SILENT``, ``SPEED_IGNORED`` or ``REPLIES_LOST``: what the gateway brakes for.
-        reason: Why, in one sentence.
     """
 
     def __init__(self, event: Event, reason: Sentence):
         super().__init__(reason)
-        self.event, self.reason = event, reason
+        self.event = event
 
 
 class CommandIntake:
-    """From messages on `command` to what the player plays."""
+    """From messages on `command` to what the player plays.
+
+    Stamps and `now` in ns, poses of shape (n,) in rad; `waited` is the time since the last telegram [ns].
+    """
 
     def __init__(self, config: GatewayConfig, codec: JointStringCodec, player: Player):
         self._config = config
         self._limits = config.limits
         self._player = player
-        self._stream = CommandStream(config, codec)
+        #: Who may command, and which commands are read.
+        self.stream = CommandStream(config, codec)
         self._check = MotionCheck(self._limits, config.decimals)
 
-    @property
-    def session(self) -> str:
-        """Id of the session that may command; "" for none."""
-        return self._stream.session
-
-    def begin(self, session: str) -> None:
-        """Start over with another session; "" for none."""
-        self._stream.begin(session)
-
-    def read(self, payload: bytes, properties: CommandProperties | PayloadError | None, now: int) -> Command:
-        """Read a command; PayloadError when it is not one."""
-        if isinstance(properties, PayloadError):
-            raise properties
-        return self._stream.read(payload, properties, now)
-
     def start(self, held: tuple[float, ...], stamp: int, q: tuple[float, ...], waited: int, now: int) -> None:
-        """Take the first command of a stream.
-
-        Args:
-            held: Shape (n,). The pose that the gateway holds [rad].
-            stamp: [ns]
-            q: Shape (n,). [rad]
-            waited: Time since the last telegram [ns].
-            now: [ns]
+        """Take the first command of a stream, while the gateway holds the pose `held`.
 
         Raises:
             MotionRefused: When it is out of range, or away from the pose that is held (``start``).
@@ -210,16 +169,11 @@ class CommandIntake:
         if off is not None:
             raise self._limits.refused("start", off, q[off] - held[off], tolerances[off])
         self._check.start(stamp, q)
-        self._player.learn_from_stall(self.session if self._config.properties else None, now)
+        self._player.learn_from_stall(self.stream.session if self._config.properties else None, now)
         self._push(stamp, q, waited)
 
     def take(self, stamp: int, q: tuple[float, ...], waited: int) -> None:
         """Take a command that follows another.
-
-        Args:
-            stamp: [ns]
-            q: Shape (n,). [rad]
-            waited: Time since the last telegram [ns].
 
         Raises:
             MotionRefused: ``lead`` or a reason of `MotionCheck`.
@@ -238,26 +192,21 @@ class CommandIntake:
             raise StreamBroken(Event.STREAM_SILENT, Sentence("{seconds:.3f} s of the stream are missing", seconds=hole))
         behind = player.backlog
         if behind > self._config.speed_limit_backlog:
+            event, cause = Event.SPEED_IGNORED, Sentence("speed limit {limit:g} not obeyed", limit=player.fraction)
             if player.stood:
-                found = Sentence(
-                    "the arm is {behind:.3f} s behind its stream, at most {most:g} s are put off: it has stood "
-                    "{count} times because telegrams or replies did not arrive in time",
-                    count=player.stood,
-                    behind=behind,
-                    most=self._config.speed_limit_backlog,
-                )
-                raise StreamBroken(Event.REPLIES_LOST, found)
-            found = Sentence(
-                "the sender does not obey the speed limit of {fraction:g}: it is {behind:.3f} s ahead of the "
-                "arm, at most {most:g} s are put off",
-                fraction=player.fraction,
+                event = Event.REPLIES_LOST
+                cause = Sentence("{count} standstills, replies did not arrive in time", count=player.stood)
+            most = self._config.speed_limit_backlog
+            why = Sentence(
+                "arm {behind:.3f} s behind its stream, allowed {most:g} s: {cause}",
                 behind=behind,
-                most=self._config.speed_limit_backlog,
+                most=most,
+                cause=cause,
             )
-            raise StreamBroken(Event.SPEED_IGNORED, found)
+            raise StreamBroken(event, why)
         self._check.accept(stamp, q)
         self._push(stamp, q, waited)
 
     def _push(self, stamp: int, q: tuple[float, ...], waited: int) -> None:
-        self._stream.last_stamp = stamp
+        self.stream.last_stamp = stamp
         self._player.push(stamp, q, waited)

@@ -18,11 +18,10 @@ from construction_twin.core.command_line import Parser
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.network import is_loopback
 from construction_twin.core.realtime import lock_memory, request_realtime
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.udp import address_of, bind
 from construction_twin.gateway.config import GatewayConfig, load_config
 from construction_twin.gateway.service import GatewayService
-from construction_twin.gateway.states import Mode, noted
+from construction_twin.gateway.states import Mode
 from construction_twin.gateway.stop_file import StopFile
 from construction_twin.gateway.trace import TraceWriter, check_trace
 from construction_twin.mqtt.account import load_account
@@ -143,11 +142,6 @@ def _address(text: str, option: str) -> tuple[str, int]:
     return host, int(port)
 
 
-def _listen_address(text: str, config: GatewayConfig) -> tuple[str, int]:
-    host, port = _address(text, "--listen")
-    return host, port or config.layout.port
-
-
 @dataclass(frozen=True)
 class _Ends:
     """Between whom the gateway stands."""
@@ -165,15 +159,12 @@ def _ends(arguments: argparse.Namespace, config: GatewayConfig) -> _Ends:
     if account is not None and account.ca_file:
         account.context()
     broker = Broker(*_address(arguments.broker, "--broker"), protocol=arguments.protocol, account=account)
-    address = _listen_address(arguments.listen, config)
+    host, port = _address(arguments.listen, "--listen")
     controller = address_of(arguments.controller, "--controller") if arguments.controller else None
-    if controller is None and not is_loopback(address[0]):
-        raise ConfigurationError(
-            "--controller",
-            "",
-            (f"the controller's address: what comes to {address[0]} comes from a network, and only the controller may"),
-        )
-    return _Ends(broker, Topics(arguments.prefix, config.robot), address, controller)
+    if controller is None and not is_loopback(host):
+        expected = f"the controller's address: what comes to {host} comes from a network, and only the controller may"
+        raise ConfigurationError("--controller", "", expected)
+    return _Ends(broker, Topics(arguments.prefix, config.robot), (host, port or config.layout.port), controller)
 
 
 def check(arguments: argparse.Namespace, config: GatewayConfig) -> None:
@@ -221,9 +212,9 @@ def _run(argv: list[str]) -> int:
     if config.layout.not_filled:
         log.info("channels that no reply fills, so they stay as they are: %s", ", ".join(config.layout.not_filled))
     if service.gateway.mode is not Mode.NORMAL:
-        log.warning("%s", noted(f"mode {service.gateway.mode.value}", service.gateway.mode, words))
+        log.warning("%s", service.gateway.noted(f"mode {service.gateway.mode.value}"))
     if stops.found:
-        log.warning("%s", Sentence("stopped before, and not reset ({reason})", reason=stops.found))
+        log.warning("stopped before, and not reset (%s)", stops.found)
     log.info("%s; %s", request_realtime(arguments.realtime), lock_memory())
     # a full collection over everything imported would take longer than the controller waits
     gc.freeze()

@@ -29,17 +29,14 @@ class GatewayConfig:
     """What the gateway must know about the robot and the link.
 
     Axis order is A1 first; values are those of the controller's axes, which may differ from the URDF's joints in sign and offset.
+    SI; those of linear axes in m where others are in rad.
 
     Attributes:
-        robot: Name of the robot in MQTT topics.
         axes: Names of the axes in the telegrams, e.g. ``A1``.
-        lower, upper: Range [rad]; of `linear` axes [m], and so on.
-        velocity, acceleration: [rad/s], [rad/s^2].
         cycle: The controller's cycle [ms]; RSI has 4 (`#IPO_FAST`) and 12 (`#IPO`).
         decimals: Decimals of a degree, and of a mm for a linear axis, in the joint string.
         properties: Whether commands carry the MQTT 5 properties session, seq and stamp.
-        start_tolerance: A stream may begin this close to the held pose [rad]: revolute axes.
-        start_tolerance_linear: The same for linear axes [m].
+        start_tolerance, start_tolerance_linear: A stream may begin this close to the held pose [rad], [m].
         playout_delay: Distance of the playout to the newest command when a stream begins [s].
         playout_delay_min, playout_delay_max: Bounds of that distance, which follows the jitter of the commands [s].
         silence: The stream may be overdue this long before the gateway brakes and holds [s].
@@ -125,6 +122,8 @@ class GatewayConfig:
             "speed_limit_grace",
             "speed_limit_backlog",
             "timeout",
+            "e1_feedback_scale",
+            "e1_correction_scale",
         ):
             value = getattr(self, name)
             if not isinstance(value, (int, float)) or not 0 < value < math.inf:
@@ -137,17 +136,10 @@ class GatewayConfig:
         fraction = self.speed_limit_silent
         if isinstance(fraction, bool) or not isinstance(fraction, (int, float)) or not 0 <= fraction <= 1:
             raise ConfigurationError("speed_limit_silent", fraction, "a fraction of the velocity limits, 0 to 1")
-        self._check_rsi()
-
-    def _check_rsi(self) -> None:
         if type(self.e1_sign) is not int or self.e1_sign not in (1, -1):
             raise ConfigurationError("e1_sign", self.e1_sign, "1 or -1")
         if not isinstance(self.e1_offset, (int, float)) or not math.isfinite(self.e1_offset):
             raise ConfigurationError("e1_offset", self.e1_offset, "a finite number [rad] or [m]")
-        for name in ("e1_feedback_scale", "e1_correction_scale"):
-            value = getattr(self, name)
-            if not isinstance(value, (int, float)) or not 0 < value < math.inf:
-                raise ConfigurationError(name, value, "a positive number")
         if not set(self.linear) <= set(self.axes):
             raise ConfigurationError("linear", self.linear, f"some of the axes {', '.join(self.axes)}")
         known = self.make.references
@@ -208,15 +200,7 @@ class GatewayConfig:
 
 
 def parse_config(text: str, where: str) -> GatewayConfig:
-    """Parse and check a configuration file's text.
-
-    Args:
-        text: What `GatewayConfig.to_json` returned.
-        where: Name of the file, for messages.
-
-    Raises:
-        ConfigurationError: If it is not such a file, or was edited by hand (its hash no longer fits).
-    """
+    """Parse a configuration file's text; ConfigurationError if it is none, or was edited by hand (its hash no longer fits)."""
     try:
         document = json.loads(text)
         motion = _with_tuples(document["motion"])

@@ -49,12 +49,7 @@ _MEASURED = re.compile(r"\d+\.\d+")
 
 
 class ControllerClock:
-    """What one session shows of its controller's clock.
-
-    Args:
-        make: Of the controller.
-        cycle_ms: The cycle that is expected [ms].
-    """
+    """What one session shows of the clock of a controller whose cycle is expected to be `cycle_ms`."""
 
     def __init__(self, make: Make, cycle_ms: int):
         self._cycle = cycle_ms
@@ -93,12 +88,7 @@ class ControllerClock:
         self._judged = ""
 
     def note(self, stamp: int, arrived: int) -> None:
-        """Take a telegram, also one that is not answered.
-
-        Args:
-            stamp: [ms]
-            arrived: Time of arrival on any clock that runs in real time [ns].
-        """
+        """Take a telegram by its stamp [ms] and arrival on any clock that runs in real time [ns], also one that is not answered."""
         arrivals = self._arrivals
         if arrivals:
             step = stamp_step(self._stamp, stamp, PATIENT)
@@ -215,22 +205,15 @@ class ControllerClock:
 
     @staticmethod
     def _off_sentence(off: float) -> str:
-        fast = off > 0.0
-        ends = (
-            Sentence(
-                ", and a long motion ends in a stop ({cause}): it cannot be followed",
-                cause="silence" if fast else "lead",
-            )
-            if abs(off) > FOLLOWED
-            else ""
-        )
+        fast, percent, ends = off > 0.0, 100.0 * abs(off), ""
+        if abs(off) > FOLLOWED:
+            ends = Sentence("; a long motion ends in a stop ({cause})", cause="silence" if fast else "lead")
+        slow = Sentence("{percent:.2f} % slow", percent=percent)
+        off_by = Sentence("{percent:.2f} % fast", percent=percent) if fast else slow
         return Sentence(
-            "the controller's clock is {percent:.2f} % fast against this PC's: the arm is as much faster than planned{ends}; "
-            "right clocks agree within 0.02 %, so one of them is simulated, virtual, or being set"
-            if fast
-            else "the controller's clock is {percent:.2f} % slow against this PC's: the arm is as much slower than planned{ends}; "
-            "right clocks agree within 0.02 %, so one of them is simulated, virtual, or being set",
-            percent=100.0 * abs(off),
+            "the controller's clock is {off_by} against this PC's, and so is the arm{ends}; one of both clocks is simulated, "
+            "virtual, or being set",
+            off_by=off_by,
             ends=ends,
         )
 
@@ -245,30 +228,13 @@ class ControllerClock:
                 expected=cycle,
                 setting=setting,
             )
-            return (
-                Sentence(
-                    "{cycle}; or set the gateway's cycle to {step:g} (rsi_cycle:={step:g})", cycle=found, step=step
-                )
-                if step in self._modes
-                else found
-            )
-        if not rate:
-            return Sentence(
-                "the controller's clock runs {rate:.2f} times as fast as real time ({stamp} steps of "
-                "{step:g}); expected {stamp} to count milliseconds, {expected} per telegram: what sends is "
-                "no controller in real time",
-                rate=rate,
-                stamp=stamp,
-                step=step,
-                expected=cycle,
-            )
+            return Sentence("{cycle}; or rsi_cycle:={step:g}", cycle=found, step=step) if step in self._modes else found
         return Sentence(
-            "the controller's clock runs {rate:.2f} times as fast as real time ({stamp} steps of "
-            "{step:g}, a telegram every {every:.1f} ms); expected {stamp} to count milliseconds, "
-            "{expected} per telegram: what sends is no controller in real time",
+            "the controller's clock runs {rate:.2f} times as fast as real time ({stamp} steps of {step:g}, a telegram every "
+            "{every:.1f} ms); expected {expected} per telegram: what sends is no controller in real time",
             rate=rate,
             stamp=stamp,
             step=step,
+            every=step / rate if rate else 0.0,
             expected=cycle,
-            every=step / rate,
         )

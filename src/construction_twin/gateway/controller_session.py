@@ -46,7 +46,6 @@ class ControllerSession:
         self._limits = config.limits
         self._tolerances = config.start_tolerances
         self._rules = config.make.rules(config)
-        self._follows = self._rules.follows
         self._words = config.make.words
         self._counters = counters
         self._timeout = round(config.timeout * NANOSECONDS)
@@ -86,8 +85,6 @@ class ControllerSession:
         """Take a telegram; None when it came twice, or behind a newer one: it was answered, or an answer comes too late.
 
         Args:
-            source: Where it came from.
-            now: [ns]
             sent: Shape (n,). The correction that the last answer carried [rad]; () for nothing.
             moving: Whether that correction is being changed.
         """
@@ -166,7 +163,7 @@ class ControllerSession:
         if telegram.measured is None or not self.origin:
             return ()
         self.measured = telegram.measured
-        if telegram.setpoint is None or telegram.setpoint == self.origin or not self._follows:
+        if telegram.setpoint is None or telegram.setpoint == self.origin or not self._rules.follows:
             return ()
         self._counters["reference_drifts"] += 1
         return telegram.setpoint
@@ -174,7 +171,7 @@ class ControllerSession:
     def drift(self, setpoint: tuple[float, ...]) -> str:
         """Return in one sentence how far a programmed position [rad] is off the origin; "" within the start tolerance."""
         distance = self.distance_off(setpoint, self.origin)
-        return distance and Sentence(self._rules.drifted, distance=distance)
+        return distance and self._rules.drifted(distance)
 
     def distance_off(self, q: tuple[float, ...], reference: tuple[float, ...], tolerances: float = 1.0) -> str:
         """Return how far the first axis is off that is further than so many start tolerances, for people; "" when none is."""
@@ -182,7 +179,7 @@ class ControllerSession:
 
     def renew_origin(self) -> None:
         """Where the measured pose is the origin, take the present one; only while the correction is zero."""
-        if not self._follows and self.measured:
+        if not self._rules.follows and self.measured:
             self.origin = self.measured
 
     def move_origin(self, setpoint: tuple[float, ...], position: tuple[float, ...]) -> tuple[float, ...]:
@@ -211,11 +208,9 @@ class ControllerSession:
         """Return whether the make's own signs show that a session was ended and begun anew while cycles are missing."""
         sign = self._rules.restarted(telegram, self.origin, sent, moving)
         if sign:
+            jump, protocol = self.jump_ms, self._words.protocol
             self.began = Sentence(
-                "{sign}, {jump} ms on: {protocol} was switched on anew",
-                sign=sign,
-                jump=self.jump_ms,
-                protocol=self._words.protocol,
+                "{sign}, {jump} ms on: {protocol} was switched on anew", sign=sign, jump=jump, protocol=protocol
             )
         self._counters["sessions_by_restart" if sign else "ipoc_steps_irregular"] += 1
         return bool(sign)

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 
 from construction_twin.controller.port import ControllerStatus
 from construction_twin.controller.telegram import Telegram
@@ -28,10 +27,10 @@ from construction_twin.gateway.controller_session import ControllerSession
 from construction_twin.gateway.ownership import Ownership
 from construction_twin.gateway.part_steps import PartSteps
 from construction_twin.gateway.player import Player
-from construction_twin.gateway.refusals import Refusals, UnreadReport
+from construction_twin.gateway.refusals import Refusals
 from construction_twin.gateway.replies import Replies, moved
 from construction_twin.gateway.speed_limit import EnforcedSpeedLimit
-from construction_twin.gateway.states import CAUSES, ROWS, Action, Event, Guard, Mode, Occasion, Row, State, noted
+from construction_twin.gateway.states import CAUSES, ROWS, Action, Event, Guard, Mode, Occasion, Row, State
 from construction_twin.gateway.status import StateReport, Status
 from construction_twin.gateway.stop_report import StopReport
 from construction_twin.gateway.tool_switches import ToolSwitches, stamp_of
@@ -69,16 +68,12 @@ class Answer:
     reason: str
 
 
-@lru_cache(maxsize=len(State))
-def _is(state: State) -> Sentence:
-    # every command of a stream that goes on after a stop is refused with it
-    return Sentence("gateway is {state}", state=state.value)
+def _not_reset(reason: str) -> str:
+    return Sentence("stopped before, and not reset ({reason})", reason=reason) if reason else ""
 
 
-@lru_cache(maxsize=4)
-def _not_answered(protocol: str, reason: str) -> Sentence:
-    # the same with every telegram
-    return Sentence("this {protocol} session is not answered: {reason}", protocol=protocol, reason=reason)
+def _asked(control: Control) -> Sentence:
+    return Sentence("asked for by {who}", who=control.session or Sentence("somebody without a session"))
 
 
 class Gateway:
@@ -117,7 +112,6 @@ class Gateway:
         self.clock = ControllerClock(config.make, config.cycle)
         self._measures = measures
         self._began = ""
-        self._unread = UnreadReport(self.refusals)
         self._controller = ControllerSession(config, self.counters)
         self._owners = Ownership()
         self._stop_pace = answer_limits()
@@ -160,7 +154,7 @@ class Gateway:
                 Action.RESET: self._on_reset,
                 Action.LAST_RESORT: self._on_fault,
             },
-            refusal="gateway is {state}: {reason}",
+            refusal=lambda: self._sentence,
         )
 
     @property
@@ -177,13 +171,21 @@ class Gateway:
     def _sentence(self) -> Sentence:
         return Sentence("gateway is {state}: {reason}", state=self.state.value, reason=self.reason)
 
-    def _noted(self, sentence: Sentence) -> str:
-        return noted(sentence, self.mode, self._words)
+    def noted(self, sentence: str) -> str:
+        """Return a sentence with what the mode means for the arm, so that one at rest is not taken for a fault."""
+        if self.mode is Mode.NORMAL:
+            return sentence
+        if self.mode is Mode.COMMISSIONING:
+            return Sentence(
+                "{what}; commissioning: every correction is sent as zero, the arm does not move", what=sentence
+            )
+        why = self._words.read_only
+        return Sentence("{what}; {why}, so nothing is answered and no motion can be commanded", what=sentence, why=why)
 
     @property
     def session(self) -> str:
         """Id of the session that may command; "" for none."""
-        return "" if self._machine.state is State.FAILED else self._intake.session
+        return "" if self._machine.state is State.FAILED else self._intake.stream.session
 
     # -- the controller's side
 
@@ -192,11 +194,7 @@ class Gateway:
         return self._controller.accepts(source, now)
 
     def on_telegram(self, telegram: Telegram, source: object, now: int) -> tuple[float, ...] | None:
-        """Take a telegram and return what its answer carries.
-
-        Args:
-            source: Where it came from; another source is another session.
-            now: [ns]
+        """Take a telegram and return what its answer carries; another source is another session.
 
         Returns:
             Shape (n,). Position, or position minus origin, as the make takes it [rad]; None when it must not be answered.
@@ -213,8 +211,10 @@ class Gateway:
             machine.on(Event.ORIGIN_REFUSED, Occasion(taken.refusal))
         state, elapsed = machine.state, taken.elapsed
         if self.tool is not None:
-            unanswered = state is State.JOINED
-            self.tool.hear(_not_answered(self._words.protocol, machine.reason) if unanswered else "", taken.missed)
+            why = ""
+            if state is State.JOINED:
+                why = Sentence("this session is not answered: {reason}", reason=machine.reason)
+            self.tool.hear(why, taken.missed)
         if state is State.JOINED or state is State.READ_ONLY or state is State.FAILED:
             self.counters["telegrams_unanswered"] += 1
             return None
@@ -281,12 +281,8 @@ class Gateway:
         if self._measures and self.clock.measure_rate():
             self._machine.changed = True
         if self._controller.is_silent(now):
-            said, silent = self._status.sentence, {"seconds": self.config.timeout}
-            why = (
-                Sentence("no telegram for {seconds:g} s; the last one said: {said}", **silent, said=said)
-                if said
-                else Sentence("no telegram for {seconds:g} s", **silent)
-            )
+            said, why = self._status.sentence, Sentence("no telegram for {seconds:g} s", seconds=self.config.timeout)
+            why = Sentence("{silence}; the last one said: {said}", silence=why, said=said) if said else why
             self._machine.on(Event.CONTROLLER_SILENT, Occasion(why))
         state = self._machine.state
         if state is State.MEASURING or state is State.OTHER_CYCLE:
@@ -302,10 +298,10 @@ class Gateway:
             self._report_clock()
 
     def _report_unread(self, now: int) -> None:
-        report = self._unread.take(now)
-        if report is not None:
-            self._machine.add(report.sentence)
-            self._machine.changed = self._machine.changed or report.is_new
+        sentence, is_new = self.refusals.unread_news(now)
+        if sentence:
+            self._machine.add(sentence)
+            self._machine.changed = self._machine.changed or is_new
 
     def _report_clock(self) -> None:
         """Say of a controller that takes no corrections whether its clock is another one: the next program may take some."""
@@ -339,29 +335,20 @@ class Gateway:
         return self.clock.changed if self._measures else ""
 
     def state_message(self, stamp: int) -> tuple[bytes, StateProperties] | None:
-        """Return the joint string of the measured pose and its properties, or None when there is nothing to tell.
-
-        Args:
-            stamp: The gateway's own time, for the receiver's freshness check [ns].
-        """
+        """Return the joint string of the measured pose and its properties, None without one; `stamp` is the gateway's own [ns]."""
         return self._states.message(self._controller.measured, self._command_stamp, stamp)
 
     def _begin_session(self, telegram: Telegram) -> None:
-        controller, words = self._controller, self._words
-        # what stands against arming is said, too: the states of a new session do not tell
-        why = Sentence("stopped before, and not reset ({reason})", reason=self.stopped) if self.stopped else ""
-        self._began = both(
-            self._noted(
-                Sentence(
-                    "{protocol} session began at {stamp} {value}: {why}",
-                    protocol=words.protocol,
-                    stamp=words.stamp,
-                    value=telegram.controller_ms,
-                    why=controller.began,
-                )
-            ),
-            why,
+        words = self._words
+        began = Sentence(
+            "{protocol} session began at {stamp} {value}: {why}",
+            protocol=words.protocol,
+            stamp=words.stamp,
+            value=telegram.controller_ms,
+            why=self._controller.began,
         )
+        # what stands against arming is said, too: the states of a new session do not tell
+        self._began = both(self.noted(began), _not_reset(self.stopped))
         self._machine.on(Event.SESSION_BEGAN, Occasion(self._began))
         if self._machine.state is State.MEASURING:
             if self._measures:
@@ -378,7 +365,7 @@ class Gateway:
         self._replies.begin()
         self.clock.restart()
         self._parts.restart()
-        self._unread.restart()
+        self.refusals.begin_session()
 
     def _on_session_ended(self, row: Row, occasion: Occasion) -> None:
         self._controller.end()
@@ -484,19 +471,13 @@ class Gateway:
     # -- the command side
 
     def on_command(self, payload: bytes, properties: CommandProperties | PayloadError | None, now: int) -> None:
-        """Take one message of the `command` topic.
-
-        Args:
-            payload: A joint string.
-            properties: What was beside it: None without MQTT 5 properties, the error when they could not be read.
-            now: [ns]
-        """
+        """Take a joint string of the `command` topic; `properties` are None without any, the error when they cannot be read."""
         machine = self._machine
         state = machine.state
         try:
             if state is not State.FOLLOWING and state is not State.ARMED:
-                raise PayloadError("not_armed", _is(state))
-            stamp, q, lost = self._intake.read(payload, properties, now)
+                raise PayloadError("not_armed", f"gateway is {state.value}")
+            stamp, q, lost = self._intake.stream.read(payload, properties, now)
         except PayloadError as error:
             self.refusals.message(error.reason, error, follows=error.reason == "not_armed")
             if error.reason in ("session", "not_armed"):
@@ -517,7 +498,7 @@ class Gateway:
                 self.refusals.stopped()
             self._brake(Event.COMMAND_REFUSED, str(refusal))
         except StreamBroken as broken:
-            self._brake(broken.event, broken.reason)
+            self._brake(broken.event, broken.args[0])
 
     def _note_stranger(self, session: str | None, now: int) -> None:
         if session is not None and self.session and not self._owners.knows(session):
@@ -546,15 +527,10 @@ class Gateway:
             "switch": lambda switch: self._switch(switch, now),
         }
         if control.verb not in verbs:
-            return self._refuse("verb", Sentence("unknown verb {verb}", verb=repr(control.verb)))
+            return self._refuse("verb", f"unknown verb {control.verb!r}")
         if control.verb != "stop" and self._owners.is_repeated(control):
             return self._refuse(
-                "repeated",
-                Sentence(
-                    "message {id} of session {session} was answered before",
-                    id=repr(control.id),
-                    session=repr(control.session),
-                ),
+                "repeated", f"message {control.id!r} of session {control.session!r} was answered before"
             )
         answer = verbs[control.verb](control)
         return answer if answer.ok else self._refuse(control.verb, answer.reason)
@@ -572,12 +548,8 @@ class Gateway:
         fraction = float(control.value)  # type: ignore[arg-type]  # `refusal` has found a number
         # a lower limit counts even with an old number: its source may count anew, and a recording of it can only slow the arm
         if self.speed.is_repeated(control) and fraction >= self.speed.given:
-            why = Sentence(
-                "speed limit {id} of session {session}, or a later one, came before",
-                id=control.id,
-                session=repr(control.session),
-            )
-            self._refuse("repeated", why)
+            what = f"speed limit {control.id} of session {control.session!r}"
+            self._refuse("repeated", f"{what}, or a later one, came before")
             return Answer(False, "")
         if self.speed.give(fraction, control.session, now):
             self._machine.changed = True
@@ -603,9 +575,9 @@ class Gateway:
                 return Answer(False, refusal)
             return Answer(True, Sentence("already armed for this session"))
         refusal = another or self._refusal_of_session(control.session)
-        why = self._noted(Sentence("armed for session {session}", session=control.session))
+        why = self.noted(Sentence("armed for session {session}", session=control.session))
         refusal = refusal or self._machine.on(Event.ARM, Occasion(why, session=control.session))
-        return Answer(False, refusal) if refusal else Answer(True, self._noted(Sentence("armed")))
+        return Answer(False, refusal) if refusal else Answer(True, self.noted(Sentence("armed")))
 
     def _refusal_of_value(self, value: object) -> str:
         """Return in one sentence why the value of an `arm` does not mean this configuration and run; "" when it does."""
@@ -619,19 +591,19 @@ class Gateway:
                 present=self.config.hash,
             )
         if set(named) != {"hash", "run", "protocol"}:
-            return Sentence("arm must name hash, run and protocol of the gateway's status, and nothing else")
-        if named["run"] != self.run:
-            return Sentence(
-                "run {run} is not the gateway's present one: it was started again, or a recording is being replayed",
-                run=repr(named["run"]),
-            )
-        return ""
+            return "arm must name hash, run and protocol of the gateway's status, and nothing else"
+        return self._refusal_of_run(named["run"])
+
+    def _refusal_of_run(self, run: object) -> str:
+        if run == self.run:
+            return ""
+        return Sentence(
+            "run {run} is not the gateway's present one: it was started again, or this is a recording", run=repr(run)
+        )
 
     def _refusal_of_session(self, session: str) -> str:
         if not is_session(session):
-            return Sentence(
-                "session {session} cannot be armed; expected 1 to 64 letters, digits, - and _", session=repr(session)
-            )
+            return f"session {session!r} cannot be armed; expected 1 to 64 letters, digits, - and _"
         if self.fault and self.state is not State.FAILED:
             return Sentence("stopped since the last reset; reset first")
         return ""
@@ -645,8 +617,7 @@ class Gateway:
         distance = measured and follower and self._controller.distance_off(measured, follower.position, DISPLACED)
         if distance:
             return Sentence(
-                "{distance} off the pose that the gateway holds: the controller moved the arm, or it is "
-                "still moving; reset, and if that does not help start the controller's program again",
+                "{distance} off the held pose: the arm was moved, or still moves; reset, or start the controller's program again",
                 distance=distance,
             )
         if self._owners.knows(occasion.session):
@@ -655,15 +626,13 @@ class Gateway:
 
     def _on_armed(self, row: Row, occasion: Occasion) -> None:
         self._owners.begin(occasion.session)
-        self._intake.begin(occasion.session)
+        self._intake.stream.begin(occasion.session)
         self.refusals.forgive()
 
     def _refusal_of_second_session(self, occasion: Occasion) -> str:
-        return (
-            ""
-            if occasion.session == self.session
-            else Sentence("armed for session {session}; stop and reset first", session=self.session)
-        )
+        if occasion.session == self.session:
+            return ""
+        return Sentence("armed for session {session}; stop and reset first", session=self.session)
 
     def _refusal_without_origin(self, occasion: Occasion) -> str:
         return self._sentence if self._player.follower is None else ""
@@ -679,33 +648,20 @@ class Gateway:
     def _obstacle_of_switch(self, session: str) -> str:
         """Return why nothing may be switched now; "" for nothing."""
         if self.state is not State.FOLLOWING:
-            return Sentence(
-                "no stream is followed, the gateway is {state}: {reason}", state=self.state.value, reason=self.reason
-            )
+            return Sentence("no stream is followed, {present}", present=self._sentence)
         if session != self.session:
-            return Sentence(
-                "session {session} does not command, session {present} does", session=session, present=self.session
-            )
+            return f"session {session} does not command, session {self.session} does"
         if self.mode is Mode.COMMISSIONING:
             return Sentence("commissioning mode: nothing is switched, as nothing moves")
         return "" if self.speed.given else _SPEED_0
 
     def _void(self, control: Control) -> Answer:
-        session = control.session
-        why = (
-            Sentence("asked for by {session}", session=session)
-            if session
-            else Sentence("asked for by somebody without a session")
-        )
-        count = self.tool.void(why) if self.tool else 0
+        count = self.tool.void(_asked(control)) if self.tool else 0
         return Answer(True, f"{count} armed {'switch is' if count == 1 else 'switches are'} void")
 
     def _stop(self, control: Control) -> Answer:
-        session = control.session
-        self.stop(
-            Sentence("asked for by {session}", session=session) if session else Sentence("asked for without a session")
-        )
-        return Answer(True, _is(self.state))
+        self.stop(_asked(control))
+        return Answer(True, Sentence("gateway is {state}", state=self.state.value))
 
     def stop(self, reason: str, account: str = "", ending: bool = False) -> None:
         """Brake, whatever the state, and stay stopped until a `reset`: also a stop of an arm at rest must not be forgotten."""
@@ -714,7 +670,7 @@ class Gateway:
     def recall(self, reason: str) -> None:
         """Be stopped until a `reset`, because the run before this one was, and nobody has reset that; before anything else."""
         self.stopped = reason
-        self.stop(Sentence("stopped before, and not reset ({reason})", reason=reason))
+        self.stop(_not_reset(reason))
 
     def on_stop(self, stop: Intervention, now: int) -> Answer:
         """Carry out a person's stop that came at `now` [ns]; it needs no session, and nothing that arming needs.
@@ -732,7 +688,7 @@ class Gateway:
             self.fault_number += 1
             return Answer(True, "")
         self.stop(Sentence("asked for by account {account}", account=stop.account), stop.account)
-        return Answer(True, _is(self.state))
+        return Answer(True, Sentence("gateway is {state}", state=self.state.value))
 
     def refuse_stop(self, account: str, error: PayloadError, now: int) -> Answer:
         """Count a message on `stop/<account>` that is no stop; the answer has no reason where none is due."""
@@ -744,12 +700,7 @@ class Gateway:
             return Answer(False, self._words.no_stop)
         if self._player.follower is None or self.state is State.FAILED:
             return Answer(False, self._sentence)
-        session = control.session
-        self.end(
-            Sentence("end asked for by {session}", session=session)
-            if session
-            else Sentence("end asked for without a session")
-        )
+        self.end(Sentence("end {asked}", asked=_asked(control)))
         return Answer(True, self._words.ends)
 
     def end(self, reason: str, program: bool = False) -> None:
@@ -768,7 +719,7 @@ class Gateway:
 
     def _reset(self, control: Control) -> Answer:
         done = Sentence("reset")
-        occasion = Occasion(self._noted(done), session=control.session, value=control.value)
+        occasion = Occasion(self.noted(done), session=control.session, value=control.value)
         refusal = self._machine.on(Event.RESET, occasion)
         return Answer(False, refusal) if refusal else Answer(True, done)
 
@@ -785,13 +736,10 @@ class Gateway:
         if refusal := other_protocol(PROTOCOL, protocol_of(value)):
             return refusal
         if not isinstance(value, dict) or set(value) != {"run", "fault_number", "protocol"}:
-            return Sentence("reset must name run, fault_number and protocol of the gateway's status, and nothing else")
-        run, number = value["run"], value["fault_number"]
-        if run != self.run:
-            return Sentence(
-                "run {run} is not the gateway's present one: it was started again since the reset was asked for",
-                run=repr(run),
-            )
+            return "reset must name run, fault_number and protocol of the gateway's status, and nothing else"
+        number = value["fault_number"]
+        if refusal := self._refusal_of_run(value["run"]):
+            return refusal
         if type(number) is not int or number != self.fault_number:
             return Sentence(
                 "reset names fault_number {found}, the last stop is number {number}: look at it, and reset again",
@@ -820,7 +768,7 @@ class Gateway:
     def _disarm(self, why: str) -> None:
         if self.tool is not None:
             self.tool.void(why)
-        self._intake.begin("")
+        self._intake.stream.begin("")
         self._command_stamp = 0
         self._player.clear()
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from construction_twin.controller.telegram import Telegram, stamp_step
 from construction_twin.core.errors import TelegramError
-from construction_twin.core.sentences import Sentence
 from construction_twin.gateway.gateway import Gateway
 
 #: Datagrams read before anything else gets its turn: a flood must not stop the loop.
@@ -16,12 +15,7 @@ DRAIN_LIMIT = 64
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """A telegram that is to be answered.
-
-    Attributes:
-        source: Address and port of the sender.
-        arrived: Time of arrival [ns].
-    """
+    """A telegram that is to be answered, with address and port of its sender, and when it arrived [ns]."""
 
     telegram: Telegram
     source: tuple
@@ -29,12 +23,10 @@ class Arrival:
 
 
 class TelegramInbox:
-    """Reads what has come since the last time.
+    """Reads what has come since the last time; what is noticed is counted in the gateway.
 
     Args:
-        gateway: What is noticed here is counted there.
-        receive: Returns a datagram, its time of arrival [ns] and its source, without waiting; raises BlockingIOError when there is
-            none.
+        receive: Returns a datagram, its time of arrival [ns] and its source, without waiting, or raises BlockingIOError.
         clock: Returns the gateway's monotonic time [ns].
         controller: Only datagrams from this IPv4 address are read; None reads any.
     """
@@ -91,21 +83,12 @@ class TelegramInbox:
     def _read(self, data: bytes, source: tuple) -> Telegram | None:
         refusals = self._gateway.refusals
         if self._controller is not None and source[0] != self._controller:
-            why = Sentence(
-                "datagrams from {source} are not read, because --controller is {controller}",
-                source=source[0],
-                controller=self._controller,
-            )
+            why = f"datagrams from {source[0]} are not read, because --controller is {self._controller}"
             refusals.telegram("address", why)
             return None
         if not self._gateway.accepts(source, self._clock()):
-            refusals.telegram(
-                "source",
-                Sentence(
-                    "a datagram from {source} while another sender's session is alive",
-                    source=f"{source[0]}:{source[1]}",
-                ),
-            )
+            why = f"a datagram from {source[0]}:{source[1]} while another sender's session is alive"
+            refusals.telegram("source", why)
             return None
         try:
             telegram = self._parse(data)

@@ -11,11 +11,7 @@ from collections.abc import Callable
 
 
 class PartSteps:
-    """Spreads the steps of whole cycles over the telegrams within them.
-
-    Args:
-        cycle_ns: The configured cycle [ns].
-    """
+    """Spreads the steps of whole cycles over the telegrams within them."""
 
     def __init__(self, cycle_ns: int):
         self._cycle = cycle_ns
@@ -32,10 +28,7 @@ class PartSteps:
     ) -> tuple[float, ...]:
         """Return where to be after `elapsed` more controller time [ns].
 
-        Args:
-            elapsed: [ns]
-            now: Shape (n,). Where the present step ends [rad].
-            step: Takes the step of one cycle and returns where it ends [rad].
+        The present step ends at `now`, shape (n,); `step` takes that of one cycle and returns where it ends.
         """
         begun = self.interpolated > 0
         self.interpolated += elapsed

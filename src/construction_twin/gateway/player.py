@@ -138,11 +138,7 @@ class Player:
     def learn_from_stall(self, session: str | None, now: int) -> None:
         """Take note of a command that comes after its stream was given up: the stream did not end, it was held up.
 
-        The next stream begins with a delay that absorbs this, as far as the bounds allow.
-
-        Args:
-            session: The command's; None when commands carry none.
-            now: [ns]
+        The next stream begins with a delay that absorbs this, as far as the bounds allow. `session`: None where commands have none.
         """
         stall = self._stalled
         if stall is None or session not in (None, stall.session):

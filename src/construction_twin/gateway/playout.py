@@ -60,11 +60,7 @@ CATCH_UP = SlewLimit.of(0.05, 0.008, 0.1)
 
 
 class Slew:
-    """Carries a shift out, cycle by cycle, beginning and ending at rate zero.
-
-    Args:
-        cycle_ns: Length of a cycle [ns]; limits are per such cycle.
-    """
+    """Carries a shift out, cycle by cycle, beginning and ending at rate zero; limits are per cycle."""
 
     def __init__(self, cycle_ns: int = CYCLE_NS) -> None:
         self._cycle = cycle_ns
@@ -230,12 +226,7 @@ class Playout:
         return stamp - self._now - self._put_off
 
     def push(self, stamp: int, q: Pose, waited: int = 0) -> bool:
-        """Append a command that is newer than all before.
-
-        Args:
-            stamp: [ns]
-            q: Shape (n,). [rad]
-            waited: Time from the last telegram to this arrival [ns]; the stream's beginning and the drift's estimate use it.
+        """Append a command that is newer than all before, `waited` after the last telegram [ns].
 
         Returns:
             False when its moment has passed: it will not be played, only help to interpolate.

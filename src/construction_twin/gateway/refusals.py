@@ -3,21 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 
 #: What is quoted of a refused message in `status` [characters]: the status stays small, whatever was sent.
 LONGEST_REFUSAL = 300
-
-
-@dataclass(frozen=True)
-class Unread:
-    """Why a datagram was refused: the reason it is counted under, and a sentence; both empty before the first."""
-
-    reason: str = ""
-    why: str = ""
 
 
 class Refusals:
@@ -30,10 +21,15 @@ class Refusals:
         self.last = ""
         #: Of the last one since the one that stopped the arm; "" for none.
         self.later = ""
-        #: Datagrams refused since the last telegram that could be read, and the last one's reason and sentence.
-        self.unread = 0
-        self.last_unread = Unread()
+        #: Datagrams refused since the last telegram that could be read; the last one's reason and sentence, "" before the first.
+        self.unread, self.unread_reason, self.unread_why = 0, "", ""
         self._keeps = self._stopped = False
+        self._told_at = -NANOSECONDS
+        self.begin_session()
+
+    def begin_session(self) -> None:
+        """Begin anew with what cannot be read: a telegram could be."""
+        self._told_reason, self._told_count = "", 0
 
     def message(self, reason: str, why: object, follows: bool = False) -> None:
         """Count a message on MQTT as ``refused_<reason>``.
@@ -58,12 +54,24 @@ class Refusals:
         self._note(f"telegram_refused_{reason}", f"telegram {reason}", why)
         self._keeps = True
         self.unread += 1
-        self.last_unread = Unread(reason, str(why)[:LONGEST_REFUSAL])
+        self.unread_reason, self.unread_why = reason, str(why)[:LONGEST_REFUSAL]
 
     def forgive(self) -> None:
         """After a reset, or with another command session: what stopped the one before is no longer the cause of anything."""
         self.last, self.later = self.later or self.last, ""
         self._keeps = self._stopped = False
+
+    def unread_news(self, now: int) -> tuple[str, bool]:
+        """Return what cannot be read, once a second, "" for nothing, and whether it is refused for another reason than before."""
+        if now < self._told_at + NANOSECONDS or self.unread == self._told_count:
+            return "", False
+        reason, is_new = self.unread_reason, self.unread_reason != self._told_reason
+        self._told_at, self._told_count, self._told_reason = now, self.unread, reason
+        count, why = self.unread, self.unread_why
+        said = Sentence(
+            "datagrams refused: {count}, the last one for {reason}: {why}", count=count, reason=reason, why=why
+        )
+        return said, is_new
 
     def _note(self, counter: str, reason: str, why: object) -> None:
         self._counters[counter] += 1
@@ -72,46 +80,3 @@ class Refusals:
             self.later = said
         else:
             self.last = said
-
-
-@dataclass(frozen=True, slots=True)
-class UnreadNote:
-    """What is to be reported of datagrams that cannot be read.
-
-    Attributes:
-        is_new: They are refused for another reason than those reported before.
-    """
-
-    sentence: str
-    is_new: bool
-
-
-class UnreadReport:
-    """Reports that something sends of which nothing can be read: once a second, while it sends."""
-
-    def __init__(self, refusals: Refusals):
-        self._refusals = refusals
-        self._reported_at = -NANOSECONDS
-        self.restart()
-
-    def restart(self) -> None:
-        """A telegram could be read."""
-        self._reason = ""
-        self._count = 0
-
-    def take(self, now: int) -> UnreadNote | None:
-        """Return what is to be reported at `now` [ns]; None for nothing."""
-        if now < self._reported_at + NANOSECONDS:
-            return None
-        refusals, last = self._refusals, self._refusals.last_unread
-        if refusals.unread == self._count:
-            return None
-        self._count, self._reported_at = refusals.unread, now
-        before, self._reason = self._reason, last.reason
-        sentence = Sentence(
-            "datagrams refused: {count}, the last one for {reason}: {why}",
-            count=refusals.unread,
-            reason=last.reason,
-            why=last.why,
-        )
-        return UnreadNote(sentence, last.reason != before)

@@ -6,9 +6,7 @@ from __future__ import annotations
 class Replies:
     """The answers to one controller, as far as the next one depends on them.
 
-    Args:
-        absolute: They carry positions of the axes, and not corrections to an origin.
-        zero: They carry a correction of zero, whatever is computed.
+    They carry corrections to an origin, or `absolute` positions of the axes; with `zero` no correction, whatever is computed.
     """
 
     def __init__(self, absolute: bool, zero: bool):

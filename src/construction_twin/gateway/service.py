@@ -13,16 +13,13 @@ import socket
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 
 from paho.mqtt import client as paho
 
 from construction_twin.controller.port import Encoder
-from construction_twin.core.errors import (
-    PayloadError,
-)
+from construction_twin.core.errors import PayloadError
 from construction_twin.core.histogram import Histogram
 from construction_twin.core.rate_limit import LineLimiter
 from construction_twin.core.records import SPACED, dumped
@@ -35,13 +32,7 @@ from construction_twin.gateway.states import State
 from construction_twin.gateway.status import StatusClock
 from construction_twin.gateway.stop_file import StopFile
 from construction_twin.mqtt import requests
-from construction_twin.mqtt.client import (
-    Broker,
-    make_client,
-    offline_word,
-    subscriptions,
-    unique_id,
-)
+from construction_twin.mqtt.client import Broker, make_client, offline_word, subscriptions, unique_id
 from construction_twin.mqtt.failures import ConnectionReport
 from construction_twin.mqtt.interventions import STOP, parse_intervention
 from construction_twin.mqtt.messages import (
@@ -68,31 +59,17 @@ _LAST_STOP = 0.1
 _LONGEST_FAILURE = 300
 
 _Result = TypeVar("_Result")
-
-
-#: Until the failure's own sentence is made: nothing is looked up while it is taken note of.
+#: Until the failure's own sentence is made: nothing is computed while it is taken note of.
 _FAILED = Sentence("the gateway has failed")
-
-
-@dataclass(frozen=True, slots=True)
-class _LoggedState:
-    """What stands in the log of the gateway."""
-
-    state: State | None = None
-    reason: str = ""
-    limit_silent: bool = False
-    clock_off: bool = False
 
 
 class GatewayService:
     """Sockets around a Gateway.
 
     Args:
-        sock: Bound UDP socket, see `bind`.
-        run: Random id of this run, see `Gateway`.
-        controller: Only datagrams from this IPv4 address are read, see `address_of`; None reads any.
-        commissioning: Send every correction as zero.
-        measures: See `Gateway`: False for a controller that is no match for real time.
+        sock: Bound UDP socket.
+        controller: Only datagrams from this IPv4 address are read; None reads any.
+        run, commissioning, measures: See `Gateway`.
         stops: Keeps a stop beyond this run; None: it is forgotten.
     """
 
@@ -146,7 +123,8 @@ class GatewayService:
         self._lines = LineLimiter()
         self._speed_answer: tuple = ()
         self._held_channels: tuple[bool, ...] = ()
-        self._logged = _LoggedState()
+        # state and reason in the log, whether a silent source and a clock that is off are
+        self._logged: tuple[State | None, str, bool, bool] = None, "", False, False
         self._running = True
 
     def run(self) -> None:
@@ -315,27 +293,21 @@ class GatewayService:
     def _log_change(self) -> None:
         gateway = self.gateway
         limit_silent, clock_off = gateway.speed.source == "silence", bool(gateway.clock.off_sentence)
-        before, now = self._logged, _LoggedState(gateway.state, gateway.reason, limit_silent, clock_off)
-        self._logged = now
-        if (now.state, now.reason) != (before.state, before.reason):
+        state, reason, was_silent, was_off = self._logged
+        self._logged = gateway.state, gateway.reason, limit_silent, clock_off
+        if (gateway.state, gateway.reason) != (state, reason):
             # what cannot be read is logged under its own key; otherwise the rate limit would suppress the line after
             # 'controller gone'
-            unread = before.state is now.state is State.NO_CONTROLLER and gateway.refusals.unread > 0
-            wrong = unread or now.state is State.OTHER_CYCLE
+            unread = state is gateway.state is State.NO_CONTROLLER and gateway.refusals.unread > 0
+            wrong = unread or gateway.state is State.OTHER_CYCLE
             kind = "no telegram can be read" if unread else gateway.state.value
-            self._log(logging.WARNING if wrong else logging.INFO, kind, now.reason)
-        if now.clock_off != before.clock_off:
-            level = logging.WARNING if now.clock_off else logging.INFO
-            self._log(
-                level, "controller's clock", gateway.clock.off_sentence or Sentence("nothing is wrong with it any more")
-            )
-        if now.limit_silent and not before.limit_silent:
-            fraction = gateway.speed.given
-            self._log(
-                logging.WARNING,
-                "speed limit",
-                Sentence("its source is silent; {fraction:g} of the limits until it speaks", fraction=fraction),
-            )
+            self._log(logging.WARNING if wrong else logging.INFO, kind, gateway.reason)
+        if clock_off != was_off:
+            level = logging.WARNING if clock_off else logging.INFO
+            self._log(level, "controller's clock", gateway.clock.off_sentence or "nothing is wrong with it any more")
+        if limit_silent and not was_silent:
+            text = f"its source is silent; {gateway.speed.given:g} of the limits until it speaks"
+            self._log(logging.WARNING, "speed limit", text)
 
     def _log(self, level: int, kind: str, text: str) -> None:
         note = self._lines.note(kind, time.monotonic_ns())
@@ -418,9 +390,8 @@ class GatewayService:
         self.gateway.on_command(payload, properties, time.monotonic_ns())
 
     def _refuse_retained(self, name: str) -> None:
-        self.gateway.refusals.message(
-            "retained", Sentence("a message on {name} with the retain flag: its age is unknown", name=name)
-        )
+        why = f"a message on {name} with the retain flag: its age is unknown"
+        self.gateway.refusals.message("retained", why)
 
     def _on_control(self, client, userdata, message: paho.MQTTMessage) -> None:
         if message.retain:

@@ -21,10 +21,6 @@ class TargetChanges:
     """The last two targets, and how much the step to the next one may differ from the step between them.
 
     That is each joint's acceleration limit with the format's allowance (docs/conventions.md, limits).
-
-    Args:
-        decimals: Decimals on the wire.
-        cycle_ns: The controller's cycle [ns].
     """
 
     def __init__(self, limits: MotionLimits, decimals: int, cycle_ns: int = CYCLE_NS):
@@ -51,11 +47,9 @@ class TargetChanges:
         return all([abs(c - 2.0 * b + a) <= most for a, b, c, most in zip(before, last, target, self._largest)])
 
     def fit(self, wanted: int, steady: int, target: Callable[[int], Pose]) -> int:
-        """Return an advance [ns] whose target keeps the limits: `wanted`, or as near to it as halving finds.
+        """Return an advance [ns] whose `target` keeps the limits: `wanted`, or as near to it as halving finds.
 
-        Args:
-            wanted, steady: Advances [ns]; `steady` is the one that changes nothing, and is not asked about.
-            target: From an advance [ns] to the target there.
+        `steady` is the advance that changes nothing, and is not asked about.
         """
         if wanted == steady or self.allow(target(wanted)):
             return wanted
@@ -86,12 +80,7 @@ ROUNDING_FRACTION = 0.1
 
 
 class Governor:
-    """Bounds the rate of playout time.
-
-    Args:
-        decimals: Decimals on the wire.
-        cycle_ns: The controller's cycle [ns].
-    """
+    """Bounds the rate of playout time."""
 
     def __init__(self, limits: MotionLimits, decimals: int, cycle_ns: int = CYCLE_NS):
         self._cycle_ns = cycle_ns

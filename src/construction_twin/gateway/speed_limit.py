@@ -9,7 +9,6 @@ from collections import deque
 from dataclasses import dataclass
 
 from construction_twin.core import speed_limit
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.mqtt.messages import Control, message_number
@@ -60,17 +59,12 @@ class EnforcedSpeedLimit:
         fraction = control.value
         # bool is a number to Python; a number as large as JSON allows is none that a float holds
         if isinstance(fraction, bool) or not isinstance(fraction, (int, float)) or not 0 <= fraction <= 1:
-            return Sentence("speed limit {found}: expected a number from 0 to 1", found=repr(str(fraction)[:32]))
-        if not session:
-            return Sentence("session {session} is not armed", session=repr(control.session))
-        if control.session != session:
-            return Sentence(
-                "session {session} is not armed, {armed} is", session=repr(control.session), armed=repr(session)
-            )
+            return f"speed limit {str(fraction)[:32]!r}: expected a number from 0 to 1"
+        if not session or control.session != session:
+            return f"session {control.session!r} is not armed" + f", {session!r} is" * bool(session)
         if message_number(control.id) is None:
-            return Sentence(
-                "speed limit with the id {id}: expected a whole number, higher than that of the one before",
-                id=repr(control.id),
+            return (
+                f"speed limit with the id {control.id!r}: expected a whole number, higher than that of the one before"
             )
         return ""
 

@@ -49,12 +49,7 @@ class Status:
 
 
 class StateReport:
-    """Makes the messages of the `state` topic.
-
-    Args:
-        counters: The gateway's.
-        properties: Whether commands carry stamps; without, no state has a command stamp.
-    """
+    """Makes the messages of the `state` topic; without `properties` commands carry no stamps, and states none of theirs."""
 
     def __init__(self, codec: JointStringCodec, counters: Counter[str], properties: bool):
         self._codec = codec
@@ -66,10 +61,7 @@ class StateReport:
     ) -> tuple[bytes, StateProperties] | None:
         """Return a pose's joint string and what goes beside it; None without a pose, or when it does not fit the format.
 
-        Args:
-            measured: Shape (n,). [rad]; () for none.
-            command_stamp: Stamp of the target in the reply before this telegram [ns]; 0 for none.
-            stamp: The gateway's own time [ns].
+        `command_stamp` is that of the target in the reply before this telegram, 0 for none; `stamp` the gateway's own time [ns].
         """
         if not measured:
             return None
@@ -83,11 +75,7 @@ class StateReport:
 
 
 class StatusClock:
-    """When the periodic status is sent: in the pause after an answer, because putting it together takes part of a cycle.
-
-    Args:
-        period: [s]
-    """
+    """When the periodic status is sent: in the pause after an answer, because putting it together takes part of a cycle."""
 
     def __init__(self, period: float):
         self._period = period

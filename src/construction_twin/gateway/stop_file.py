@@ -30,9 +30,6 @@ class StopFile:
 
     Attributes:
         found: Why the arm was stopped when the program before this one ended; "": it was not.
-
-    Raises:
-        ConfigurationError: When it cannot be written: without it a stop would be forgotten.
     """
 
     def __init__(self, path: str | Path):
@@ -85,15 +82,8 @@ class StopFile:
         try:
             write_in_place(self._path, reason, ROOM)
         except OSError as error:
-            log.error(
-                "%s",
-                Sentence(
-                    "{path} was not written ({problem}): whether the arm is stopped would not outlast this "
-                    "program; mend it",
-                    path=str(self._path),
-                    problem=str(error.strerror),
-                ),
-            )
+            lasts = "whether the arm is stopped would not outlast this program; mend it"
+            log.error("%s was not written (%s): %s", self._path, error.strerror, lasts)
             return False
         self._written = reason
         return True

@@ -34,11 +34,7 @@ class Braking:
 
 
 class StopReport:
-    """The last stop of one gateway.
-
-    Args:
-        linear: Shape (n,). Axes in m.
-    """
+    """The last stop of one gateway."""
 
     def __init__(self, linear: tuple[bool, ...]):
         self._linear = linear

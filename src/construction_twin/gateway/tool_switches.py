@@ -13,12 +13,10 @@ It knows no clock: cycles are counted in telegrams, stamps are the playout's [ns
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable
-from enum import Enum
+from dataclasses import dataclass
 
 from construction_twin.controller.port import Layout
 from construction_twin.controller.tool import ENABLE, GatewayTool, ToolReading
-from construction_twin.core import state_table
 from construction_twin.core.reports import SwitchState
 from construction_twin.core.sentences import Sentence, both
 from construction_twin.core.units import NANOSECONDS
@@ -41,77 +39,28 @@ SHORTEST_PAUSE = 0.05
 _NOT_TOLD, _FIRED = Sentence("telegrams do not tell Out and In, each channel as 0 or 1"), Sentence("fired")
 
 
-class SwitchEvent(Enum):
-    """What can happen to a switch."""
-
-    ACCEPTED = "every check of `switch` is passed"
-    DECLINED = "a check of `switch` is not passed"
-    PASSED = "the playout plays its stamp, or a later one"
-    VOIDED = "a brake, a stop, silence, a speed limit of 0, the end of a session, outputs not read back, or `void`"
-
-
-class SwitchGuard(Enum):
-    """What a row asks for before it applies."""
-
-    NONE = ""
-
-
-class SwitchAction(Enum):
-    """What a row does."""
-
-    NONE = ""
-    SWITCH = "the output has its new value in the same reply"
-
-
-rows = state_table.Rows(SwitchState, SwitchEvent, SwitchGuard, SwitchAction)
-
-#: Every change of a switch. What no row names changes nothing: fired, void and refused are final.
-SWITCH_TABLE = (
-    *rows(SwitchState.PENDING, SwitchEvent.ACCEPTED, SwitchState.ARMED),
-    *rows(SwitchState.PENDING, SwitchEvent.DECLINED, SwitchState.REFUSED),
-    *rows(SwitchState.ARMED, SwitchEvent.PASSED, SwitchState.FIRED, SwitchAction.SWITCH),
-    *rows(SwitchState.ARMED, SwitchEvent.VOIDED, SwitchState.VOID),
-)
-_ROWS = state_table.by_cause(SWITCH_TABLE)
-
-
+@dataclass
 class ToolSwitch:
-    """One switch, as `status` tells it.
+    """One switch, as `status` tells it: pending, then armed or refused; armed, then fired or void. The last three are final.
 
-    Args:
+    Attributes:
         stamp: Of the setpoint with which it fires [ns].
-        fire: Gives the output its new value.
     """
 
-    def __init__(self, id: str, output: str, value: bool, stamp: int, fire: Callable[[ToolSwitch], None]):
-        self.id, self.output, self.value, self.stamp = id, output, value, stamp
-        fires = {SwitchAction.SWITCH: lambda row, occasion: fire(self)}
-        self._machine = state_table.Machine(_ROWS, SwitchState.PENDING, "", {}, fires)
+    id: str
+    output: str
+    value: bool
+    stamp: int
+    state: SwitchState = SwitchState.PENDING
+    reason: str = ""
 
-    def on(self, event: SwitchEvent, reason: str) -> None:
-        """Take an event; in one that is final it changes nothing."""
-        self._machine.on(event, state_table.Occasion(reason))
-
-    def report(self) -> dict:
-        """Return it as `status` tells it."""
-        return {
-            "id": self.id,
-            "output": self.output,
-            "value": self.value,
-            "stamp": self.stamp,
-            "state": self._machine.state.word,
-            "reason": self._machine.reason,
-        }
+    def enter(self, state: SwitchState, reason: str) -> None:
+        """Go to another state."""
+        self.state, self.reason = state, reason
 
 
 class ToolSwitches:
-    """The outputs of one tool.
-
-    Args:
-        layout: Of the telegrams.
-        cycle_ns: The controller's cycle [ns].
-        counters: The gateway's.
-    """
+    """The outputs of one tool."""
 
     def __init__(self, tool: GatewayTool, layout: Layout, cycle_ns: int, counters: Counter[str]):
         self.tool = tool
@@ -157,9 +106,9 @@ class ToolSwitches:
             return ""
         pairs = zip(self._names, self._reading.outputs, self._commanded)
         differ = [
-            Sentence(
-                "{name} reads back on, commanded off" if read else "{name} reads back off, commanded on", name=name
-            )
+            Sentence("{name} reads back on, commanded off", name=name)
+            if read
+            else Sentence("{name} reads back off, commanded on", name=name)
             for name, read, told in pairs
             if read != told
         ]
@@ -229,9 +178,7 @@ class ToolSwitches:
             elif missed or (read.get(name) is False and (name in self._seen or self._since > ROUND_TRIP)):
                 dropped.append(name)
         if dropped:
-            self._command(
-                tuple(value and name not in dropped for name, value in zip(self._names, self._commanded)),
-            )
+            self._command(tuple(value and name not in dropped for name, value in zip(self._names, self._commanded)))
             self._dropped = Sentence(
                 "{names} went off with a missed reply, and stays off until it is switched on anew",
                 names=", ".join(dropped),
@@ -251,16 +198,13 @@ class ToolSwitches:
     def play(self, stamp: int) -> None:
         """Fire what is due: the playout plays the setpoint of `stamp` [ns] in this reply."""
         while self._armed and self._armed[0].stamp <= stamp:
-            self._armed.pop(0).on(SwitchEvent.PASSED, _FIRED)
-
-    def _fire(self, switch: ToolSwitch) -> None:
-        self._enabled = True
-        self._dropped = ""
-        self._command(
-            tuple(switch.value if name == switch.output else value for name, value in zip(self._names, self._commanded))
-        )
-        self._counters["tool_switches_fired"] += 1
-        self._news = True
+            switch = self._armed.pop(0)
+            self._enabled, self._dropped = True, ""
+            pairs = zip(self._names, self._commanded)
+            self._command(tuple(switch.value if name == switch.output else value for name, value in pairs))
+            self._counters["tool_switches_fired"] += 1
+            self._news = True
+            switch.enter(SwitchState.FIRED, _FIRED)
 
     def _command(self, values: tuple[bool, ...]) -> None:
         self._seen &= {name for name, value in zip(self._names, values) if value}
@@ -291,24 +235,23 @@ class ToolSwitches:
             lead: How far the stamp lies ahead of the playout [s]; None without one.
             obstacle: Why nothing may be switched now, whatever is asked for; "" for nothing.
         """
-        switch = _switch_of(value, self._fire)
+        switch = _switch_of(value)
         if switch is None:
-            return Sentence(
-                "tool: a switch must have a new id (1 to {longest} printable characters), output, value "
-                "(true or false) and stamp (whole number of ns), and nothing else",
-                longest=LONGEST_TEXT,
+            return (
+                f"tool: a switch must have a new id (1 to {LONGEST_TEXT} printable characters), output, value (true or "
+                "false) and stamp (whole number of ns), and nothing else"
             )
         if switch.id in self._used:
-            return Sentence("tool: switch {id} was asked for before", id=repr(switch.id))
+            return f"tool: switch {switch.id!r} was asked for before"
         self._used.append(switch.id)
         self._reported.append(switch)
         why = obstacle or self._refusal(switch, lead)
         self._news = True
         if why:
             refusal = Sentence("tool: {why}", why=why)
-            switch.on(SwitchEvent.DECLINED, refusal)
+            switch.enter(SwitchState.REFUSED, refusal)
             return refusal
-        switch.on(SwitchEvent.ACCEPTED, Sentence("fires with the setpoint of {stamp}", stamp=switch.stamp))
+        switch.enter(SwitchState.ARMED, Sentence("fires with the setpoint of {stamp}", stamp=switch.stamp))
         self._armed.append(switch)
         self._armed.sort(key=lambda waiting: waiting.stamp)
         return ""
@@ -318,34 +261,23 @@ class ToolSwitches:
             return Sentence("the outputs are not known: {why}", why=self._unknown)
         if self.difference:
             return Sentence(
-                "{difference}; switch it back where it was switched, or end the RSI program and start it "
-                "anew: a new session takes the outputs as they read",
+                "{difference}; switch it back where it was switched, or end the RSI program and start it anew: a new "
+                "session takes the outputs as they read",
                 difference=self.difference,
             )
         if switch.output not in self._names:
-            return Sentence(
-                "{tool} has no output {output}; it has {names}",
-                tool=self.tool.name,
-                output=repr(switch.output),
-                names=", ".join(self._names),
-            )
+            return f"{self.tool.name} has no output {switch.output!r}; it has {', '.join(self._names)}"
         if lead is None or lead <= 0.0:
-            return Sentence(
-                "the playout has passed the stamp {stamp} already, by {seconds:.3f} s",
-                stamp=switch.stamp,
-                seconds=-(lead or 0.0),
-            )
+            return Sentence("the playout has passed the stamp {stamp} already", stamp=switch.stamp)
         if lead > MOST_AHEAD:
-            return Sentence(
-                "the stamp lies {seconds:.3f} s ahead of the playout; at most {most:g} s", seconds=lead, most=MOST_AHEAD
-            )
+            return f"the stamp lies {lead:.3f} s ahead of the playout; at most {MOST_AHEAD:g} s"
         return ""
 
     def void(self, why: str) -> int:
         """Make every armed switch void; return how many there were."""
         count = len(self._armed)
         for switch in self._armed:
-            switch.on(SwitchEvent.VOIDED, why)
+            switch.enter(SwitchState.VOID, why)
         self._armed.clear()
         if count:
             self._counters["tool_switches_void"] += count
@@ -374,7 +306,7 @@ class ToolSwitches:
             "commanded": dict(zip(self._names, self._commanded)),
             "enabled": self._enabled,
             "inputs": dict(zip(self.tool.inputs, reading.inputs)) if reading else {},
-            "switches": [switch.report() for switch in self._reported],
+            "switches": [vars(switch) | {"state": switch.state.word} for switch in self._reported],
         }
 
 
@@ -384,7 +316,7 @@ def stamp_of(value: object) -> int | None:
     return stamp if type(stamp) is int and 0 < stamp < 1 << 63 else None
 
 
-def _switch_of(value: object, fire: Callable[[ToolSwitch], None]) -> ToolSwitch | None:
+def _switch_of(value: object) -> ToolSwitch | None:
     stamp = stamp_of(value)
     if not isinstance(value, dict) or set(value) != {"id", "output", "value", "stamp"} or stamp is None:
         return None
@@ -393,4 +325,4 @@ def _switch_of(value: object, fire: Callable[[ToolSwitch], None]) -> ToolSwitch 
         return None
     if not isinstance(value["value"], bool):
         return None
-    return ToolSwitch(*texts, value["value"], stamp, fire)
+    return ToolSwitch(*texts, value["value"], stamp)

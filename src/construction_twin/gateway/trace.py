@@ -86,15 +86,9 @@ class TraceEntry:
 
 
 class TraceWriter:
-    """Writes a trace; `record` is what `Gateway.trace` takes.
+    """Writes a trace of so many axes and cycles; `record` is what `Gateway.trace` takes. What comes after is counted in `dropped`.
 
-    Args:
-        path: File to write; a regular file that exists is replaced, anything else that exists is refused.
-        axes: Values per position.
-        cycles: Entries that the file holds; what comes after is counted in `dropped`.
-
-    Raises:
-        ConfigurationError: If the path is no regular file, or cannot be written at its full length; nothing is left of it then.
+    A regular file that exists is replaced, anything else that exists is refused.
     """
 
     def __init__(self, path: str, axes: int, cycles: int = DEFAULT_CYCLES):
@@ -139,11 +133,7 @@ class TraceWriter:
 
 
 def read_trace(path: str | Path) -> list[TraceEntry]:
-    """Read a trace, also one whose writer was killed or is still at it.
-
-    Raises:
-        ConfigurationError: If it is not a trace.
-    """
+    """Read a trace, also one whose writer was killed or is still at it."""
     data = Path(path).read_bytes()
     if len(data) < _HEADER.size or not data.startswith(MAGIC):
         raise ConfigurationError(str(path), data[:16], "a file written by rsi_gateway --trace")

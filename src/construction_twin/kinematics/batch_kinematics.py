@@ -46,11 +46,7 @@ class BatchKinematics:
                 self._sine[joint, :3, 3], self._cosine[joint, :3, 3] = -cross @ axis.point, cross @ cross @ axis.point
 
     def frames(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the tip's poses, shape (k, 4, 4), and the Jacobians, shape (k, 6, n), as `Chain.jacobian`.
-
-        Args:
-            q: Shape (k, n)
-        """
+        """Return the tip's poses, shape (k, 4, 4), and the Jacobians, shape (k, 6, n), as `Chain.jacobian`; `q` is (k, n)."""
         if len(q) > _TOGETHER:
             parts = [self.frames(q[first : first + _TOGETHER]) for first in range(0, len(q), _TOGETHER)]
             return np.concatenate([tip for tip, _ in parts]), np.concatenate([jacobian for _, jacobian in parts])

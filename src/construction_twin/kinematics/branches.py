@@ -11,14 +11,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from construction_twin.core.motion_errors import OrientationError, PoseRangeError, PositionRangeError
 from construction_twin.kinematics.chain import Chain, Pose
-from construction_twin.kinematics.ranges import TURN
-from construction_twin.kinematics.solution import (
-    Configuration,
-    IkSettings,
-    IkSolution,
-    InverseKinematics,
-)
+from construction_twin.kinematics.solution import TURN, Configuration, IkSettings, IkSolution, InverseKinematics
 from construction_twin.robot.description import JointValues
 
 _HALF_TURN = 0.5 * TURN
@@ -38,11 +33,8 @@ class BranchInverse(InverseKinematics, abc.ABC):
     ) -> tuple[int, float, list[float]] | None:
         """Return which branch is nearest to a seed, its squared distance and its joint values; None: all are out of range.
 
-        Each joint is first moved by the whole turns that bring it nearest to the seed.
-
-        Args:
-            branches: Length n. nan in the joint with the narrowest range: there is no such branch.
-            seed: Length n. Within the ranges.
+        Each joint is first moved by the whole turns that bring it nearest to the seed, which is within the ranges. nan in the joint
+        with the narrowest range: there is no such branch.
         """
         least, nearest = math.inf, None
         # Plain floats in one loop, and the joint with the narrowest range first: most branches fail at the first or second joint,
@@ -72,6 +64,18 @@ class BranchInverse(InverseKinematics, abc.ABC):
                 least, nearest = square, (number, square, q)
         return nearest
 
+    def excess(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return branches, shape (m, n), turned towards the middle of the ranges, and by how much each joint is out of range."""
+        lower, upper = self.ranges.lower, self.ranges.upper
+        middle = 0.5 * (lower + upper)
+        q = rows - TURN * np.rint((rows - middle) / TURN)
+        return q, np.maximum(lower - q, q - upper)
+
+    def range_error(self, joint: int, value: float, placed: bool) -> PoseRangeError:
+        """Return the error of a joint out of range; `placed`: the position could be reached, in another orientation."""
+        robot, kind = self.chain.robot, OrientationError if placed else PositionRangeError
+        return kind(robot.joint_names[joint], value, robot.lower[joint], robot.upper[joint], robot.linear[joint])
+
     def nearest_confirmed(
         self,
         branches: Sequence[Sequence[float]],
@@ -100,13 +104,7 @@ class BranchInverse(InverseKinematics, abc.ABC):
         configuration: Configuration | None,
         kept: Sequence[int] = (),
     ) -> list[IkSolution]:
-        """Return a branch with every choice of whole turns, where forward kinematics confirms it.
-
-        Args:
-            branch: Shape (n,)
-            seed: Length n
-            kept: Joints whose turns have been chosen already.
-        """
+        """Return a branch with every choice of whole turns but of the joints `kept`, where forward kinematics confirms it."""
         if not np.isfinite(branch).all():
             return []
         every = self.ranges.turned(branch.tolist(), self.settings.tolerance_rad, kept)

@@ -73,19 +73,11 @@ class Chain:
         self._columns = PyKDL.Jacobian(self._count)
 
     def forward(self, q: JointValues) -> Pose:
-        """Return the tip's pose.
-
-        Args:
-            q: Length n. Joint values [rad] or [m]; not checked against the ranges.
-        """
+        """Return the tip's pose; the ranges are not checked."""
         return to_pose(self.frame(q))
 
     def frame(self, q: JointValues) -> PyKDL.Frame:
-        """Return the tip's pose as KDL's frame: without the arrays of a `Pose`, for loops in which every microsecond counts.
-
-        Returns:
-            A buffer: the next call changes it.
-        """
+        """Return the tip's pose as KDL's frame, which the next call changes: for loops in which every microsecond counts."""
         self._fill(q)
         self._fk.JntToCart(self._q, self._frame)
         return self._frame
@@ -103,11 +95,7 @@ class Chain:
         return np.array([[columns[row, column] for column in range(self._count)] for row in range(6)])
 
     def skeleton(self, q: JointValues) -> np.ndarray:
-        """Return the line from the base through all link origins to the tip, for drawing the arm.
-
-        Returns:
-            Shape (m, 3). In the base [m], the base's origin first.
-        """
+        """Return the line from the base's origin through all link origins to the tip, shape (m, 3) [m], for drawing the arm."""
         self._fill(q)
         frame = PyKDL.Frame()
         points = []
@@ -125,13 +113,9 @@ class Chain:
 
 
 def to_kdl(joints: Sequence[Joint]) -> PyKDL.Chain:
-    """Convert URDF joints to a KDL chain (kdl_parser_py, which would do it, is not in Debian).
+    """Convert URDF joints from base to tip to a KDL chain: a segment per joint, named after its child link.
 
-    Args:
-        joints: From base to tip: revolute, prismatic or fixed.
-
-    Returns:
-        One segment per joint, named after its child link.
+    kdl_parser_py, which would do it, is not in Debian.
     """
     chain = PyKDL.Chain()
     for joint in joints:

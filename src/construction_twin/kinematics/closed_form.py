@@ -16,15 +16,13 @@ import numpy as np
 from construction_twin.core.motion_errors import (
     BranchError,
     NotFoundError,
-    OrientationError,
-    PositionRangeError,
     UnreachableError,
 )
 from construction_twin.kinematics.branches import BranchInverse
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.opw import OpwModel
-from construction_twin.kinematics.ranges import TURN
 from construction_twin.kinematics.solution import (
+    TURN,
     ArmKind,
     Configuration,
     IkSettings,
@@ -155,7 +153,6 @@ class ClosedFormInverse(BranchInverse):
         # The package's public entry takes scipy transforms; building one takes six times as long as computing the branches.
         # Its private core takes matrices. The package's version is pinned.
         self._solver = model.solver()._robot
-        self._lower, self._upper = np.array(chain.robot.lower), np.array(chain.robot.upper)
         # None: the arm's base is the model's
         at_base = bool(np.abs(model.base_T_opw - np.eye(4)).max() < 1e-15)
         self._opw_T_base = None if at_base else np.linalg.inv(model.base_T_opw)
@@ -228,11 +225,7 @@ class ClosedFormInverse(BranchInverse):
         )
 
     def flange(self, pose: Pose) -> np.ndarray:
-        """Return ``opw_T_flange`` of a target, shape (4, 4).
-
-        Raises:
-            KinematicsError: If the pose is not finite: the calculation would go on with nan.
-        """
+        """Return ``opw_T_flange`` of a target, shape (4, 4)."""
         self._target[:3, :3] = pose.rotation
         self._target[:3, 3] = pose.position
         # the sum of the elements, as the quickest test; if it is not finite although they are, `check_pose` passes
@@ -265,11 +258,7 @@ class ClosedFormInverse(BranchInverse):
         return [(q[0], wrist), *((other[0], angle[0].tolist()) for other, angle, _ in others)]
 
     def branches(self, flanges: np.ndarray) -> Branches:
-        """Return all branches of targets, ranges not considered.
-
-        Args:
-            flanges: Shape (m, 4, 4). ``opw_T_flange``
-        """
+        """Return all branches of targets ``opw_T_flange``, shape (m, 4, 4), ranges not considered."""
         # For every branch within limits the package also computes the conditioning, which is not needed here and takes three
         # times as long as the rest. Limits that contain no angle switch that off.
         q, _, extension, _, wrist = self._solver.reach(flanges.reshape(-1, 16), _NO_LIMITS, None, 1)
@@ -352,18 +341,12 @@ class ClosedFormInverse(BranchInverse):
         raise NotFoundError(len(SLOTS), 0.0, *self._best_residual(branches[0], pose))
 
     def raise_range_error(self, branches: np.ndarray) -> None:
-        """Raise the error that names the joint out of range, taken from the branch that is out of range by the least.
+        """Raise the error that names the joint out of range, of the branch, shape (m, 6), that is out of range by the least.
 
-        Args:
-            branches: Shape (m, 6). All branches of a target [rad].
-
-        Raises:
-            OrientationError: If joints 1 to 3 of some branch are in range: another orientation could be reached.
-            PositionRangeError: If not.
+        Where joints 1 to 3 of some branch are in range, another orientation could be reached.
         """
-        middle = 0.5 * (self._lower + self._upper)
-        q = branches - TURN * np.rint((branches - middle) / TURN)
-        excess = np.maximum(self._lower - q, q - self._upper) - self.settings.tolerance_rad
+        q, excess = self.excess(branches)
+        excess -= self.settings.tolerance_rad
         placed = excess[:, :3].max(axis=1, initial=-math.inf) <= 0.0
         candidates = np.flatnonzero(placed) if placed.any() else np.arange(len(q))
         if not len(candidates):
@@ -371,10 +354,7 @@ class ClosedFormInverse(BranchInverse):
         row = candidates[excess[candidates].max(axis=1).argmin()]
         joint = int(excess[row].argmax())
         if excess[row, joint] > 0.0:
-            kind = OrientationError if placed.any() else PositionRangeError
-            robot = self.chain.robot
-            low, high, linear = robot.lower[joint], robot.upper[joint], robot.linear[joint]
-            raise kind(robot.joint_names[joint], float(q[row, joint]), low, high, linear)
+            raise self.range_error(joint, float(q[row, joint]), bool(placed.any()))
 
     def is_too_close(self, flange: np.ndarray) -> bool:
         """Return whether an unreachable target, shape (4, 4), is inside the inner edge of the reach, not beyond the outer one."""

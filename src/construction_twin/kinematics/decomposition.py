@@ -80,11 +80,7 @@ KINDS: tuple[tuple[Property, ...], ...] = (
 
 @dataclass(frozen=True)
 class NoClosedForm:
-    """Why axes have no closed form.
-
-    Attributes:
-        reason: Part of a sentence that states what was found.
-    """
+    """Why axes have no closed form: part of a sentence that states what was found."""
 
     reason: str
 

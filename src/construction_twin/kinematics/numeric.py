@@ -15,14 +15,11 @@ from typing import NoReturn
 import numpy as np
 import PyKDL
 
-from construction_twin.core.motion_errors import (
-    NotFoundError,
-    UnreachableError,
-)
+from construction_twin.core.motion_errors import NotFoundError, UnreachableError
 from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.kinematics.chain import Chain, Pose, to_frame
-from construction_twin.kinematics.ranges import TURN
 from construction_twin.kinematics.solution import (
+    TURN,
     ArmKind,
     Configuration,
     IkSettings,
@@ -106,14 +103,7 @@ class NumericInverse(InverseKinematics):
         return None
 
     def solve_from(self, start: JointValues, target: PyKDL.Frame) -> np.ndarray:
-        """Return where the solver ends from one starting point. Ranges are ignored, and it need not be a solution.
-
-        Args:
-            start: Length n. [rad] or [m]
-
-        Returns:
-            Shape (n,)
-        """
+        """Return where the solver ends from one starting point, shape (n,). Ranges are ignored, and it need not be a solution."""
         for index, value in enumerate(start):
             self._start[index] = float(value)
         self._solver.CartToJnt(self._start, target, self._end)
@@ -144,14 +134,9 @@ class NumericInverse(InverseKinematics):
         return bool(values[-1] < _RANK * values[0])
 
     def towards(self, q: np.ndarray, seed: np.ndarray, pose: Pose) -> np.ndarray:
-        """Move a redundant or singular arm along its self-motion to where it is nearest to the seed, within the ranges.
+        """Move a redundant or singular arm, whose `q` reaches the pose, along its self-motion to the nearest to the seed in range.
 
-        Args:
-            q: Shape (n,). Reaches the pose, in range or not.
-            seed: Shape (n,)
-
-        Returns:
-            Shape (n,). Within the ranges; whether it reaches the pose is for the caller to check.
+        Whether the result reaches the pose is for the caller to check.
         """
         q = np.clip(q, self.ranges.lower, self.ranges.upper)
         for _ in range(_SELF_MOTIONS):
@@ -325,12 +310,12 @@ class _Search:
             nearest = min(self._outside, key=lambda q: inverse.ranges.excesses(q).max())
             joint = int(inverse.ranges.excesses(nearest).argmax())
             unit = "m" if robot.linear[joint] else "rad"
-            numbers = {"value": float(nearest[joint]), "lower": robot.lower[joint], "upper": robot.upper[joint]}
-            values = {name: Quantity(value, unit) for name, value in numbers.items()}
             return Sentence(
                 "with {joint} at {value} it would be, outside its range {lower} to {upper}",
                 joint=robot.joint_names[joint],
-                **values,
+                value=Quantity(float(nearest[joint]), unit),
+                lower=Quantity(robot.lower[joint], unit),
+                upper=Quantity(robot.upper[joint], unit),
             )
         missing = inverse.missing_position(self._pose, self._seed)
         if self._settings.tolerance_m < missing < math.inf:

@@ -26,11 +26,7 @@ _CHECK_SEED = 2014
 
 @dataclass(frozen=True)
 class NotOpw:
-    """Why a chain is not of the OPW kind.
-
-    Attributes:
-        reason: Part of a sentence that states what was found.
-    """
+    """Why a chain is not of the OPW kind: part of a sentence that states what was found."""
 
     reason: str
 

@@ -21,8 +21,8 @@ from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
 from construction_twin.kinematics.numeric import NumericInverse
 from construction_twin.kinematics.opw import NotOpw, OpwModel, find_opw
-from construction_twin.kinematics.ranges import TURN
 from construction_twin.kinematics.solution import (
+    TURN,
     ArmKind,
     Configuration,
     IkSolution,
@@ -128,13 +128,7 @@ class _Ranked(NamedTuple):
 
 
 class _Found(NamedTuple):
-    """What a search found.
-
-    Attributes:
-        rank: Of `_Ranked`.
-        slot: Branch, as in `SLOTS`.
-        q: Shape (7,). [m], [rad]
-    """
+    """What a search found: rank as in `_Ranked`, branch as in `SLOTS`, joint values of shape (7,)."""
 
     rank: float
     slot: int
@@ -301,11 +295,7 @@ class RailInverse(InverseKinematics):
         ]
 
     def _divide(self, flange: np.ndarray, rows: _Rows, seed: np.ndarray, one: bool) -> tuple[list[_Found], list[float]]:
-        """Return what is nearest to the seed, the nearest first, and the positions where joints flip: the wrist is singular there.
-
-        Args:
-            one: The nearest of all branches, not of each.
-        """
+        """Return what of each branch, or of all (`one`), is nearest to the seed, and the positions where the wrist is singular."""
         best = np.full(len(SLOTS), math.inf)
         found: list[_Found] = []
         flips: list[float] = []

@@ -6,15 +6,16 @@ import abc
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
 from construction_twin.core.motion_errors import BranchError, KinematicsError
-from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.chain import Chain, Pose
-from construction_twin.kinematics.ranges import Ranges
-from construction_twin.robot.description import JointValues
+from construction_twin.robot.description import JointValues, RobotModel
 
+#: One turn [rad].
+TURN = 2.0 * math.pi
 #: How far a target's rotation matrix may be from orthonormal; more would not pass as a residual anyway.
 _ORTHONORMAL = 5e-7
 #: Solutions nearer to each other than this are one [rad].
@@ -53,11 +54,7 @@ class Configuration:
 
     @classmethod
     def parse(cls, text: str) -> Configuration:
-        """Read a configuration from words such as ``front up positive``, in any order; a choice that no word names stays open.
-
-        Raises:
-            BranchError: For an unknown word, or two words for the same choice.
-        """
+        """Read a configuration from words such as ``front up positive``, in any order; a choice that no word names stays open."""
         chosen = {}
         for word in text.split():
             if word not in _WORDS:
@@ -125,6 +122,52 @@ class ArmKind:
 
     name: str
     why: str
+
+
+class Ranges:
+    """The ranges of n joints, and whole turns: a revolute joint reaches the same pose a turn further, where its range allows it.
+
+    Attributes:
+        lower, upper: Shape (n,). Ends of the ranges.
+        turns: Shape (n,). A whole turn; 0 for a prismatic joint.
+    """
+
+    def __init__(self, robot: RobotModel):
+        self.lower, self.upper = np.array(robot.lower), np.array(robot.upper)
+        self.turns = np.where(robot.linear, 0.0, TURN)
+        # plain floats, which a loop over the joints takes
+        self._each = list(zip(robot.lower, robot.upper, self.turns.tolist()))
+
+    def into_range(self, q: np.ndarray, seed: np.ndarray, slack: float) -> np.ndarray:
+        """Return joint values, shape (..., n), with the turns nearest to a seed that are within the ranges, or else nearest to it.
+
+        Args:
+            seed: Shape (n,). Within the ranges: so besides the nearest turn only the next one towards the range can be in it.
+            slack: Out of range by no more than this counts as within.
+        """
+        q = q - self.turns * np.rint((q - seed) * (1.0 / TURN))
+        q = np.where((q > self.upper + slack) & (q - self.turns >= self.lower - slack), q - self.turns, q)
+        return np.where((q < self.lower - slack) & (q + self.turns <= self.upper + slack), q + self.turns, q)
+
+    def excesses(self, q: np.ndarray) -> np.ndarray:
+        """Return by how much each joint is out of range, shape (..., n); 0 or less: it is in range."""
+        return np.maximum(self.lower - q, q - self.upper)
+
+    def turned(self, q: Sequence[float], slack: float, kept: Sequence[int] = ()) -> Iterator[tuple[float, ...]]:
+        """Return joint values with every choice of whole turns within the ranges.
+
+        Args:
+            q: Length n
+            kept: Joints that keep the turns they have.
+        """
+        choices: list[list[float]] = []
+        for joint, (value, (lower, upper, turn)) in enumerate(zip(q, self._each)):
+            if joint in kept or not turn:
+                choices.append([value])
+                continue
+            first, last = math.ceil((lower - slack - value) / turn), math.floor((upper + slack - value) / turn)
+            choices.append([value + turn * number for number in range(first, last + 1)])
+        return product(*choices)
 
 
 class InverseKinematics(abc.ABC):
@@ -219,31 +262,17 @@ class InverseKinematics(abc.ABC):
 
 
 def check_pose(pose: Pose) -> None:
-    """Check that a target is a position and a rotation.
-
-    Raises:
-        KinematicsError: If numbers are not finite or the rotation is not orthonormal and right-handed.
-    """
+    """Check that a target is a position and a rotation."""
     position, rotation = np.asarray(pose.position), np.asarray(pose.rotation)
     if _is_rigid(rotation.tolist()) and all(map(math.isfinite, position.tolist())):
         return
     if not (np.isfinite(position).all() and np.isfinite(rotation).all()):
-        raise KinematicsError(
-            Sentence(
-                "pose is position {position}, rotation {rotation}; expected finite numbers",
-                position=str(position.tolist()),
-                rotation=str(rotation.tolist()),
-            )
-        )
+        found = f"position {position.tolist()}, rotation {rotation.tolist()}"
+        raise KinematicsError(f"pose is {found}; expected finite numbers")
     error = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if error > _ORTHONORMAL or np.linalg.det(rotation) < 0.0:
-        raise KinematicsError(
-            Sentence(
-                "the pose's rotation {rotation} is {error} off a rotation; expected orthonormal, right-handed axes",
-                rotation=str(rotation.tolist()),
-                error=f"{error:.3g}",
-            )
-        )
+        found = f"rotation {rotation.tolist()} is {error:.3g} off a rotation"
+        raise KinematicsError(f"the pose's {found}; expected orthonormal, right-handed axes")
 
 
 def _is_rigid(rows: list[list[float]]) -> bool:
@@ -286,12 +315,9 @@ def distinct(solutions: Sequence[IkSolution], same: float = _SAME) -> list[IkSol
 def spaced(
     q: np.ndarray, kept: Sequence[IkSolution], most: int, confirm: Callable[[int], IkSolution | None]
 ) -> Iterator[IkSolution]:
-    """Yield solutions along the self-motions of a pose, in a given order, each apart from all others by `_APART`.
+    """Yield solutions along the self-motions of a pose, each apart from all others, and from those `kept`, by `_APART`.
 
-    Args:
-        q: Shape (m, n). Samples of the self-motions, those first which are wanted most.
-        kept: Solutions from which they are apart, too.
-        confirm: Returns a sample, by its number, as a solution; None: it is none.
+    `q`, shape (m, n), samples the self-motions, those first which are wanted most; `confirm` makes a solution of a sample's number.
     """
     apart = np.full(len(q), math.inf)
     for solution in kept:
@@ -307,24 +333,15 @@ def spaced(
 
 
 def refuse_configuration(configuration: Configuration | None) -> None:
-    """Refuse a configuration that makes a choice, for arms that have no named ones.
-
-    Raises:
-        BranchError: If it does.
-    """
+    """Refuse a configuration that makes a choice, for arms that have no named ones."""
     if configuration is not None and configuration != Configuration():
         raise BranchError(str(configuration), (), "has no meaning for an arm without a spherical wrist of the OPW kind")
 
 
 def refine(chain: Chain, q: np.ndarray, pose: Pose, steps: int = 8, within: bool = True) -> np.ndarray:
-    """Improve joint values that almost reach a pose, by Newton steps.
+    """Return joint values, shape (n,), that almost reach a pose, improved by Newton steps, `within` the ranges.
 
-    Args:
-        q: Shape (n,). [rad] or [m]
-        within: Stay within the ranges.
-
-    Returns:
-        Shape (n,). Whether it reaches the pose is for the caller to check.
+    Whether they reach it is for the caller to check.
     """
     endless = np.full(len(q), np.inf)
     lower, upper = (np.array(chain.robot.lower), np.array(chain.robot.upper)) if within else (-endless, endless)

@@ -20,8 +20,6 @@ import numpy as np
 from construction_twin.core.motion_errors import (
     KinematicsError,
     NotFoundError,
-    OrientationError,
-    PositionRangeError,
     UnreachableError,
     UnreachableOrientationError,
 )
@@ -30,7 +28,6 @@ from construction_twin.kinematics.branches import BranchInverse
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.decomposition import ClosedForm
 from construction_twin.kinematics.numeric import NumericInverse
-from construction_twin.kinematics.ranges import TURN
 from construction_twin.kinematics.solution import (
     ArmKind,
     Configuration,
@@ -111,11 +108,7 @@ class SubproblemInverse(BranchInverse):
         return None
 
     def branches(self, pose: Pose) -> list[list[float]]:
-        """Return the model's branches of a target [rad], ranges not considered; where there is none, the nearest miss.
-
-        Raises:
-            KinematicsError: If the pose is not finite.
-        """
+        """Return the model's branches of a target [rad], ranges not considered; where there is none, the nearest miss."""
         self._target[:3, :3] = pose.rotation
         self._target[:3, 3] = pose.position
         if not math.isfinite(self._elements.dot(self._ones)):
@@ -202,25 +195,15 @@ class SubproblemInverse(BranchInverse):
         missing = self._search.missing_position(pose, np.array(seed))
         placed = missing <= self.settings.tolerance_m
         if len(reached):
-            self._raise_range_error(reached, placed)
+            q, excess = self.excess(reached)
+            row = int(excess.max(axis=1).argmin())
+            joint = int(excess[row].argmax())
+            raise self.range_error(joint, float(q[row, joint]), placed)
         if not placed:
             distance = float(np.linalg.norm(pose.position - self.chain.shoulder))
             bound = distance - self.chain.reach
             raise UnreachableError(bound if bound > 0.0 else missing, distance < 0.5 * self.chain.reach)
         raise UnreachableOrientationError
-
-    def _raise_range_error(self, rows: np.ndarray, placed: bool) -> NoReturn:
-        """Raise the error that names the joint out of range, of the branch that is out of range by the least."""
-        robot = self.chain.robot
-        lower, upper = np.array(robot.lower), np.array(robot.upper)
-        middle = 0.5 * (lower + upper)
-        q = rows - TURN * np.rint((rows - middle) / TURN)
-        excess = np.maximum(lower - q, q - upper)
-        row = int(excess.max(axis=1).argmin())
-        joint = int(excess[row].argmax())
-        kind = OrientationError if placed else PositionRangeError
-        low, high, linear = robot.lower[joint], robot.upper[joint], robot.linear[joint]
-        raise kind(robot.joint_names[joint], float(q[row, joint]), low, high, linear)
 
 
 def _may_align(axes: Alignment) -> bool:

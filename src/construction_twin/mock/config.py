@@ -11,18 +11,15 @@ from construction_twin.controller.port import Layout
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.mock.gripper import Gripper
 
-_BOUNDS = ("correction_lower", "correction_upper", "correction_monitor")
-
 
 @dataclass(frozen=True)
 class MockConfig:
-    """What is set on the controller. Tuples are in the order of `axes`; rad throughout.
+    """What is set on the controller. Tuples are of length n, in the order of `axes`; rad throughout.
 
     Attributes:
-        axes: Length n. Axis names in the telegrams.
         start_pose: Pose in which the first session starts [rad], inside the soft limits.
-        lower, upper: Soft limits [rad].
-        velocity, acceleration: Limits that the supervision is a multiple of [rad/s], [rad/s^2].
+        lower, upper: Soft limits.
+        velocity, acceleration: Limits that the supervision is a multiple of.
         layout: Of the telegrams, and whose they are; a reply that does not fit it does not count. Default: that of the default make
             without a file.
         units: How each axis is written in the telegrams; default: deg, and no axis linear.
@@ -31,7 +28,6 @@ class MockConfig:
         timeout: Cycles without a valid reply after which the session stops.
         stop_required: True: a reply without the end of the program that the layout declares does not count; False: it counts, as
             one that does not end it (docs/rsi.md, section 3).
-        cumulative_delay: True: packets count all missed cycles of the session; False: consecutive ones.
         correction_lower, correction_upper: Bounds of the correction [rad], <= 0 and >= 0; clamps without an error. None:
             soft limit - start pose.
         correction_monitor: The session stops when the clamped correction is larger [rad]. None: the larger of the two bounds.
@@ -41,7 +37,6 @@ class MockConfig:
         first_stamp: Of the first packet [ms].
         restart_gap: How far the controller's clock has advanced when the next session starts [ms].
         gripper: What the tool does, where the layout has channels of one.
-
     """
 
     axes: tuple[str, ...]
@@ -56,7 +51,6 @@ class MockConfig:
     precision: int = 6
     timeout: int = 100
     stop_required: bool = False
-    cumulative_delay: bool = False
     correction_lower: tuple[float, ...] | None = None
     correction_upper: tuple[float, ...] | None = None
     correction_monitor: tuple[float, ...] | None = None
@@ -72,7 +66,8 @@ class MockConfig:
         make = make_of(self.layout.make)
         make.check_axes(self.layout, self.axes)
         count = len(self.axes)
-        for name in ("start_pose", "lower", "upper", "velocity", "acceleration", *_BOUNDS):
+        bounds = {"correction_lower": -1, "correction_upper": 1, "correction_monitor": 1}
+        for name in ("start_pose", "lower", "upper", "velocity", "acceleration", *bounds):
             values = getattr(self, name)
             if values is not None and (len(values) != count or not all(map(math.isfinite, values))):
                 raise ConfigurationError(name, values, f"{count} finite numbers, one per axis")
@@ -81,7 +76,7 @@ class MockConfig:
         for name, allowed in (("timeout", self.timeout >= 1), ("first_stamp", self.first_stamp >= 0)):
             if not allowed:
                 raise ConfigurationError(name, getattr(self, name), "a larger number")
-        for name, sign in (("correction_lower", -1), ("correction_upper", 1), ("correction_monitor", 1)):
+        for name, sign in bounds.items():
             if any(sign * value < 0.0 for value in getattr(self, name) or ()):
                 raise ConfigurationError(name, getattr(self, name), f"numbers {'<=' if sign < 0 else '>='} 0")
 

@@ -27,7 +27,6 @@ from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.gripper import SimulatedTool
 from construction_twin.mock.own_motion import EmergencyBrake, Program, ToolSpeedLimit
-from construction_twin.mock.refusals import ReplyRefusals
 from construction_twin.mock.servo import Encoders, Servo
 
 #: The servo is given this long to arrive at the end of a program, and refused replies are over after this long without one [s].
@@ -39,6 +38,48 @@ _RANGE_SLACK = 1e-9
 
 #: Position [m] and A, B, C [rad] of the tool in the base, from axis angles [rad].
 ForwardKinematics = Callable[[tuple[float, ...]], tuple[Sequence[float], Sequence[float]]]
+
+
+class ReplyRefusals:
+    """The refused replies of a controller: told when that begins and when it ends.
+
+    Attributes:
+        last: Why the last one did not count, one sentence; "" before the first.
+        present: The same while replies are refused; "" when so many have counted since that it is over.
+        since_valid: The same, of those since the last reply that counted.
+        news: Sentences for the log; whoever writes them empties the list.
+    """
+
+    def __init__(self, recovery: int) -> None:
+        self._recovery = recovery
+        self.last = ""
+        self.news: list[str] = []
+        self.begin_session()
+
+    def begin_session(self) -> None:
+        """Forget what belongs to the session before; `last` stays for people."""
+        self.present = self.since_valid = ""
+        self._reported: set[str] = set()
+        self._refused = self._valid = 0
+
+    def refuse(self, kind: str, sentence: str) -> None:
+        """Note a reply that does not count; the first of its kind is told at once."""
+        self.last = self.present = self.since_valid = sentence
+        self._refused += 1
+        self._valid = 0
+        if kind not in self._reported:
+            self._reported.add(kind)
+            self.news.append(f"reply refused: {sentence}")
+
+    def accept(self) -> None:
+        """Note a reply that counts."""
+        if not self.present:
+            return
+        self.since_valid = ""
+        self._valid += 1
+        if self._valid >= self._recovery:
+            self.news.append(f"replies count again; {self._refused} were refused, the last one because {self.last}")
+            self.begin_session()
 
 
 class MockController:
@@ -161,11 +202,7 @@ class MockController:
         self._start_session(tuple(pose), self._stamp_after(self.config.restart_gap))
 
     def begin_cycle(self) -> bytes | None:
-        """Close the open cycle, move the servo, open the next one.
-
-        Returns:
-            The datagram to send; None when the session has stopped.
-        """
+        """Close the open cycle, move the servo, open the next one; return the datagram, None when the session has stopped."""
         if self.running and self._open:
             self._close_cycle()
             self.stamp = self._stamp_after(self.config.cycle * self.running)
@@ -193,10 +230,7 @@ class MockController:
         return self.setpoint if self._absolute else self.start_pose
 
     def receive(self, data: bytes, in_time: bool = True) -> bool:
-        """Take one datagram that is read during the open cycle.
-
-        Args:
-            in_time: False: it arrived when the open cycle should have been over.
+        """Take one datagram that is read during the open cycle, `in_time` or when that should have been over.
 
         Returns:
             True when it is the reply of this cycle; everything else is counted by its kind and has no effect.
@@ -267,11 +301,8 @@ class MockController:
     def run_program(self, goal: Sequence[float], duration: float = 0.0) -> None:
         """Move to a pose without the PC, in a session or without one.
 
-        In a session the programmed pose moves and corrections are added to it, so the goal is met if they stay.
-
-        Args:
-            goal: Length n. [rad]
-            duration: [s]; 0: `JOG_FRACTION` of the limits.
+        In a session the programmed pose moves and corrections are added to it, so the goal is met if they stay. Without a duration
+        it takes `JOG_FRACTION` of the limits.
         """
         if self.pressed or self.ramp is not None and not self.ramp.done:
             raise ConfigurationError("jog", tuple(goal), "an arm at rest whose emergency stop is not pressed")
@@ -398,8 +429,7 @@ class MockController:
         return tuple(value if held else 0.0 for value, held in zip(self.applied, self._holds))
 
     def _valid_reply(self, reply: Reply) -> tuple[float, ...]:
-        if not self.config.cumulative_delay:
-            self.missed = 0
+        self.missed = 0
         if self.tool is not None:
             self.tool.take(reply.switched)
         self.counters["without_stop"] += reply.stop is None and self._stop_declared

@@ -12,11 +12,11 @@ import math
 import random
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.motion_errors import JointRangeError
-from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.own_motion import T1_SPEED
@@ -214,9 +214,6 @@ class FaultBoard:
 
         Returns:
             What happens now, one sentence.
-
-        Raises:
-            ConfigurationError: If there is no such fault, an argument is wrong, or the fault is not possible now.
         """
         kind = self._check(fault)
         start, _ = self._actions(fault)
@@ -234,16 +231,10 @@ class FaultBoard:
         return f"{fault} is on"
 
     def end(self, fault: Fault) -> str:
-        """Switch a fault off; only name, axis and direction count.
-
-        Raises:
-            ConfigurationError: If it is not on.
-        """
+        """Switch a fault off; only name, axis and direction count."""
         if (fault.name, fault.subject) not in self._active:
             raise ConfigurationError(
-                fault.name,
-                fault.subject or None,
-                f"a fault that is on: {', '.join(self.active) or 'none is'}",
+                fault.name, fault.subject or None, f"a fault that is on: {', '.join(self.active) or 'none is'}"
             )
         _, stop = self._actions(fault)
         stop()
@@ -259,11 +250,7 @@ class FaultBoard:
             raise ConfigurationError("fault", fault.name, f"one of {', '.join(KINDS)}")
         kind, axes = KINDS[fault.name], self.controller.config.axes
         if kind.axis == "one" and not fault.axis or kind.axis == "no" and fault.axis:
-            raise ConfigurationError(
-                fault.name,
-                fault.axis,
-                "a joint" if kind.axis == "one" else "no joint",
-            )
+            raise ConfigurationError(fault.name, fault.axis, "a joint" if kind.axis == "one" else "no joint")
         if fault.axis and fault.axis not in axes:
             raise ConfigurationError(fault.name, fault.axis, f"one of {', '.join(axes)}")
         if fault.direction not in (DIRECTIONS if kind.network else ("",)):
@@ -315,38 +302,21 @@ class FaultBoard:
         """Return what lets an optional channel say something else, and what is again."""
 
         def tell(value: float | None) -> None:
-            whole, shown = None if value is None else int(value), self.controller.status_shown
-            self.controller.status_shown = {
-                "mode": lambda: replace(shown, mode=whole),
-                "program": lambda: replace(shown, program=whole),
-                "override": lambda: replace(shown, override=value),
-            }[fault.name]()
+            self.controller.status_shown = replace(self.controller.status_shown, **{fault.name: value})  # type: ignore[arg-type]
 
-        return lambda: tell(fault.values[0]), lambda: tell(None)
+        value = fault.values[0] if fault.values else 0.0
+        return lambda: tell(value if fault.name == "override" else int(value)), lambda: tell(None)
 
     def _grip(self, fault: Fault):
         tool = self.controller.tool
         if tool is None:
-            words = self.controller.words
-            raise ConstructionTwinError(
-                Sentence(
-                    "{fault}: found None, expected {file} with channels of a tool",
-                    fault=fault.name,
-                    file=words.description,
-                )
-            )
-
-        def fail(on: bool) -> None:
-            tool.fails = on
-
-        def hide(on: bool) -> None:
-            tool.hidden = on
-
+            file = self.controller.words.description
+            raise ConstructionTwinError(f"{fault.name}: found None, expected {file} with channels of a tool")
         return {
-            "grip_fails": (lambda: fail(True), lambda: fail(False)),
+            "grip_fails": (partial(setattr, tool, "fails", True), partial(setattr, tool, "fails", False)),
             "grip_lost": (tool.lose, _nothing),
             "opened_by_hand": (tool.open_by_hand, _nothing),
-            "no_read_back": (lambda: hide(True), lambda: hide(False)),
+            "no_read_back": (partial(setattr, tool, "hidden", True), partial(setattr, tool, "hidden", False)),
         }[fault.name]
 
     def _servo(self, fault: Fault):
@@ -360,9 +330,7 @@ class FaultBoard:
     def _push(self, fault: Fault):
         servo = self.controller.servo
         if not isinstance(servo, WithMass):
-            raise ConstructionTwinError(
-                Sentence("{fault} needs a mock arm with mass: start it with servo:=physics", fault=fault.name)
-            )
+            raise ConstructionTwinError(f"{fault.name} needs a mock arm with mass: start it with servo:=physics")
         joint = self.controller.config.axes.index(fault.axis)
         return lambda: servo.push(joint, fault.values[0]), lambda: servo.push(joint, 0.0)
 

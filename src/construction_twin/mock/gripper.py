@@ -37,9 +37,6 @@ class Gripper:
 class SimulatedTool:
     """The tool of one mock controller.
 
-    Args:
-        period: The controller's cycle [s].
-
     Attributes:
         fails, lost, hidden: Faults: the grip does not close; it has let go; the telegrams do not tell the outputs.
     """

@@ -34,23 +34,14 @@ _TIGHT = 2_000
 
 
 class ArrivalClock:
-    """Converts stamps of the wall clock to the monotonic one.
-
-    Args:
-        wall, monotonic: Return the time [ns].
-    """
+    """Converts stamps of the wall clock to the monotonic one [ns]."""
 
     def __init__(self, wall: Callable[[], int], monotonic: Callable[[], int]):
         self._wall = wall
         self._monotonic = monotonic
 
     def arrival(self, stamp: int, read: int) -> int:
-        """Return when a datagram arrived, on the monotonic clock [ns], not after `read`.
-
-        Args:
-            stamp: The kernel's, on the wall clock [ns].
-            read: When it was read, on the monotonic clock [ns].
-        """
+        """Return when a datagram with the kernel's `stamp` arrived, on the monotonic clock, not after it was `read` [ns]."""
         return min(stamp + self._measure(), read)
 
     def _measure(self) -> int:

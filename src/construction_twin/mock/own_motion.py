@@ -27,7 +27,6 @@ class EmergencyBrake:
         position, step: Length n. Setpoint [rad] and its last step [rad per cycle].
         acceleration: Length n. Limits [rad/s^2].
         measured: Length n. Where the arm is, behind the setpoint [rad].
-        period: Length of a cycle [s].
 
     Attributes:
         distance: Length n. Distance of the arm to rest, including its lag behind the setpoint [rad].
@@ -69,8 +68,7 @@ class Program:
     Args:
         start, goal: Length n. [rad]
         velocity, acceleration: Length n. Limits [rad/s], [rad/s^2].
-        duration: [s]; 0 (default): as long as `JOG_FRACTION` of the limits takes.
-        period: Length of a cycle [s].
+        duration: [s]; 0: as long as `JOG_FRACTION` of the limits takes.
     """
 
     def __init__(
@@ -121,7 +119,6 @@ class ToolSpeedLimit:
         velocity, acceleration: Length n. Limits [rad/s], [rad/s^2].
         tool_position: From axis angles [rad] to the tool's position [m].
         speed: [m/s]
-        period: Length of a cycle [s].
     """
 
     def __init__(

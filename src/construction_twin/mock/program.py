@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import gc
 import logging
+import math
 import signal
 import sys
 import threading
@@ -25,7 +26,7 @@ from construction_twin.core.errors import ConfigurationError, ConstructionTwinEr
 from construction_twin.core.extras import check_extras
 from construction_twin.core.realtime import request_realtime
 from construction_twin.core.share import share_file
-from construction_twin.core.units import CYCLE, from_wire, radians, to_wire
+from construction_twin.core.units import CYCLE, from_wire, to_wire
 from construction_twin.core.validation import configuration_error
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.controller import ForwardKinematics, MockController
@@ -95,13 +96,12 @@ log = logging.getLogger(__name__)
 
 #: The file of the default make.
 _SHIPPED = share_file("krl/ethernet/ctwin_ethernet.xml")
-_Payload = list[Annotated[float, pydantic.Field(allow_inf_nan=False)]]
-_Degrees = list[Annotated[float, pydantic.Field(allow_inf_nan=False)]]
+_Numbers = list[Annotated[float, pydantic.Field(allow_inf_nan=False)]]
 
 #: servo ideal: cycles from the packet whose reply carries a setpoint to the packet that reports it as reached.
 SERVO_DELAY_CYCLES = 3
-#: servo realistic, physics: natural frequency [rad/s], damping ratio [1], encoder step [deg].
-SERVO_OMEGA, SERVO_ZETA, ENCODER_RESOLUTION_DEG = 60.0, 0.8, 3e-5
+#: servo realistic, physics: natural frequency [rad/s], damping ratio [1], encoder step [rad].
+SERVO_OMEGA, SERVO_ZETA, _RESOLUTION = 60.0, 0.8, math.radians(3e-5)
 #: The simulated gripper: from its outputs to the inputs that confirm them [s].
 TOOL_TIME = 0.2
 
@@ -119,14 +119,14 @@ class MockSettings(pydantic.BaseModel):
     precision: Annotated[int, pydantic.Field(ge=1, le=32)] = 6
     timeout: Annotated[int, pydantic.Field(ge=1)] = 100
     stop_required: bool = False
-    start_pose_deg: _Degrees = []
+    start_pose_deg: _Numbers = []
     e1_sign: Literal[1, -1] = 1
     e1_offset: Annotated[float, pydantic.Field(allow_inf_nan=False)] = 0.0
     e1_feedback_scale: Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)] = 1.0
     e1_correction_scale: Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)] = 1.0
     servo: Literal["ideal", "realistic", "physics"] = "ideal"
     drives: str = ""
-    payload: _Payload = []
+    payload: _Numbers = []
     fault_seed: Annotated[int, pydantic.Field(ge=0)] = 0
     restart_after: Annotated[float, pydantic.Field(ge=0)] = 0.0
     tool: dict = {}
@@ -213,8 +213,7 @@ def build_servo(settings: MockSettings, robot: RobotModel) -> Servo:
         return _physics_servo(settings, robot, period)
     if settings.servo == "ideal":
         return IdealServo(SERVO_DELAY_CYCLES, period)
-    resolution = radians([ENCODER_RESOLUTION_DEG])[0]
-    return RealisticServo(SERVO_OMEGA, SERVO_ZETA, resolution, period)
+    return RealisticServo(SERVO_OMEGA, SERVO_ZETA, _RESOLUTION, period)
 
 
 def _physics_servo(settings: MockSettings, robot: RobotModel, period: float) -> Servo:
@@ -233,7 +232,7 @@ def _physics_servo(settings: MockSettings, robot: RobotModel, period: float) -> 
         lambda q: axis_angles(robot, tuple(q)),
         lambda angles: joint_angles(robot, tuple(angles)),
         [axis.sign for axis in robot.axes],
-        radians([ENCODER_RESOLUTION_DEG])[0],
+        _RESOLUTION,
         period,
     )
 

@@ -24,9 +24,6 @@ class Servo(ABC):
     A stalled joint's measured position is constant. After its release, its reference starts there at rest and approaches the
     setpoint within velocity and acceleration limits; when position and speed match the setpoint, the joint follows it directly
     again. A slow joint approaches its setpoint in the same manner all the time, with a lower velocity limit.
-
-    Args:
-        period: Length of a cycle [s].
     """
 
     def __init__(self, period: float) -> None:
@@ -55,14 +52,7 @@ class Servo(ABC):
         self._measured = self._respond(self._setpoint)
 
     def step(self, setpoint: Sequence[float]) -> tuple[float, ...]:
-        """Advance one cycle.
-
-        Args:
-            setpoint: Length n. Setpoint of this cycle [rad].
-
-        Returns:
-            Length n. Measured position at the end of the cycle [rad].
-        """
+        """Advance one cycle to this setpoint; return the measured position at its end, both of length n [rad]."""
         reference = list(setpoint)
         for joint in self._stalled:
             reference[joint] = self._measured[joint]
@@ -82,11 +72,7 @@ class Servo(ABC):
         self._freeze(joint, self._measured[joint])
 
     def release(self, joint: int, velocity: float, acceleration: float) -> None:
-        """Let a stalled joint catch up with its setpoint; no effect on a joint that is not stalled.
-
-        Args:
-            velocity, acceleration: Limits of the approach [rad/s], [rad/s^2]; of a slow joint its own velocity.
-        """
+        """Let a stalled joint catch up with its setpoint within limits, of a slow joint its own velocity; no effect on another."""
         if joint in self._stalled:
             self._stalled.remove(joint)
             velocity = self._slow.get(joint, velocity)
@@ -139,7 +125,6 @@ class IdealServo(Servo):
     Args:
         delay_cycles: Cycles from the packet whose reply carries a setpoint to the packet that reports it as reached; at least 1,
             default 3.
-        period: Length of a cycle [s].
     """
 
     def __init__(self, delay_cycles: int = 3, period: float = CYCLE):
@@ -169,7 +154,6 @@ class RealisticServo(Servo):
     Args:
         omega: Natural frequency [rad/s].
         resolution: Encoder step [rad]; 0 for an exact reading.
-        period: Length of a cycle [s].
     """
 
     def __init__(
@@ -193,14 +177,11 @@ class RealisticServo(Servo):
             error, velocity = self._position[joint] - goal, self._velocity[joint]
             self._position[joint] = goal + xx * error + xv * velocity
             self._velocity[joint] = vx * error + vv * velocity
-        return tuple(map(self._read, self._position))
+        return tuple([read_encoder(position, self._resolution) for position in self._position])
 
     def _freeze(self, joint: int, position: float) -> None:
         self._position[joint] = position
         self._velocity[joint] = 0.0
-
-    def _read(self, position: float) -> float:
-        return read_encoder(position, self._resolution)
 
 
 def read_encoder(position: float, resolution: float) -> float:
@@ -216,7 +197,6 @@ class Chase:
         step: Its last step [rad per cycle].
         velocity, acceleration: Limits [rad/s], [rad/s^2]. A chase that begins faster than `velocity` first brakes to it within
             `acceleration`.
-        period: Length of a cycle [s].
 
     Attributes:
         met: True when the last `aim` matched the setpoint in position and speed.
@@ -269,9 +249,6 @@ class Chase:
 
 class Encoders:
     """From measured angles to reported ones, one `read` per cycle.
-
-    Args:
-        period: Length of a cycle [s].
 
     Attributes:
         offset: Length n. What is added to the measured angle now [rad].

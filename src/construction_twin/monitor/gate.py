@@ -10,13 +10,12 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from construction_twin.core.axis_name import axis_name
 from construction_twin.core.errors import ConfigurationError, MotionRefused, PayloadError
 from construction_twin.core.limits import MotionCheck, MotionLimits
 from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.core.state_table import conditions
 from construction_twin.core.travel_time import TravelTime
-from construction_twin.core.units import CYCLE_NS, NANOSECONDS, from_people, to_people
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS, axis_name, from_people, to_people
 from construction_twin.monitor.comparison import Comparison, ComparisonSettings, PoseComparison
 from construction_twin.monitor.round_trip import RoundTrips
 from construction_twin.monitor.servo_watch import ServoDifference, ServoWatch

@@ -142,9 +142,8 @@ class SimulatedArm:
     def follow(self, answers: np.ndarray, speeds: np.ndarray, accelerations: np.ndarray) -> Iterator[None]:
         """Advance one step of the simulation per row, and yield after each.
 
-        Args:
-            answers, speeds, accelerations: Shape (steps, n). Where the servo has the arm at the end of each step, how fast, and the
-                acceleration during it.
+        `answers`, `speeds`, `accelerations`: Shape (steps, n). Where the servo has the arm at the end of each step, how fast, and
+        the acceleration during it.
         """
         rubbing = self._damping * speeds + self._friction * np.minimum(np.maximum(speeds / CREEPING, -1.0), 1.0)
         for answer, speed, acceleration, friction in zip(answers, speeds, accelerations, rubbing):
@@ -199,8 +198,7 @@ def bare_model(bodies: RobotBodies, drives: ArmDrives, flange: MassProperties | 
 class Plant:
     """An arm in empty space that is told setpoints, and can be pushed: what the mock controller moves.
 
-    Args:
-        omega, zeta: Of the servo's lag [rad/s], [1].
+    `omega`, `zeta`: Of the servo's lag [rad/s], [1].
     """
 
     def __init__(self, model: PhysicsModel, omega: float, zeta: float):

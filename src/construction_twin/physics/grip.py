@@ -71,9 +71,8 @@ class SuctionGrip:
     def usages(self, forces: np.ndarray, moments: np.ndarray) -> np.ndarray:
         """Return the fraction of what the cup that is loaded most holds, shape (N,).
 
-        Args:
-            forces, moments: Shape (N, 3). What the cups must exert on the workpiece, about the origin of the plane, in the axes of
-                the plane [N], [N m].
+        `forces`, `moments`: Shape (N, 3). What the cups must exert on the workpiece, about the origin of the plane, in the axes of
+        the plane [N], [N m].
         """
         points = (self.cups[:, None] + self.radius * _LIP).reshape(-1, 2)
         x, y = points.T

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from construction_twin.core.axis_name import axis_name
 from construction_twin.core.sentences import Quantity, Sentence
+from construction_twin.core.units import axis_name
 from construction_twin.physics.drive import PayloadRating
 from construction_twin.physics.mass import MassProperties
 from construction_twin.physics.report import PayloadLoad, RehearsalReport
@@ -107,8 +107,7 @@ def reasons(report: RehearsalReport, linear: Set[str]) -> Iterator[Sentence]:
 def worst_payload(payloads: Sequence[MassProperties], bodies: RobotBodies, rating: PayloadRating | None) -> PayloadLoad:
     """Return the largest of each number of what the flange carries, one scene after the other, beside the arm's rating.
 
-    Args:
-        payloads: In the frame of the last joint.
+    `payloads`: In the frame of the last joint.
     """
     rated = PayloadLoad()
     if rating is not None:

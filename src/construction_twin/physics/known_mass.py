@@ -28,10 +28,7 @@ def masses_of(
 ) -> dict[str, float]:
     """Return the mass of each object that the arm carries in one of the scenes, by name [kg].
 
-    A body's mass is divided as its objects' volumes are. Objects of which nobody says it are left out.
-
-    Args:
-        known: Of bodies [kg].
+    A body's mass is divided as its objects' volumes are. Objects of which nobody says it are left out. `known`: Of bodies [kg].
     """
     # nodes that only name bodies wait for no library of shapes
     from construction_twin.physics.mass import of_object

@@ -185,8 +185,7 @@ class _Track:
 class _Run:
     """One rehearsal: it steps the arm through the parts, and notes.
 
-    Args:
-        after: The scene at the end, when the last tool has switched.
+    `after`: The scene at the end, when the last tool has switched.
     """
 
     def __init__(self, of: Rehearsal, trajectory: Trajectory, parts: Sequence[Part], after: Scene, progress=None):

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from construction_twin.core.motion_errors import KinematicsError
-from construction_twin.core.sentences import Sentence
 
 #: Below this |cos B| the angles A and C turn about the same axis and only their sum or difference is defined.
 _GIMBAL = 1e-12
@@ -45,14 +44,7 @@ def rotation_to_abc(rotation) -> tuple[float, float, float]:
 
 
 def abc_to_rotation(a: float, b: float, c: float) -> np.ndarray:
-    """Convert KUKA's A, B, C to a rotation matrix.
-
-    Args:
-        a, b, c: [rad]
-
-    Returns:
-        Shape (3, 3). ``Rz(A) Ry(B) Rx(C)``
-    """
+    """Convert KUKA's A, B, C [rad] to a rotation matrix, shape (3, 3): ``Rz(A) Ry(B) Rx(C)``."""
     sin_a, cos_a = math.sin(a), math.cos(a)
     sin_b, cos_b = math.sin(b), math.cos(b)
     sin_c, cos_c = math.sin(c), math.cos(c)
@@ -84,14 +76,7 @@ def rpy_to_quaternion(rpy_deg: Sequence[float]) -> np.ndarray:
 
 
 def rotation_to_quaternion(rotation: np.ndarray) -> np.ndarray:
-    """Convert a rotation matrix to a unit quaternion.
-
-    Args:
-        rotation: Shape (3, 3)
-
-    Returns:
-        Shape (4,). x, y, z, w with w >= 0.
-    """
+    """Convert a rotation matrix, shape (3, 3), to a unit quaternion x, y, z, w with w >= 0."""
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.asarray(rotation, dtype=float).tolist()
     trace = xx + yy + zz
     # each row is the quaternion times four of its own elements: by the largest of them nothing is divided by a small number
@@ -112,22 +97,10 @@ def _canonical(x: float, y: float, z: float, w: float) -> np.ndarray:
 
 
 def quaternion_to_rotation(quaternion) -> np.ndarray:
-    """Convert a quaternion to a rotation matrix.
-
-    Args:
-        quaternion: Length 4. x, y, z, w; normalised here when its norm is 1 within 1e-3.
-
-    Returns:
-        Shape (3, 3)
-
-    Raises:
-        KinematicsError: If it is no unit quaternion, e.g. the (0, 0, 0, 0) of a message whose field was never set.
-    """
+    """Convert a quaternion x, y, z, w, normalised here when its norm is 1 within 1e-3, to a rotation matrix, shape (3, 3)."""
     values = np.asarray(quaternion, dtype=float)
     if values.shape != (4,) or not abs(np.linalg.norm(values) - 1.0) <= _NORM_TOLERANCE:
-        raise KinematicsError(
-            Sentence("quaternion x, y, z, w is {found}; expected 4 numbers of norm 1", found=str(values.tolist()))
-        )
+        raise KinematicsError(f"quaternion x, y, z, w is {values.tolist()}; expected 4 numbers of norm 1")
     x, y, z, w = (values / np.linalg.norm(values)).tolist()
     return np.array(
         [

@@ -14,7 +14,7 @@ from typing import Any
 from urdf_parser_py.urdf import URDF, Joint
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot
+from construction_twin.robot.description import ESTIMATES, RobotModel, check_joint, load_robot
 from construction_twin.robot.urdf import chain_joints, expand_xacro, parse_urdf, xacro_arguments
 
 #: What is an estimate in every file that is written here; `RANGES` as well, where the URDF has a joint without a range.
@@ -73,8 +73,7 @@ def _path(model: URDF, link: str) -> list[str]:
 def new_description(urdf: str, name: str, base_link: str, tip_link: str, full_speed_in: float) -> dict[str, Any]:
     """Return the mapping of a robot YAML, with home in the middle of every range: an estimate, where the arm may touch itself.
 
-    Args:
-        full_speed_in: Every joint's acceleration is the one that reaches its full speed in this time [s].
+    Every joint's acceleration is the one that reaches its full speed in the time given [s].
     """
     joints = [joint for joint in chain_joints(parse_urdf(urdf), base_link, tip_link) if joint.joint_type != "fixed"]
     if not 0 < len(joints) <= _MOST:
@@ -93,11 +92,7 @@ def new_description(urdf: str, name: str, base_link: str, tip_link: str, full_sp
 def robot_of_urdf(
     path: str | Path, base_link: str = "", tip_link: str = "", full_speed_in: float = 1.0, xacro_args: str = ""
 ) -> RobotModel:
-    """Build a robot from a URDF alone; `RobotModel.estimates` says what of it is an estimate.
-
-    Args:
-        full_speed_in: As of `new_description` [s].
-    """
+    """Build a robot from a URDF alone, by `new_description`; `RobotModel.estimates` says what of it is an estimate."""
     urdf = expand_xacro(path, xacro_arguments(xacro_args))
     base_link, tip_link = find_ends(urdf, base_link, tip_link)
     return load_robot(urdf, new_description(urdf, robot_name(urdf), base_link, tip_link, full_speed_in))
@@ -108,33 +103,16 @@ def rsi_axes(linear: Sequence[bool]) -> list[str]:
 
     Prismatic joints before the first revolute one are tracks, external axes; the others are A1 to A6 in the order of the chain, and
     what is more than six is external, too.
-
-    Args:
-        linear: Whether each joint is prismatic, base to tip.
     """
     tracks = next((index for index, prismatic in enumerate(linear) if not prismatic), 0)
-    own = len(linear) - tracks
     external = iter(f"E{number}" for number in range(1, _MOST))
-    return [
-        next(external) if index < tracks or index - tracks >= 6 else f"A{index - tracks + 1}"
-        for index in range(tracks + own)
-    ]
+    own = range(-tracks, len(linear) - tracks)
+    return [f"A{index + 1}" if 0 <= index < 6 else next(external) for index in own]
 
 
 def _joint(joint: Joint, axis: str, full_speed_in: float) -> dict[str, Any]:
-    where = f"URDF joint {joint.name}"
-    if joint.joint_type not in ("revolute", "continuous", "prismatic") or joint.mimic is not None:
-        found = "a mimic joint" if joint.mimic is not None else joint.joint_type
-        raise ConfigurationError(where, found, "an independent revolute, continuous or prismatic joint")
+    check_joint(joint)
     limit, endless = joint.limit, joint.joint_type == "continuous"
-    if not endless and (limit is None or limit.lower is None or limit.upper is None or not limit.lower < limit.upper):
-        raise ConfigurationError(f"{where} limit", None if limit is None else limit.lower, "lower < upper")
-    if limit is None or not 0 < limit.velocity < math.inf:
-        raise ConfigurationError(
-            f"{where} limit velocity",
-            None if limit is None else limit.velocity,
-            "a positive number: no acceleration follows from it",
-        )
     unit, per_unit = ("mm", 1e3) if joint.joint_type == "prismatic" else ("deg", _DEGREES)
     acceleration = _rounded(limit.velocity * per_unit / full_speed_in)
     middle = 0.0 if endless else (limit.lower + limit.upper) / 2 * per_unit
@@ -165,11 +143,7 @@ def with_home(description: Mapping[str, Any], home: Sequence[float]) -> dict[str
 
 
 def robot_yaml(description: Mapping[str, Any], command: str, full_speed_in: float) -> str:
-    """Return the text of a robot YAML, with what a person must know of its values.
-
-    Args:
-        full_speed_in: As of `new_description` [s].
-    """
+    """Return the text of a robot YAML of `new_description`, with what a person must know of its values."""
     lines = [
         f"# {description['name']}: what its URDF cannot carry. Every key is explained in config/kr120.yaml. Written by",
         f"#   {' '.join(command.split())}",

@@ -16,11 +16,7 @@ from construction_twin.core.motion_errors import TrajectoryError
 
 @dataclass(frozen=True)
 class Signal:
-    """An input of the tool, and what it must read.
-
-    Attributes:
-        name: Input of the tool file.
-    """
+    """An input of the tool file, and what it must read."""
 
     name: str
     value: bool
@@ -84,15 +80,7 @@ def segments_content(trajectory_hash: str, task: str, segments: tuple[Segment, .
 
 
 def check_segments(plan_id: str, scene: str, duration: float, segments: tuple[Segment, ...]) -> None:
-    """Check that segments fill a trajectory and that each begins in the scene in which the one before ended.
-
-    Args:
-        scene: Hash of the scene that the plan begins in.
-        duration: Of the trajectory [s].
-
-    Raises:
-        TrajectoryError: Naming the segment.
-    """
+    """Check that segments fill a trajectory and that each begins in the scene (hash) in which the one before ended."""
     before, present = 0.0, scene
     for number, segment in enumerate(segments):
         if not math.isfinite(segment.end) or segment.end <= before:

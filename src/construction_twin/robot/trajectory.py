@@ -68,9 +68,6 @@ class Trajectory:
         Before 0 and after `duration` the motion rests at its first or last position: velocity and acceleration are zero
         there even if the end waypoints have other values. At exactly 0 and `duration` the waypoints' own values are returned.
 
-        Args:
-            t: Time from the start of the motion [s].
-
         Returns:
             q, qd, qdd: Shape (n,). [rad], [rad/s], [rad/s^2]; the caller's own copies.
         """
@@ -93,13 +90,10 @@ class Trajectory:
         return q, qd, qdd
 
     def sample_many(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Evaluate the motion at many times; outside [0, `duration`] as `sample` does.
-
-        Args:
-            times: Shape (m,). [s]
+        """Evaluate the motion and its jerk at many times, shape (m,); outside [0, `duration`] as `sample` does.
 
         Returns:
-            q, qd, qdd, qddd: Shape (m, n). [rad], [rad/s], [rad/s^2] and jerk [rad/s^3].
+            q, qd, qdd, qddd: Shape (m, n). [rad], [rad/s], [rad/s^2], [rad/s^3].
         """
         times = np.asarray(times, dtype=np.float64)
         segment = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 2)
@@ -153,14 +147,7 @@ class Trajectory:
 
 
 def whole_nanoseconds(times: np.ndarray) -> np.ndarray:
-    """Round times to whole nanoseconds, the resolution of a ROS duration.
-
-    Args:
-        times: [s]
-
-    Returns:
-        [s]; each equal to some ``integer / 1e9`` to the last bit.
-    """
+    """Round times [s] to whole nanoseconds, as of a ROS duration: each equal to some ``integer / 1e9`` to the last bit."""
     return np.round(np.asarray(times, dtype=np.float64) * 1e9) / 1e9
 
 

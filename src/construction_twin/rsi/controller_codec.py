@@ -45,15 +45,11 @@ class RobotEncoder:
     """Writes controller packets.
 
     Args:
-        axes: Length n. Axis names, in the order of the positions. The blocks always have six attributes; an axis that is not there
-            reads 0.
+        axes: In the order of the positions. The blocks always have six attributes; an axis that is not there reads 0.
         precision: Decimals of every sent value, 1 to 32 (the ETHERNET object's `Precision`).
-        send: Blocks in the order of the Ethernet XML, see `RsiLayout`; default: RIst, RSol, AIPos, ASPos, Delay. The channels of
-            `status_channels` and of a tool may be among them.
-        units: Length n. Default: every axis is revolute, and in the controller's own units.
-
-    Raises:
-        ConfigurationError: If a name is no RSI axis, a block is not known here, or the precision is out of range.
+        send: Blocks in the order of the Ethernet XML, see `RsiLayout`; the channels of `status_channels` and of a tool may be among
+            them.
+        units: Default: every axis is revolute, and in the controller's own units.
     """
 
     def __init__(
@@ -91,21 +87,12 @@ class RobotEncoder:
         status: RsiStatus = _NO_STATUS,
         signals: Mapping[str, bool] = MappingProxyType({}),
     ) -> bytes:
-        """Write one packet.
+        """Write one packet; what is not known of status and signals is sent as 0.
 
         Args:
-            ipoc: Controller time [ms].
             measured, setpoint: Length n. Axis positions for AIPos and EIPos, ASPos and ESPos [rad] ([m] for a linear axis).
             measured_pose, setpoint_pose: Length 6. X, Y, Z [m] and A, B, C [rad] of the tool in the base, for RIst and RSol.
-            delay: Cycles without a valid reply.
-            status: For the optional channels; what is not known is sent as 0.
-            signals: Outputs and inputs of a tool by their TAGs, e.g. ``Out.vacuum``; what is not there is sent as 0.
-
-        Returns:
-            The datagram.
-
-        Raises:
-            TelegramError: If a value is missing or not finite.
+            signals: Outputs and inputs of a tool by their TAGs, e.g. ``Out.vacuum``.
         """
         check_values("AIPos", measured, self._count)
         check_values("ASPos", setpoint, self._count)
@@ -131,15 +118,12 @@ class RobotEncoder:
 
 
 class SensorDecoder:
-    """Reads replies, as a controller with this Ethernet configuration does.
+    """Reads replies, as a controller with this Ethernet configuration does; declared channels must be there.
 
     Args:
-        sentype: SENTYPE of the Ethernet configuration.
-        axes: Length n. Axis names, in the order of the corrections.
-        receive: Declared channels, see `RsiLayout`; all of them must be there. Default: `AK` and `EK`, and `Stop` when it is sent.
-        units: Length n. Default: every axis is revolute, and in the controller's own units.
+        receive, switched: See `RsiLayout`. Default: `AK` and `EK`, and `Stop` when it is sent.
+        units: Default: every axis is revolute, and in the controller's own units.
         stop_required: False: a declared `Stop` may be missing.
-        switched: Channels of a tool, see `RsiLayout`; all of them must be there.
     """
 
     def __init__(
@@ -168,15 +152,11 @@ class SensorDecoder:
 
         Returns:
             Corrections in rad and m; `stop` is None where the element is not declared, or not there.
-
-        Raises:
-            TelegramError: With the reason; ``sentype`` when the reply is meant for another configuration.
         """
         root = read_document(data, "Sen")
         if root.get("Type") != self._sentype:
             raise TelegramError(
-                "sentype",
-                f"the reply's Type is {root.get('Type', '')[:64]!r}; expected the SENTYPE {self._sentype!r}",
+                "sentype", f"the reply's Type is {root.get('Type', '')[:64]!r}; expected the SENTYPE {self._sentype!r}"
             )
         found = find_children(root, self._wanted)
         for element, _ in self._slots:
@@ -206,11 +186,6 @@ class SensorDecoder:
         if element.text not in ("0", "1"):
             raise TelegramError("number", f"{STOP} is {(element.text or '')[:32]!r}; expected 0 or 1")
         return element.text == "1"
-
-
-def parse_sensor(data: bytes, sentype: str, axes: tuple[str, ...]) -> Reply:
-    """Read one reply with the usual channels; `SensorDecoder` is for every cycle."""
-    return SensorDecoder(sentype, axes).parse(data)
 
 
 def _block(tags: tuple[str, ...], precision: int) -> str:

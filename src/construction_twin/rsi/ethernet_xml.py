@@ -57,10 +57,8 @@ class EthernetXml:
     """What an Ethernet XML says.
 
     Attributes:
-        where: Name of the file, for messages.
         address: IP_NUMBER: where the controller sends to.
         layout: Everything about the telegrams; `send` has the wire names, without ``DEF_``.
-        text: The file's text.
     """
 
     where: str
@@ -91,11 +89,7 @@ def load_ethernet_xml(path: str | Path) -> EthernetXml:
 
 
 def read_ethernet_xml(text: str, where: str) -> EthernetXml:
-    """Read the text of an Ethernet XML as the controller would.
-
-    Raises:
-        EthernetXmlError: Naming the element, what was found, and what was expected.
-    """
+    """Read the text of an Ethernet XML as the controller would."""
     root = _document(text, where)
     config = _section(root, "CONFIG", where)
     protocol = config.findtext("PROTOCOL")
@@ -134,11 +128,7 @@ def read_ethernet_xml(text: str, where: str) -> EthernetXml:
 
 
 def check_axes(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
-    """Check that the corrections of an Ethernet XML are those of a robot's axes, in one element per kind of axis.
-
-    Raises:
-        EthernetXmlError: For a missing, a foreign or a repeated axis, and for a channel that is not filled.
-    """
+    """Check that the corrections of an Ethernet XML are those of a robot's axes, in one element per kind of axis."""
     if layout.onlysend:
         return
     elements: dict[str, str] = {}
@@ -165,10 +155,7 @@ def check_axes(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
         names = sorted({element for axis, element in elements.items() if axis in group})
         if len(names) > 1:
             raise EthernetXmlError(
-                where,
-                f"RECEIVE {names[1]}",
-                names,
-                f"one element for all of {group[0]} to {group[-1]}",
+                where, f"RECEIVE {names[1]}", names, f"one element for all of {group[0]} to {group[-1]}"
             )
 
 
@@ -182,12 +169,7 @@ _MEANING = {
 
 
 def check_gateway(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
-    """Check that the gateway can serve a controller with this Ethernet XML.
-
-    Raises:
-        EthernetXmlError: For a position block or a `Delay` that is not sent, an optional channel that is there twice, HOLDON 0 on a
-            correction, and as `check_axes`.
-    """
+    """Check that the gateway can serve a controller with this Ethernet XML."""
     check_axes(layout, axes, where)
     external = any(axis in EXTERNAL_AXES for axis in axes)
     for block in _MEANING:
@@ -235,14 +217,7 @@ def tool_channels(layout: RsiLayout) -> tuple[str, ...]:
 
 
 def controller_sends_to(path: str | Path, layout: RsiLayout) -> str:
-    """Check the file that was copied to a controller against the layout that the gateway was configured with.
-
-    Returns:
-        IP_NUMBER of the file.
-
-    Raises:
-        EthernetXmlError: Naming the first difference.
-    """
+    """Check the file that was copied to a controller against the gateway's layout; return its IP_NUMBER."""
     ethernet = load_ethernet_xml(path)
     for field in fields(RsiLayout):
         found, ours = getattr(ethernet.layout, field.name), getattr(layout, field.name)
@@ -280,10 +255,7 @@ def _text(config: ElementTree.Element, name: str, where: str) -> str:
     texts = [(element.text or "").strip() for element in found]
     if len(texts) != 1 or not texts[0]:
         raise EthernetXmlError(
-            where,
-            f"CONFIG/{name}",
-            [element.text for element in found] or None,
-            "one, with a value",
+            where, f"CONFIG/{name}", [element.text for element in found] or None, "one, with a value"
         )
     return texts[0]
 

@@ -111,12 +111,7 @@ RELEARN_AFTER = 250
 
 
 class RobotDecoder:
-    """Reads controller packets of one configuration.
-
-    Args:
-        axes: Length n. Axes to read, in the order wanted.
-        units: Length n. Default: every axis is revolute, and in the controller's own units.
-    """
+    """Reads the axes of one configuration from controller packets; without `units` all are revolute, in the controller's own."""
 
     def __init__(self, axes: tuple[str, ...], units: tuple[AxisUnit, ...] = ()):
         units = axis_units(axes, units)
@@ -145,9 +140,6 @@ class RobotDecoder:
 
         Returns:
             Positions in rad and m.
-
-        Raises:
-            TelegramError: With the reason (see `telegram`) when anything read is not as the protocol says.
         """
         known = self._of_shape(self._shape, data) if self._shape is not None else None
         if known:
@@ -216,14 +208,8 @@ class SensorEncoder:
     """Writes replies of one configuration; everything that stays the same is prepared once.
 
     Args:
-        sentype: The SENTYPE of the controller's Ethernet configuration.
-        axes: Length n. Axis names, in the order of the corrections.
-        receive: Channels in the order of the Ethernet XML, see `RsiLayout`; default: `AK` and `EK`, no `Stop`.
-        units: Length n. Default: every axis is revolute, and in the controller's own units.
-        switched: Channels of a tool, see `RsiLayout`.
-
-    Raises:
-        ConfigurationError: If a name cannot stand in a telegram, or the channels are not those of the axes.
+        receive, switched: See `RsiLayout`; default: `AK` and `EK`, no `Stop`.
+        units: Default: every axis is revolute, and in the controller's own units.
     """
 
     def __init__(
@@ -261,29 +247,17 @@ class SensorEncoder:
     def encode(
         self, correction: Sequence[float], ipoc: int, stop: bool | None = None, switched: tuple[bool, ...] = ()
     ) -> bytes:
-        """Write one reply.
+        """Write one reply: fixed point, six decimals of a degree or mm, never ``-0.000000``.
 
         Args:
-            correction: Length n. Axis corrections [rad] ([m] for a linear axis).
-            ipoc: IPOC of the packet being answered.
-            stop: Content of the `Stop` element. Default None: 0 where the element is declared, else no element.
-            switched: Channels of a tool, one per name of `RsiLayout.switched`. Default: all 0, which leaves its outputs alone.
-
-        Returns:
-            The datagram: fixed point, six decimals of a degree or mm, never ``-0.000000``.
-
-        Raises:
-            TelegramError: If a correction is missing or not finite.
+            correction: Length n. [rad] ([m] for a linear axis)
+            stop: Content of the `Stop` element. None: 0 where the element is declared, else no element.
+            switched: One per name of `RsiLayout.switched`. (): all 0, which leaves the outputs alone.
         """
         check_values("correction", correction, self._count)
         values = [correction[index] * factor for index, factor in self.order]
         template = self.template(stop, switched) if switched else self._plain[stop]
         return (template % (*values, ipoc)).replace(b'"-0.000000"', b'"0.000000"')
-
-
-def parse_robot(data: bytes, axes: tuple[str, ...]) -> Telegram:
-    """Read one controller packet of a robot whose axes are all revolute; `RobotDecoder` is for every cycle."""
-    return RobotDecoder(axes).parse(data)
 
 
 def _reply(

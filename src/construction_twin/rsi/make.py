@@ -44,12 +44,7 @@ NOTICE = (
 
 
 def receive_channels(axes: Sequence[str], holdon: Mapping[str, bool] | None = None) -> list[tuple[str, str, int]]:
-    """Return TAG, TYPE and HOLDON of a reply's channels, in the order of their INDX, which counts from 1.
-
-    Args:
-        axes: RSI axes of the arm.
-        holdon: Outputs of the tool; True: it keeps its value when a reply is missed.
-    """
+    """Return TAG, TYPE and HOLDON of a reply's channels, in the order of their INDX, from 1; see `ethernet_xml_text`."""
     corrections = [(f"{default_element(axis)}.{axis}", "DOUBLE", 1) for axis in sorted(axes)]
     outputs = [(f"{SET}.{name}", "BOOL", int(held)) for name, held in (holdon or {}).items()]
     return [(STOP, "BOOL", 0), *corrections, *([(f"{SET}.{ENABLE}", "BOOL", 1)] if outputs else []), *outputs]
@@ -61,10 +56,7 @@ def send_channels(outputs: Sequence[str], inputs: Sequence[str]) -> list[str]:
 
 
 def ethernet_xml_text(
-    axes: Sequence[str],
-    receives: bool = True,
-    holdon: Mapping[str, bool] | None = None,
-    inputs: Sequence[str] = (),
+    axes: Sequence[str], receives: bool = True, holdon: Mapping[str, bool] | None = None, inputs: Sequence[str] = ()
 ) -> str:
     """Return the text of an Ethernet XML.
 
@@ -110,15 +102,7 @@ def ethernet_xml_text(
 
 
 def check_tool(tool: GatewayTool | None, layout: RsiLayout, where: str) -> None:
-    """Check that the channels of an Ethernet XML are those of a tool, held as the tool file says.
-
-    Args:
-        tool: None: no tool is configured.
-        where: Name of the Ethernet XML, for messages.
-
-    Raises:
-        EthernetXmlError: Naming the first channel that does not fit.
-    """
+    """Check that the channels of an Ethernet XML are those of a tool, held as the tool file says."""
     if tool is None:
         if layout.switched:
             expected = "no such channel, or the tool file that it belongs to (launch argument tool)"
@@ -130,11 +114,7 @@ def check_tool(tool: GatewayTool | None, layout: RsiLayout, where: str) -> None:
         IN: names_of(IN, layout.send),
     }
     outputs = tuple(output.name for output in tool.outputs)
-    for element, section, wanted in (
-        (SET, "RECEIVE", outputs),
-        (OUT, "SEND", outputs),
-        (IN, "SEND", tool.inputs),
-    ):
+    for element, section, wanted in ((SET, "RECEIVE", outputs), (OUT, "SEND", outputs), (IN, "SEND", tool.inputs)):
         if element == SET and layout.onlysend:
             continue
         missing = [name for name in wanted if name not in declared[element]]
@@ -154,16 +134,19 @@ def check_tool(tool: GatewayTool | None, layout: RsiLayout, where: str) -> None:
 class RsiSessionRules:
     """One RSI session after the other, see `SessionRules`."""
 
-    drifted = (
-        "{distance} off where ASPos was: a program of the controller moves the arm while a stream does; if ASPos contains the "
-        "corrections, set reference to AIPos"
-    )
-
     def __init__(self, setup: Setup[RsiLayout]):
         self.follows = setup.reference == "ASPos"
         self._limits = setup.limits
         self._tolerances = setup.start_tolerances
         self._empty_telegrams = 0
+
+    def drifted(self, distance: str) -> str:
+        """See `SessionRules.drifted`."""
+        return Sentence(
+            "{distance} off where ASPos was: a program of the controller moves the arm while a stream does; if ASPos "
+            "contains the corrections, set reference to AIPos",
+            distance=distance,
+        )
 
     def begin(self) -> None:
         """Forget the session before."""
@@ -178,19 +161,17 @@ class RsiSessionRules:
             return (), ""
         if measured is None or setpoint is None:
             return (), Sentence(
-                "telegrams lack AIPos or ASPos, so the present correction is unknown: not answering; declare "
-                "DEF_AIPos and DEF_ASPos in the Ethernet XML"
+                "telegrams lack AIPos or ASPos, so the correction is unknown: declare DEF_AIPos and DEF_ASPos in the Ethernet XML"
             )
         if telegram.missed is None:
             return (), Sentence(
-                "telegrams lack Delay, so a reply that does not arrive would go unnoticed, and the next one "
-                "would be a step: not answering; declare DEF_Delay in the Ethernet XML"
+                "telegrams lack Delay, so a lost reply would go unnoticed: declare DEF_Delay in the Ethernet XML"
             )
         distance = distance_off(measured, setpoint, self._limits, self._tolerances)
         if distance:
             return (), Sentence(
-                "{distance} off its programmed position already: joined a running session, not answering; it "
-                "times out, then start the program again",
+                "{distance} off its programmed position already: joined a running session, not answering; it times out, "
+                "then start the program again",
                 distance=distance,
             )
         return setpoint if self.follows else measured, ""
@@ -229,11 +210,7 @@ _find_delay = re.compile(rb"""<Delay\s+D\s*=\s*["']([0-9]{1,20})["']""").search
 
 
 def check(setup: Setup[RsiLayout]) -> None:
-    """Check that RSI can serve an arm as it is configured.
-
-    Raises:
-        ConfigurationError: As `check_gateway` and `check_tool`.
-    """
+    """Check that RSI can serve an arm as it is configured."""
     check_gateway(setup.layout, setup.axes, _FILE)
     check_tool(setup.tool, setup.layout, _FILE)
 

@@ -66,11 +66,11 @@ class RsiStatus:
         if self.override is not None and self.override < 100.0:
             parts.append(
                 Sentence(
-                    "the override is {percent:g} %: the controller's own motions are slower by that, corrections are not"
-                    if self.override > 0.0
-                    else "the override is {percent:g} %: whether corrections act then is not known, set it to 100 %",
+                    "the override is {percent:g} %: the controller's own motions are slower by that, corrections are not",
                     percent=self.override,
                 )
+                if self.override > 0.0
+                else Sentence("the override is 0 %: whether corrections act then is not known, set it to 100 %")
             )
         return both(*parts)
 
@@ -87,11 +87,7 @@ def _name_of(tag: str) -> str:
 
 
 class StatusReader:
-    """Reads the optional channels of one Ethernet XML.
-
-    Args:
-        channels: See `status_channels`.
-    """
+    """Reads the optional channels (`status_channels`) of one Ethernet XML."""
 
     def __init__(self, channels: Sequence[str]):
         found: dict[str, Callable] = {_name_of(tag): _pattern(tag) for tag in channels}
@@ -102,12 +98,7 @@ class StatusReader:
         self._unreadable = 0
 
     def read(self, data: bytes) -> tuple[RsiStatus, int]:
-        """Read what a telegram says that was read as one before.
-
-        Returns:
-            status
-            unreadable: How many declared channels are missing, or are no number of the kind.
-        """
+        """Read what a telegram says that was read as one before, and how many channels are missing or no number of the kind."""
         texts = [None if search is None else _text(search(data)) for search in self._searches]
         if texts != self._texts:
             # the same for minutes

@@ -52,11 +52,7 @@ def grouped(send: Sequence[str]) -> list[tuple[str, ...]]:
 
 
 class ToolReader:
-    """Reads outputs and inputs of a tool from telegrams that were read as ones before.
-
-    Args:
-        outputs, inputs: Names, in the order wanted.
-    """
+    """Reads outputs and inputs of a tool from telegrams that were read as ones before, in the order of their names."""
 
     def __init__(self, outputs: Sequence[str], inputs: Sequence[str]):
         self._wanted = [(element, tuple(names)) for element, names in ((OUT, outputs), (IN, inputs)) if names]
@@ -90,9 +86,6 @@ def set_element(switched: Sequence[str], values: Sequence[bool]) -> str:
     Args:
         switched: Names behind ``Set.``, see `RsiLayout.switched`.
         values: One per name; none at all: every channel 0, which leaves the outputs alone.
-
-    Raises:
-        ConfigurationError: When the values are not one per name.
     """
     values = values or (False,) * len(switched)
     if len(values) != len(switched):

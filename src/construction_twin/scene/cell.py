@@ -48,9 +48,7 @@ _PLACES = pydantic.TypeAdapter(dict[str, _Place])
 def load_cell(description: object) -> Cell:
     """Build a cell from a parsed YAML file, see config/cell_two_robots.yaml.
 
-    Args:
-        description: A mapping of robots' names to ``xyz`` [m] and ``rpy_deg``: about the fixed x, y and z axes, in this order
-            [deg].
+    `description`: A mapping of robots' names to ``xyz`` [m] and ``rpy_deg``: about the fixed x, y and z axes, in this order [deg].
     """
     try:
         places = _PLACES.validate_python(description)

@@ -193,8 +193,7 @@ class RobotBodies:
     def place(self, item: SceneObject, objects: Collection[str] = ()) -> tuple[Body, ...]:
         """Return the bodies of a scene object: one, or the convex pieces of its mesh, all with its name; see `scene_shapes`.
 
-        Args:
-            objects: Names of the objects of its scene, which it may name in `touch`.
+        `objects`: Names of the objects of its scene, which it may name in `touch`.
         """
         links = f"a link of the robot: {sorted(self.link_joints)}"
         if item.link and item.link not in self.link_joints:
@@ -294,13 +293,11 @@ def scene_shapes(item: SceneObject) -> ObjectShapes:
         return ObjectShapes((whole,))
     shapes = []
     for corners in pieces.corners:
-        piece = surface(*hull_mesh(ConvexHull(corners)))
-        try:
-            piece.buildConvexHull(True, "Qt")
-        except RuntimeError:
-            # too thin for coal: a part less would be a hole
+        piece = _solid(surface(*hull_mesh(ConvexHull(corners))))
+        if piece is None:
+            # a part less would be a hole
             return ObjectShapes((whole,))
-        shapes.append(piece.convex)
+        shapes.append(piece)
     return ObjectShapes(tuple(shapes), pieces.reach, None if pieces.whole is None else surface(*pieces.whole))
 
 
@@ -313,26 +310,29 @@ def _mesh(item: SceneObject) -> coal.CollisionGeometry:
     x, y, z = item.size
     vertices, triangles = parse_mesh(where, item.mesh, contents, (x, y, z))
     mesh = surface(vertices, triangles)
-    if is_convex(*mesh_triangles(mesh)):
-        try:
-            mesh.buildConvexHull(True, "Qt")
-        except RuntimeError as error:
-            # Qhull's own message is about its internals
-            raise SceneError(where, item.mesh, "a closed convex mesh that has a volume") from error
-        return mesh.convex
-    return mesh
+    if not is_convex(*mesh_triangles(mesh)):
+        return mesh
+    if (body := _solid(mesh)) is None:
+        raise SceneError(where, item.mesh, "a closed convex mesh that has a volume")
+    return body
 
 
 def _link_shape(geometry: coal.CollisionGeometry) -> coal.CollisionGeometry:
     """Return a closed convex mesh as a solid body, whose distances cost a hundredth of a surface's; any other shape as it is."""
     if not isinstance(geometry, coal.BVHModelBase) or not is_convex(*mesh_triangles(geometry)):
         return geometry
+    # a plate that is closed, but has no volume, can be checked as a surface only
+    body = _solid(geometry)
+    return geometry if body is None else body
+
+
+def _solid(mesh: coal.BVHModelBase) -> coal.CollisionGeometry | None:
+    """Return the hull of a mesh; None: it has no volume, or is too thin for Coal."""
     try:
-        geometry.buildConvexHull(True, "Qt")
+        mesh.buildConvexHull(True, "Qt")
     except RuntimeError:
-        # a plate that is closed, but has no volume, can be checked as a surface only
-        return geometry
-    return geometry.convex
+        return None
+    return mesh.convex
 
 
 def mesh_triangles(mesh: coal.BVHModelBase) -> tuple[np.ndarray, np.ndarray]:

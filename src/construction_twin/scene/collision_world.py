@@ -43,8 +43,7 @@ _POSES, _CHANGE = 64, 1e-3
 class Contact:
     """Two bodies that touch, or are closer than the padding.
 
-    Attributes:
-        between: Length 2. A link or a carried object first, then a link or an object.
+    `between`: Length 2. A link or a carried object first, then a link or an object.
     """
 
     between: tuple[str, str]
@@ -104,10 +103,7 @@ class CollisionWorld:
         """Return a world with the same robot and scene, and another arm in it; the scene's version stays the same.
 
         Moving links and carried objects are checked against its bodies (contact: distance within the scene's padding plus the
-        obstacle's). Bodies that do not move are not checked.
-
-        Args:
-            alone: Check nothing but that.
+        obstacle's). Bodies that do not move are not checked. `alone`: Check nothing but that.
         """
         world = object.__new__(CollisionWorld)
         only: list[tuple[int, int, float]] | None = [] if alone else None

@@ -192,10 +192,8 @@ class _Gaps:
     """Stretches of a motion between two places, each of one pair, at first one of each from 0 to the last row.
 
     At both ends a lower bound of the distance is kept, and the travel of the pair up to there. Between the ends the distance is
-    nowhere smaller than half of what is left of both when the travel between them is taken off.
-
-    Args:
-        distances, moved: Shape (2, p). At the first and the last row [m].
+    nowhere smaller than half of what is left of both when the travel between them is taken off. `distances`, `moved`: Shape (2, p).
+    At the first and the last row [m].
     """
 
     def __init__(self, last: float, distances: np.ndarray, moved: np.ndarray):

@@ -42,11 +42,9 @@ class Home:
 def find_home(world: CollisionWorld, rng: np.random.Generator) -> Home:
     """Find a home pose.
 
-    Preferred are poses far from singularities and from the ends of the ranges, with the tool in front of the base and looking
-    down, in which most joints stand at zero. The best of these that has enough clearance is taken.
-
-    Args:
-        world: The robot, its own home is not used, and what it must not touch.
+    Preferred are poses far from singularities and from the ends of the ranges, with the tool in front of the base and looking down,
+    in which most joints stand at zero. The best of these that has enough clearance is taken. `world`: The robot, its own home is
+    not used, and what it must not touch.
     """
     robot = world.robot
     chain = Chain(robot)

@@ -49,8 +49,7 @@ def parse_mesh(
 def binary_stl(corners: np.ndarray) -> bytes:
     """Return the contents of a binary STL file.
 
-    Args:
-        corners: Shape (t, 3, 3). Of each triangle [m], counterclockwise seen from outside.
+    `corners`: Shape (t, 3, 3). Of each triangle [m], counterclockwise seen from outside.
     """
     triangles = np.zeros(len(corners), _STL_TRIANGLE)
     triangles["corners"] = corners

@@ -31,8 +31,7 @@ class NearBodies:
     def near(self, rows: np.ndarray, gap: float) -> list[int]:
         """Return the bodies that move, and the standing ones that a moving one may come near: into `bodies`, ascending.
 
-        Args:
-            gap: Of every body that is left out, the distance from every moving one is larger in each row and between them [m].
+        `gap`: Of every body that is left out, the distance from every moving one is larger in each row and between them [m].
         """
         near = np.zeros(len(self._standing), dtype=bool)
         if not len(near) or not self._moving:

@@ -65,8 +65,7 @@ class Obstacle:
 class Neighbour:
     """Another robot, in the frame of ours.
 
-    Args:
-        root_T_root: Of the root of the other robot's URDF in the root of ours; see `cell.Cell`.
+    `root_T_root`: Of the root of the other robot's URDF in the root of ours; see `cell.Cell`.
     """
 
     def __init__(self, name: str, robot: RobotModel, root_T_root: Pose):
@@ -93,8 +92,7 @@ class Neighbour:
     def along(self, path: np.ndarray) -> tuple[Obstacle, ...]:
         """Return the space that the arm occupies on a path.
 
-        Args:
-            path: Shape (m, n). Joint values, dense enough that the motion between two rows is covered by `ROUNDING` (every 4 ms).
+        `path`: Shape (m, n). Joint values, dense enough that the motion between two rows is covered by `ROUNDING` (every 4 ms).
         """
         rows = self._robot_bodies.rows(np.atleast_2d(np.asarray(path, dtype=float)))
         steps = np.abs(np.diff(rows, axis=0)) @ self._levers

@@ -7,7 +7,6 @@ point within the padding. A mesh is given as it is. Metres.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -90,51 +89,36 @@ def planner_scene(bodies: RobotBodies, scene: Scene, self_collision: SelfCollisi
 
 
 def scene_text(told: PlannerScene, name: str) -> tuple[str, tuple[str, ...]]:
-    """Return the objects that stand, in the text format that MoveIt's panel imports (`.scene`), and what is not in it.
+    """Return the objects that stand, in the text format that MoveIt's panel imports (`.scene`), and remarks: what is not in it.
 
     The format is MoveIt 1.1's, with the object's pose and subframes; poses are in the root of the URDF. It knows neither carried
     objects nor pairs that may touch.
-
-    Returns:
-        text
-        remarks
     """
-    out = io.StringIO()
-    print(name, file=out)
+    lines, own = [name], Pose(np.zeros(3), np.eye(3))
     for item in told.objects:
-        if not item.carried:
-            _write_object(item, product(told.root_T_base, item.pose), out)
-    print(".", file=out)
+        if item.carried:
+            continue
+        lines += [f"* {item.name}", *_pose_lines(product(told.root_T_base, item.pose)), "1", item.shape]
+        if item.shape == "mesh":
+            lines += [
+                f"{len(item.vertices)} {len(item.triangles)}",
+                *map(_line, item.vertices),
+                *map(_line, item.triangles),
+            ]
+        else:
+            lines.append(_line(item.dimensions))
+        # the shape is in the object's frame; no colour of its own, no subframes
+        lines += [*_pose_lines(own), "0 0 0 0", "0"]
     left_out = tuple(
         f"{item.name!r} is carried by {item.frame}: the format has no carried objects, attach it in the panel"
         for item in told.objects
         if item.carried
     )
-    return out.getvalue(), (*told.remarks, *left_out)
+    return "\n".join([*lines, ".", ""]), (*told.remarks, *left_out)
 
 
-def _write_object(item: PlannerObject, pose: Pose, out: io.StringIO) -> None:
-    print(f"* {item.name}", file=out)
-    _write_pose(pose, out)
-    print(1, file=out)
-    print(item.shape, file=out)
-    if item.shape == "mesh":
-        print(len(item.vertices), len(item.triangles), file=out)
-        for vertex in item.vertices:
-            print(_line(vertex), file=out)
-        for triangle in item.triangles:
-            print(*map(int, triangle), file=out)
-    else:
-        print(_line(item.dimensions), file=out)
-    _write_pose(Pose(np.zeros(3), np.eye(3)), out)
-    # no colour of its own, no subframes
-    print("0 0 0 0", file=out)
-    print(0, file=out)
-
-
-def _write_pose(pose: Pose, out: io.StringIO) -> None:
-    print(_line(pose.position), file=out)
-    print(_line(rotation_to_quaternion(pose.rotation)), file=out)
+def _pose_lines(pose: Pose) -> tuple[str, str]:
+    return _line(pose.position), _line(rotation_to_quaternion(pose.rotation))
 
 
 def _line(values: Iterable[float]) -> str:

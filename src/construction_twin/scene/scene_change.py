@@ -59,8 +59,7 @@ class SceneChange:
     def between(self, scene: Scene, before: str = "", after: str = "") -> Scene:
         """Return the scene after the change, if it leads from one expected scene to another.
 
-        Args:
-            before, after: Hashes; empty: any.
+        `before`, `after`: Hashes; empty: any.
         """
         if before and scene.hash != before:
             expected = f"{before}, that this change was made for; plan it anew from this one"

@@ -44,27 +44,17 @@ class PairFile(pydantic.BaseModel):
     seed: Annotated[int, pydantic.Field(ge=0)]
     ignored: tuple[tuple[str, str, Literal["adjacent", "always", "never"]], ...]
 
-    @property
-    def reasons(self) -> dict[frozenset[str], str]:
-        """Reason of each pair of links that is not checked."""
-        return {frozenset((first, second)): why for first, second, why in self.ignored}
 
-
-def parse_pairs(description: Mapping, where: str) -> PairFile:
-    """Return what a parsed file says, without asking which robot it is for."""
-    try:
-        return PairFile.model_validate(dict(description))
-    except pydantic.ValidationError as error:
-        wrong = wrong_value(error, PairFile.model_json_schema())
-        raise ConfigurationError(f"{where} {wrong.key}", wrong.value, wrong.expected) from error
-
-
-def read_pairs_yaml(path: str | Path) -> dict:
-    """Return the contents of a file, not yet checked."""
+def read_pairs(path: str | Path) -> PairFile:
+    """Return what a file says, without asking which robot it is for."""
     description = read_yaml(path, " of self collision pairs")
     if not isinstance(description, dict):
         raise ConfigurationError(str(path), description, "a mapping with the keys that `self_collision` writes")
-    return description
+    try:
+        return PairFile.model_validate(description)
+    except pydantic.ValidationError as error:
+        wrong = wrong_value(error, PairFile.model_json_schema())
+        raise ConfigurationError(f"{path} {wrong.key}", wrong.value, wrong.expected) from error
 
 
 def adjacent_links(bodies: RobotBodies) -> set[frozenset[str]]:
@@ -267,7 +257,9 @@ def self_collision_yaml(robot: RobotModel, found: SelfCollision, samples: int, s
             samples=samples,
             seed=seed,
             near_mm=NEAR * 1e3,
-            followers=", or by a joint and those that follow it" if _has_followers(robot) else "",
+            followers=", or by a joint and those that follow it"
+            if any(j.following for j in robot.other_joints)
+            else "",
         ),
         f"robot: {robot.name}",
         "# SHA-256 of the shapes, joints and ranges these pairs were found with",
@@ -280,24 +272,13 @@ def self_collision_yaml(robot: RobotModel, found: SelfCollision, samples: int, s
     return "\n".join([*lines, *(f"  - [{first}, {second}, {reason}]" for first, second, reason in rows), ""])
 
 
-def _has_followers(robot: RobotModel) -> bool:
-    return any(joint.following is not None for joint in robot.other_joints)
-
-
-def load_self_collision(description: Mapping, bodies: RobotBodies, where: str) -> SelfCollision:
-    """Return what a parsed file says, if it was made for this robot."""
-    parsed = parse_pairs(description, where)
-    found = geometry_hash(bodies)
-    if parsed.geometry != found:
-        raise ConfigurationError(
-            f"{where} geometry", parsed.geometry,
-            f"{found}, that of robot {bodies.robot.name}: the file is of another arm, which keeps it, or shapes, joints or "
-            "ranges have changed since. Write a file for the arm as it is, under a name of its own, and give that: "
-            f"`{WRITE}`",
-        )  # fmt: skip
-    return SelfCollision(parsed.reasons, found)
-
-
 def read_self_collision(path: str | Path, robot: RobotModel) -> SelfCollision:
-    """Read a file; see `load_self_collision`, also for what it raises."""
-    return load_self_collision(read_pairs_yaml(path), RobotBodies(robot), str(path))
+    """Return what a file says, if it was made for this robot."""
+    read, found = read_pairs(path), geometry_hash(RobotBodies(robot))
+    if read.geometry != found:
+        raise ConfigurationError(
+            f"{path} geometry", read.geometry,
+            f"{found}, that of robot {robot.name}: the file is of another arm, which keeps it, or shapes, joints or ranges have "
+            f"changed since. Write a file for the arm as it is, under a name of its own, and give that: `{WRITE}`",
+        )  # fmt: skip
+    return SelfCollision({frozenset((first, second)): why for first, second, why in read.ignored}, found)

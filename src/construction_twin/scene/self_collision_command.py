@@ -28,8 +28,7 @@ from construction_twin.scene.mesh_file import binary_stl
 from construction_twin.scene.self_collision import (
     SAMPLES,
     SEED,
-    parse_pairs,
-    read_pairs_yaml,
+    read_pairs,
     sample_self_collision,
     self_collision_yaml,
 )
@@ -175,7 +174,7 @@ def _check_owner(output: Path | None, robot: RobotModel) -> None:
     if output is None or not output.exists():
         return
     try:
-        owner = parse_pairs(read_pairs_yaml(output), str(output)).robot
+        owner = read_pairs(output).robot
     except ConfigurationError:
         # half a file, or one of an older version: that it is to be written is what was asked for
         return

@@ -47,10 +47,7 @@ class JointServo:
     backlash: float = 0.0
 
     def lag(self, period: float) -> float:
-        """Return how long it trails a target of constant speed [s], with cycles of `period` [s].
-
-        A held target is half a cycle ahead on average.
-        """
+        """Return how long it trails a target of constant speed [s]: a held target is half a cycle ahead on average."""
         return 2.0 * self.zeta / self.omega + (self.delay - 0.5) * period - self.velocity
 
     def parts(self, period: float) -> tuple[int, _Matrix, _Matrix]:

@@ -46,11 +46,7 @@ class Refinement:
                     self.due = True
 
     def take(self) -> dict[str, float]:
-        """Let what was learned take effect in `model`; call it at rest.
-
-        Returns:
-            The change of each joint's lag by its name [s]; empty when there is none.
-        """
+        """Let what was learned take effect in `model`, at rest; return the changes of lags by joint [s], {} for none."""
         changes, later = {}, list(self.later)
         for joint, (name, slope) in enumerate(zip(self.model.names, self._sums)):
             if slope.count < ENOUGH:

@@ -76,7 +76,6 @@ class TwinBackend(Protocol):
     @property
     def problem(self) -> str:
         """One sentence about what is simulated otherwise than it should be; empty: nothing is."""
-        ...
 
     def restart(self) -> None:
         """Forget where the arm is: the next cycle begins at rest, at the pose that is commanded then."""
@@ -86,7 +85,6 @@ class TwinBackend(Protocol):
 
         None: another program simulates, and answers later.
         """
-        ...
 
 
 class KinematicBackend:
@@ -131,14 +129,9 @@ class MirrorTwin:
         return not self._follower.settling
 
     def follow(self, stamp: int, q: tuple[float, ...]) -> tuple[float, ...] | None:
-        """Follow a measured pose.
+        """Return the twin's pose after a measured one; None when that is not newer than the last one.
 
-        Args:
-            stamp: Of the measurement [ns]. How many cycles have gone by since the last one says how far the twin may move.
-            q: Shape (n,). [rad], [m]
-
-        Returns:
-            Shape (n,). The twin's pose [rad], [m]; None when the measurement is not newer than the last one.
+        How many cycles have gone by since then says how far the twin may move.
         """
         if stamp <= self._stamp:
             return None
@@ -248,11 +241,9 @@ class TwinClock:
         self._last_command: int | None = None
 
     def is_earlier(self, stamp: int, last: int, now: int) -> bool:
-        """Return whether a command begins a stream, and on an earlier clock than what came before it.
+        """Return whether a command, received `now`, begins a stream, and on an earlier clock than what came before it.
 
-        Args:
-            stamp, last: Of this command, and of the last one that was executed in this session; 0 for none [ns].
-            now: Of its reception [ns].
+        `last` is the stamp of the last one that was executed in this session; 0 for none [ns].
         """
         if self._last_command is None:
             return stamp < self._published - ANOTHER_CLOCK

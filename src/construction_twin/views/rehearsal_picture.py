@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from construction_twin.core.axis_name import axis_name
+from construction_twin.core.units import axis_name
 from construction_twin.kinematics.chain import Pose
 from construction_twin.physics.report import BROKEN, FAILED, PASSED, AxisLoad, RehearsalReport, RehearsedContact
 from construction_twin.robot.frames import quaternion_to_rotation

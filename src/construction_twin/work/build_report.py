@@ -139,12 +139,7 @@ def _moment(since_1970: float) -> str:
 
 
 def write_report(
-    folder: Path,
-    title: str,
-    results: Sequence[TaskResult],
-    held: int,
-    scene: Scene,
-    decisions: Sequence[Decision] = (),
+    folder: Path, title: str, results: Sequence[TaskResult], held: int, scene: Scene, decisions: Sequence[Decision] = ()
 ) -> tuple[Path, ...]:
     """Write ``work.json`` and ``as_built.png``; return their paths."""
     figures, picture = folder / "work.json", folder / "as_built.png"

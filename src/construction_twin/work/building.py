@@ -170,8 +170,7 @@ class BuildingModel:
     def called(self, sentence: str, own: str = "") -> str:
         """Return a sentence with elements and tasks by their names where it has ids, or bodies ``<GlobalId>/<number>``.
 
-        Args:
-            own: GlobalId of the element that the sentence is about, which is called "the element".
+        `own`: GlobalId of the element that the sentence is about, which is called "the element".
         """
         return named(sentence, {**self.labels, **({own: "the element"} if own else {})})
 

@@ -65,8 +65,7 @@ class CheckedTask:
 class Checker:
     """Plans every job of a schedule on its own. Not for use from several threads at once.
 
-    Args:
-        unplannable: Why an element can never be planned, by GlobalId.
+    `unplannable`: Why an element can never be planned, by GlobalId.
     """
 
     def __init__(

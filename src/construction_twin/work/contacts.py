@@ -71,10 +71,8 @@ class Shapes:
     def obstruction(self, scene: Scene, base_T_link: Pose) -> tuple[str, str] | None:
         """Return a carried and a standing object that are too close with the arm's tip at a pose; None: there are none.
 
-        As `CollisionWorld` checks them, without the arm: what is too close here is so with every joint solution.
-
-        Args:
-            scene: Everything that is carried, is carried by the tip.
+        As `CollisionWorld` checks them, without the arm: what is too close here is so with every joint solution. `scene`:
+        Everything that is carried, is carried by the tip.
         """
         carried = [item for item in scene.objects if item.link]
         standing = [item for item in scene.objects if not item.link]

@@ -46,8 +46,7 @@ _FREED, _BLOCKED = Entry(TaskEvent.FREED.value), Entry(TaskEvent.BLOCKED.value)
 class Present:
     """What the present model says of a task's element.
 
-    Attributes:
-        digest: SHA-256 of all that a person is asked about when it changes: GlobalId, name, class, shape, place; empty: no shape.
+    `digest`: SHA-256 of all that a person is asked about when it changes: GlobalId, name, class, shape, place; empty: no shape.
     """
 
     element: str

@@ -123,8 +123,7 @@ class Search:
     def demand_reach(self, pose: Pose, where: str, room: Callable[[], float] = float) -> None:
         """Refuse a pose of the flange that the arm does not reach at all.
 
-        Args:
-            room: Returns how far the flange may be from there with another method [m].
+        `room`: Returns how far the flange may be from there with another method [m].
         """
         try:
             self.solver.nearest(pose, self.start)
@@ -259,10 +258,8 @@ def whole_cycles(trajectory: Trajectory) -> Trajectory:
 class TaskPlanner:
     """Plans tasks of one robot with one tool.
 
-    The same job from the same pose in the same scene gives the same plan, unless a budget runs out.
-
-    Args:
-        clock: Returns seconds from any fixed origin.
+    The same job from the same pose in the same scene gives the same plan, unless a budget runs out. `clock`: Returns seconds from
+    any fixed origin.
     """
 
     def __init__(

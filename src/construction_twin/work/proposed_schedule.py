@@ -1,6 +1,6 @@
 """An order of building for a model that has none, from its geometry. It is a proposal: a person must accept it.
 
-In: the workpieces of a `BuildingModel`, z upwards. Out: tasks and sequences, as if the file had them. What supports an element
+In: the workpieces of a `BuildingModel`, z upwards. Out: the model, as if its file had tasks and sequences. What supports an element
 comes before it; an element that nothing supports from below comes after those that touch it and begin lower (a noggin after its
 studs); otherwise from below, then as in the file. An upward face supports what a downward face closer than `GAP` to it belongs to.
 
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import heapq
 import uuid
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -40,27 +40,8 @@ _STEEP = 0.1
 _LINES = 15
 
 
-@dataclass(frozen=True)
-class ProposedSchedule:
-    """An order for a model's elements that a person must accept.
-
-    Attributes:
-        tasks: One that nests all, and one per element, in an order in which they can be built.
-        sequences: ``FINISH_START``
-    """
-
-    tasks: tuple[Task, ...]
-    sequences: tuple[Sequence, ...]
-    notes: tuple[str, ...]
-
-    def applied(self, model: BuildingModel) -> BuildingModel:
-        """Return the model as if its file had these tasks. Before anything moves a person must have accepted them."""
-        tasks = {task.id: task for task in self.tasks}
-        return replace(model, tasks=tasks, sequences=self.sequences, notes=(*model.notes, *self.notes))
-
-
-def propose(model: BuildingModel) -> ProposedSchedule:
-    """Return an order in which a model's elements can be built."""
+def propose(model: BuildingModel) -> BuildingModel:
+    """Return the model with a task for each element, in an order in which they can be built, and one that nests them all."""
     solids = [_Solid(model.elements[identifier]) for identifier in workpieces(model)]
     if not solids:
         raise ScheduleError(f"{model.file}: it has no workpiece with geometry; an order cannot be proposed")
@@ -79,7 +60,8 @@ def propose(model: BuildingModel) -> ProposedSchedule:
         for second in order
         for first in sorted(before[second], key=order.index)
     ]
-    return ProposedSchedule((root, *tasks.values()), tuple(sequences), tuple(notes))
+    named = {task.id: task for task in (root, *tasks.values())}
+    return replace(model, tasks=named, sequences=tuple(sequences), notes=(*model.notes, *notes))
 
 
 class _Solid:

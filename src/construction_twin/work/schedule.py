@@ -77,26 +77,6 @@ class Job:
         return process_of(self.process).moves
 
 
-@dataclass(frozen=True)
-class Blocker:
-    """Why a job may not start yet.
-
-    Attributes:
-        finished: That must be finished; else it must have started.
-        remaining: Rest of the lag [s]; None: that has not happened yet.
-    """
-
-    job: Job
-    finished: bool
-    remaining: float | None
-
-    @property
-    def text(self) -> str:
-        """One sentence's part for people: ``after 'Place stud 1' (2xF...) has finished``."""
-        since = f"after {self.job.name!r} ({self.job.id}) has {'finished' if self.finished else 'started'}"
-        return since if self.remaining is None else f"{self.remaining:.0f} s from now, its lag {since}"
-
-
 class Schedule:
     """A checked graph of jobs.
 
@@ -151,25 +131,23 @@ class Schedule:
             raise ScheduleError(f"job {identifier!r}: the schedule has none of that id")
         return self._by_id[identifier]
 
-    def blockers(
+    def waits_for(
         self, identifier: str, started: Mapping[str, float], finished: Mapping[str, float], now: float
-    ) -> tuple[Blocker, ...]:
-        """Return what a job still waits for; empty: it may start.
+    ) -> str:
+        """Return the first thing that a job still waits for: ``after 'Place stud 1' (2xF...) has finished``; empty: it may start.
 
         Args:
             started, finished: When [s], by job id; a job that is finished need not be in `started`.
             now: [s]
         """
-        found = []
         for wait in self.job(identifier).after:
-            since = finished.get(wait.job)
-            if not wait.finished:
-                since = started.get(wait.job, since)
-            if since is None:
-                found.append(Blocker(self._by_id[wait.job], wait.finished, None))
-            elif since + wait.lag > now:
-                found.append(Blocker(self._by_id[wait.job], wait.finished, since + wait.lag - now))
-        return tuple(found)
+            since = finished.get(wait.job) if wait.finished else started.get(wait.job, finished.get(wait.job))
+            if since is not None and since + wait.lag <= now:
+                continue
+            other = self.job(wait.job)
+            after = f"after {other.name!r} ({other.id}) has {'finished' if wait.finished else 'started'}"
+            return after if since is None else f"{since + wait.lag - now:.0f} s from now, its lag {after}"
+        return ""
 
 
 # -- from tasks to jobs ------------------------------------------------------------------------------------------------
@@ -207,7 +185,8 @@ class _Reading:
                 own = self._job_id(identifier, number)
                 before = {(self._job_id(identifier, number - 1), True): 0.0} if number > 1 else after
                 found = tuple(Wait(job, finished, lag) for (job, finished), lag in before.items())
-                robots = () if down else self._robots(identifier)
+                named = (self._tasks[at].robots for at in self._above(identifier))
+                robots = () if down else next(filter(None, named), ())
                 process = DEFAULT if down else self._process(identifier, product)
                 jobs.append(Job(own, identifier, task.name, product, robots, found, process))
                 if down:
@@ -298,9 +277,6 @@ class _Reading:
             found.append(identifier)
             identifier = self._tasks[identifier].parent
         return tuple(found)
-
-    def _robots(self, identifier: str) -> tuple[str, ...]:
-        return next((self._tasks[at].robots for at in self._above(identifier) if self._tasks[at].robots), ())
 
     def _checked_sequences(self) -> dict[str, list[Sequence]]:
         """Return the sequences by the task that waits."""
@@ -431,7 +407,7 @@ class _Reading:
         if wanted:
             alone = replace(model, elements={one: model.elements[one] for one in wanted}, tasks={}, sequences=())
             proposal = propose(alone)
-            wanted = [one for part in proposal.tasks for one in part.products]
+            wanted = [one for part in proposal.tasks.values() for one in part.products]
             self.guessed = self.guessed or len(wanted) > 1
         said = "nothing that is in it is left for this task"
         if wanted:
@@ -513,23 +489,17 @@ def _merged(first: _Waits, second: _Waits, lag: float) -> _Waits:
 
 def _in_order(jobs: tuple[Job, ...], tasks: Mapping[str, Task]) -> tuple[Job, ...]:
     """Return jobs so that each comes after what it waits for, otherwise as scheduled or as they are."""
-    places = _places(jobs, tasks)
-    waiting = {job.id: len({wait.job for wait in job.after}) for job in jobs}
-    freed: dict[str, list[Job]] = {job.id: [] for job in jobs}
-    for job in jobs:
-        for before in {wait.job for wait in job.after}:
-            freed[before].append(job)
-    by_place = {places[job.id]: job for job in jobs}
-    heap = [places[job.id] for job in jobs if waiting[job.id] == 0]
-    heapq.heapify(heap)
+    places, by_id = _places(jobs, tasks), {job.id: job for job in jobs}
+    sorter = TopologicalSorter({job.id: {wait.job for wait in job.after} for job in jobs})
+    sorter.prepare()
+    heap: list[tuple[tuple[float, int], str]] = []
     order = []
-    while heap:
-        job = by_place[heapq.heappop(heap)]
-        order.append(job)
-        for other in freed[job.id]:
-            waiting[other.id] -= 1
-            if waiting[other.id] == 0:
-                heapq.heappush(heap, places[other.id])
+    while sorter.is_active():
+        for job in sorter.get_ready():
+            heapq.heappush(heap, (places[job], job))
+        first = heapq.heappop(heap)[1]
+        order.append(by_id[first])
+        sorter.done(first)
     return tuple(order)
 
 

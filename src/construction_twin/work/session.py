@@ -77,8 +77,7 @@ class Neighbours:
 class WorkSession:
     """The work on one model, for several threads.
 
-    Attributes:
-        lock: Guards board and ledger; never held while somebody else is waited for who may wait for it.
+    `lock`: Guards board and ledger; never held while somebody else is waited for who may wait for it.
     """
 
     def __init__(self, board: TaskBoard, heard: Heard, chain: Chain, calls: Neighbours, clock: Callable[[], int]):

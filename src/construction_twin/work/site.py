@@ -51,7 +51,7 @@ class _Rack(Strict):
     surface: str = ""
 
 
-class _Lying(_Rack):
+class LyingRack(_Rack):
     """Racks with slots of their own: a slot is where the middle of the underside of an element's box stands.
 
     Attributes:
@@ -68,7 +68,7 @@ class _Lying(_Rack):
     refill: bool = False
 
 
-class GridRack(_Lying):
+class GridRack(LyingRack):
     """Slots in rows (along the rack's y) and columns (along its x)."""
 
     kind: Literal["grid"]
@@ -76,20 +76,48 @@ class GridRack(_Lying):
     columns: _Count
     pitch: tuple[_Step, _Step]
 
+    @property
+    def count(self) -> int:
+        """How many slots it has."""
+        return self.rows * self.columns
 
-class StackRack(_Lying):
+    def slot(self, at: int, filled: int) -> Pose:
+        """Return the pose of a slot in the rack, of which the first `filled` are filled."""
+        row, column = divmod(at, self.columns)
+        return Pose(np.array([column * self.pitch[0], row * self.pitch[1], 0.0]), np.eye(3))
+
+
+class StackRack(LyingRack):
     """Elements on top of each other: what is needed first lies on top."""
 
     kind: Literal["stack"]
     levels: _Count
     step: _Step
 
+    @property
+    def count(self) -> int:
+        """How many slots it has."""
+        return self.levels
 
-class ListRack(_Lying):
+    def slot(self, at: int, filled: int) -> Pose:
+        """Return the pose of a slot in the rack, of which the first `filled` are filled."""
+        return Pose(np.array([0.0, 0.0, (filled - 1 - at) * self.step]), np.eye(3))
+
+
+class ListRack(LyingRack):
     """Slots at poses of their own, in the rack's frame."""
 
     kind: Literal["list"]
     slots: Annotated[tuple[FilePose, ...], pydantic.Field(min_length=1)]
+
+    @property
+    def count(self) -> int:
+        """How many slots it has."""
+        return len(self.slots)
+
+    def slot(self, at: int, filled: int) -> Pose:
+        """Return the pose of a slot in the rack, of which the first `filled` are filled."""
+        return pose_of(self.slots[at])
 
 
 class DeliveredRack(_Rack):

@@ -22,7 +22,7 @@ from construction_twin.work.contacts import Shapes, tool_objects
 from construction_twin.work.convex_bodies import Pieces
 from construction_twin.work.process import WorkJob
 from construction_twin.work.schedule import Job
-from construction_twin.work.site import DeliveredRack, GridRack, ListRack, Site, StackRack, inverse, pose_of
+from construction_twin.work.site import DeliveredRack, LyingRack, Site, StackRack, inverse, pose_of
 from construction_twin.work.wholes import comes_after
 
 
@@ -88,8 +88,7 @@ def plan_stock(
 ) -> StockPlan:
     """Give every element a slot.
 
-    Args:
-        corners: Mapping of str to array, shape (n, 3). Points of each element that enclose it, in its own frame [m].
+    `corners`: Mapping of str to array, shape (n, 3). Points of each element that enclose it, in its own frame [m].
     """
     base_T_model = inverse(site.model_T_base(building))
     members: dict[str, list[Element]] = {name: [] for name in site.file.racks}
@@ -97,12 +96,23 @@ def plan_stock(
         members[_rack_of(site, element)].append(element)
     slots: dict[str, Slot] = {}
     for name, elements in members.items():
-        rack = site.file.racks[name]
+        rack, where = site.file.racks[name], f"{site.path}/racks/{name}"
         if rack.order == "file":
             place = {element: number for number, element in enumerate(building.elements)}
             elements = sorted(elements, key=lambda element: place[element.id])
-        filling = _Filling(site, name, base_T_model, corners, building.file)
-        slots |= {element.id: filling.slot(element, number, len(elements)) for number, element in enumerate(elements)}
+        for number, element in enumerate(elements):
+            if isinstance(rack, DeliveredRack):
+                pose = _delivered(rack, element, base_T_model, building.file, where)
+                slots[element.id] = Slot(element.id, name, number, 0, pose, rack.surface)
+                continue
+            load, at = divmod(number, rack.count)
+            if load and not rack.refill:
+                found = f"{rack.count} slots for {len(elements)} elements, none for {element.name!r} ({element.id})"
+                raise ConfigurationError(where, found, "a slot for each, or `refill: true`")
+            rack_T_slot = rack.slot(at, min(rack.count, len(elements) - load * rack.count))
+            base_T_rack = product(base_T_model, pose_of(rack.at)) if rack.frame == "model" else pose_of(rack.at)
+            pose = _lying(rack, element, product(base_T_rack, rack_T_slot), corners[element.id])
+            slots[element.id] = Slot(element.id, name, at, load, pose, rack.surface)
     stacks = frozenset(name for name, rack in site.file.racks.items() if isinstance(rack, StackRack))
     return StockPlan({element: slots[element] for element in order}, stacks)
 
@@ -115,97 +125,36 @@ def _rack_of(site: Site, element: Element) -> str:
     raise ConfigurationError(where, None, "a rack that holds it")
 
 
-class _Filling:
-    """The slots of one rack."""
+def _lying(rack: LyingRack, element: Element, base_T_slot: Pose, corners: np.ndarray) -> Pose:
+    """Return the element's pose with the middle of the underside of its box in the slot."""
+    turn = rpy_to_rotation(rack.rpy_deg)
+    slot_R_element = turn @ element.model_T_element.rotation if rack.lies == "as_built" else turn
+    corners = corners @ slot_R_element.T
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    foot = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
+    return product(base_T_slot, Pose(-foot, slot_R_element))
 
-    def __init__(self, site: Site, name: str, base_T_model: Pose, corners: Mapping[str, np.ndarray], model_file: str):
-        self._where = f"{site.path}/racks/{name}"
-        self._name, self._rack, self._base_T_model = name, site.file.racks[name], base_T_model
-        self._corners, self._model_file = corners, model_file
 
-    def slot(self, element: Element, number: int, count: int) -> Slot:
-        """Return the slot of the `number`-th of `count` elements."""
-        if isinstance(self._rack, DeliveredRack):
-            return Slot(element.id, self._name, number, 0, self._delivered(element), self._rack.surface)
-        slots = self._slots()
-        load, at = divmod(number, slots)
-        if load and not self._rack.refill:
-            raise ConfigurationError(
-                self._where,
-                f"{slots} slots for {count} elements, none for {element.name!r} ({element.id})",
-                "a slot for each, or `refill: true`",
-            )
-        base_T_slot = product(self._frame(), self._rack_T_slot(at, min(slots, count - load * slots)))
-        return Slot(element.id, self._name, at, load, self._standing(element, base_T_slot), self._rack.surface)
-
-    def _slots(self) -> int:
-        rack = self._rack
-        if isinstance(rack, GridRack):
-            return rack.rows * rack.columns
-        if isinstance(rack, StackRack):
-            return rack.levels
-        assert isinstance(rack, ListRack)
-        return len(rack.slots)
-
-    def _frame(self) -> Pose:
-        assert not isinstance(self._rack, DeliveredRack)
-        at = pose_of(self._rack.at)
-        return product(self._base_T_model, at) if self._rack.frame == "model" else at
-
-    def _rack_T_slot(self, at: int, filled: int) -> Pose:
-        rack = self._rack
-        if isinstance(rack, GridRack):
-            row, column = divmod(at, rack.columns)
-            return Pose(np.array([column * rack.pitch[0], row * rack.pitch[1], 0.0]), np.eye(3))
-        if isinstance(rack, StackRack):
-            return Pose(np.array([0.0, 0.0, (filled - 1 - at) * rack.step]), np.eye(3))
-        assert isinstance(rack, ListRack)
-        return pose_of(rack.slots[at])
-
-    def _standing(self, element: Element, base_T_slot: Pose) -> Pose:
-        """Return the element's pose with the middle of the underside of its box in the slot."""
-        rack = self._rack
-        assert not isinstance(rack, DeliveredRack)
-        turn = rpy_to_rotation(rack.rpy_deg)
-        slot_R_element = turn @ element.model_T_element.rotation if rack.lies == "as_built" else turn
-        corners = self._corners[element.id] @ slot_R_element.T
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        foot = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
-        return product(base_T_slot, Pose(-foot, slot_R_element))
-
-    def _delivered(self, element: Element) -> Pose:
-        rack = self._rack
-        assert isinstance(rack, DeliveredRack)
-        group, _, name = rack.property.partition(".")
-        value = element.properties.get(group, {}).get(name)
-        if value is not None:
-            pose = self._said(element, rack.property, value)
-            return product(self._base_T_model, pose) if rack.frame == "model" else pose
+def _delivered(rack: DeliveredRack, element: Element, base_T_model: Pose, file: str, where: str) -> Pose:
+    """Return where the model says that an element is delivered, else where the rack's offset has it."""
+    group, _, name = rack.property.partition(".")
+    value = element.properties.get(group, {}).get(name)
+    about = f"element {element.name!r} ({element.id})"
+    if value is None:
         if rack.offset is None:
-            raise BuildingError(
-                self._model_file,
-                f"element {element.name!r} ({element.id})",
-                f"no {rack.property}",
-                f"where it is delivered, as {self._where} asks; or give that rack an offset",
-            )
+            expected = f"where it is delivered, as {where} asks; or give that rack an offset"
+            raise BuildingError(file, about, f"no {rack.property}", expected)
         offset, built = pose_of(rack.offset), element.model_T_element
-        moved = Pose(built.position + offset.position, offset.rotation @ built.rotation)
-        return product(self._base_T_model, moved)
-
-    def _said(self, element: Element, path: str, value: object) -> Pose:
-        try:
-            numbers = [float(word) for word in str(value).split()]
-        except ValueError:
-            numbers = []
-        if len(numbers) not in (3, 6) or not np.isfinite(numbers).all():
-            raise BuildingError(
-                self._model_file,
-                f"element {element.name!r} ({element.id}), {path}",
-                repr(value),
-                "the text `x y z` or `x y z roll pitch yaw` in m and deg",
-            )
-        turn = numbers[3:] or [0.0, 0.0, 0.0]
-        return Pose(np.array(numbers[:3]), rpy_to_rotation(turn))
+        return product(base_T_model, Pose(built.position + offset.position, offset.rotation @ built.rotation))
+    try:
+        numbers = [float(word) for word in str(value).split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (3, 6) or not np.isfinite(numbers).all():
+        expected = "the text `x y z` or `x y z roll pitch yaw` in m and deg"
+        raise BuildingError(file, f"{about}, {rack.property}", repr(value), expected)
+    pose = Pose(np.array(numbers[:3]), rpy_to_rotation(numbers[3:] or (0.0, 0.0, 0.0)))
+    return product(base_T_model, pose) if rack.frame == "model" else pose
 
 
 #: Elements at a pose whose objects are kept.
@@ -288,8 +237,12 @@ class Layout:
     def scene(self, state: WorkState = WorkState()) -> Scene:
         """Return the scene at a state: surroundings, the tool on the arm, what is in stock, what stands."""
         surroundings = self.site.scene
-        standing = [item for item in self.standing if self._is_there(item.name.split("/", 1)[0], state)]
-        objects = [*surroundings.objects, *standing, *self._tool]
+        objects = [*surroundings.objects]
+        for item in self.standing:
+            element = item.name.split("/", 1)[0]
+            if element not in state.gone and state.placed.keys() >= self.comes_after.get(element, frozenset()):
+                objects.append(item)
+        objects += self._tool
         for element in self.delivered(state):
             objects += self._standing(element, self.stock.slots[element].base_T_element)
         for element in self.stays:
@@ -299,9 +252,6 @@ class Layout:
             if element in self._pieces:
                 objects += self._standing(element, pose)
         return Scene(tuple(objects), surroundings.padding)
-
-    def _is_there(self, standing: str, state: WorkState) -> bool:
-        return standing not in state.gone and state.placed.keys() >= self.comes_after.get(standing, frozenset())
 
     def job_for(self, element: str, scene: Scene, task: str = "") -> WorkJob:
         """Return the job of an element; `task`: id of the job; one that the layout does not know: its first one."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import math
 import shlex
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -71,8 +71,7 @@ def removed_command(task: str) -> str:
 class TaskBoard:
     """Answers what can be done, and takes what people say. Not for several threads at once.
 
-    Attributes:
-        failures: Why a task could not be planned when it was tried last, by id; not on the disk.
+    `failures`: Why a task could not be planned when it was tried last, by id; not on the disk.
     """
 
     def __init__(self, prepared: Prepared, ledger: Ledger, robot: str, tip_link: str):
@@ -99,10 +98,8 @@ class TaskBoard:
         handled = entry.event == TaskEvent.OFFERED.value and not memory.in_grip
         if task in self.book.after and (handled or not memory.body) and self._element(task).bodies:
             facts = self._element(task)
-            entry = replace(
-                entry, name=facts.name, ifc_class=facts.ifc_class, body=self.ledger.keep(facts.bodies),
-                goal=pose_tuple(facts.base_T_goal),
-            )  # fmt: skip
+            body, goal = self.ledger.keep(facts.bodies), pose_tuple(facts.base_T_goal)
+            entry = replace(entry, name=facts.name, ifc_class=facts.ifc_class, body=body, goal=goal)
         if task in self.book.after and entry.event in _SEEING:
             entry = replace(entry, seen=self.prepared.present[task].digest)
         self.ledger.add(replace(entry, element=self.element_of(task)))
@@ -192,11 +189,8 @@ class TaskBoard:
     def left_closed(self, commanded: Collection[str]) -> str:
         """Return what a person does about a grip that is commanded to hold while nothing counts as held; empty: nothing.
 
-        So it is after a grip that was not confirmed, when the element was said to lie in its stock. The next approach would suck
-        it too early, and no plan opens a grip that holds nothing.
-
-        Args:
-            commanded: The tool's outputs that command its grip to hold.
+        So it is after a grip that was not confirmed, when the element was said to lie in its stock. The next approach would suck it
+        too early, and no plan opens a grip that holds nothing. `commanded`: The tool's outputs that command its grip to hold.
         """
         book = self.book
         doubtful = book.in_state(TaskState.ASKS, TaskState.PLANNED, *UNDER_WAY)
@@ -279,8 +273,7 @@ class TaskBoard:
     def answer(self, task: str, answer: str, person: str, reason: str, shown: str = "") -> str:
         """Take the answer to a task's question; return a sentence.
 
-        Args:
-            shown: The question as the person saw it; empty: it is not compared.
+        `shown`: The question as the person saw it; empty: it is not compared.
         """
         memory = self._memory(task, person, former=True)
         possible = self._answers(task)
@@ -346,12 +339,14 @@ class TaskBoard:
         if any(each.element == memory.element and each.touched for each in book.tasks.values()):
             return
         if not task:
-            here = _box(self._bodies(memory), placed_at(memory, _ORIGIN)) if mine and memory.body else None
-            if here is None or not any(
-                _overlap(here, self._goal_box(one))
-                for one in self.prepared.schedule.placing.values()
-                if self._element(one).bodies
-            ):
+            if not (mine and memory.body):
+                return
+            (low, high), placing = (
+                _box(self._bodies(memory), placed_at(memory, _ORIGIN)),
+                self.prepared.schedule.placing,
+            )
+            boxes = (self._goal_box(one) for one in placing.values() if self._element(one).bodies)
+            if not any((np.minimum(high, box[1]) - np.maximum(low, box[0]) > _OVERLAP).all() for box in boxes):
                 return
             task = memory.element
         elif book.tasks[task].state not in (TaskState.WAITING, TaskState.READY):
@@ -383,23 +378,24 @@ class TaskBoard:
         # what was placed stands as it was placed, whatever the model says of it
         for item in self.prepared.standing:
             element = element_in(item)
-            there = element not in gone and self._stand(self.prepared.comes_after.get(element, ()))
+            before = map(self._placing, self.prepared.comes_after.get(element, ()))
+            there = element not in gone and all(memory is not None and memory.placed for memory in before)
             if there and not (element in former and former[element].body):
                 wanted[item.name] = item
         present = self._present()
-        objects: dict[str, tuple[SceneObject, ...] | None] = {
-            element: objects_of(self._bodies(memory), memory, None, _ORIGIN, self._tip_link) if memory.body else None
-            for element, memory in former.items()
-        }
+        found: list[tuple[str, tuple[SceneObject, ...] | None]] = []
+        for element, memory in former.items():
+            bodies = self._bodies(memory) if memory.body else ()
+            found.append((element, objects_of(bodies, memory, None, _ORIGIN, self._tip_link) if bodies else None))
         for element in self._elements():
             if element in gone or (element in former and former[element].body):
                 continue
             facts, stock = self.prepared.elements[element], self._stock(element) if element in present else None
             known = self._placing(element)
             bodies = self._bodies(known) if known is not None and known.placed and known.body else facts.bodies
-            objects[element] = objects_of(bodies, known, stock, facts.base_T_goal, self._tip_link)
-        wanted |= {item.name: item for items in objects.values() for item in items or ()}
-        return wanted, tuple(element for element, items in objects.items() if items is None)
+            found.append((element, objects_of(bodies, known, stock, facts.base_T_goal, self._tip_link)))
+        wanted |= {item.name: item for _, items in found for item in items or ()}
+        return wanted, tuple(element for element, items in found if items is None)
 
     def _bodies(self, memory: TaskMemory) -> tuple[SceneObject, ...]:
         """Return an element's pieces as they were placed; they are kept, because they do not change."""
@@ -425,11 +421,6 @@ class TaskBoard:
                 if np.abs(here - self._goal_box(heir)).max() <= _SAME_PLACE:
                     return heir
         return ""
-
-    def _stand(self, elements: Iterable[str]) -> bool:
-        """Return whether all of these elements were placed."""
-        known = (self._placing(element) for element in elements)
-        return all(memory is not None and memory.placed for memory in known)
 
     def forms(self, task: str) -> tuple[tuple[SceneObject, ...], ...]:
         """Return the objects of a task's element as the record can have them: in its stock, in the grip, at its place."""
@@ -629,8 +620,8 @@ class TaskBoard:
         started = {name: memory.begun_ns / 1e9 for name, memory in tasks.items() if memory.begun_ns}
         finished = {name: memory.settled_ns / 1e9 for name, memory in tasks.items() if memory.state in SETTLED}
         # what was skipped has started, too
-        blockers = self.prepared.schedule.blockers(task, {**finished, **started}, finished, now / 1e9)
-        return f"{self.title(task)} waits {named(blockers[0].text, self.prepared.titles)}" if blockers else ""
+        waits = self.prepared.schedule.waits_for(task, {**finished, **started}, finished, now / 1e9)
+        return f"{self.title(task)} waits {named(waits, self.prepared.titles)}" if waits else ""
 
     def _stock(self, element: str) -> Pose | None:
         """Return where an element lies before it is taken; None: it has no slot."""
@@ -715,10 +706,6 @@ def _box(bodies: tuple[SceneObject, ...], pose: Pose) -> np.ndarray:
 @functools.lru_cache(maxsize=4096)
 def _corners(bodies: tuple[SceneObject, ...]) -> np.ndarray:
     return Pieces(bodies).points
-
-
-def _overlap(first: np.ndarray, second: np.ndarray) -> bool:
-    return bool((np.minimum(first[1], second[1]) - np.maximum(first[0], second[0]) > _OVERLAP).all())
 
 
 #: A measured element further than this from its place was not measured in the robot's frame [m].

@@ -15,17 +15,8 @@ from construction_twin.work.building import Body, BuildingModel, Element, Task
 
 #: Classes of elements that are delivered in one piece.
 CLASSES = (
-    "IfcMember",
-    "IfcBeam",
-    "IfcColumn",
-    "IfcPlate",
-    "IfcCovering",
-    "IfcBuildingElementPart",
-    "IfcSlab",
-    "IfcBuildingElementProxy",
-    "IfcProxy",
-    "IfcWall",
-    "IfcElementAssembly",
+    *("IfcMember", "IfcBeam", "IfcColumn", "IfcPlate", "IfcCovering", "IfcBuildingElementPart", "IfcSlab"),
+    *("IfcBuildingElementProxy", "IfcProxy", "IfcWall", "IfcElementAssembly"),
 )
 
 
@@ -41,9 +32,8 @@ def is_workpiece(element: Element, has_parts: bool) -> bool:
     if not element.bodies or element.status or kind not in CLASSES:
         return False
     # a wall of several bodies, or what is made of parts, is built and not placed
-    return not (has_parts and kind in ("IfcWall", "IfcElementAssembly")) and (
-        kind != "IfcWall" or len(element.bodies) == 1
-    )
+    built = has_parts and kind in ("IfcWall", "IfcElementAssembly")
+    return not built and (kind != "IfcWall" or len(element.bodies) == 1)
 
 
 def workpieces(model: BuildingModel) -> tuple[str, ...]:
@@ -68,9 +58,8 @@ def in_one_piece(
 ) -> dict[str, Element]:
     """Return the wholes that come in one piece, with bodies and mass of all that comes with them, and that without bodies.
 
-    Args:
-        factory: Assemblies that are made elsewhere: in one piece unless a task names a part of them. Any other whole is so if it
-            has a body of its own and a task places it; parts that a task names, or that stand already, are not of it.
+    `factory`: Assemblies that are made elsewhere: in one piece unless a task names a part of them. Any other whole is so if it has
+    a body of its own and a task places it; parts that a task names, or that stand already, are not of it.
     """
     placed = {one for task in tasks.values() if task.kind == "makes" for one in task.products}
     named = {one for task in tasks.values() for one in (*task.products, *task.inputs)}

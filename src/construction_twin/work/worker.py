@@ -36,8 +36,7 @@ _ENDING = 5.0
 class WorkerError(WorkError):
     """What was asked of the process failed; the sentence is that of the error there.
 
-    Attributes:
-        kind: Name of the error's class; empty: the process ended.
+    `kind`: Name of the error's class; empty: the process ended.
     """
 
     def __init__(self, kind: str, sentence: str):

@@ -72,7 +72,7 @@ def prepare(
     building = read_building(model, Path(cache) / "models") if isinstance(model, str) else model
     proposed = not building.tasks
     if proposed:
-        building = propose(building).applied(building)
+        building = propose(building)
     schedule = Schedule.of(building, proposed, site.recipes.process)
     order = list(dict.fromkeys(job.element for job in schedule.jobs))
     chain = Chain(robot)

@@ -86,8 +86,9 @@ def test_an_action_may_say_itself_why_the_next_state_is_entered():
 
 
 def test_an_event_that_no_row_takes_is_refused_in_a_sentence():
-    refused = machine(refusal="gateway is {state}: {reason}").on(Event.WAIT, Occasion())
-    assert refused == "gateway is REST: just built"
+    refused = machine().on(Event.WAIT, Occasion())
+    assert refused == "it is REST: just built"
+    assert machine(refusal=lambda: "no").on(Event.WAIT, Occasion()) == "no"
     only = Machine(by_cause(TABLE[:1]), Number.REST, "", {Guard.ALLOWED: lambda occasion: "no key"}, HONKS)
     assert only.on(Event.GO, Occasion()) == "no key" and only.state is Number.REST
 

@@ -295,7 +295,7 @@ class TestAge:
         self.slow(bench, 2.0)
         with pytest.raises(
             ExpiredError,
-            match=r"the approval is too old: it is of 4\.0 s ago, and after 3 s",
+            match=r"the approval is too old: it is of 4\.0 s ago, after 3 s",
         ):
             bench.review("p", plan.hash, True, "Ada", seen=seen)
 

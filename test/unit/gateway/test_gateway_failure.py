@@ -55,7 +55,7 @@ PARTS = {
     "histogram": lambda service: (service.reply_time, "add"),
     "poll": lambda service: (service.gateway, "poll"),
     "command callback": lambda service: (service.gateway, "on_command"),
-    "command's codec": lambda service: (service.gateway._intake, "read"),
+    "command's codec": lambda service: (service.gateway._intake.stream, "read"),
     "MQTT connection": lambda service: (service._mqtt, "service"),
     "MQTT reading": lambda service: (service._mqtt, "read"),
     "MQTT library": lambda service: (service._mqtt.client, "loop_read"),

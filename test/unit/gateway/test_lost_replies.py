@@ -206,7 +206,7 @@ def test_replies_that_keep_being_lost_end_in_a_stop_that_says_so():
             cell.lose("nnr")
             go_on(cell, 3, rate=1.0)
     assert cell.gateway.fault and cell.count("stops_replies") == 1
-    assert "did not arrive in time" in cell.gateway.reason and "2 s are put off" in cell.gateway.reason
+    assert "did not arrive in time" in cell.gateway.reason and "allowed 2 s" in cell.gateway.reason
     assert_arrived_within_limits(cell)
     assert_on_path(cell)
 

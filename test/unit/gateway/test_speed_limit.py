@@ -148,7 +148,7 @@ class TestPlaying:
         cell.control("speed_limit", value=0.0)
         play(cell, (curve(k) for k in range(500)))
         assert cell.state in (State.BRAKING, State.HOLDING) and cell.gateway.fault
-        assert cell.gateway.reason.startswith("speed_limit: the sender does not obey the speed limit of 0")
+        assert cell.gateway.reason.endswith("s behind its stream, allowed 1 s: speed limit 0 not obeyed")
         assert cell.count("stops_speed_limit") == 1
         assert_within_limits(cell)
 

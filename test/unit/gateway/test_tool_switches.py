@@ -287,7 +287,7 @@ def test_a_gateway_that_joins_a_running_session_refuses_switches():
     cell.cycle(5)
     assert cell.state is State.JOINED and cell.sent == []
     status = cell.status()
-    assert status["known"] is False and "this RSI session is not answered" in status["reason"]
+    assert status["known"] is False and "this session is not answered" in status["reason"]
     assert cell.status()["outputs"] == {"vacuum": False}
     assert not cell.switch(True)[0]
 

@@ -11,7 +11,7 @@ from processes import wait_until
 
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.mock.network import ArrivalClock
-from construction_twin.rsi.gateway_codec import parse_robot
+from construction_twin.rsi.gateway_codec import RobotDecoder
 
 MS = NANOSECONDS // 1000
 STAMPED = pytest.mark.skipif(sys.platform != "linux", reason="only Linux stamps datagrams in the kernel")
@@ -67,7 +67,7 @@ def test_a_stamp_is_converted_within_a_microsecond_also_where_a_pause_falls_betw
 
 def test_a_reply_that_arrived_after_its_cycle_does_not_count():
     cell = Cell()
-    packet = parse_robot(cell.mock.begin_cycle(), cell.config.axes)
+    packet = RobotDecoder(cell.config.axes).parse(cell.mock.begin_cycle())
     assert not cell.mock.receive(cell.encoder.encode(ZERO, packet.controller_ms), in_time=False)
     assert cell.mock.refusals.last == f"the reply to IPOC {packet.controller_ms} came after the end of its cycle"
     assert cell.cycle(ZERO).missed == 1

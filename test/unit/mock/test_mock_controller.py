@@ -22,7 +22,7 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.core.units import radians
 from construction_twin.mock.servo import IdealServo
-from construction_twin.rsi.gateway_codec import SensorEncoder, parse_robot
+from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
 
 
 def test_a_ten_seconds_are_2500_packets_and_10000_on_the_ipoc():
@@ -134,7 +134,7 @@ def test_f_holdon_1_and_one_miss_keeps_the_correction():
 def test_g_stop_ends_the_session():
     cell = Cell(layout=WITH_STOP)
     cell.cycles(5)
-    packet = parse_robot(cell.mock.begin_cycle(), AXES)
+    packet = RobotDecoder(AXES).parse(cell.mock.begin_cycle())
     cell.mock.receive(cell.encoder.encode(ZERO, packet.controller_ms, stop=True))
     assert_stopped(cell, "stop: requested")
     assert not cell.mock.flag

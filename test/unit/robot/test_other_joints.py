@@ -14,9 +14,15 @@ from scene_samples import ROOT, ur_like
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.kinematics.chain import Chain, Pose
-from construction_twin.robot.description import RobotModel, load_robot, read_robot_files
+from construction_twin.robot.description import (
+    Following,
+    OtherJoint,
+    RobotModel,
+    load_robot,
+    other_joints_text,
+    read_robot_files,
+)
 from construction_twin.robot.home_command import home_positions
-from construction_twin.robot.other_joints import Following, OtherJoint, other_joints_text
 from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.messages.convert import pose_from_transform_msg
 from construction_twin.ros.nodes.display import RobotFrames

@@ -18,7 +18,7 @@ from construction_twin.mock.program import MockSettings
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.nodes import mock_rsi as module
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN
-from construction_twin.rsi.gateway_codec import SensorEncoder, parse_robot
+from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 ETHERNET = (ROOT / "krl/ethernet/ctwin_ethernet.xml").read_text()
@@ -45,7 +45,7 @@ class Pc(threading.Thread):
                 data, source = self.socket.recvfrom(65535)
             except TimeoutError:
                 continue
-            ipoc = parse_robot(data, AXES).controller_ms
+            ipoc = RobotDecoder(AXES).parse(data).controller_ms
             self.socket.sendto(self.encoder.encode(self.correction, ipoc, self.stop), source)
 
     def close(self):

@@ -12,8 +12,8 @@ from construction_twin.controller.telegram import Reply, Telegram
 from construction_twin.core.errors import TelegramError
 from construction_twin.core.udp import MAX_TELEGRAM
 from construction_twin.core.units import radians
-from construction_twin.rsi.controller_codec import RobotEncoder, parse_sensor
-from construction_twin.rsi.gateway_codec import SensorEncoder, parse_robot
+from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder
+from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 HOME = radians((0, -90, 90, 0, 90, 0))
@@ -48,7 +48,7 @@ def aipos(**changes: str) -> str:
 
 def refused(data: bytes) -> str:
     with pytest.raises(TelegramError) as caught:
-        parse_robot(data, AXES)
+        RobotDecoder(AXES).parse(data)
     return caught.value.reason
 
 
@@ -57,7 +57,7 @@ def test_robot_telegram_has_the_golden_bytes():
 
 
 def test_golden_robot_telegram_is_read():
-    assert parse_robot(GOLDEN_ROB, AXES) == Telegram(4208163634, HOME, HOME, 0)
+    assert RobotDecoder(AXES).parse(GOLDEN_ROB) == Telegram(4208163634, HOME, HOME, 0)
 
 
 def test_sensor_telegram_has_the_golden_bytes():
@@ -68,7 +68,7 @@ def test_sensor_telegram_has_the_golden_bytes():
 
 
 def test_golden_sensor_telegram_is_read():
-    assert parse_sensor(GOLDEN_SEN, "ImFree", AXES) == Reply(4208163634, CORRECTION, None)
+    assert SensorDecoder("ImFree", AXES).parse(GOLDEN_SEN) == Reply(4208163634, CORRECTION, None)
 
 
 def test_zero_has_no_sign_in_either_direction():
@@ -79,20 +79,20 @@ def test_zero_has_no_sign_in_either_direction():
 
 
 def test_axis_names_choose_the_attributes_and_their_order():
-    telegram = parse_robot(rob(aipos(A2="-90.0", A6="7") + "<IPOC>12</IPOC>"), ("A6", "A2"))
+    telegram = RobotDecoder(("A6", "A2")).parse(rob(aipos(A2="-90.0", A6="7") + "<IPOC>12</IPOC>"))
     assert telegram.measured == radians((7, -90))
     assert telegram.setpoint is None and telegram.missed is None
 
 
 def test_nearly_empty_first_packet_is_legal():
-    telegram = parse_robot(b"<Rob TYPE='KUKA'><IPOC>123645634563</IPOC></Rob>", AXES)
+    telegram = RobotDecoder(AXES).parse(b"<Rob TYPE='KUKA'><IPOC>123645634563</IPOC></Rob>")
     assert telegram == Telegram(123645634563, None, None, None)
 
 
 def test_unknown_elements_white_space_and_root_attribute_do_not_matter():
     data = rob(f"\n <Digout o1='1' /> {aipos()} <EStr>hello</EStr><Source1>x</Source1>\n<IPOC>8</IPOC>\n")
-    assert parse_robot(data, AXES).measured == radians((1.5,) * 6)
-    assert parse_robot(b"<Rob><IPOC>8</IPOC></Rob>", AXES).controller_ms == 8
+    assert RobotDecoder(AXES).parse(data).measured == radians((1.5,) * 6)
+    assert RobotDecoder(AXES).parse(b"<Rob><IPOC>8</IPOC></Rob>").controller_ms == 8
 
 
 @pytest.mark.parametrize(
@@ -116,7 +116,7 @@ def test_numbers_that_are_no_finite_decimals_are_refused(number):
     ],
 )
 def test_numbers_with_an_exponent_are_read_as_python_senders_write_them(number, value):
-    parsed = parse_robot(rob(aipos(A3=number) + "<IPOC>8</IPOC>"), AXES).measured[2]
+    parsed = RobotDecoder(AXES).parse(rob(aipos(A3=number) + "<IPOC>8</IPOC>")).measured[2]
     assert parsed == math.radians(value) and math.isfinite(parsed)
 
 
@@ -124,7 +124,7 @@ def test_numbers_with_an_exponent_are_read_as_python_senders_write_them(number, 
 def test_the_controller_s_side_reads_no_exponent(number):
     data = f"<Sen Type='ImFree'>{aipos(A3=number).replace('AIPos', 'AK')}<IPOC>8</IPOC></Sen>".encode()
     with pytest.raises(TelegramError, match="expected a plain decimal number") as caught:
-        parse_sensor(data, "ImFree", AXES)
+        SensorDecoder("ImFree", AXES).parse(data)
     assert caught.value.reason == "number"
 
 
@@ -140,14 +140,14 @@ DECLARATIONS = [
 @pytest.mark.parametrize("declaration", DECLARATIONS)
 def test_an_xml_declaration_is_read_over_from_a_controller(declaration):
     data = rob(f"{aipos()}<IPOC>8</IPOC>")
-    assert parse_robot(declaration + data, AXES) == parse_robot(data, AXES)
+    assert RobotDecoder(AXES).parse(declaration + data) == RobotDecoder(AXES).parse(data)
 
 
 @pytest.mark.parametrize("declaration", DECLARATIONS)
 def test_the_controller_s_side_reads_no_declaration(declaration):
     data = declaration + f"<Sen Type='ImFree'>{aipos().replace('AIPos', 'AK')}<IPOC>8</IPOC></Sen>".encode()
     with pytest.raises(TelegramError) as caught:
-        parse_sensor(data, "ImFree", AXES)
+        SensorDecoder("ImFree", AXES).parse(data)
     assert caught.value.reason == "markup"
 
 
@@ -171,7 +171,7 @@ def test_other_markup_before_the_telegram_is_refused(declaration):
 
 @pytest.mark.parametrize("number, value", [("+1.25", 1.25), ("-0.0", 0.0), ("007", 7.0), ("1." + 31 * "0" + "1", 1.0)])
 def test_plain_decimals_are_read(number, value):
-    assert parse_robot(rob(aipos(A3=number) + "<IPOC>8</IPOC>"), AXES).measured[2] == math.radians(value)
+    assert RobotDecoder(AXES).parse(rob(aipos(A3=number) + "<IPOC>8</IPOC>")).measured[2] == math.radians(value)
 
 
 @pytest.mark.parametrize(
@@ -237,7 +237,7 @@ def test_malformed_telegrams_are_refused_with_their_reason(data, reason):
 )
 def test_unusable_replies_are_refused_with_their_reason(old, new, reason):
     with pytest.raises(TelegramError) as caught:
-        parse_sensor(GOLDEN_SEN.replace(old, new), "ImFree", AXES)
+        SensorDecoder("ImFree", AXES).parse(GOLDEN_SEN.replace(old, new))
     assert caught.value.reason == reason
 
 
@@ -250,7 +250,7 @@ def test_corrections_that_cannot_be_sent_are_refused(correction):
 
 @given(six_angles, ipocs, st.sampled_from([None, False, True]))
 def test_corrections_survive_the_wire_to_half_a_decimal(correction, ipoc, stop):
-    telegram = parse_sensor(SensorEncoder("ImFree", AXES).encode(correction, ipoc, stop), "ImFree", AXES)
+    telegram = SensorDecoder("ImFree", AXES).parse(SensorEncoder("ImFree", AXES).encode(correction, ipoc, stop))
     assert (telegram.controller_ms, telegram.stop) == (ipoc, stop)
     for sent, received in zip(correction, telegram.target):
         assert abs(sent - received) <= math.radians(0.5e-6) * (1 + 1e-6)
@@ -258,7 +258,9 @@ def test_corrections_survive_the_wire_to_half_a_decimal(correction, ipoc, stop):
 
 @given(six_angles, six_angles, ipocs, st.integers(0, 2**31), st.integers(1, 32))
 def test_positions_survive_the_wire_to_half_a_decimal(measured, setpoint, ipoc, delay, precision):
-    telegram = parse_robot(RobotEncoder(AXES, precision).encode(ipoc, measured, setpoint, POSE, POSE, delay), AXES)
+    telegram = RobotDecoder(AXES).parse(
+        RobotEncoder(AXES, precision).encode(ipoc, measured, setpoint, POSE, POSE, delay)
+    )
     assert (telegram.controller_ms, telegram.missed) == (ipoc, delay)
     tolerance = math.radians(0.5 * 10.0**-precision) * (1 + 1e-6) + 1e-13
     for sent, received in zip(measured + setpoint, telegram.measured + telegram.setpoint):

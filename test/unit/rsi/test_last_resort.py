@@ -10,7 +10,7 @@ from gateway_cell import CONFIG
 
 from construction_twin.controller.last_resort import LONGEST_GAP_MS, LastResort
 from construction_twin.core.units import CYCLE
-from construction_twin.rsi.controller_codec import parse_sensor
+from construction_twin.rsi.controller_codec import SensorDecoder
 from construction_twin.rsi.gateway_codec import SensorEncoder
 from construction_twin.rsi.layout import RsiLayout
 from construction_twin.rsi.make import last_resort
@@ -45,7 +45,7 @@ def ask(resort, ipoc, source=PEER):
     reply = None if found is None else resort.answer(found)
     if reply is None:
         return None
-    read = parse_sensor(reply, "ImFree", AXES)
+    read = SensorDecoder("ImFree", AXES).parse(reply)
     assert read.controller_ms == ipoc
     return read.target
 
@@ -137,7 +137,7 @@ def ask_counted(resort, ipoc, delay):
     """Return the correction of the reply to a telegram with `Delay`."""
     assert resort.stamp_of(counted(ipoc, delay), PEER) == ipoc
     resort.note_missed(ipoc, counted(ipoc, delay))
-    return parse_sensor(resort.answer(ipoc), "ImFree", AXES).target
+    return SensorDecoder("ImFree", AXES).parse(resort.answer(ipoc)).target
 
 
 @pytest.mark.parametrize("lost", [1, 3])

@@ -18,7 +18,7 @@ from construction_twin.gateway.inbox import TelegramInbox
 from construction_twin.gateway.states import State
 from construction_twin.mock.faults import Fault, FaultBoard
 from construction_twin.rsi.controller_codec import RobotEncoder
-from construction_twin.rsi.gateway_codec import parse_robot
+from construction_twin.rsi.gateway_codec import RobotDecoder
 from construction_twin.rsi.layout import RsiLayout
 from construction_twin.rsi.status_channels import RsiStatus, StatusReader, status_channels
 
@@ -173,7 +173,7 @@ def mock(channels=PLAIN):
 
 def said(cell, channels=PLAIN):
     data = cell.mock.begin_cycle()
-    cell.mock.receive(cell.encoder.encode((0.0,) * 6, parse_robot(data, cell.config.axes).controller_ms))
+    cell.mock.receive(cell.encoder.encode((0.0,) * 6, RobotDecoder(cell.config.axes).parse(data).controller_ms))
     return StatusReader(channels).read(data)[0]
 
 

@@ -9,9 +9,8 @@ import pytest
 from scene_samples import ROOT
 
 from construction_twin.kinematics.chain import Pose, to_kdl, to_pose
-from construction_twin.robot.description import RobotModel, load_robot
+from construction_twin.robot.description import Following, RobotModel, load_robot
 from construction_twin.robot.new_robot import new_description
-from construction_twin.robot.other_joints import Following
 from construction_twin.robot.urdf import chain_joints, parse_urdf
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.collision_world import CollisionWorld

@@ -22,7 +22,6 @@ from construction_twin.scene.self_collision import (
     NEAR,
     SelfCollision,
     geometry_hash,
-    load_self_collision,
     read_self_collision,
     sample_self_collision,
 )
@@ -127,12 +126,12 @@ def test_a_file_of_another_geometry_is_refused_with_a_command_that_writes_over_n
         ({"more": 1}, "more"),
     ],
 )
-def test_a_bad_file_is_refused(change, named):
+def test_a_bad_file_is_refused(change, named, tmp_path):
     description = yaml.safe_load(SHIPPED.read_text()) | change
+    path = tmp_path / "pairs.yaml"
+    path.write_text(yaml.safe_dump({key: value for key, value in description.items() if value is not None}))
     with pytest.raises(ConfigurationError) as caught:
-        load_self_collision(
-            {key: value for key, value in description.items() if value is not None}, RobotBodies(kr120()), "f"
-        )
+        read_self_collision(path, kr120())
     assert named in caught.value.where
 
 

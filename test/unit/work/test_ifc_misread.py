@@ -283,7 +283,7 @@ def test_what_exists_or_goes_is_not_proposed(read):
     model.properties(gone, "Pset_MemberCommon", Status="DEMOLISH")
     found = read(model)
     assert workpieces(found) == (new.GlobalId,)
-    schedule = Schedule.of(propose(found).applied(found), True)
+    schedule = Schedule.of(propose(found), True)
     assert [job.element for job in schedule.jobs] == [new.GlobalId]
     assert [(job.id, job.element) for job in schedule.removals] == [(f"{gone.GlobalId}/removal", gone.GlobalId)]
     assert remarked(found, kept, "Existing elements: obstacles")

@@ -12,14 +12,13 @@ from construction_twin.work.schedule import Schedule
 
 
 def order(model):
-    proposal = propose(model)
-    return [job.element for job in Schedule.of(proposal.applied(model), proposed=True).jobs]
+    return [job.element for job in Schedule.of(propose(model), proposed=True).jobs]
 
 
 def waits(model):
     """What each element waits for, directly."""
     proposal = propose(model)
-    element_of = {task.id: task.products[0] for task in proposal.tasks if task.products}
+    element_of = {task.id: task.products[0] for task in proposal.tasks.values() if task.products}
     return {(element_of[one.before], element_of[one.after]) for one in proposal.sequences}
 
 
@@ -66,7 +65,7 @@ def test_elements_that_rest_on_each_other_are_put_in_an_order_with_a_note():
     )
     proposal = propose(building(first, second, lip, hook))
     assert any("in a circle" in note for note in proposal.notes)
-    assert len(Schedule.of(proposal.applied(building(first, second, lip, hook))).jobs) == 4
+    assert len(Schedule.of(proposal).jobs) == 4
 
 
 def test_what_has_no_geometry_gets_no_place_and_a_model_without_any_is_refused():

@@ -58,8 +58,8 @@ def test_the_schedule_makes_every_element_once_supports_first(name):
     assert all(job.robots == ("kr120",) for job in schedule.jobs)
     place = {job.element: number for number, job in enumerate(schedule.jobs)}
     proposal = propose(model)
-    element_of = {task.id: task.products[0] for task in proposal.tasks if task.products}
-    assert proposal.notes == ()
+    element_of = {task.id: task.products[0] for task in proposal.tasks.values() if task.products}
+    assert proposal.notes == model.notes
     for one in proposal.sequences:
         assert place[element_of[one.before]] < place[element_of[one.after]]
 

@@ -22,9 +22,8 @@ from construction_twin.core.errors import ConfigurationError, ConstructionTwinEr
 from construction_twin.core.files import check_writable
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import inverse_kinematics
-from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot, read_robot_files
+from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot, other_joints_text, read_robot_files
 from construction_twin.robot.new_robot import find_ends, new_description, robot_name, robot_yaml, with_home
-from construction_twin.robot.other_joints import other_joints_text
 from construction_twin.robot.urdf import expand_xacro, read_text, xacro_arguments
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.scene.collision_world import CollisionWorld

@@ -26,8 +26,7 @@ from construction_twin.core.reports import HoldReport
 from construction_twin.kinematics.chain import Chain, Pose, to_frame, to_kdl
 from construction_twin.monitor.states import SyncState
 from construction_twin.msg import Execution, Hold, Plan, Rehearsal, Review, Scene, Sync
-from construction_twin.robot.description import RobotModel
-from construction_twin.robot.other_joints import Following
+from construction_twin.robot.description import Following, RobotModel
 from construction_twin.robot.urdf import parse_urdf
 from construction_twin.ros.messages.display_markers import arm_markers, text_marker
 from construction_twin.ros.messages.records import from_msg

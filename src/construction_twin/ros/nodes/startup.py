@@ -20,8 +20,7 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.network import reaches_itself
 from construction_twin.core.share import share_folder
 from construction_twin.msg import Feedback, Scene, StartRefused
-from construction_twin.robot.description import RobotModel
-from construction_twin.robot.other_joints import other_joints_text
+from construction_twin.robot.description import RobotModel, other_joints_text
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
 from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.params import PrivateSettings

@@ -27,10 +27,7 @@ _ASIDE = ("GEO031", "SYS033", "GEO301", "GEO313", "GEO164", "GEO185", "GEO276")
 _ASIDE_TEXTS = ("header entity", "non-unique GlobalId")
 #: Who made it and how it looks: what is lost there says nothing of elements.
 _ASIDE_KINDS = (
-    "IfcOwnerHistory",
-    "IfcPresentationItem",
-    "IfcPresentationStyleAssignment",
-    "IfcStyledItem",
+    *("IfcOwnerHistory", "IfcPresentationItem", "IfcPresentationStyleAssignment", "IfcStyledItem"),
     "IfcStyledRepresentation",
 )
 

@@ -69,8 +69,7 @@ class Shape:
     def doubted(self, why: str, *beyond: np.ndarray) -> Shape:
         """Return the shape with a box in place of its bodies.
 
-        Args:
-            beyond: Shape (k, 3) each. What the box holds beside the bodies [m].
+        `beyond`: Shape (k, 3) each. What the box holds beside the bodies [m].
         """
         points = [*(body.vertices for body in self.bodies), *beyond]
         return replace(self, bodies=(box(np.concatenate(points)),) if points else (), doubt=why)

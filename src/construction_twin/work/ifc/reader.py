@@ -121,11 +121,7 @@ def note_unread(file: ifcopenshell.file, name: str, elements: dict[str, Element]
 MOST_ELEMENTS = 100_000
 #: Products with geometry that nothing can touch: holes, rooms, drawings, loads.
 _NOT_THERE = (
-    "IfcFeatureElementSubtraction",
-    "IfcVirtualElement",
-    "IfcSpace",
-    "IfcSpatialZone",
-    "IfcExternalSpatialElement",
+    *("IfcFeatureElementSubtraction", "IfcVirtualElement", "IfcSpace", "IfcSpatialZone", "IfcExternalSpatialElement"),
     "IfcExternalSpatialStructureElement",
 )
 _STATUS = {

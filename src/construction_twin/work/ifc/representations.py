@@ -21,19 +21,10 @@ _SOLID = {
     "Tessellation", "MappedRepresentation",
 }  # fmt: skip
 #: Identifiers of what has a surface and is no body.
-_NO_BODIES = {
-    "Axis",
-    "FootPrint",
-    "Box",
-    "Annotation",
-    "Plan",
-    "Clearance",
-    "CoG",
-    "Profile",
-    "Reference",
-    "Surface",
+_NO_BODIES = (
+    *("Axis", "FootPrint", "Box", "Annotation", "Plan", "Clearance", "CoG", "Profile", "Reference", "Surface"),
     "Lighting",
-}
+)
 #: Items that lie between their points.
 _FLAT = ("IfcFacetedBrep", "IfcTessellatedFaceSet")
 #: What reaches nowhere, or without an end and only cuts.

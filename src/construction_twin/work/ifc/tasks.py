@@ -82,8 +82,7 @@ class _Assigned:
 class Groups:
     """What tasks are assigned to: elements, and groups and parts of the site, which become records of their own.
 
-    Attributes:
-        elements: Records of the groups and parts of the site that tasks are assigned to, by their ids.
+    `elements`: Records of the groups and parts of the site that tasks are assigned to, by their ids.
     """
 
     def __init__(self, relations: Relations, ids: dict[int, str], notes: Notes):

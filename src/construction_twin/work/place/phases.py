@@ -56,8 +56,7 @@ class Scenes:
 def ways(job: WorkJob, grip: Grip, recipe: PlaceRecipe, tool: ToolFile, leave: np.ndarray, arrive: np.ndarray) -> Ways:
     """Return where the flange goes.
 
-    Args:
-        leave, arrive: Shape (3,). The straight ways of the element from the stock, and back from its place [m].
+    `leave`, `arrive`: Shape (3,). The straight ways of the element from the stock, and back from its place [m].
     """
     assert job.base_T_stock is not None
     tcp_T_tool0 = inverse(pose_of(tool.tool.tool0_T_tcp))
