@@ -129,7 +129,11 @@ class ConsoleNode:
         """Carry out what is asked for, and show everything, until shutdown."""
         self.acts.start()
         viewer = threading.Thread(target=self.run_view, name="view", daemon=True)
-        threads = {"connections": self.acts.run_connections, "log": self._run_log, "ik": self._run_ik}
+        threads = {
+            "connections": self.acts.run_connections,
+            "log": self._run_log,
+            "ik": lambda: self.requests.run(bool(self._settings.private)),
+        }
         for each in (*(threading.Thread(target=run, name=name, daemon=True) for name, run in threads.items()), viewer):
             each.start()
         while not rospy.is_shutdown():
@@ -151,9 +155,6 @@ class ConsoleNode:
             # after a pause of the machine the next one is a whole period away: nobody needs what was missed
             due = max(due + period, time.monotonic())
             time.sleep(max(0.0, due - time.monotonic()))
-
-    def _run_ik(self) -> None:
-        self.requests.run(bool(self._settings.private))
 
     def _run_log(self) -> None:
         """Write log and messages: nothing else here waits for a disk or a terminal."""
