@@ -437,12 +437,7 @@ INTERFACE = Interface(
         Served("resume", Trigger, ExecutorNode.on_resume, "resume"),
         Served("~act_as_seen", srv.ActAsSeen, ExecutorNode.on_act_as_seen, "resume"),
     ),
-    every=(
-        Every(
-            lambda _settings: BACKGROUND_PERIOD,
-            lambda node, _ports: node.do_background_work(),
-        ),
-    ),
+    every=(Every(lambda _settings: BACKGROUND_PERIOD, ExecutorNode.do_background_work),),
 )  # fmt: skip
 NODE = NodeShell("executor", Settings, ExecutorNode, INTERFACE, check, fast=True)
 main = NODE.run

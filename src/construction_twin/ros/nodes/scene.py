@@ -275,7 +275,7 @@ INTERFACE = Interface(
         _edit("clear_scene", Trigger, SceneNode.on_clear),
         _edit("edit_scene", srv.EditScene, SceneNode.on_edit),
     ),
-    every=(Every(lambda _settings: CHECK_PERIOD, lambda node, _ports: node.check()),),
+    every=(Every(lambda _settings: CHECK_PERIOD, SceneNode.check),),
 )
 
 

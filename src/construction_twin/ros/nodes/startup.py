@@ -246,7 +246,7 @@ INTERFACE = Interface(
         for topic, kind in {FEEDBACK: Feedback, TWIN: rospy.AnyMsg, SCENE: Scene}.items()
     ),
     listeners=(*REPORTS, TOPIC),
-    every=(Every(lambda _settings: PERIOD, lambda node, _ports: node.update()),),
+    every=(Every(lambda _settings: PERIOD, StartupNode.update),),
 )
 NODE = NodeShell("startup", Settings, StartupNode, INTERFACE, check, refused=refused)
 main = NODE.run
