@@ -20,6 +20,7 @@ from construction_twin.core.errors import ConstructionTwinError, FileError, spok
 from construction_twin.core.extras import check_extras
 from construction_twin.core.freshness import Moment
 from construction_twin.core.records import document
+from construction_twin.core.share import share_file
 from construction_twin.evaluation.tables import table_console
 from construction_twin.physics.known_mass import TOOL, body_of, masses_of
 from construction_twin.planning.waypoint_file import parse_waypoints
@@ -29,7 +30,6 @@ from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
 from construction_twin.robot.tool import read_tool, tool_hash
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.ros.commands.bag_report import read_plans
-from construction_twin.ros.commands.evaluate import package_file
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.scene_yaml import read_scene
@@ -302,7 +302,7 @@ def _parser() -> argparse.ArgumentParser:
     }
     for option, (file, meaning) in files.items():
         parser.add_argument(
-            option, default=str(package_file(file)), metavar="FILE", help=f"{meaning} (default: {Path(file).name})"
+            option, default=str(share_file(file)), metavar="FILE", help=f"{meaning} (default: {Path(file).name})"
         )
     parser.add_argument(
         "--drives",
