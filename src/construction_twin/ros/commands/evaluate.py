@@ -63,10 +63,10 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _robot(options: argparse.Namespace, joint_names: tuple[str, ...]) -> RobotModel:
-    xacro, config = map(share_file, ROBOTS[0])
     if options.robot_xacro or options.robot_config or options.robot_xacro_args:
-        return read_robot_files(options.robot_xacro or xacro, options.robot_config or config, options.robot_xacro_args)
-    robots = [read_robot_files(*map(share_file, files)) for files in ROBOTS]
+        files = [given or share_file(own) for given, own in zip((options.robot_xacro, options.robot_config), ROBOTS[0])]
+        return read_robot_files(files[0], files[1], options.robot_xacro_args)
+    robots = [read_robot_files(share_file(xacro), share_file(config)) for xacro, config in ROBOTS]
     return next((robot for robot in robots if robot.joint_names == joint_names), robots[0])
 
 

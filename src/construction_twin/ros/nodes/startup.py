@@ -241,9 +241,10 @@ def refused(sentence: str) -> None:
 
 INTERFACE = Interface(
     report=StartupNode.report,
-    hears=tuple(
-        Subscription(topic, kind, lambda node, _message, topic=topic: node.came.add(topic), queue_size=1)
-        for topic, kind in {FEEDBACK: Feedback, TWIN: rospy.AnyMsg, SCENE: Scene}.items()
+    hears=(
+        Subscription(FEEDBACK, Feedback, lambda node, _: node.came.add(FEEDBACK), queue_size=1),
+        Subscription(TWIN, rospy.AnyMsg, lambda node, _: node.came.add(TWIN), queue_size=1),
+        Subscription(SCENE, Scene, lambda node, _: node.came.add(SCENE), queue_size=1),
     ),
     listeners=(*REPORTS, TOPIC),
     every=(Every(lambda _settings: PERIOD, StartupNode.update),),
