@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import threading
 import time
 from collections.abc import Callable, Collection, Mapping
@@ -379,7 +378,3 @@ def main() -> int:
     for path in files:
         console.print(str(path), soft_wrap=True, highlight=False)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -296,7 +296,3 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--robot-config", type=Path, metavar="FILE", help="its robot YAML")
     parser.add_argument("--self-collision", type=Path, metavar="FILE", help="its self-collision file")
     return parser
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
