@@ -86,11 +86,6 @@ class Settings(NodeSettings, Permission):
     speed_limit_required: bool
 
 
-def moments() -> tuple[int, str]:
-    """Return ROS time [ns] and the robot's clock, of a report."""
-    return now_ns(), str(present())
-
-
 def _do(_what: str, part: Callable[..., _Result], *arguments: object) -> _Result:
     """Call a part whose failure ends the node, as everywhere else."""
     return part(*arguments)
@@ -213,10 +208,13 @@ class ExecutorNode:
         who, unchecked = message.responsible, tuple(message.not_checked)
         self._log.on_responsible(Responsibility(who, message.session, unchecked) if who else None)
 
-    def on_person(self, message: msg.SessionRequest | msg.SpeedChange) -> None:
-        """Record who has lifted a stop or fault, or armed, and who has set the speed limit of people."""
-        is_session = isinstance(message, msg.SessionRequest)
-        self._log.defer(from_msg(SessionRequest, message) if is_session else from_msg(SpeedChange, message))
+    def on_session_request(self, message: msg.SessionRequest) -> None:
+        """Record who has lifted a stop or fault, or armed."""
+        self._log.defer(from_msg(SessionRequest, message))
+
+    def on_speed_change(self, message: msg.SpeedChange) -> None:
+        """Record who has set the speed limit of people."""
+        self._log.defer(from_msg(SpeedChange, message))
 
     # -- services
 
@@ -354,7 +352,10 @@ class ExecutorNode:
         with self._lock:
             run = self.side_effects.run if executor.take_act() else _do
             events, orders = executor.take_events(), executor.take_orders()
-            report, lines = run("the executor's state", self._news.take, moments) or (None, ())
+            report, lines = run("the executor's state", self._news.take, lambda: (now_ns(), str(present()))) or (
+                None,
+                (),
+            )
         for order in orders:
             self._publish("tool_command", order_to_msg(order))
         if report is not None:
@@ -417,14 +418,14 @@ INTERFACE = Interface(
         Subscription(
             "speed_limit_in_force", msg.SpeedLimitInForce, ExecutorNode.on_limit, queue_size=5, tcp_nodelay=True
         ),
-        Subscription("speed_change", msg.SpeedChange, ExecutorNode.on_person, queue_size=50),
+        Subscription("speed_change", msg.SpeedChange, ExecutorNode.on_speed_change, queue_size=50),
         Subscription(
             "conflict", msg.Conflict, ExecutorNode.on_conflict, queue_size=20, tcp_nodelay=True,
             when=lambda settings: bool(settings.neighbour),
         ),
         Subscription("link", msg.Link, ExecutorNode.on_link, queue_size=5, when=has_arm),
         Subscription(
-            "session_request", msg.SessionRequest, ExecutorNode.on_person, queue_size=10, when=has_arm
+            "session_request", msg.SessionRequest, ExecutorNode.on_session_request, queue_size=10, when=has_arm
         ),
         Subscription("tool", msg.ToolState, ExecutorNode.on_tool, queue_size=20, tcp_nodelay=True, when=has_arm),
     ),
