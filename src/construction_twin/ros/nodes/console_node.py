@@ -48,15 +48,12 @@ COLLECTED = 500_000
 
 
 class Settings(MqttSettings):
-    """Private parameters; see config/console_node.yaml.
+    """Private parameters; see config/console_node.yaml. Folders are relative to ROS_HOME.
 
     Attributes:
-        trajectories: Whether motions, and requests for plans, are taken by MQTT.
-        self_collision: YAML of the link pairs that are not checked; empty: no joint values are found for poses that are dragged.
-        messages: Folder of the messages that outlast this node, relative to ROS_HOME; empty: they do not.
-        servo_model: As the gate has it; empty: it does not expect the arm where its servos should have it.
-        private: Folder of what a console serves to whom is logged in, relative to ROS_HOME; empty: no console was started.
-        tool: Tool file; empty: no tool.
+        self_collision: Empty: no joint values are found for poses that are dragged.
+        messages: Folder of the messages that outlast this node; empty: they do not.
+        private: Folder of what a console serves to whom is logged in; empty: no console was started.
     """
 
     trajectories: bool = True

@@ -56,13 +56,7 @@ _RUN = "/run_id"
 
 
 class Settings(PrivateSettings):
-    """Private parameters, given in launch/twin.launch.
-
-    Attributes:
-        scene: YAML of the scene at the start; ``none`` or empty: no objects, no padding.
-        self_collision: YAML of the link pairs that are not checked.
-        tf_prefix: Of the twin's tf frames.
-    """
+    """Private parameters, given in launch/twin.launch; `scene` ``none`` or empty: no objects, no padding."""
 
     scene: str
     self_collision: str
