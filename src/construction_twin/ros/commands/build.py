@@ -71,7 +71,6 @@ class _Times:
     planning: float = 0.0
     motion: float = 0.0
     plans: list[str] = field(default_factory=list)
-    people: list[str] = field(default_factory=list)
 
 
 class Builder:
@@ -168,7 +167,6 @@ class Builder:
         times.planning, plan_id, plan_hash = time.monotonic() - asked, str(plan["plan_id"]), str(plan["plan_hash"])
         times.plans.append(plan_id)
         self._approve(plan_id, plan_hash)
-        times.people.append(PERSON)
         self._decided(f"approved plan {plan_id} of {self._row(task).name}, hash {plan_hash[:12]}")
         began = time.monotonic()
         held = self._held
@@ -292,7 +290,7 @@ class Builder:
         found = []
         for row in map(self._row, wanted):
             times, task = self._times.get(row.id, _Times()), from_msg(TaskReport, row)
-            people = tuple(dict.fromkeys(times.people))
+            people = (PERSON,) if times.plans else ()
             found.append(TaskResult(task, times.planning, times.motion, len(times.plans), people))
         table = Table(*HEADS)
         for cells in rows(found):
