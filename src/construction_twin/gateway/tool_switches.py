@@ -54,10 +54,6 @@ class ToolSwitch:
     state: SwitchState = SwitchState.PENDING
     reason: str = ""
 
-    def enter(self, state: SwitchState, reason: str) -> None:
-        """Go to another state."""
-        self.state, self.reason = state, reason
-
 
 class ToolSwitches:
     """The outputs of one tool."""
@@ -204,7 +200,7 @@ class ToolSwitches:
             self._command(tuple(switch.value if name == switch.output else value for name, value in pairs))
             self._counters["tool_switches_fired"] += 1
             self._news = True
-            switch.enter(SwitchState.FIRED, _FIRED)
+            switch.state, switch.reason = SwitchState.FIRED, _FIRED
 
     def _command(self, values: tuple[bool, ...]) -> None:
         self._seen &= {name for name, value in zip(self._names, values) if value}
@@ -249,9 +245,12 @@ class ToolSwitches:
         self._news = True
         if why:
             refusal = Sentence("tool: {why}", why=why)
-            switch.enter(SwitchState.REFUSED, refusal)
+            switch.state, switch.reason = SwitchState.REFUSED, refusal
             return refusal
-        switch.enter(SwitchState.ARMED, Sentence("fires with the setpoint of {stamp}", stamp=switch.stamp))
+        switch.state, switch.reason = (
+            SwitchState.ARMED,
+            Sentence("fires with the setpoint of {stamp}", stamp=switch.stamp),
+        )
         self._armed.append(switch)
         self._armed.sort(key=lambda waiting: waiting.stamp)
         return ""
@@ -277,7 +276,7 @@ class ToolSwitches:
         """Make every armed switch void; return how many there were."""
         count = len(self._armed)
         for switch in self._armed:
-            switch.enter(SwitchState.VOID, why)
+            switch.state, switch.reason = SwitchState.VOID, why
         self._armed.clear()
         if count:
             self._counters["tool_switches_void"] += count

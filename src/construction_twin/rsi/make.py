@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 from construction_twin.controller.last_resort import BareProtocol, LastResort
 from construction_twin.controller.port import (
@@ -235,7 +236,8 @@ def last_resort(setup: Setup[RsiLayout]) -> LastResort:
     if not setup.layout.answered:
         return LastResort(setup.limits, None, setup.cycle)
     copied = encoder(setup)
-    bare = BareProtocol(_ipoc, _delay, _filling(copied.order), (copied.template(None), copied.template(True)))
+    counts = partial(_count, _find_ipoc), partial(_count, _find_delay)
+    bare = BareProtocol(*counts, _filling(copied.order), (copied.template(None), copied.template(True)))
     return LastResort(setup.limits, bare, setup.cycle)
 
 
@@ -292,13 +294,8 @@ def controller_side(config: MockSetup[RsiLayout]) -> ControllerSide:
     return ControllerSide(encode, decode, tuple(holds), holdon.get(STOP, False), status_of)
 
 
-def _ipoc(data: bytes) -> int | None:
-    found = _find_ipoc(data)
-    return int(found[1]) if found else None
-
-
-def _delay(data: bytes) -> int | None:
-    found = _find_delay(data)
+def _count(find: Callable[[bytes], re.Match[bytes] | None], data: bytes) -> int | None:
+    found = find(data)
     return int(found[1]) if found else None
 
 
@@ -328,7 +325,7 @@ MAKE = Make(
     ),
     no_status=RsiStatus(),
     plain=RsiLayout.plain,
-    read_layout=RsiLayout.of_document,
+    read_layout=lambda document: RsiLayout(**document),
     check=check,
     reader=reader,
     encoder=encoder,
