@@ -92,7 +92,7 @@ def test_what_lay_on_its_way_starts_nothing_and_who_looks_again_can_ask_anew(pag
     robot.delay = 6.0
     page.look()
     page.hold_approve()
-    expect(page.notice).to_contain_text("Freigabe NICHT angenommen: Sie kam zu spät beim Roboter an")
+    expect(page.notice).to_contain_text("Freigabe gilt NICHT: Was diese Seite gezeigt hatte, war schon veraltet")
     assert robot.state == "IDLE" and robot.verdicts == [] and robot.plan is plan
     expect(page.approve_button).to_be_disabled()
     robot.delay = 0.0
@@ -104,7 +104,7 @@ def test_what_lay_on_its_way_starts_nothing_and_who_looks_again_can_ask_anew(pag
     page.intervene("pause")
     wait_until(lambda: robot.state == "PAUSED", PATIENCE_S, "the pause")
     page.intervene("resume")
-    expect(page.stop_result).to_contain_text("Weiter wurde NICHT ausgeführt: Es kam zu spät an")
+    expect(page.stop_result).to_contain_text("Weiter gilt NICHT: Was diese Seite gezeigt hatte, war schon veraltet")
     assert robot.state == "PAUSED"
     robot.delay = 0.0
     page.intervene("resume")
@@ -137,7 +137,7 @@ def test_who_has_the_right_approves_in_spite_of_the_rehearsal_with_a_reason(page
     # who may not approve may not in spite of it either
     other = page_of("pia", "?language=de")
     other.tab("verdict")
-    expect(other.page.locator(".verdict-hint")).to_contain_text("Freigeben können: ada, bob, dora, pat.")
+    expect(other.page.locator(".verdict-hint")).to_contain_text("Wer es kann: ada, bob, dora, pat.")
     expect(other.page.locator(".override-approve")).to_be_hidden()
     expect(other.approve_button).to_be_disabled()
     page = page_of(query="?language=de")

@@ -1,8 +1,9 @@
 /**
  * Whether a message is what its schema says (schemas.js, made from the records of the robot's programs).
  *
- * Understands of JSON Schema what those schemas use. Keys that a schema does not name are left alone, because a newer sender adds
- * some; keys that a newer version has added (`since`) may be missing from an older one. Changes nothing, guesses nothing.
+ * Understands of JSON Schema what those schemas use. Keys that a schema does not name are left alone, because a newer
+ * sender adds some; keys that a newer version has added (`since`) may be missing from an older one. Changes nothing,
+ * guesses nothing.
  */
 
 /** Longest text of a wrong value that is shown. */
@@ -72,8 +73,6 @@ function wrong(schema, value, path, version) {
 /**
  * Check a message.
  *
- * @param {object} schema a constant of schemas.js
- * @param {unknown} message parsed JSON
  * @param {string} kind what it is, for the sentence
  * @param {number} [version] of the message: what a newer one has added is not asked for
  * @throws {TypeError} where it is not what the schema says

@@ -1,8 +1,8 @@
 /**
  * The connection to the broker, by MQTT 5 on a WebSocket of this server: one account, no queue.
  *
- * A message is sent while connected or not at all: each connection has a client of its own, so nothing that was not answered is
- * sent again by the next. What a lost connection leaves open is told as `unanswered`: it may have arrived.
+ * A message is sent while connected or not at all: each connection has a client of its own, so nothing that was not
+ * answered is sent again by the next. What a lost connection leaves open is told as `unanswered`: it may have arrived.
  */
 import mqtt from "mqtt";
 import {TOPICS} from "./store.js";
@@ -43,8 +43,9 @@ export const whyLost = ({state, reason}, texts) => texts(STATES[state], {why: re
 /**
  * Why a message was not sent, or is not known to have arrived.
  *
- * `reason`: `not_connected` (nothing went out), `refused` (the broker's rules do not allow it to this account), `broker` (the broker
- * refuses it for another reason), `unanswered` (it went out; the connection ended or no answer came), `format` (it cannot be sent).
+ * `reason`: `not_connected` (nothing went out), `refused` (the broker's rules do not allow it to this account),
+ * `broker` (the broker refuses it for another reason), `unanswered` (it went out; the connection ended or no answer
+ * came), `format` (it cannot be sent).
  */
 export class NotPublished extends Error {
   constructor(reason, detail = "") {
@@ -57,13 +58,9 @@ export class NotPublished extends Error {
 /**
  * Make the connection; `login` opens it.
  *
- * @param {object} store see store.js
- * @param {object} options
  * @param {string} options.url of the WebSocket
  * @param {string} options.prefix of all topics
  * @param {Function} [options.keep] called with account and password once the broker has accepted them, with null when they are void
- * @param {Function} [options.connect] as `mqtt.connect`
- * @param {Function} [options.WebSocket]
  */
 export function makeConnection(store, {url, prefix, keep = () => {}, connect = mqtt.connect, WebSocket = globalThis.WebSocket}) {
   let client = null;
@@ -226,12 +223,9 @@ export function makeConnection(store, {url, prefix, keep = () => {}, connect = m
      * Publish now, or not at all. Never retained, never queued.
      *
      * @param {string} topic below the robot's
-     * @param {string} robot
-     * @param {object} payload becomes JSON
-     * @param {object} [options]
      * @param {number} [options.qos] 1; 0 for what is worth nothing later
-     * @returns {Promise<number>} resolved once the broker has taken it (quality 1), with its reason code: 16 says that nobody has
-     *   subscribed; rejected with NotPublished
+     * @returns {Promise<number>} resolved once the broker has taken it (quality 1), with its reason code: 16 says that
+     *   nobody has subscribed; rejected with NotPublished
      */
     publish(topic, robot, payload, {qos = 1} = {}) {
       if (state !== "connected" || client === null || !client.connected) return Promise.reject(new NotPublished("not_connected"));

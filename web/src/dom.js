@@ -3,10 +3,8 @@
 /**
  * Make an element and append it.
  *
- * @param {Element} parent
- * @param {string} tag
- * @param {object} [options] `text`, `className`, `on` (listeners by event); all else becomes an attribute: true is "", false and
- *   null leave it out
+ * @param {object} [options] `text`, `className`, `on` (listeners by event); all else becomes an attribute: true is "",
+ *   false and null leave it out
  * @returns {Element}
  */
 export function add(parent, tag, {text, className, on = {}, ...attributes} = {}) {

@@ -1,8 +1,8 @@
 /**
  * A button that is held to confirm: what it does starts something, or lifts what stops it. A touch alone does nothing.
  *
- * A page that stands still sees no release: a press in which it did, or in which `key()` has changed (what the person was looking at),
- * counts for nothing.
+ * A page that stands still sees no release: a press in which it did, or in which `key()` has changed (what the person
+ * was looking at), counts for nothing.
  */
 import {add, setText} from "./dom.js";
 import {onHold} from "./press.js";
@@ -33,13 +33,7 @@ function pressesOf(clock, document) {
 /**
  * Make the button.
  *
- * @param {Element} parent
- * @param {object} options
- * @param {string} options.text
- * @param {string} [options.className]
- * @param {() => void} options.onHeld
  * @param {() => string} [options.key] what must not change meanwhile
- * @param {{now: () => number, every: Function}} clock
  * @returns {Element} with `say(text)`
  */
 export function holdButton(parent, {text, className = "", onHeld, key = () => ""}, clock) {

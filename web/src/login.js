@@ -2,14 +2,7 @@
 import {whyLost} from "./connection.js";
 import {add, setText} from "./dom.js";
 
-/**
- * Make the form; it shows and hides itself.
- *
- * @param {Element} parent
- * @param {object} store
- * @param {object} connection
- * @param {Function} texts
- */
+/** Make the form; it shows and hides itself. */
 export function make(parent, store, connection, texts) {
   const cover = add(parent, "div", {className: "login", hidden: true});
   const form = add(cover, "form", {"aria-labelledby": "login-title"});

@@ -1,8 +1,8 @@
 /**
  * A plan's motion at any time, and how much of it was played to a person. Draws nothing; times are seconds of the plan.
  *
- * A trajectory is that of a plan whose hash was checked (plan_hash.js): `times`, and by waypoint rows of `positions`, `velocities`
- * and `accelerations` in the order of the plan's joints [rad, m].
+ * A trajectory is that of a plan whose hash was checked (plan_hash.js): `times`, and by waypoint rows of `positions`,
+ * `velocities` and `accelerations` in the order of the plan's joints [rad, m].
  */
 
 /** Return how long a motion takes [s]. */
@@ -11,8 +11,8 @@ export function durationOf(trajectory) {
 }
 
 /**
- * Return the joints' positions at a time: between two waypoints the polynomial of the fifth degree that meets both, as the executor
- * plays it. Before the start and after the end the motion rests.
+ * Return the joints' positions at a time: between two waypoints the polynomial of the fifth degree that meets both, as
+ * the executor plays it. Before the start and after the end the motion rests.
  */
 export function sample(trajectory, seconds) {
   const {times, positions, velocities, accelerations} = trajectory;
@@ -50,8 +50,8 @@ export function rewound(duration) {
 }
 
 /**
- * Return the playback after a frame of `elapsed` seconds. A frame that came late moves on less: nothing is left out. `visible` says
- * whether somebody could see it; else the motion goes on and does not count as seen.
+ * Return the playback after a frame of `elapsed` seconds. A frame that came late moves on less: nothing is left out.
+ * `visible` says whether somebody could see it; else the motion goes on and does not count as seen.
  */
 export function advanced(playback, elapsed, visible = true) {
   if (!playback.playing) return playback;

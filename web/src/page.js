@@ -1,9 +1,10 @@
 /**
- * The frame of the page: header, lines about the connection, and an area per panel. It is as high as the screen and does not scroll:
- * sentence, picture and stop are always in view, and what stands in a tab scrolls in itself.
+ * The frame of the page: header, lines about the connection, and an area per panel. It is as high as the screen and
+ * does not scroll: sentence, picture and stop are always in view, and what stands in a tab scrolls in itself.
  *
- * A panel is a module with `make(parent, store, connection, texts)`. It makes its elements once below `parent` and changes them when
- * the store tells something. It shows the robot `store.selected`. An exception in one panel is told in a line, and the others go on.
+ * A panel is a module with `make(parent, store, connection, texts)`. It makes its elements once below `parent` and
+ * changes them when the store tells something. It shows the robot `store.selected`. An exception in one panel is told
+ * in a line, and the others go on.
  */
 import {add, button, clear, setText} from "./dom.js";
 import {whyLost} from "./connection.js";
@@ -28,11 +29,6 @@ const CLOSING = "verdict";
 /**
  * Build the frame and the panels in it.
  *
- * @param {Element} parent
- * @param {object} store see store.js
- * @param {object} connection see connection.js
- * @param {Function} texts see texts.js
- * @param {object} panels by area: a module or a list of modules with `make`
  * @param {object} actions `onTheme()`, `onLanguage()`
  */
 export function makePage(parent, store, connection, texts, panels, {onTheme, onLanguage} = {}) {

@@ -1,9 +1,11 @@
 /**
- * Whether a plan is the one that its hash names: an approval is sent with that hash, so it must cover what the page shows.
+ * Whether a plan is the one that its hash names: an approval is sent with that hash, so it must cover what the page
+ * shows.
  *
- * `trajectory` (times [s], positions, velocities, accelerations; rows are waypoints) is covered by the SHA-256 of the joints' names
- * and all these numbers as 8-byte floats, little-endian. Of a work plan the hash is that of the text `content`, which names the
- * trajectory's hash and all that happens at the ends of its segments. docs/reference/mqtt.md and docs/broker.md say the same.
+ * `trajectory` (times [s], positions, velocities, accelerations; rows are waypoints) is covered by the SHA-256 of the
+ * joints' names and all these numbers as 8-byte floats, little-endian. Of a work plan the hash is that of the text
+ * `content`, which names the trajectory's hash and all that happens at the ends of its segments. docs/reference/mqtt.md
+ * and docs/broker.md say the same.
  */
 const encoder = new TextEncoder();
 
@@ -41,12 +43,13 @@ function isTrajectory(trajectory, joints) {
 }
 
 /**
- * Return the plan with `refused`: "" when all that the hash covers is here and fits, else a short word why not. Of a work plan
- * `covered` is what stands in `content`: task and segments with all their switches; show these. `task`, `duration` and
- * `goal` become those that it covers: what the message says beside them may be anything.
+ * Return the plan with `refused`: "" when all that the hash covers is here and fits, else a short word why not. Of a
+ * work plan `covered` is what stands in `content`: task and segments with all their switches; show these. `task`,
+ * `duration` and `goal` become those that it covers: what the message says beside them may be anything.
  *
- * Words: `content` (the text is not what the hash says), `trajectory` (the waypoints are not), `missing` (waypoints were not sent,
- * so what would be shown is not what is approved), `insecure` (this browser hashes only on HTTPS or on its own machine).
+ * Words: `content` (the text is not what the hash says), `trajectory` (the waypoints are not), `missing` (waypoints
+ * were not sent, so what would be shown is not what is approved), `insecure` (this browser hashes only on HTTPS or on
+ * its own machine).
  */
 export async function checkPlan(plan) {
   if (globalThis.crypto?.subtle === undefined) return {...plan, refused: "insecure"};

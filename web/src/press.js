@@ -5,8 +5,6 @@
  *
  * A press ends with the finger or key, when either leaves the button, and with Escape. That a hidden page ends it too is its owner's.
  *
- * @param {Element} element
- * @param {() => void} press
  * @param {() => void} release also where nothing was pressed
  */
 export function onHold(element, press, release) {

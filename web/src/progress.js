@@ -4,11 +4,9 @@
 const UNDER_WAY = ["PLAYING", "STOPPING", "PAUSING", "PAUSED", "HELD", "AT_BOUNDARY"];
 
 /**
- * Return what is known of the plan that is played, null when none is: `id`; `progress` 0 to 1; `left`, seconds of the plan that are still
- * to come; `remaining`, seconds that they take at the speed that it goes to, null while it does not go on; `speed` and `limit`, fractions
- * of the planned speed, null: not known; `segment` {number from 0, name} or null.
- *
- * @param {object | null} execution of a view
+ * Return what is known of the plan that is played, null when none is: `id`; `progress` 0 to 1; `left`, seconds of the
+ * plan that are still to come; `remaining`, seconds that they take at the speed that it goes to, null while it does not
+ * go on; `speed` and `limit`, fractions of the planned speed, null: not known; `segment` {number from 0, name} or null.
  */
 export function progressOf(execution) {
   if (!execution || !UNDER_WAY.includes(execution.state)) return null;

@@ -28,14 +28,13 @@ const BAD = ["refused", "expired", "silent", "nobody", "not_sent", "no_right", "
 /** The broker's reason code for a message that nobody has subscribed to (MQTT 5.0, section 3.4.2.1). */
 export const NOBODY = 16;
 /** What is said of an outcome. */
-const SAID = {
+export const SAID = {
   sending: mark("{what}: on its way ..."),
-  waiting: mark("{what}: under way, no answer yet ..."),
-  done: mark("{what}: done. {reason}"),
+  waiting: mark("{what}: sent, no answer yet ..."),
+  done: mark("{what}: carried out. {reason}"),
   refused: mark("{what} was NOT carried out: {reason}"),
-  expired: mark("{what} does not count: what this page had shown was too old, or something has changed since. "
-    + "Look again, then press anew. {reason}"),
-  silent: mark("{what}: NO ANSWER. Do not rely on it: look at the state above, and stop the arm if in doubt."),
+  expired: mark("{what} does NOT count: what this page had shown was too old, or something has changed since. Look again, then press anew. {reason}"),
+  silent: mark("{what}: NO ANSWER. Do not rely on it: look at the arm and the state above."),
   not_sent: mark("{what} did NOT go out: no connection."),
   no_right: mark("{what} did NOT go out: this account does not have the right."),
   unknown: mark("{what}: it is not known whether it went out. Look at the state above."),
@@ -88,14 +87,15 @@ export const isBusy = (record) => ["sending", "waiting"].includes(outcome(record
 /** Return the reasons that the answers give, in the page's language. */
 export const reasonsOf = ({answers}, texts) => answers.map(({reason}) => texts.reason(reason)).filter(Boolean).join("; ");
 
-/** Say in one line what became of a request; `what` is what was pressed, `sentences` has the template of each outcome. */
-export function showOutcome(element, record, texts, {what, sentences = SAID, reason = reasonsOf(record, texts), hidden = false}) {
+/** Say in one line what became of a request; `what` is what was pressed, `danger` what is said behind an outcome that is bad. */
+export function showOutcome(element, record, texts, {what, danger = "", reason = reasonsOf(record, texts), hidden = false}) {
   const found = hidden ? "none" : outcome(record);
+  const isBad = BAD.includes(found);
   element.classList.add("outcome");
-  element.classList.toggle("is-bad", BAD.includes(found));
+  element.classList.toggle("is-bad", isBad);
   element.classList.toggle("is-done", found === "done");
-  const said = found === "none" ? "" : texts(sentences[found], {what, reason});
-  setText(element, said && record.time ? `${record.time} ${said}` : said);
+  const said = found === "none" ? [] : [record.time, texts(SAID[found], {what, reason}), isBad ? danger : ""];
+  setText(element, said.map((each) => each.trim()).filter(Boolean).join(" "));
 }
 
 /**

@@ -21,8 +21,6 @@ const isEnough = (rights, right) => (right === "stop" ? rights.some((each) => ea
  * Make what knows the rights of this page's account. It asks again with each login.
  *
  * @param {object} store tells `rights` when more or less is known
- * @param {object} connection
- * @param {(path: string) => Promise<Response>} [get]
  */
 export function makeRights(store, connection, get = (path) => fetch(path)) {
   let robots = null;
@@ -63,3 +61,7 @@ export function makeRights(store, connection, get = (path) => fetch(path)) {
     },
   };
 }
+
+/** Say who can do what this account may not. */
+export const whoCan = (names, texts) => (names.length ? texts("Who can: {who}.", {who: names.join(", ")})
+  : texts("Nobody is listed who can; at the robot's computer it can be done."));

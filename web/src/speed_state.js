@@ -1,10 +1,10 @@
 /**
- * What a person does with the speed slider of one robot: pure, one record per robot. Limits are whole percent of the planned speed;
- * times are milliseconds.
+ * What a person does with the speed slider of one robot: pure, one record per robot. Limits are whole percent of the
+ * planned speed; times are milliseconds.
  *
- * To lower the limit goes out at once, and while the handle is dragged every `PACE`; it needs no moment, and the robot takes it however
- * late it comes. To raise it is a button that is held: what is asked for stands beside it until then, and is forgotten `FORGOTTEN_AFTER`
- * the last touch. Somebody else's limit never sends anything by itself.
+ * To lower the limit goes out at once, and while the handle is dragged every `PACE`; it needs no moment, and the robot
+ * takes it however late it comes. To raise it is a button that is held: what is asked for stands beside it until then,
+ * and is forgotten `FORGOTTEN_AFTER` the last touch. Somebody else's limit never sends anything by itself.
  */
 
 /** Least and largest limit, and a step [%]. The robot refuses less: to stand still is a pause. */

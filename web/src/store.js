@@ -90,7 +90,6 @@ function checkPath({times, tool_path: points}) {
 /**
  * Make the store.
  *
- * @param {object} [options]
  * @param {() => number} [options.now] milliseconds of a monotonic clock
  * @param {(plan: object) => Promise<object>} [options.check] checks a plan's hash; see plan_hash.js
  * @param {(message: object) => void} [options.hear] gets each message that was checked, before anybody is told of it
@@ -194,16 +193,17 @@ export function makeStore({
     },
 
     /**
-     * What is known of a robot: view, screen, scene, plan, rehearsal, path, tasks, messages, playback, goal, handle, picked, drawn, said, model
-     * (null: not known), `old` (the view is not the present), `heard` [ms] per kind. Null for a robot that was never heard.
+     * What is known of a robot: view, screen, scene, plan, rehearsal, path, tasks, messages, playback, goal, handle,
+     * picked, drawn, said, model (null: not known), `old` (the view is not the present), `heard` [ms] per kind. Null
+     * for a robot that was never heard.
      */
     robot(name) {
       return robots.get(name) ?? null;
     },
 
     /**
-     * The newest moment of a robot that this page has received, as its view has it: what starts something repeats it, and the robot
-     * refuses what is too old. "" while nothing is known.
+     * The newest moment of a robot that this page has received, as its view has it: what starts something repeats it,
+     * and the robot refuses what is too old. "" while nothing is known.
      */
     moment(name) {
       return robots.get(name)?.view?.moment ?? "";
@@ -271,9 +271,6 @@ export function makeStore({
     /**
      * Take a message.
      *
-     * @param {string} name of the robot
-     * @param {string} topic below it
-     * @param {string} text payload
      * @param {boolean} retained the broker had stored it
      * @returns {Promise<void>} resolved when it was taken or refused; a plan's hash takes a moment
      */

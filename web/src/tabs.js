@@ -1,19 +1,17 @@
 /**
- * The panels that share one place beside the picture: a tab for each. Where the screen is wide enough some have a place of their own
- * and no tab: style.css says which, in `--own`, and is told by the class `offers-<name>` which panels have anything in them.
+ * The panels that share one place beside the picture: a tab for each. Where the screen is wide enough some have a place
+ * of their own and no tab: style.css says which, in `--own`, and is told by the class `offers-<name>` which panels have
+ * anything in them.
  *
- * A panel's element has `tab`: `isOpen()`, `open()`, `offer(is)` (whether there is anything in it), `mark(text)` (a number on its tab), and
- * `onOpen(listener)`.
+ * A panel's element has `tab`: `isOpen()`, `open()`, `offer(is)` (whether there is anything in it), `mark(text)` (a
+ * number on its tab), and `onOpen(listener)`.
  */
 import {add, button, setText} from "./dom.js";
 
 /**
  * Make the tabs.
  *
- * @param {Element} parent
- * @param {Function} texts
  * @param {object} words templates of the panels by name, in their order; the first is open at first
- * @param {(name: string) => Element} makePanel
  * @returns {Object<string, Element>} the panels by name
  */
 export function makeTabs(parent, texts, words, makePanel) {

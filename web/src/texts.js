@@ -10,16 +10,16 @@ const DEGREES = /(?<=\d )deg\b/g;
 /** Mark a template that stands in a table, so that scripts/translations.py finds it. */
 export const mark = (template) => template;
 
-/** Places of a robot's sentence for a state, and the states. In another place such a word is a name. */
-const OF_STATES = ["state", "outcome", "found"];
-const STATES = [
+/** Places of a robot's sentence for a program's word, and these words. In another place such a word is a name. */
+const OF_WORDS = ["state", "outcome", "found", "check", "quantity"];
+const WORDS = [
   mark("waiting"), mark("in_sync"), mark("holding"), mark("replanning"), mark("stale"), mark("stopped"), mark("fault"), mark("idle"),
   mark("playing"), mark("stopping"), mark("pausing"), mark("paused"), mark("held"), mark("at_boundary"), mark("disconnected"),
   mark("gateway_offline"), mark("no_controller"), mark("mismatch"), mark("resync"), mark("armed"), mark("needs_reset"), mark("mirror"),
   mark("read_only"), mark("joined_running"), mark("ready"), mark("following"), mark("braking"), mark("failed"), mark("measuring"),
-  mark("other_cycle"), mark("carried"), mark("planned"), mark("working"), mark("gripping"), mark("carrying"), mark("releasing"),
-  mark("retreating"), mark("done"), mark("skipped"), mark("asks"), mark("free"), mark("planning"), mark("discarding"), mark("review"),
-  mark("withdrawing"), mark("moving"), mark("settling"), mark("finished"), mark("dropped"),
+  mark("other_cycle"), mark("free"), mark("planning"), mark("discarding"), mark("review"), mark("withdrawing"), mark("moving"),
+  mark("settling"), mark("finished"), mark("dropped"), mark("range"), mark("position"), mark("velocity"), mark("acceleration"),
+  mark("jerk"), mark("braking_room"), mark("start"), mark("order"), mark("lead"), mark("values"),
 ];
 
 /** Return which of the languages to use: the one that was chosen before, else the first of the browser's that there is, else English. */
@@ -69,8 +69,8 @@ export function makeTexts(language, table = {}) {
     const found = words(template);
     if (found === undefined) return text;
     const value = (each, place) => {
-      const state = each.toLowerCase();
-      if (STATES.includes(state)) return OF_STATES.includes(place) ? texts(state) : each;
+      const word = each.toLowerCase();
+      if (WORDS.includes(word)) return OF_WORDS.includes(place) ? texts(word) : each;
       // a value is a part of its sentence: who sends another one gets no circle
       return each.length < text.length ? texts.reason(each).replace(DEGREES, texts("deg")) : each;
     };

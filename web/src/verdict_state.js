@@ -35,8 +35,8 @@ export const ANSWER_WITHIN = 5000;
 /** Two reports of a plan shown must not be further apart to count [ms]. */
 const LONGEST_GAP = 500;
 /**
- * A page that stands still sees no release: the tick after a longer gap sends nothing, and the one after it only if no release came
- * meanwhile [ms]. A press in which it stood still for longer than this is over [ms].
+ * A page that stands still sees no release: the tick after a longer gap sends nothing, and the one after it only if no
+ * release came meanwhile [ms]. A press in which it stood still for longer than this is over [ms].
  */
 const SHORT_GAP = 400;
 const STOOD_STILL = 2000;
@@ -143,7 +143,7 @@ const sending = (machine, {at, reviewer}, verdict, account, reason, override) =>
 const approve = (machine, event) => (machine.override
   ? sending(machine, event, "approved", event.sender, machine.reason, true) : sending(machine, event, "approved", event.account, "", false));
 const reject = (machine, event) => sending(machine, event, "rejected", event.account, event.reason, false);
-const fail = (machine, {reason}) => ({...forget(), sent: null, notice: {kind: "failed", reason: machine.sent.override && reason === "refused" ? "refused_override" : reason, verdict: machine.sent.verdict}});
+const fail = (machine, {reason}) => ({...forget(), sent: null, notice: {kind: "failed", reason, verdict: machine.sent.verdict}});
 const wait = (machine, {at}) => ({sent: {...machine.sent, at}});
 const giveUp = (machine) => ({...forget(), sent: null, notice: {kind: "unanswered", verdict: machine.sent.verdict, sent: machine.sent}});
 const win = (machine, {ack}) => ({sent: null, notice: {kind: "accepted", verdict: ack.verdict, reason: ack.reason, plan: ack.plan_id}});
@@ -235,8 +235,8 @@ export const TABLE = [
 /**
  * Take an event.
  *
- * @returns {{machine: object, publish: object|null}} the machine afterwards; what shall be published now, if anything, on `review` or,
- *   where `sent.override` says so, on `override_rehearsal`
+ * @returns {{machine: object, publish: object|null}} the machine afterwards; what shall be published now, if anything,
+ *   on `review` or, where `sent.override` says so, on `override_rehearsal`
  */
 export function step(machine, event) {
   const row = TABLE.find(({states, event: name, guard}) => name === event.type && states.includes(machine.state)

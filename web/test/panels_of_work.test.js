@@ -74,7 +74,7 @@ test("an account that may not plan reads who can, and gets no sliders", async ()
   assert.equal(page.text(".plan-told"), "This account may not ask for plans. Who can: pia.");
   page.store.rightsOf = listed({});
   page.store.rights({});
-  assert.equal(page.text(".plan-told"), "This account may not ask for plans, and nobody is listed who can.");
+  assert.equal(page.text(".plan-told"), "This account may not ask for plans. Nobody is listed who can; at the robot's computer it can be done.");
   page.store.rightsOf = listed({"kr120-planner-ada": "ada"});
   page.store.rights({});
   assert.equal(page.find(".plan-begin").hidden, false);
@@ -440,7 +440,7 @@ test("a question is answered by holding, in the name of the account, with the qu
   assert.equal(topic, "answer/ada");
   assert.deepEqual(payload, {id: payload.id, task: id, question, answer: answers[1], moment: page.store.moment("kr120")});
   await page.hear("kr120", "answer/ack", {id: payload.id, account: "ada", task: id, ok: false, reason: "look again", expired: true});
-  assert.match(page.find(".tasks-answered").textContent, /does not count: .* look again/);
+  assert.match(page.find(".tasks-answered").textContent, /does NOT count: .* look again/);
 });
 
 test("who may not answer reads who can", async () => {
@@ -448,7 +448,7 @@ test("who may not answer reads who can", async () => {
   page.store.rightsOf = {may: (_, right) => right !== "operate", who: () => ["ada"]};
   page.store.rights({});
   assert.equal(page.find(".tasks-answer"), null);
-  assert.match(page.find(".tasks-answers").textContent, /Who can answer: ada/);
+  assert.match(page.find(".tasks-answers").textContent, /may not answer\. Who can: ada/);
 });
 
 test("what a task waits for and what is asked of it is said in the page's language", async () => {

@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import {readFileSync} from "node:fs";
 import {test} from "node:test";
-import {jointsRequest, lineRequest, showAsking, taskRequest, wayBackRequest} from "../src/planning/asking.js";
+import {showAsking} from "../src/planning/asking.js";
 import {Goal} from "../src/planning/goal.js";
 import {IkFollower, LOST_S, PERIOD_S} from "../src/planning/ik_follower.js";
 import {ends, fromShown, shown, typed} from "../src/planning/joints.js";
@@ -233,15 +233,6 @@ test("a pose that cannot be kept is told, and the list stays", () => {
 });
 
 // -- asking
-
-test("requests say what the planner reads", () => {
-  assert.deepEqual(jointsRequest({a: 1}, 0), {kind: "joints", joints: {a: 1}});
-  assert.deepEqual(jointsRequest({a: 1}, 0.25), {kind: "joints", joints: {a: 1}, speed_scale: 0.25});
-  assert.deepEqual(lineRequest({...pose(1), more: 1}, 0), {kind: "line", ...pose(1)});
-  assert.deepEqual(wayBackRequest(), {kind: "way_back"});
-  assert.deepEqual(taskRequest(""), {kind: "work_task"});
-  assert.deepEqual(taskRequest("3x"), {kind: "work_task", task: "3x"});
-});
 
 test("that there is a plan is said while it is under review; else what became of the request", () => {
   const {parent} = fakePage();

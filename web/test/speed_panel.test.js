@@ -74,7 +74,7 @@ test("lowering goes out at once while dragging, paced, without a moment", async 
   const {topic, robot, payload, qos} = it.connection.sent[1];
   assert.deepEqual([topic, robot, qos, Object.keys(payload)], ["lower_speed/dora", "kr120", 1, ["id", "limit"]]);
   await it.hear("kr120", "speed/ack", {id: payload.id, account: "dora", limit: 0.5, ok: true, reason: "it is lowered", expired: false});
-  assert.equal(it.text(".speed-result"), "14:05:12 Lower to 50 %: done. it is lowered");
+  assert.equal(it.text(".speed-result"), "14:05:12 Lower to 50 %: carried out. it is lowered");
 });
 
 test("the buttons are a step each: one lowers at once, one asks", async () => {
@@ -102,7 +102,7 @@ test("raising is a hold of a second, and repeats the newest moment", async () =>
   const [seen, newest] = [payload.moment, it.store.moment("kr120")].map((moment) => Number(moment.split("-")[1]));
   assert.ok(seen <= newest && newest - seen <= 80, "of the view that came when the hold was over");
   await it.hear("kr120", "speed/ack", {id: payload.id, account: "dora", limit: 0.5, ok: false, reason: "the raise is too old", expired: true});
-  assert.match(it.text(".speed-result"), /Raise to 80 % does not count: what this page had shown was too old/);
+  assert.match(it.text(".speed-result"), /Raise to 80 % does NOT count: what this page had shown was too old/);
   assert.match(it.find(".speed-result").className, /is-bad/);
 });
 

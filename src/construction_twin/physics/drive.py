@@ -114,21 +114,19 @@ def load_drives(content: object, robot: RobotModel, where: str) -> ArmDrives:
         expected = f"one entry for each of {list(robot.joint_names)}"
         raise ConfigurationError(f"{where}/joints", sorted(read.joints), expected)
     axes = [read.joints[name] for name in robot.joint_names]
-    efforts = _efforts(robot)
+    efforts, rating = _efforts(robot), None
+    if (load := read.payload) is not None:
+        distance = None if load.across_m is None or load.along_m is None else (load.across_m, load.along_m)
+        rating = PayloadRating(load.mass_kg, load.inertia_kg_m2, distance, load.source)
     return ArmDrives(
         tuple(axis.torque_nm or effort for axis, effort in zip(axes, efforts)),
         tuple(axis.armature_kg_m2 for axis in axes),
         tuple(axis.damping_nm_s for axis in axes),
         tuple(axis.friction_nm for axis in axes),
-        None if read.payload is None else _rating(read.payload),
+        rating,
         read.source,
         read.estimates,
     )
-
-
-def _rating(read: _Rating) -> PayloadRating:
-    distance = (read.across_m, read.along_m) if read.across_m is not None and read.along_m is not None else None
-    return PayloadRating(read.mass_kg, read.inertia_kg_m2, distance, read.source)
 
 
 def _efforts(robot: RobotModel) -> tuple[float | None, ...]:

@@ -396,14 +396,11 @@ class _Builder:
         mobile = {name for name in on_arm if named[name].joint}
         # an object may be several pieces: each name once
         standing = dict.fromkeys(
-            one.owner for one in self._own if one.item is not None and not one.joint and self._has_body(one.owner)
+            one.owner for one in self._own if one.item and not one.joint and self._spec.body(one.owner) is not None
         )
         for first, second in itertools.combinations((*on_arm, *standing), 2):
             if (first in mobile or second in mobile) and frozenset((first, second)) not in checked:
                 self._spec.add_exclude(bodyname1=first, bodyname2=second)
-
-    def _has_body(self, owner: str) -> bool:
-        return self._spec.body(owner) is not None
 
     def _checked(self) -> set[frozenset[str]]:
         """Return the pairs of owners that the planner checks."""

@@ -7,9 +7,8 @@ what the servo lag explains is left in; where it does not (the gateway brakes or
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 
@@ -149,7 +148,11 @@ def judge(
     """Judge a run; `cycle`: the controller's cycle [s]: a reply, and a pose of the arm, in each."""
     expect = scenario.expect
     checks = [Check("carried out", "every step", run.failure or "every step", not run.failure), *_begun(scenario, run)]
-    checks += [_order(expect.sync, run.states("sync")), *_finals(run, expect.final), _end(scenario, run)]
+    order = run.states("sync")
+    checks.append(Check("states of the gate", " ".join(expect.sync), " ".join(order), matches(expect.sync, order)))
+    for topic, value in expect.final.items():
+        checks.append(Check(f"final {topic}", value, run.last(topic), run.last(topic) == value))
+    checks.append(_end(scenario, run))
     measured: dict = {"did": describe(run), "missed_replies": run.missed}
     checks += _detection(scenario, run, measured)
     checks += _errors(scenario, run, measured)
@@ -202,14 +205,6 @@ def matches(expected: Sequence[str], found: Sequence[str]) -> bool:
     if found and found[0] == head.rstrip("?") and matches(rest, found[1:]):
         return True
     return head.endswith("?") and matches(rest, found)
-
-
-def _order(expected: Sequence[str], found: Sequence[str]) -> Check:
-    return Check("states of the gate", " ".join(expected), " ".join(found), matches(expected, found))
-
-
-def _finals(run: Run, final: Mapping[Any, str]) -> list[Check]:
-    return [Check(f"final {topic}", value, run.last(topic), run.last(topic) == value) for topic, value in final.items()]
 
 
 def _end(scenario: Scenario, run: Run) -> Check:

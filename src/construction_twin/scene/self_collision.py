@@ -257,7 +257,9 @@ def self_collision_yaml(robot: RobotModel, found: SelfCollision, samples: int, s
             samples=samples,
             seed=seed,
             near_mm=NEAR * 1e3,
-            followers=", or by a joint and those that follow it" if _has_followers(robot) else "",
+            followers=", or by a joint and those that follow it"
+            if any(j.following for j in robot.other_joints)
+            else "",
         ),
         f"robot: {robot.name}",
         "# SHA-256 of the shapes, joints and ranges these pairs were found with",
@@ -268,10 +270,6 @@ def self_collision_yaml(robot: RobotModel, found: SelfCollision, samples: int, s
     ]
     rows = sorted((*sorted(pair), reason) for pair, reason in found.ignored.items())
     return "\n".join([*lines, *(f"  - [{first}, {second}, {reason}]" for first, second, reason in rows), ""])
-
-
-def _has_followers(robot: RobotModel) -> bool:
-    return any(joint.following is not None for joint in robot.other_joints)
 
 
 def read_self_collision(path: str | Path, robot: RobotModel) -> SelfCollision:

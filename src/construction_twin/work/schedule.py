@@ -185,7 +185,8 @@ class _Reading:
                 own = self._job_id(identifier, number)
                 before = {(self._job_id(identifier, number - 1), True): 0.0} if number > 1 else after
                 found = tuple(Wait(job, finished, lag) for (job, finished), lag in before.items())
-                robots = () if down else self._robots(identifier)
+                named = (self._tasks[at].robots for at in self._above(identifier))
+                robots = () if down else next(filter(None, named), ())
                 process = DEFAULT if down else self._process(identifier, product)
                 jobs.append(Job(own, identifier, task.name, product, robots, found, process))
                 if down:
@@ -276,9 +277,6 @@ class _Reading:
             found.append(identifier)
             identifier = self._tasks[identifier].parent
         return tuple(found)
-
-    def _robots(self, identifier: str) -> tuple[str, ...]:
-        return next((self._tasks[at].robots for at in self._above(identifier) if self._tasks[at].robots), ())
 
     def _checked_sequences(self) -> dict[str, list[Sequence]]:
         """Return the sequences by the task that waits."""

@@ -237,8 +237,12 @@ class Layout:
     def scene(self, state: WorkState = WorkState()) -> Scene:
         """Return the scene at a state: surroundings, the tool on the arm, what is in stock, what stands."""
         surroundings = self.site.scene
-        standing = [item for item in self.standing if self._is_there(item.name.split("/", 1)[0], state)]
-        objects = [*surroundings.objects, *standing, *self._tool]
+        objects = [*surroundings.objects]
+        for item in self.standing:
+            element = item.name.split("/", 1)[0]
+            if element not in state.gone and state.placed.keys() >= self.comes_after.get(element, frozenset()):
+                objects.append(item)
+        objects += self._tool
         for element in self.delivered(state):
             objects += self._standing(element, self.stock.slots[element].base_T_element)
         for element in self.stays:
@@ -248,9 +252,6 @@ class Layout:
             if element in self._pieces:
                 objects += self._standing(element, pose)
         return Scene(tuple(objects), surroundings.padding)
-
-    def _is_there(self, standing: str, state: WorkState) -> bool:
-        return standing not in state.gone and state.placed.keys() >= self.comes_after.get(standing, frozenset())
 
     def job_for(self, element: str, scene: Scene, task: str = "") -> WorkJob:
         """Return the job of an element; `task`: id of the job; one that the layout does not know: its first one."""

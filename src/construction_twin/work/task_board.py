@@ -339,12 +339,14 @@ class TaskBoard:
         if any(each.element == memory.element and each.touched for each in book.tasks.values()):
             return
         if not task:
-            here = _box(self._bodies(memory), placed_at(memory, _ORIGIN)) if mine and memory.body else None
-            if here is None or not any(
-                _overlap(here, self._goal_box(one))
-                for one in self.prepared.schedule.placing.values()
-                if self._element(one).bodies
-            ):
+            if not (mine and memory.body):
+                return
+            (low, high), placing = (
+                _box(self._bodies(memory), placed_at(memory, _ORIGIN)),
+                self.prepared.schedule.placing,
+            )
+            boxes = (self._goal_box(one) for one in placing.values() if self._element(one).bodies)
+            if not any((np.minimum(high, box[1]) - np.maximum(low, box[0]) > _OVERLAP).all() for box in boxes):
                 return
             task = memory.element
         elif book.tasks[task].state not in (TaskState.WAITING, TaskState.READY):
@@ -704,10 +706,6 @@ def _box(bodies: tuple[SceneObject, ...], pose: Pose) -> np.ndarray:
 @functools.lru_cache(maxsize=4096)
 def _corners(bodies: tuple[SceneObject, ...]) -> np.ndarray:
     return Pieces(bodies).points
-
-
-def _overlap(first: np.ndarray, second: np.ndarray) -> bool:
-    return bool((np.minimum(first[1], second[1]) - np.maximum(first[0], second[0]) > _OVERLAP).all())
 
 
 #: A measured element further than this from its place was not measured in the robot's frame [m].

@@ -1,7 +1,7 @@
 /**
- * Calls a person to the page while it runs: sound, vibration, title, badge and icon, and the screen stays on while a plan waits. For what,
- * and when it rings, is state.js. It calls for every robot, whichever is selected. A device that is locked or asleep runs no page, and
- * is not called.
+ * Calls a person to the page while it runs: sound, vibration, title, badge and icon, and the screen stays on while a
+ * plan waits. For what, and when it rings, is state.js. It calls for every robot, whichever is selected. A device that
+ * is locked or asleep runs no page, and is not called.
  */
 import {add, button, setText} from "../dom.js";
 import {browser} from "../panels/clock.js";
@@ -41,10 +41,6 @@ export function makeAwake(wakeLock, isVisible) {
 /**
  * Make the button that turns calls on and off, and begin to call.
  *
- * @param {Element} parent the page's header
- * @param {object} store see store.js
- * @param {object} connection see connection.js
- * @param {Function} texts see texts.js
  * @param {object} [means] for tests: `now`, `every`, `Audio`, `navigator`, `storage`
  */
 export function make(parent, store, connection, texts, means = {}) {

@@ -56,8 +56,8 @@ export function acted(state, robot, what, now) {
 }
 
 /**
- * Return the state after it was looked at the robots. What is wanted for the first time begins to call; what a person has just caused
- * here is seen from the start.
+ * Return the state after it was looked at the robots. What is wanted for the first time begins to call; what a person
+ * has just caused here is seen from the start.
  *
  * @param {object[]} robots records of the store
  */

@@ -1,10 +1,12 @@
 /**
- * What a person can do about what the state says: lift a stop or a fault (`reset`), arm a bare PLC. Held to confirm, in the name of the account;
- * whether it may is the broker's to decide, and whether it counts the robot's. Below stands whose stop it lifts: the state's own reason.
+ * What a person can do about what the state says: lift a stop or a fault (`reset`), arm a bare PLC. Held to confirm, in
+ * the name of the account; whether it may is the broker's to decide, and whether it counts the robot's. Below stands
+ * whose stop it lifts: the state's own reason.
  */
 import {add, setText} from "../dom.js";
 import {holdButton} from "../hold.js";
 import {isBusy, makeRequests, outcome, showOutcome} from "../requests.js";
+import {whoCan} from "../rights.js";
 import {mark} from "../texts.js";
 import {browser} from "./clock.js";
 
@@ -17,7 +19,6 @@ export function waitsFor(view) {
   return view?.link?.state === "ARMED" && view.sync?.state === "STOPPED" ? ["reset"] : [];
 }
 
-/** Make the panel. */
 export function make(parent, store, connection, texts, clock = browser) {
   const box = add(parent, "div", {className: "actions", role: "group", "aria-label": texts("What you can do"), hidden: true});
   const whose = add(box, "p", {className: "actions-who", hidden: true});
@@ -44,9 +45,7 @@ export function make(parent, store, connection, texts, clock = browser) {
       buttons[verb].disabled = !open.includes(verb) || isBusy(record);
     }
     whose.hidden = !waits || may;
-    const who = store.rightsOf.who(store.selected, "reset").join(", ");
-    setText(whose, whose.hidden ? "" : who ? texts("This account may not reset. Who can: {who}.", {who})
-      : texts("Nobody is listed who may reset from here; at the robot's computer it can be done."));
+    setText(whose, `${texts("This account may not reset.")} ${whoCan(store.rightsOf.who(store.selected, "reset"), texts)}`);
     showOutcome(said, record, texts, {what: record.verb && texts(VERBS[record.verb]), hidden: found === "done" && !waits});
   }
 

@@ -14,7 +14,6 @@ export function unread(messages) {
   return (messages ?? []).filter(({line, acknowledged_by: by}) => by === "" && line.topic !== PERSON);
 }
 
-/** Make the panel. */
 export function make(parent, store, connection, texts, {when = timeOf} = {}) {
   const none = add(parent, "p", {className: "messages-none", text: texts("Nothing has happened yet that needs a person.")});
   const told = add(parent, "p", {className: "messages-told", role: "status"});

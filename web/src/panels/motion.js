@@ -1,6 +1,7 @@
 /**
- * Where the arm is, always: each joint within its limits, twin and arm, and by how much they differ; where the arm's servos should have
- * it, while somebody knows that; the twin's tool; operating mode and override of the controller. Limits and tool come from the robot's model. Shown ten times a second at most, and while it is open.
+ * Where the arm is, always: each joint within its limits, twin and arm, and by how much they differ; where the arm's
+ * servos should have it, while somebody knows that; the twin's tool; operating mode and override of the controller.
+ * Limits and tool come from the robot's model. Shown ten times a second at most, and while it is open.
  */
 import {add, addDrawing, clear, setText} from "../dom.js";
 import {axesOf} from "../planning/axes.js";
@@ -37,7 +38,6 @@ function withDeviation(kept, at, value) {
   return added.filter(([each]) => each > step - STEPS);
 }
 
-/** Make the panel. */
 export function make(parent, store, connection, texts, {now, every} = browser) {
   const deviations = new Map();
   // it scrolls, and has nothing else in it that a keyboard reaches

@@ -1,15 +1,17 @@
 /**
  * Plan a motion: joint sliders, saved poses, the tool dragged by its handle in the picture, a straight line.
  *
- * Nothing moves by it: what is asked for becomes a plan under review. Who may ask stands in the list of rights (rights.js); who may
- * not reads who can, in place of sliders. Where there is no list, everything is drawn, and a refusal of the broker is told.
+ * Nothing moves by it: what is asked for becomes a plan under review. Who may ask stands in the list of rights
+ * (rights.js); who may not reads who can, in place of sliders. Where there is no list, everything is drawn, and a
+ * refusal of the broker is told.
  */
 import {add, button, clear, setText} from "../dom.js";
-import {jointsRequest, lineRequest, showAsking} from "../planning/asking.js";
+import {showAsking} from "../planning/asking.js";
 import {Goal} from "../planning/goal.js";
 import {IkFollower} from "../planning/ik_follower.js";
 import {ends, fromShown, shown, typed, unit} from "../planning/joints.js";
 import {LONGEST, Poses} from "../planning/poses.js";
+import {whoCan} from "../rights.js";
 import {storageOf} from "../storage.js";
 import {mark} from "../texts.js";
 import {isBusy, makeRequests, outcome} from "../requests.js";
@@ -52,10 +54,6 @@ class Desk {
 /**
  * Make the panel.
  *
- * @param {Element} parent
- * @param {object} store see store.js
- * @param {object} connection see connection.js
- * @param {Function} texts see texts.js
  * @param {object} [means] for tests: `storage`, `now()` [s]
  */
 export function make(parent, store, connection, texts, {storage = storageOf(), now = () => performance.now() / 1000} = {}) {
@@ -262,9 +260,8 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
     const mine = desk(robot);
     if (isBusy(requests.of(robot)) || !mine.goal.isAskable) return;
     const fraction = Number(speed.value);
-    const request =
-      kind === "joints" ? jointsRequest(mine.goal.values, fraction) : lineRequest(linePose(mine), fraction);
-    requests.send(robot, "plan_request", request);
+    const goal = kind === "joints" ? {joints: mine.goal.values} : linePose(mine);
+    requests.send(robot, "plan_request", {kind, ...goal, ...(fraction > 0 && {speed_scale: fraction})});
   }
 
   function linePose(mine) {
@@ -308,10 +305,10 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
 
   function whoPlans(robot) {
     const who = store.rightsOf.who(robot, "operate");
-    if (who.length > 0) return texts("This account may not ask for plans. Who can: {who}.", {who: who.join(", ")});
-    if (store.rightsOf.may(robot, "operate") === false) return texts("This account may not ask for plans, and nobody is listed who can.");
-    return texts("The account {account} may look, and may not ask for plans: the broker has refused it. "
-      + "Whoever looks after the site's accounts can give you one with the right operate.", {account: connection.account || "-"});
+    const isListed = who.length > 0 || store.rightsOf.may(robot, "operate") === false;
+    return isListed ? `${texts("This account may not ask for plans.")} ${whoCan(who, texts)}`
+      : texts("The account {account} may look, and may not ask for plans: the broker has refused it. "
+        + "Whoever looks after the site's accounts can give you one with the right operate.", {account: connection.account || "-"});
   }
 
   function showSliders(mine) {

@@ -1,8 +1,8 @@
 /**
- * Playback of the plan under review: the picture shows it at a time that a person chooses. Only a plan whose hash was checked is
- * played, from the very numbers that the hash covers. What was shown is told to the verdict panel: `looked` {what, hash}. While the
- * picture is not in view the playback waits, so that nothing of the motion is missed; where there is no picture it goes on, and
- * does not count as played.
+ * Playback of the plan under review: the picture shows it at a time that a person chooses. Only a plan whose hash was
+ * checked is played, from the very numbers that the hash covers. What was shown is told to the verdict panel: `looked`
+ * {what, hash}. While the picture is not in view the playback waits, so that nothing of the motion is missed; where
+ * there is no picture it goes on, and does not count as played.
  */
 import {add, clear, setText} from "../dom.js";
 import {advanced, durationOf, rewound, sample, sought, toggled, wasPlayed} from "../motion.js";
@@ -23,7 +23,6 @@ export function segmentsOf(plan) {
 /** Say what becomes of an output. */
 export const switched = (output, value, texts) => (value ? texts("{output} on", {output}) : texts("{output} off", {output}));
 
-/** Make the panel. */
 export function make(parent, store, connection, texts, {now, every, frame} = browser) {
   const area = add(parent, "div", {className: "playback", role: "group", "aria-label": texts("Playback of the plan"), hidden: true});
   const controls = add(area, "div", {className: "playback-controls"});

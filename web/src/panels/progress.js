@@ -10,7 +10,6 @@ const EVERY = 100;
 /** Plans whose names are kept per robot: what is played was under review before, and is taken from there by then. */
 const MOST = 8;
 
-/** Make the panel. */
 export function make(parent, store, connection, texts, {every} = browser) {
   const area = add(parent, "div", {className: "progress", hidden: true});
   const name = add(area, "p", {className: "progress-name"});

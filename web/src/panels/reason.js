@@ -19,16 +19,12 @@ export const BLOCKED = {
   name: mark("Say your name, then the plan can be approved."),
   unseen: mark("The picture is not in view."),
   unread: mark("The sentence at the top is cut off or old: read it first."),
-  right: mark("This account may not approve. Who can: {who}."),
 };
 
 /**
  * Make the two fields.
  *
- * @param {Element} parent
- * @param {Function} texts
  * @param {string[]} reasons templates of what is said
- * @param {() => void} changed
  */
 export function makeReason(parent, texts, reasons, changed) {
   const words = add(parent, "input", {type: "text", maxlength: LONGEST, placeholder: texts("In your own words"),

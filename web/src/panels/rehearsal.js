@@ -1,9 +1,9 @@
 /**
- * What the simulated arm found when it carried out the plan under review: one line; opened, a bar per axis and what else was found.
- * And the button by which a person approves in spite of that, where a rehearsal is required.
+ * What the simulated arm found when it carried out the plan under review: one line; opened, a bar per axis and what
+ * else was found. And the button by which a person approves in spite of that, where a rehearsal is required.
  *
- * Whether a plan may be approved without it is the executor's to say: the view's `overridable` says that only
- * the rehearsal is against it. When the button may be pressed is verdict_state.js.
+ * Whether a plan may be approved without it is the executor's to say: the view's `overridable` says that only the
+ * rehearsal is against it. When the button may be pressed is verdict_state.js.
  */
 import {add, clear, setText} from "../dom.js";
 import {onHold} from "../press.js";
@@ -22,8 +22,8 @@ const percentOf = (fraction) => (100 * fraction).toFixed(0);
 const usage = ({peak, limit}) => (limit > 0 ? peak / limit : 0);
 
 /**
- * Return the rehearsal that counts for this plan, as the executor compares it (execution/rehearsal_check.py): the plan's hash covers
- * neither the scene that it begins in nor the tool. null: there is none, or it is of something else.
+ * Return the rehearsal that counts for this plan, as the executor compares it (execution/rehearsal_check.py): the
+ * plan's hash covers neither the scene that it begins in nor the tool. null: there is none, or it is of something else.
  */
 export function rehearsalOf(plan, rehearsal) {
   if (!plan || !rehearsal) return null;
@@ -101,9 +101,8 @@ export function make(parent, texts) {
 /**
  * Make the part with which a person approves in spite of the rehearsal.
  *
- * @param {{press: () => void, release: () => void, changed: () => void}} then
- * @returns `reason()`, `clear()` and `show({open, why, held})`: whether it is offered at all, why not now ("": it can be pressed), and
- *   for which part of the second it has been held (null: it is not)
+ * @returns `reason()`, `clear()` and `show({open, why, held})`: whether it is offered at all, why not now ("": it can
+ *   be pressed), and for which part of the second it has been held (null: it is not)
  */
 export function makeOverride(parent, texts, {press, release, changed}) {
   const part = add(parent, "fieldset", {className: "override", hidden: true});

@@ -48,7 +48,6 @@ export function saying(view, texts, clockOf = (seconds) => new Date(1000 * secon
   return lines;
 }
 
-/** Make the panel. */
 export function make(parent, store, connection, texts, clock = browser) {
   const {now, every} = clock;
   const records = new Map();

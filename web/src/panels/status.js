@@ -1,6 +1,6 @@
 /**
- * The status line: what the arm does, what is waited for, by whom, and what to do. The robot's sentences (`screen`), worst first, in
- * the page's language, each with its page of the docs; and the page's own, where it hears nothing.
+ * The status line: what the arm does, what is waited for, by whom, and what to do. The robot's sentences (`screen`),
+ * worst first, in the page's language, each with its page of the docs; and the page's own, where it hears nothing.
  */
 import {add, clear, setText} from "../dom.js";
 import {mark} from "../texts.js";
@@ -53,7 +53,6 @@ function isInside(element, box) {
   return inner.top >= outer.top - 1 && inner.bottom <= outer.bottom + 1;
 }
 
-/** Make the panel. */
 export function make(parent, store, connection, texts, {now, every} = browser) {
   // a box of one height: whatever is said, nothing below it moves
   const box = add(parent, "div", {className: "status-box"});

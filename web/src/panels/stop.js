@@ -1,33 +1,23 @@
 /**
- * Stop, pause and resume of every robot, always there. A press goes out at once or not at all, and what became of it is told: a stop
- * that did not go out is said in red. Who may stop is the broker's to decide; drawn is what works by the list of rights (rights.js), and
- * everything where there is none.
+ * Stop, pause and resume of every robot, always there. A press goes out at once or not at all, and what became of it is
+ * told: a stop that did not go out is said in red. Who may stop is the broker's to decide; drawn is what works by the
+ * list of rights (rights.js), and everything where there is none.
  *
- * With several robots one button stops them all, a stop and an answer for each; pause and resume are of the robot that is shown.
+ * With several robots one button stops them all, a stop and an answer for each; pause and resume are of the robot that
+ * is shown.
  */
 import {add, button, clear, setText} from "../dom.js";
 import {makeRequests, outcome, showOutcome} from "../requests.js";
+import {whoCan} from "../rights.js";
 import {mark} from "../texts.js";
 import {browser} from "./clock.js";
 
 const VERBS = {stop: mark("Stop"), pause: mark("Pause"), resume: mark("Resume")};
 /** Who carries it out. */
 const BY = {gateway: mark("Controller side"), executor: mark("Motion")};
-const SAID = {
-  sending: mark("{what}: on its way ..."),
-  waiting: mark("{what}: sent, no answer yet ..."),
-  done: mark("{what}: carried out ({reason})."),
-  refused: mark("{what} was NOT carried out ({reason}). Use the emergency stop if there is danger."),
-  expired: mark("{what} was NOT carried out: it was too late after what this page had shown, and is void. Look again, then press anew."),
-  silent: mark("{what}: NO ANSWER within a second. Do not rely on it: use the emergency stop if there is danger."),
-  not_sent: mark("{what} did NOT go out: no connection. Use the emergency stop if there is danger."),
-  no_right: mark("{what} did NOT go out: this account does not have the right. Use the emergency stop if there is danger."),
-  unknown: mark("{what}: it is not known whether it went out. Use the emergency stop if there is danger."),
-};
 /** The right that a verb needs. */
 const RIGHT = {stop: "stop", pause: "operate", resume: "approve"};
 
-/** Make the panel. */
 export function make(parent, store, connection, texts, clock = browser) {
   const rows = new Map();
   // what became of presses lies over the picture: the bar keeps its height, and no button moves
@@ -53,7 +43,8 @@ export function make(parent, store, connection, texts, clock = browser) {
     const said = record.answers.filter(({ok}) => ok || outcome(record) === "refused");
     const reason = said.map(({by, reason: why}) => [texts.word(BY, by), texts.reason(why)].filter(Boolean).join(": ")).join("; ");
     const verb = record.verb && texts(VERBS[record.verb]);
-    showOutcome(row.result, record, texts, {sentences: SAID, reason, what: verb && name && store.robots.length > 1 ? `${verb} ${name}` : verb});
+    const what = verb && name && store.robots.length > 1 ? `${verb} ${name}` : verb;
+    showOutcome(row.result, record, texts, {what, reason, danger: texts("Use the emergency stop if there is danger.")});
     close.hidden = [...rows.keys()].every((each) => outcome(requests.of(each)) === "none");
   };
 
@@ -95,9 +86,7 @@ export function make(parent, store, connection, texts, clock = browser) {
       for (const verb of Object.keys(VERBS)) buttons[verb].hidden = !may(name, verb) || (verb !== "stop" && !selected);
     }
     who.hidden = store.robots.length === 0 || may(store.selected, "stop");
-    const names = store.rightsOf.who(store.selected, "stop").join(", ");
-    setText(who, who.hidden ? "" : names ? texts("This account cannot stop. Who can: {who}.", {who: names})
-      : texts("This account cannot stop, and nobody else is listed who can."));
+    setText(who, `${texts("This account cannot stop.")} ${whoCan(store.rightsOf.who(store.selected, "stop"), texts)}`);
   };
 
   const build = () => {

@@ -1,14 +1,16 @@
 /**
  * The tasks of a building model: what is done, what comes next, what is waited for; a plan of a task can be asked for.
  *
- * A tap on an element in the picture selects its task, and a task that is selected here is told to the picture (`picked`). What
- * only a person beside the element knows (is it in the grip?) is asked here, and answered by who has the right, held to confirm.
+ * A tap on an element in the picture selects its task, and a task that is selected here is told to the picture
+ * (`picked`). What only a person beside the element knows (is it in the grip?) is asked here, and answered by who has
+ * the right, held to confirm.
  */
 import {add, button, clear, setText} from "../dom.js";
-import {showAsking, taskRequest, wayBackRequest} from "../planning/asking.js";
+import {showAsking} from "../planning/asking.js";
 import {isBusy, makeRequests, showOutcome} from "../requests.js";
 import {counts, isAskable, group, GROUPS, nextTask, taskOfElement, waitsFor} from "../work/task_list.js";
 import {holdButton} from "../hold.js";
+import {whoCan} from "../rights.js";
 import {mark} from "../texts.js";
 import {browser} from "./clock.js";
 
@@ -25,14 +27,7 @@ const ANSWERS = {
   not_done: mark("it was not done: it is to be done again from its beginning"),
 };
 
-/**
- * Make the panel; it and its area are hidden for a robot without a building model.
- *
- * @param {Element} parent
- * @param {object} store see store.js
- * @param {object} connection see connection.js
- * @param {Function} texts see texts.js
- */
+/** Make the panel; it and its area are hidden for a robot without a building model. */
 export function make(parent, store, connection, texts, clock = browser) {
   const picks = new Map();
   let drawn = null;
@@ -45,8 +40,8 @@ export function make(parent, store, connection, texts, clock = browser) {
   const reason = add(root, "p", {className: "tasks-reason", role: "status"});
   const next = add(root, "div", {className: "tasks-next"});
   const nextText = add(next, "p");
-  const askNext = button(next, texts("Ask for the next task's plan"), () => onAsk(taskRequest("")), {className: "plan-ask"});
-  const back = button(next, texts("Ask for the way back"), () => onAsk(wayBackRequest()), {className: "plan-ask"});
+  const askNext = button(next, texts("Ask for the next task's plan"), () => onAsk({kind: "work_task"}), {className: "plan-ask"});
+  const back = button(next, texts("Ask for the way back"), () => onAsk({kind: "way_back"}), {className: "plan-ask"});
   const answer = add(root, "p", {className: "plan-answer", role: "status"});
   const question = add(root, "div", {className: "tasks-asks", hidden: true});
   const ask = add(question, "p", {className: "tasks-question"});
@@ -167,7 +162,7 @@ export function make(parent, store, connection, texts, clock = browser) {
     }
     for (const text of lines) add(detail, "p", {text});
     if (isAskable(tasks, task)) {
-      button(detail, texts("Ask for this task's plan"), () => onAsk(taskRequest(task.id)), {className: "plan-ask", disabled: !canAsk()});
+      button(detail, texts("Ask for this task's plan"), () => onAsk({kind: "work_task", task: task.id}), {className: "plan-ask", disabled: !canAsk()});
     }
   }
 
@@ -182,10 +177,8 @@ export function make(parent, store, connection, texts, clock = browser) {
       asked = key;
       clear(choices);
       setText(ask, text === "" ? "" : texts("Open question: {question}", {question: texts.reason(text)}));
-      const who = may ? [] : store.rightsOf.who(robot, "operate");
       if (text !== "" && !may) {
-        add(choices, "p", {text: who.length ? texts("Who can answer: {who}.", {who: who.join(", ")})
-          : texts("Nobody is listed who may answer from here; at the robot's computer it can be done: twin work answer.")});
+        add(choices, "p", {text: `${texts("This account may not answer.")} ${whoCan(store.rightsOf.who(robot, "operate"), texts)}`});
       }
       for (const answer of may && text !== "" ? task.answers ?? [] : []) {
         holdButton(choices, {

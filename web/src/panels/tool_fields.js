@@ -18,8 +18,6 @@ export function textsOf({position, quaternion}) {
 /**
  * Make the fields.
  *
- * @param {Element} parent
- * @param {Function} texts
  * @param {(pose: {position: number[], quaternion: number[]}) => void} onPose a person wants the tool there
  * @returns {{show: (pose: object) => void}} shows a pose, but in a field that is being typed in
  */

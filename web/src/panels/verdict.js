@@ -1,11 +1,14 @@
 /**
- * The verdict on the plan under review. What may be done when is verdict_state.js; this shows it and takes the person's presses.
+ * The verdict on the plan under review. What may be done when is verdict_state.js; this shows it and takes the person's
+ * presses.
  *
- * A verdict goes to `review/<account>`; whether this account may give one is the broker's to decide, and whether it counts the
- * executor's. Both answers are shown.
+ * A verdict goes to `review/<account>`; whether this account may give one is the broker's to decide, and whether it
+ * counts the executor's. Both answers are shown.
  */
 import {add, clear, setText} from "../dom.js";
 import {onHold} from "../press.js";
+import {SAID} from "../requests.js";
+import {whoCan} from "../rights.js";
 import * as verdict from "../verdict_state.js";
 import {browser} from "./clock.js";
 import {mark} from "../texts.js";
@@ -48,16 +51,15 @@ export const UNSEEN = {
 const VERDICTS = {approved: mark("Approval"), rejected: mark("Rejection")};
 /** What has become of a verdict: kinds of a notice of verdict_state.js, and its states on the way. */
 const NOTICES = {
-  sending: mark("{verdict}: sent, the broker has not answered yet."),
-  waiting: mark("{verdict}: the broker has it, the executor has not answered yet."),
-  accepted: mark("{verdict} accepted. {reason}"),
-  refused: mark("{verdict} NOT accepted: {reason}"),
-  expired: mark("{verdict} NOT accepted: it reached the robot too late after what this page had shown, and is void. "
-    + "Look again, then approve anew."),
-  other: mark("{account} was first: {verdict} accepted. Yours does not count. {reason}"),
-  unanswered: mark("{verdict}: no answer from the executor. It may have counted: watch the arm, and look at the plan again. "
+  sending: SAID.sending,
+  waiting: mark("{what}: the broker has it, the executor has not answered yet."),
+  accepted: mark("{what} accepted. {reason}"),
+  refused: mark("{what} NOT accepted: {reason}"),
+  expired: SAID.expired,
+  other: mark("{account} was first: {what} accepted. Yours does not count. {reason}"),
+  unanswered: mark("{what}: no answer from the executor. It may have counted: watch the arm, and look at the plan again. "
     + "An approval that has started nothing by now starts nothing any more."),
-  unknown: mark("{verdict}: the connection broke or another plan came before the answer. It is not known whether it counted: watch the arm."),
+  unknown: mark("{what}: the connection broke or another plan came before the answer. It is not known whether it counted: watch the arm."),
 };
 /** Why a press became no verdict. */
 const CANCELLED = {
@@ -73,15 +75,11 @@ const CANCELLED = {
 };
 /** Why a verdict did not go out, or nobody has taken it: reasons of NotPublished. */
 const FAILED = {
-  not_connected: mark("{verdict} did NOT go out: not connected."),
-  refused: mark("{verdict} refused by the broker: this account does not have the right to approve."),
-  refused_override: mark("{verdict} refused by the broker: this account may not approve in spite of a rehearsal."),
-  broker: mark("{verdict} was not taken by the broker."),
-  unanswered: mark("{verdict}: the broker has not answered. It may still count: watch the arm."),
-  nobody: mark("{verdict} does NOT count: nobody takes verdicts at the moment. Somebody must look at console_node."),
-  format: mark("{verdict} could not be sent."),
+  not_connected: SAID.not_sent,
+  refused: SAID.no_right,
+  unanswered: mark("{what}: the broker has not answered. It may still count: watch the arm."),
+  nobody: mark("{what} does NOT count: nobody takes verdicts at the moment. Somebody must look at console_node."),
 };
-
 /** Return what there is to know of a plan before it is approved: rows of a word of `CHECKS` and text. */
 function checksOf(plan, texts) {
   const rows = [
@@ -130,7 +128,6 @@ function segmentSentences(plan, texts) {
   ].filter(Boolean).join(" "));
 }
 
-/** Make the panel. */
 export function make(parent, store, connection, texts, {now, every} = browser) {
   const machines = new Map();
   const none = add(parent, "p", {className: "verdict-none"});
@@ -255,7 +252,6 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     const named = reviewer() !== "";
     const may = store.rightsOf.may(robot, "approve") !== false;
     const why = may ? verdict.blocked(machine) || (named ? "" : "name") : "right";
-    const who = may ? [] : store.rightsOf.who(robot, "approve");
     const pressing = machine.state === "pressing" && !machine.override;
     showOverride(machine, named, may);
     nameLabel.hidden = connection.account !== "";
@@ -266,10 +262,9 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     setText(approveText, pressing ? texts("Keep holding ...") : texts("Approve: hold for 1 s"));
     const drawn = store.robot(robot)?.drawn ?? "none";
     const unseen = (why === "look" || why === "unseen") && drawn !== "seen";
-    const values = {reason: texts.reason(machine.obstacle), who: who.join(", ")};
     setText(hint, why === "" ? texts("The arm moves as soon as this is approved. Hold the button for one second; letting go earlier cancels.")
-      : why === "right" && !who.length ? texts("This account may not approve, and nobody is listed who can.")
-        : texts(unseen ? UNSEEN[drawn] : BLOCKED[why], values));
+      : why === "right" ? `${texts("This account may not approve.")} ${whoCan(store.rightsOf.who(robot, "approve"), texts)}`
+        : texts(unseen ? UNSEEN[drawn] : BLOCKED[why], {reason: texts.reason(machine.obstacle)}));
     step(stepLooked, machine.played || machine.checks, texts("played to its end, or checks opened"));
     step(stepShown, machine.shownFor >= verdict.SHOWN_FOR, texts("shown for a second"));
     const free = may && (machine.state === "open" || machine.state === "unfit");
@@ -312,13 +307,13 @@ export function make(parent, store, connection, texts, {now, every} = browser) {
     const what = (word) => texts(VERDICTS[word === "rejected" ? "rejected" : "approved"]);
     if (sending && said?.kind !== "other") {
       notice.className = "verdict-notice";
-      setText(notice, texts(NOTICES[state], {verdict: what(sent.verdict)}));
+      setText(notice, texts(NOTICES[state], {what: what(sent.verdict)}));
       return;
     }
     notice.className = `verdict-notice ${GOOD.includes(said.kind) ? "is-good" : said.kind === "cancelled" ? "" : "is-bad"}`;
     const words = said.kind === "cancelled" ? CANCELLED[said.why] : said.kind === "failed" ? FAILED[said.reason] : NOTICES[said.kind];
-    setText(notice, texts(words ?? FAILED.broker, {
-      verdict: what(said.verdict), account: said.account || texts("somebody else"), reason: texts.reason(said.reason ?? ""),
+    setText(notice, texts(words ?? mark("{what} was not taken by the broker."), {
+      what: what(said.verdict), account: said.account || texts("somebody else"), reason: texts.reason(said.reason ?? ""),
     }));
   };
 

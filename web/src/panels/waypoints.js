@@ -3,7 +3,6 @@ import {add, clear, setText} from "../dom.js";
 import {shortNames} from "../planning/model.js";
 import {waypointsOf} from "../planning/waypoints.js";
 
-/** Make the panel. */
 export function make(parent, store, connection, texts) {
   const details = add(parent, "details", {className: "waypoints", hidden: true});
   add(details, "summary", {text: texts("Waypoints as numbers")});

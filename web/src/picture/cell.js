@@ -1,8 +1,9 @@
 /**
- * What is drawn of one robot: twin, measured arm, plan, goal, scene, building model, markers, floor; with a camera of its own.
+ * What is drawn of one robot: twin, measured arm, plan, goal, scene, building model, markers, floor; with a camera of
+ * its own.
  *
- * Joint values are applied at once when a message comes; drawing waits for the next frame. The camera is fitted to all that is there
- * until the person moves it.
+ * Joint values are applied at once when a message comes; drawing waits for the next frame. The camera is fitted to all
+ * that is there until the person moves it.
  */
 import {Box3, DirectionalLight, HemisphereLight, Object3D, PerspectiveCamera, Raycaster, Scene, Vector2, Vector3} from "three";
 import {OrbitControls} from "three/addons/controls/OrbitControls.js";
@@ -46,10 +47,7 @@ const rounded = (key, value) => (typeof value === "number" ? Math.round(1e5 * va
 /**
  * Make the cell of a robot.
  *
- * @param {string} name
  * @param {Element} overlay transparent, above its part of the picture: takes the gestures
- * @param {object} store
- * @param {() => void} redraw
  * @param {number} [ratio] pixels of the screen by pixel of the page
  */
 export function makeCell(name, overlay, store, redraw, ratio = 1) {

@@ -5,8 +5,8 @@ const isPoint = (value) => Array.isArray(value) && value.length === 3 && value.e
 /**
  * Return the closest point that is drawn of a robot, as {distance, between, point, time, ofPlan}; null: none.
  *
- * While a plan is under review it is the plan's: the smallest distance on its way, `time` [s] after its start, whatever the arm does
- * meanwhile. Else, and beside a plan whose hash does not fit, it is the twin's now.
+ * While a plan is under review it is the plan's: the smallest distance on its way, `time` [s] after its start, whatever
+ * the arm does meanwhile. Else, and beside a plan whose hash does not fit, it is the twin's now.
  */
 export function closestOf(robot) {
   const view = robot?.view ?? null;

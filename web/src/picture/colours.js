@@ -1,6 +1,6 @@
 /**
- * Colours of what is drawn; the same as in rviz (views/sync_picture.py, views/work_markers.py). Words come from the broker: a table
- * has its own keys and no others.
+ * Colours of what is drawn; the same as in rviz (views/sync_picture.py, views/work_markers.py). Words come from the
+ * broker: a table has its own keys and no others.
  */
 
 /** Of the measured arm by the gate's state: colour and opacity. Faint while the poses agree, so that the twin is easy to see. */

@@ -32,7 +32,6 @@ function side(points, at, deep, low, high) {
  * @param {number[]} direction towards the camera; not upright
  * @param {number} fov of the picture's height [deg]
  * @param {number} aspect its width by its height
- * @param {{left: number, right: number, top: number, bottom: number}} [inset]
  * @param {number} [nearest] least distance from the middle of the points [m]
  * @returns {{position: number[], target: number[]}} the target is in the middle of the picture, as deep as the points' middle
  */

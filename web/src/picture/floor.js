@@ -13,8 +13,8 @@ const WIDE = 2;
 const HIGHEST = 0.01;
 
 /**
- * Return the object of a scene that is the floor, and how high its top is: a box that lies flat, below the base, wide enough to stand
- * on. Null where there is none.
+ * Return the object of a scene that is the floor, and how high its top is: a box that lies flat, below the base, wide
+ * enough to stand on. Null where there is none.
  *
  * @returns {{name: string, height: number} | null} the highest of several
  */

@@ -9,8 +9,8 @@ const ABOVE = 10;
 const overlap = (a, b) => a.x < b.x + b.width + GAP && b.x < a.x + a.width + GAP && a.y < b.y + b.height + GAP && b.y < a.y + a.height + GAP;
 
 /**
- * Return the labels that have room, each {...label, left, top}: the more important first, above its point, else below it or beside it,
- * within the picture. Pure.
+ * Return the labels that have room, each {...label, left, top}: the more important first, above its point, else below
+ * it or beside it, within the picture. Pure.
  *
  * @param {{x: number, y: number, width: number, height: number, rank: number}[]} labels place of the point, size [px]
  * @param {number} width, height of the picture [px]
@@ -43,8 +43,8 @@ export function sizeOf(text) {
 /**
  * Make the labels of a robot's part of the picture.
  *
- * @returns {(labels: {text: string, kind: string, x: number, y: number, rank: number}[], width: number, height: number, taken: object[])
- *   => string[]} shows those that have room, and returns their texts
+ * @returns {(labels: {text: string, kind: string, x: number, y: number, rank: number}[], width: number, height: number,
+ *   taken: object[]) => string[]} shows those that have room, and returns their texts
  */
 export function makeLabels(overlay) {
   const layer = add(overlay, "div", {className: "labels", "aria-hidden": "true"});

@@ -21,8 +21,8 @@ const closestWords = ({ofPlan}) => (ofPlan ? mark("closest point of the plan: {d
  * Return the entries.
  *
  * @param {object} drawn what a cell draws (`drawn()` of cell.js): a colour, or null for what is not drawn
- * @returns {{id: string, words: string, colour: number, form: string}[]} `words`: a template; `form`: how it is drawn, `body`, `ghost`,
- *   `line`, `thin`, `point`, `axes`
+ * @returns {{id: string, words: string, colour: number, form: string}[]} `words`: a template; `form`: how it is drawn,
+ *   `body`, `ghost`, `line`, `thin`, `point`, `axes`
  */
 export function entriesOf(drawn) {
   const entries = [];

@@ -1,10 +1,11 @@
 /**
- * The picture: all robots that were heard, side by side, drawn by WebGL. Each has its own camera and takes its own gestures.
+ * The picture: all robots that were heard, side by side, drawn by WebGL. Each has its own camera and takes its own
+ * gestures.
  *
- * It draws only when something has changed, at most 30 times a second and at most half of the time: where a processor draws in place
- * of a graphics chip, a frame may hold the page up for a tenth of a second, and a message or a tapped stop waits for its end. For
- * tests the canvas has `inspect(robot)`, which tells what is drawn, and `frames` and `frameTime` (how many, and for how long the last
- * held the page up [ms]).
+ * It draws only when something has changed, at most 30 times a second and at most half of the time: where a processor
+ * draws in place of a graphics chip, a frame may hold the page up for a tenth of a second, and a message or a tapped
+ * stop waits for its end. For tests the canvas has `inspect(robot)`, which tells what is drawn, and `frames` and
+ * `frameTime` (how many, and for how long the last held the page up [ms]).
  */
 import {PCFShadowMap, WebGLRenderer} from "three";
 import {add, button, clear, setText} from "../dom.js";
@@ -43,7 +44,6 @@ function processorDraws() {
   return PROCESSOR.test(name);
 }
 
-/** Make the picture. */
 export function make(parent, store, connection, texts) {
   const stage = add(parent, "div", {className: "stage"});
   const canvas = add(stage, "canvas", {className: "canvas", role: "img",

@@ -2,8 +2,8 @@
 import {progressOf} from "../progress.js";
 
 /**
- * Return a path in two: its points up to where the tool is at a time of the plan, and from there on. Both have that place, between two
- * points; a part of no length is empty.
+ * Return a path in two: its points up to where the tool is at a time of the plan, and from there on. Both have that
+ * place, between two points; a part of no length is empty.
  *
  * @param {{times: number[], tool_path: number[][]}} path [s], [m]
  * @param {number} seconds of the plan
@@ -21,8 +21,8 @@ export function splitPath({times, tool_path: points}, seconds) {
 }
 
 /**
- * Return what is drawn of the path of a robot's motion: `travelled` and `ahead` of `splitPath`, `end` of the whole path, and `remaining` [s]
- * of progress.js; null while no plan is under way, or its path is not known.
+ * Return what is drawn of the path of a robot's motion: `travelled` and `ahead` of `splitPath`, `end` of the whole
+ * path, and `remaining` [s] of progress.js; null while no plan is under way, or its path is not known.
  *
  * @param {object | null} robot of the store
  */

@@ -42,8 +42,8 @@ export async function readGlb(bytes) {
 }
 
 /**
- * What reads a mesh file, by its ending: from its bytes to a three object in the file's own axes, as rviz takes them. A reader is
- * loaded when a robot has such a file.
+ * What reads a mesh file, by its ending: from its bytes to a three object in the file's own axes, as rviz takes them. A
+ * reader is loaded when a robot has such a file.
  */
 const READERS = {
   ".dae": async (bytes) => {
@@ -105,7 +105,6 @@ function quietly(read) {
 /**
  * Read a URDF.
  *
- * @param {string} text
  * @param {string} here address that its meshes are relative to
  * @param {object} [options] of the reader
  * @returns {{robot: URDFRobot, wanted: {path: string, material: Material, done: Function}[]}} the meshes that belong into it
@@ -131,7 +130,6 @@ export function parseRobot(text, here, options = {}) {
  * Load a robot.
  *
  * @param {string} url of its URDF, whose meshes are addresses on this server, relative to it
- * @param {(done: number, all: number) => void} onProgress
  * @returns {Promise<{robot: URDFRobot, lacks: string[]}>} with its meshes, and why some are missing; without any it fails
  */
 export async function loadRobot(url, onProgress) {
@@ -212,8 +210,8 @@ export function toolOf(robot) {
 }
 
 /**
- * Return how far the tool gets from the base at most [m], by the lengths of the chain to it: what comes before the second joint that
- * moves stands upright, and is not counted.
+ * Return how far the tool gets from the base at most [m], by the lengths of the chain to it: what comes before the
+ * second joint that moves stands upright, and is not counted.
  */
 export function reachOf(robot) {
   let reach = 0;

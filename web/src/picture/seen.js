@@ -1,8 +1,9 @@
 /**
- * Whether a person can see what the picture draws of a robot. A plan counts as played only where its motion could be seen. Pure.
+ * Whether a person can see what the picture draws of a robot. A plan counts as played only where its motion could be
+ * seen. Pure.
  *
- * Words: `seen`; why not: `model` (the robot's model is not there), `lost` (the browser has taken the
- * graphics away), `small` (the picture is smaller than `LEAST`), `away` (less than half of the picture is in view, the page is in the
+ * Words: `seen`; why not: `model` (the robot's model is not there), `lost` (the browser has taken the graphics away),
+ * `small` (the picture is smaller than `LEAST`), `away` (less than half of the picture is in view, the page is in the
  * background, or other robots are shown).
  */
 

@@ -23,8 +23,6 @@ export function dispose(object) {
 /**
  * Return a translucent material for a ghost.
  *
- * @param {number} colour
- * @param {number} opacity
  * @param {boolean} front it is seen where it has the same surface as the twin, else the twin is
  */
 export function ghostMaterial(colour, opacity, front) {
@@ -84,8 +82,8 @@ export function sceneBody(object, onChange) {
 }
 
 /**
- * Return the building model in base_link; glTF has Y up. Its elements are found by `userData.element`; `hash` is of the model that it
- * was made from, "" for a file that does not say.
+ * Return the building model in base_link; glTF has Y up. Its elements are found by `userData.element`; `hash` is of the
+ * model that it was made from, "" for a file that does not say.
  */
 export async function loadBuilding(url) {
   const bytes = await fetchOwn(url, (answer) => answer.arrayBuffer());

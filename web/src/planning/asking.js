@@ -1,4 +1,4 @@
-// What is asked of the planner on `plan_request/<account>`, and in one line what became of it.
+// What became of a wish for a plan, on `plan_request/<account>`, in one line.
 
 import {outcome, reasonsOf} from "../requests.js";
 import {setText} from "../dom.js";
@@ -16,31 +16,8 @@ const ANSWERS = {
   unknown: mark("No answer came. The request may have arrived: look whether a plan is under review before you ask again."),
 };
 
-// A motion of all joints to {name: value}; speed: fraction of the limits, 0 for what the planner has set.
-export function jointsRequest(joints, speed) {
-  return {kind: "joints", joints, ...scale(speed)};
-}
-
-// A straight line of the tool to a pose.
-export function lineRequest({position, orientation}, speed) {
-  return {kind: "line", position, orientation, ...scale(speed)};
-}
-
-export function wayBackRequest() {
-  return {kind: "way_back"};
-}
-
-// A task of the building model; "" for the one that comes next.
-export function taskRequest(task) {
-  return task ? {kind: "work_task", task} : {kind: "work_task"};
-}
-
-function scale(speed) {
-  return speed > 0 ? {speed_scale: speed} : {};
-}
-
-// Say what became of a request (requests.js), in words; the planner's own sentence follows where there is one. That there is a plan is
-// said while that is under review: then it was decided, or another one came.
+// Say what became of a request (requests.js), in words; the planner's own sentence follows where there is one. That
+// there is a plan is said while that is under review: then it was decided, or another one came.
 export function showAsking(element, record, reviewed, account, texts) {
   const found = outcome(record);
   const {plan_id: id, duration = 0} = record.answers.at(-1) ?? {};

@@ -13,11 +13,10 @@ export function valueOf(joint, value) {
 }
 
 /**
- * Return a row per joint of a view: `joint` {name, type, lower, upper}, `unit`, and as texts `twin`, `arm`, `expected`, `difference`, `allowed`
- * ("" where it is not known); `isOver` the difference is larger than the gate allows; `at` {twin, arm, expected}: where in the limits,
- * from 0 to 1, null where that or the limits are not known.
+ * Return a row per joint of a view: `joint` {name, type, lower, upper}, `unit`, and as texts `twin`, `arm`, `expected`,
+ * `difference`, `allowed` ("" where it is not known); `isOver` the difference is larger than the gate allows; `at`
+ * {twin, arm, expected}: where in the limits, from 0 to 1, null where that or the limits are not known.
  *
- * @param {object} view
  * @param {object[] | null} joints as from `limits`; null: the model is not known
  */
 export function axesOf(view, joints) {

@@ -31,8 +31,8 @@ export class Goal {
     return true;
   }
 
-  // Take what the planner said of a pose of the tool. Without joint values, or with another word than REACHES, the last ones stay to
-  // be seen, and cannot be asked for.
+  // Take what the planner said of a pose of the tool. Without joint values, or with another word than REACHES, the last
+  // ones stay to be seen, and cannot be asked for.
   setAnswer(pose, {reach, joints, sentence}) {
     const solved = joints !== null && isComplete(this.joints, joints);
     if (solved) this.values = Object.fromEntries(this.joints.map(({name}) => [name, joints[name]]));

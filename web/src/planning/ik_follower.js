@@ -1,5 +1,5 @@
-// Asks for joint values while the tool is dragged: the newest pose only, no faster than the planner answers it, and each answer
-// is matched with its question by id. Pure: times [s] are arguments, and nothing is sent from here.
+// Asks for joint values while the tool is dragged: the newest pose only, no faster than the planner answers it, and
+// each answer is matched with its question by id. Pure: times [s] are arguments, and nothing is sent from here.
 
 // The planner answers at most 15 in a second; a little slower, because what was sent evenly arrives unevenly.
 export const PERIOD_S = 1 / 13;

@@ -19,8 +19,9 @@ function jointOf(robot, name) {
 }
 
 /**
- * Return {joints, base, tip, pose} of a URDF: the joints in the order of `names`; `pose` from joint values {name: value} to the pose
- * {position, quaternion} of the link `tip` in `base`, joints that are not given at 0. An Error says what the file lacks.
+ * Return {joints, base, tip, pose} of a URDF: the joints in the order of `names`; `pose` from joint values {name:
+ * value} to the pose {position, quaternion} of the link `tip` in `base`, joints that are not given at 0. An Error says
+ * what the file lacks.
  */
 export function modelOf(text, names) {
   const {robot} = parseRobot(text, "", {parseVisual: false});
@@ -37,8 +38,8 @@ export function modelOf(text, names) {
 }
 
 /**
- * Read the model of each robot that is heard, and tell it as `model`: what `modelOf` returns, or {trouble}, why there is none, which is
- * tried again with the next connection.
+ * Read the model of each robot that is heard, and tell it as `model`: what `modelOf` returns, or {trouble}, why there
+ * is none, which is tried again with the next connection.
  */
 export function readModels(store, connection, fetchText = fetchFile) {
   const asked = new Map();

@@ -6,10 +6,9 @@ import {unit} from "./joints.js";
 export const MOST = 16;
 
 /**
- * Return {names, units, rows, step, all} of a plan whose hash was checked: rows of texts, time [s] first, then the joints [deg, mm]; of
- * `all` waypoints every `step`-th is there, and the last one.
+ * Return {names, units, rows, step, all} of a plan whose hash was checked: rows of texts, time [s] first, then the
+ * joints [deg, mm]; of `all` waypoints every `step`-th is there, and the last one.
  *
- * @param {object} plan
  * @param {string[]} types of its joints: revolute, prismatic
  */
 export function waypointsOf(plan, types) {

@@ -7,19 +7,8 @@ export const GROUPS = {
 };
 // The states of docs/reference/states.md, with what they mean for somebody who looks at a list.
 const BY_STATE = {
-  waiting: "waits",
-  ready: "ready",
-  carried: "ready",
-  planned: "asked",
-  working: "moves",
-  gripping: "moves",
-  carrying: "moves",
-  releasing: "moves",
-  retreating: "moves",
-  done: "done",
-  skipped: "skipped",
-  asks: "person",
-  held: "person",
+  waiting: "waits", ready: "ready", carried: "ready", planned: "asked", working: "moves", gripping: "moves", carrying: "moves",
+  releasing: "moves", retreating: "moves", done: "done", skipped: "skipped", asks: "person", held: "person",
 };
 const ASKABLE = new Set(["ready", "carried"]);
 
@@ -28,6 +17,8 @@ export function group(state) {
   return Object.hasOwn(BY_STATE, state) ? BY_STATE[state] : "unknown";
 }
 
+const isOver = (task) => ["done", "skipped"].includes(group(task.state));
+
 // Whether a plan of the task can be asked for now.
 export function isAskable(work, task) {
   return !work.engaged && ASKABLE.has(task.state);
@@ -35,8 +26,7 @@ export function isAskable(work, task) {
 
 // {done, all}: skipped tasks count as done with.
 export function counts(work) {
-  const over = work.tasks.filter((task) => group(task.state) === "done" || group(task.state) === "skipped").length;
-  return {done: over, all: work.tasks.length};
+  return {done: work.tasks.filter(isOver).length, all: work.tasks.length};
 }
 
 export function nextTask(work) {
@@ -46,11 +36,11 @@ export function nextTask(work) {
 // The task of an element that was tapped: the one that is not over yet, else the last one; null when it has none.
 export function taskOfElement(work, element) {
   const tasks = work.tasks.filter((task) => task.element === element);
-  return tasks.find((task) => group(task.state) !== "done" && group(task.state) !== "skipped") ?? tasks.at(-1) ?? null;
+  return tasks.find((task) => !isOver(task)) ?? tasks.at(-1) ?? null;
 }
 
-// The state by which an element is coloured: that of this task, but what was placed stands, whatever task on it still waits or was
-// skipped; undefined when it has none.
+// The state by which an element is coloured: that of this task, but what was placed stands, whatever task on it still
+// waits or was skipped; undefined when it has none.
 export function stateOfElement(work, element) {
   const state = taskOfElement(work, element)?.state;
   const stands = work.tasks.some((task) => task.element === element && task.state === "done");
@@ -60,8 +50,5 @@ export function stateOfElement(work, element) {
 // Names of the tasks that must be over before this one, and are not.
 export function waitsFor(work, task) {
   const byId = new Map(work.tasks.map((one) => [one.id, one]));
-  return task.after
-    .map((id) => byId.get(id))
-    .filter((one) => one && group(one.state) !== "done" && group(one.state) !== "skipped")
-    .map((one) => one.name);
+  return task.after.map((id) => byId.get(id)).filter((one) => one && !isOver(one)).map((one) => one.name);
 }

@@ -50,17 +50,11 @@ class Notes:
         `names`: By id: what is noted by its id alone has its name, too. Empty: it has none.
         """
         called = {one: f"{name} ({one})" for one, name in (names or {}).items() if name}
-        return tuple(
-            _sentence(text, [called.get(about, about) for about in named if about])
-            for text, named in self._about.items()
-        )
-
-
-def _sentence(text: str, named: list[str]) -> str:
-    named = list(dict.fromkeys(named))
-    if not named:
-        return text
-    return f"{text}: see {first_few(named, _NAMED)}"
+        found = []
+        for text, named in self._about.items():
+            about = dict.fromkeys(called.get(one, one) for one in named if one)
+            found.append(f"{text}: see {first_few(about, _NAMED)}" if about else text)
+        return tuple(found)
 
 
 class Misread(BuildingError):

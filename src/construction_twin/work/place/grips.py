@@ -84,7 +84,7 @@ def find_grips(pieces: Pieces, up: np.ndarray, mass: float, recipe: PlaceRecipe,
     grips: list[Grip] = []
     reasons: list[tuple[int, str]] = []
     for face in faces:
-        turns = [turn for turn in wanted.turns_deg if _same(pieces, face, turn)]
+        turns = [turn for turn in wanted.turns_deg if turn % 360.0 == 0.0 or pieces.same_turned(face.turned(turn))]
         places = itertools.product(wanted.yaws_deg, wanted.along, wanted.across)
         on_face = [_Place(face, *place) for place in places]
         held = [(place, place.held(pieces, tool.cups, wanted.margin)) for place in on_face]
@@ -206,10 +206,6 @@ def _long_side(flat: np.ndarray) -> float:
         if area < best[0]:
             best = (area, angle if np.ptp(along) >= np.ptp(across) - 1e-9 else angle + 0.5 * math.pi)
     return best[1]
-
-
-def _same(pieces: Pieces, face: _Face, turn_deg: float) -> bool:
-    return turn_deg % 360.0 == 0.0 or pieces.same_turned(face.turned(turn_deg))
 
 
 def _problem(place: _Place, cups: np.ndarray, needed: int, lever: float, pieces: Pieces) -> tuple[int, str] | None:
