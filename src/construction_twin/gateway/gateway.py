@@ -706,8 +706,7 @@ class Gateway:
     def end(self, reason: str, program: bool = False) -> None:
         """Brake as in `stop`, and once at rest end the controller's program where a reply can.
 
-        Args:
-            program: Whether this program ends, and asks for it itself: that is no stop of anybody's, and gets no number.
+        Where this `program` ends, and asks for it itself, that is no stop of anybody's, and gets no number.
         """
         self.stop(reason, ending=program)
         self._ending = self.config.layout.stop

@@ -128,12 +128,7 @@ class ToolSwitches:
         self._news = True
 
     def hear(self, obstacle: str = "", missed: bool = False) -> None:
-        """Take the reading of a telegram that is being answered.
-
-        Args:
-            obstacle: Why this session is not answered.
-            missed: The telegrams show that the controller missed a reply since the last one.
-        """
+        """Take the reading of a telegram, why its session is not answered, and whether the controller missed a reply before it."""
         self._telegrams += 1
         reading = self._latest
         why = obstacle or ("" if reading is not None else _NOT_TOLD)
@@ -208,11 +203,7 @@ class ToolSwitches:
         self._replies.clear()
 
     def channels(self, ending: bool = False) -> tuple[bool, ...]:
-        """Return what a reply carries, one value per name of `Layout.switched`.
-
-        Args:
-            ending: The reply carries Stop 1: outputs that are `off` without RSI are switched off with it.
-        """
+        """Return what a reply carries, one value per name of `Layout.switched`; an `ending` one has those off that RSI's end has."""
         if ending not in self._replies:
             values = dict(zip(self._names, self._commanded))
             if ending and self._enabled:

@@ -85,9 +85,6 @@ class ReplyRefusals:
 class MockController:
     """One mock controller; see the module for what it does and when.
 
-    Args:
-        forward_kinematics: From axis angles [rad] to the tool's position [m] and A, B, C [rad], which packets report.
-
     Attributes:
         running: False when the session has stopped, for `reason`; then nothing is sent and nothing is accepted.
         flag: The controller's own flag that the link was interrupted (timeout).

@@ -43,12 +43,7 @@ if TYPE_CHECKING:
 class PhysicsServo(WithMass, Servo):
     """Axes that a simulated arm moves; they answer as `RealisticServo`, as long as the drives have the torque for it.
 
-    A stalled axis is held where it is by a brake, whatever it takes.
-
-    Args:
-        signs: Length n. 1 or -1: the sense of each axis, seen from its joint.
-        resolution: Encoder step [rad]; 0 for an exact reading.
-        period: Length of a cycle [s], a multiple of 4 ms.
+    A stalled axis is held where it is by a brake, whatever it takes. Signs are the senses of the axes, seen from their joints.
     """
 
     def __init__(
