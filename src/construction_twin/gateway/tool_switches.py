@@ -203,7 +203,7 @@ class ToolSwitches:
         self._replies.clear()
 
     def channels(self, ending: bool = False) -> tuple[bool, ...]:
-        """Return what a reply carries, one value per name of `Layout.switched`; an `ending` one has those off that RSI's end has."""
+        """Return what a reply carries by `Layout.switched`; an `ending` one switches off what is off without RSI."""
         if ending not in self._replies:
             values = dict(zip(self._names, self._commanded))
             if ending and self._enabled:

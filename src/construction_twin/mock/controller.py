@@ -180,10 +180,7 @@ class MockController:
         return replace(self.status_shown, slow=bool(self._tool_speed))
 
     def restart(self, pose: Sequence[float] | None = None) -> None:
-        """Start a new session, ending the present one if there is one.
-
-        Args:
-            pose: Length n. Start pose [rad]; default: what the encoders report, brought inside the soft limits.
+        """Start a new session, ending the present one, at a pose [rad], by default what the encoders report, within soft limits.
 
         Raises:
             ConfigurationError: If the emergency stop is pressed.

@@ -59,13 +59,9 @@ def send_channels(outputs: Sequence[str], inputs: Sequence[str]) -> list[str]:
 def ethernet_xml_text(
     axes: Sequence[str], receives: bool = True, holdon: Mapping[str, bool] | None = None, inputs: Sequence[str] = ()
 ) -> str:
-    """Return the text of an Ethernet XML.
+    """Return the text of an Ethernet XML; each of the RSI axes gets a correction channel, unless the controller only sends.
 
-    Args:
-        axes: RSI axes of the arm, e.g. ``A1``; each gets a correction channel, in the order of RSI.
-        receives: False: the controller sends only and takes no corrections.
-        holdon: Outputs of the tool; True: it keeps its value when a reply is missed.
-        inputs: Of the tool.
+    `holdon` are the tool's outputs, and whether each keeps its value when a reply is missed; `inputs` are the tool's.
     """
     ordered = sorted(axes)
     external = ["EIPos", "ESPos"] if any(axis in EXTERNAL_AXES for axis in ordered) else []
