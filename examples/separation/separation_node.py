@@ -88,7 +88,7 @@ INTERFACE = Interface(
     report=SeparationNode.report,
     publishes=(Publication("speed_limit", SpeedLimit, queue_size=1, latch=True, tcp_nodelay=True),),
     hears=(Subscription("separation_distance", Range, SeparationNode.on_range, queue_size=1, tcp_nodelay=True),),
-    every=(Every(lambda settings: 1.0 / settings.rate, lambda node, _ports: node.update()),),
+    every=(Every(lambda settings: 1.0 / settings.rate, SeparationNode.update),),
 )
 NODE = NodeShell("separation", Settings, start, INTERFACE, lambda settings, _robot, _shared: SpeedTable(settings.table))
 

@@ -14,7 +14,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.physics.report import PASSED
 from construction_twin.planning.work_plan import joined
 from construction_twin.robot.segments import Segment
-from construction_twin.ros.shared.physics_process import Question, answer, prepared
+from construction_twin.ros.shared.physics_process import Question, rehearse
 from construction_twin.work.process import TaskMotions
 from construction_twin.work.site import read_site
 from construction_twin.work.site_scene import WorkState
@@ -62,30 +62,28 @@ def question(laid, standing: tuple[str, ...], unweighed: tuple[str, ...] = ()) -
     return Question(plan_of(whole, motions.scenes[0], segments), scenes, masses, "i", standing, unweighed)
 
 
-@pytest.fixture(scope="module")
-def rehearsal():
-    return prepared(
-        work_samples.robot(), str(CONFIG / "kr120_track_self_collision.yaml"), str(CONFIG / "kr120_track_drives.yaml"),
-        str(work_samples.TOOL),
-    )  # fmt: skip
+ARM = {
+    "robot": work_samples.robot(), "self_collision": str(CONFIG / "kr120_track_self_collision.yaml"),
+    "drives": str(CONFIG / "kr120_track_drives.yaml"), "tool": str(work_samples.TOOL),
+}  # fmt: skip
 
 
-def test_the_next_element_is_laid_and_no_other_moves(laid, rehearsal):
+def test_the_next_element_is_laid_and_no_other_moves(laid):
     lying, motions = laid
     asked = question(laid, lying)
-    report = answer(rehearsal, asked)
+    report = rehearse(ARM, asked)
     assert (report.state, report.reasons) == (PASSED, ())
     (own,) = report.objects
     assert own.name == motions.job.element.id and own.moved < 0.001 and own.resting
     assert not any("fixed in this rehearsal" in remark for remark in report.remarks)
-    assert repr(replace(answer(rehearsal, asked), took=0.0, settle_took=0.0)) == repr(
+    assert repr(replace(rehearse(ARM, asked), took=0.0, settle_took=0.0)) == repr(
         replace(report, took=0.0, settle_took=0.0)
     )
 
 
-def test_elements_without_a_known_mass_is_fixed_and_named(laid, rehearsal):
+def test_elements_without_a_known_mass_is_fixed_and_named(laid):
     lying, _ = laid
-    report = answer(rehearsal, question(laid, (), lying))
+    report = rehearse(ARM, question(laid, (), lying))
     (remark,) = [each for each in report.remarks if "fixed in this rehearsal" in each]
     assert report.state == PASSED and "nobody says what they weigh" in remark
     assert all(one in remark for one in lying)

@@ -25,10 +25,7 @@ def buffer_of(*frames: tuple[str, str, float]) -> tf2_ros.Buffer:
 
 
 def frames_of(buffer: tf2_ros.Buffer, prefix: str = "kr120/twin") -> Frames:
-    base = f"{prefix}/base_link" if prefix else "base_link"
-    return Frames(
-        kr120(), prefix, lambda name, stamp: buffer.lookup_transform(base, name, stamp), buffer.all_frames_as_yaml
-    )
+    return Frames(kr120(), prefix, buffer)
 
 
 TREE = (

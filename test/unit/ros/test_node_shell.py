@@ -124,7 +124,7 @@ INTERFACE = Interface(
         Served("ask", Trigger, Node.on_ask),
         Served("set", SetBool, Node.on_set, reason="setting", refused=lambda node, request: {"message": f"{request.data}: no"}),
     ),
-    every=(Every(lambda settings: 1.0 / settings.rate, lambda node, ports: node.heard.append(ports.connections("word"))),),
+    every=(Every(lambda settings: 1.0 / settings.rate, lambda node: node.heard.append(node.ports.connections("word"))),),
 )  # fmt: skip
 
 

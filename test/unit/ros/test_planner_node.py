@@ -41,7 +41,7 @@ from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.ros.console import endpoint, requests
 from construction_twin.ros.console.endpoint import Connection
 from construction_twin.ros.messages import convert
-from construction_twin.ros.messages.scene_convert import object_to_msg, scene_to_msg, tf_frame
+from construction_twin.ros.messages.scene_convert import object_to_msg, scene_to_msg
 from construction_twin.ros.nodes import planner as module
 from construction_twin.ros.nodes.planner import NODE, Settings
 from construction_twin.ros.shared import frames
@@ -61,7 +61,6 @@ class Bench:
     def __init__(self, monkeypatch, tf_prefix: str = "", tf: tf2_ros.Buffer | None = None, neighbour=None):
         self.pose = tuple(HOME)
         tf = tf2_ros.Buffer(debug=False) if tf is None else tf
-        base = tf_frame(tf_prefix, ROBOT.base_link)
         values = yaml.safe_load((ROOT / "config/planner.yaml").read_text())
         values |= {"self_collision": str(ROOT / "config/kr120_self_collision.yaml"), "tf_prefix": tf_prefix, "seed": 1}
         values |= {"max_waypoints": 600}
@@ -69,13 +68,7 @@ class Bench:
         patch(module, "neighbour_settings", lambda: neighbour)
         patch(plan_requests, "VERDICT_TIME", 0.0)
         patch(module, "caller_of", lambda _: "a caller")
-        patch(
-            module,
-            "listen_to_frames",
-            lambda robot, prefix, *_: Frames(
-                robot, prefix, lambda frame, stamp: tf.lookup_transform(base, frame, stamp), tf.all_frames_as_yaml
-            ),
-        )
+        patch(module, "listen_to_frames", lambda robot, prefix, *_: Frames(robot, prefix, tf))
         patch(module.rospy, "resolve_name", lambda name: f"/kr120/{name}")
         patch(module.rospy.Time, "now", staticmethod(lambda: rospy.Time(7)))
         unplugged = Unplugged(monkeypatch, NODE, Settings(**values), ROBOT, lambda *_: self.pose)

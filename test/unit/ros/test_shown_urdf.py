@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from construction_twin.ros.shared.private_files import shown_urdf
+from construction_twin.ros.shared.private_files import PrivateFiles
 from construction_twin.scene.mesh_file import binary_stl
 
 CORNERS = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 0, 0], [0, 1, 0], [0, 0, 1]]], dtype=float)
@@ -21,8 +21,8 @@ def test_a_urdf_names_its_meshes_by_digest_and_has_no_collision_shapes(tmp_path)
     shapes = f"<visual>{shape}</visual><visual>{box}</visual><collision>{shape}</collision>"
     urdf = f'<?xml version="1.0" encoding="utf-8"?><robot name="r"><link name="a">{shapes}</link></robot>'
     name = hashlib.sha256(mesh.read_bytes()).hexdigest() + ".stl"
-    shown = shown_urdf(urdf, "/private/mesh/")
-    link = ElementTree.fromstring(shown.text).find("link")
-    assert [tag.tag for tag in link] == ["visual", "visual"] and shown.problems == ()
-    assert link.find("visual/geometry/mesh").get("filename") == f"/private/mesh/{name}"
-    assert shown.meshes == {name: mesh.read_bytes()}
+    assert PrivateFiles(tmp_path / "private", "r").write_robot(urdf) == ()
+    link = ElementTree.fromstring((tmp_path / "private/r/robot.urdf").read_text()).find("link")
+    assert [tag.tag for tag in link] == ["visual", "visual"]
+    assert link.find("visual/geometry/mesh").get("filename") == f"../mesh/{name}"
+    assert (tmp_path / "private/mesh" / name).read_bytes() == mesh.read_bytes()

@@ -10,45 +10,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from construction_twin.ros.nodes.view import display_problem, view_for
+from construction_twin.ros.nodes.view import view_for
 
 ROOT = Path(__file__).parents[3]
 VIEWS = sorted((ROOT / "rviz").glob("*.rviz"))
-
-
-def answers(_host: str, _number: int) -> None:
-    """A display that is there."""
-
-
-def test_without_display_one_sentence_says_so():
-    problem = display_problem("", answers)
-    assert problem == (
-        "there is no display (DISPLAY is not set): rviz is not started, everything else goes on without it"
-    )
-
-
-@pytest.mark.parametrize(
-    "display, host, number",
-    [(":0", "", 0), (":99.0", "", 99), ("pc:1", "pc", 1), ("localhost:10.0", "localhost", 10), ("unix:3", "", 3)],
-)
-def test_a_display_is_asked(display, host, number):
-    asked = []
-    assert display_problem(display, lambda *where: asked.append(where)) == ""
-    assert asked == [(host, number)]
-
-
-@pytest.mark.parametrize("display", ["0", "pc", ":x", "::1", "a:1:2"])
-def test_a_display_that_makes_no_sense_is_named(display):
-    assert repr(display) in display_problem(display, answers)
-
-
-def test_a_display_that_does_not_answer_is_named():
-    def refuses(_host, _number):
-        raise ConnectionRefusedError("refused")
-
-    assert display_problem(":7", refuses) == (
-        "the display :7 does not answer (refused): rviz is not started, everything else goes on without it"
-    )
 
 
 def test_the_node_ends_well_without_a_display():
@@ -58,10 +23,7 @@ def test_the_node_ends_well_without_a_display():
         env=environment, capture_output=True, text=True, timeout=60,
     )  # fmt: skip
     assert run.returncode == 0
-    assert (
-        run.stdout
-        == "view: there is no display (DISPLAY is not set): rviz is not started, everything else goes on without it\n"
-    )
+    assert run.stdout == "view: DISPLAY is not set: rviz is not started, everything else goes on without it\n"
 
 
 def test_a_view_follows_the_robot_s_name():

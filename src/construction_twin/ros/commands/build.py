@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import threading
 import time
 from collections.abc import Callable, Collection, Mapping
@@ -72,7 +71,6 @@ class _Times:
     planning: float = 0.0
     motion: float = 0.0
     plans: list[str] = field(default_factory=list)
-    people: list[str] = field(default_factory=list)
 
 
 class Builder:
@@ -169,7 +167,6 @@ class Builder:
         times.planning, plan_id, plan_hash = time.monotonic() - asked, str(plan["plan_id"]), str(plan["plan_hash"])
         times.plans.append(plan_id)
         self._approve(plan_id, plan_hash)
-        times.people.append(PERSON)
         self._decided(f"approved plan {plan_id} of {self._row(task).name}, hash {plan_hash[:12]}")
         began = time.monotonic()
         held = self._held
@@ -293,7 +290,7 @@ class Builder:
         found = []
         for row in map(self._row, wanted):
             times, task = self._times.get(row.id, _Times()), from_msg(TaskReport, row)
-            people = tuple(dict.fromkeys(times.people))
+            people = (PERSON,) if times.plans else ()
             found.append(TaskResult(task, times.planning, times.motion, len(times.plans), people))
         table = Table(*HEADS)
         for cells in rows(found):
@@ -379,7 +376,3 @@ def main() -> int:
     for path in files:
         console.print(str(path), soft_wrap=True, highlight=False)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-import rospkg
 import rospy
 from rich.console import Console
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.files import write_whole
+from construction_twin.core.share import share_file
 from construction_twin.evaluation.recording import Recording
 from construction_twin.evaluation.report import write_report
 from construction_twin.evaluation.tables import render_tables
@@ -31,54 +31,6 @@ def main(arguments: list[str] | None = None) -> int:
     Returns:
         0, or 1 after a sentence on standard error.
     """
-    options = _parser().parse_args(rospy.myargv()[1:] if arguments is None else arguments)
-
-    def write(recording: Recording, directory: Path, console: Console) -> tuple[Path, ...]:
-        robot = _robot(options, recording.joint_names)
-        report = write_report(recording, robot, directory)
-        plans = _write_plans(options, robot, directory) if options.plans else ()
-        render_tables(report.summary, console)
-        if robot.joint_names != recording.joint_names:
-            console.print(
-                f"No figure8.png: {robot.name} has other joints than the bag; see --robot-xacro and --robot-config."
-            )
-        return (*report.files, *plans)
-
-    return report_bag("evaluate", options, write)
-
-
-def package_file(relative: str) -> Path:
-    """Return the path of a file of this package."""
-    return Path(rospkg.RosPack().get_path("construction_twin"), relative)
-
-
-def _robot(options: argparse.Namespace, joint_names: tuple[str, ...]) -> RobotModel:
-    if options.robot_xacro or options.robot_config or options.robot_xacro_args:
-        files = options.robot_xacro or package_file(ROBOTS[0][0]), options.robot_config or package_file(ROBOTS[0][1])
-        return read_robot_files(*files, options.robot_xacro_args)
-    return shipped_robot(joint_names) or read_robot_files(package_file(ROBOTS[0][0]), package_file(ROBOTS[0][1]))
-
-
-def shipped_robot(joint_names: tuple[str, ...]) -> RobotModel | None:
-    """Return this package's arm with these joints; None when it has none."""
-    robots = (read_robot_files(package_file(xacro), package_file(config)) for xacro, config in ROBOTS)
-    return next((robot for robot in robots if robot.joint_names == joint_names), None)
-
-
-def _write_plans(options: argparse.Namespace, robot: RobotModel, directory: Path) -> tuple[Path, ...]:
-    """Write every plan in the bag as a CSV file; return where they are."""
-    files: list[Path] = []
-    for plan in read_plans(options.bag, options.robot):
-        if plan.trajectory.joint_names != robot.joint_names:
-            raise ConstructionTwinError(
-                f"plan {plan.id} has other joints than {robot.name}; give --robot-xacro and --robot-config"
-            )
-        files.append(directory / f"plan_{len(files) + 1}.csv")
-        write_whole(files[-1], format_plan(plan, robot.linear))
-    return tuple(files)
-
-
-def _parser() -> argparse.ArgumentParser:
     parser = bag_parser(
         "evaluate",
         "Compare twin and physical arm in a bag: tables, figures and summary.json.",
@@ -94,4 +46,38 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--robot-xacro-args", default="", metavar="'NAME=VALUE ...'", help="arguments of the xacro")
     parser.add_argument("--robot-config", type=Path, metavar="FILE", help="robot YAML (default: likewise)")
-    return parser
+    options = parser.parse_args(rospy.myargv()[1:] if arguments is None else arguments)
+
+    def write(recording: Recording, directory: Path, console: Console) -> tuple[Path, ...]:
+        robot = _robot(options, recording.joint_names)
+        report = write_report(recording, robot, directory)
+        plans = _write_plans(options, robot, directory) if options.plans else ()
+        render_tables(report.summary, console)
+        if robot.joint_names != recording.joint_names:
+            console.print(
+                f"No figure8.png: {robot.name} has other joints than the bag; see --robot-xacro and --robot-config."
+            )
+        return (*report.files, *plans)
+
+    return report_bag("evaluate", options, write)
+
+
+def _robot(options: argparse.Namespace, joint_names: tuple[str, ...]) -> RobotModel:
+    if options.robot_xacro or options.robot_config or options.robot_xacro_args:
+        files = [given or share_file(own) for given, own in zip((options.robot_xacro, options.robot_config), ROBOTS[0])]
+        return read_robot_files(files[0], files[1], options.robot_xacro_args)
+    robots = [read_robot_files(share_file(xacro), share_file(config)) for xacro, config in ROBOTS]
+    return next((robot for robot in robots if robot.joint_names == joint_names), robots[0])
+
+
+def _write_plans(options: argparse.Namespace, robot: RobotModel, directory: Path) -> tuple[Path, ...]:
+    """Write every plan in the bag as a CSV file; return where they are."""
+    files: list[Path] = []
+    for plan in read_plans(options.bag, options.robot):
+        if plan.trajectory.joint_names != robot.joint_names:
+            raise ConstructionTwinError(
+                f"plan {plan.id} has other joints than {robot.name}; give --robot-xacro and --robot-config"
+            )
+        files.append(directory / f"plan_{len(files) + 1}.csv")
+        write_whole(files[-1], format_plan(plan, robot.linear))
+    return tuple(files)

@@ -13,7 +13,6 @@ import numpy as np
 import pydantic
 import rospy
 from rich.console import Console
-from rich.progress import Progress
 
 from construction_twin.core.errors import ConstructionTwinError, spoken
 from construction_twin.core.files import check_writable
@@ -139,27 +138,27 @@ class Experiment:
             return "" if started else f"plan {plan_id} to be approved ({rospy.resolve_name('review_plan')})"
 
         self._wait(not_started, "the plan was not started")
-        with ProgressView(self._console, title) as show:
-            end = self._follow(plan_id, show)
+        end = self._follow(plan_id, title)
         if end.plan_id != plan_id:
             raise ConstructionTwinError(f"plan {plan_id} was replaced by {end.plan_id} before it was finished")
         if end.outcome != "finished":
             raise ConstructionTwinError(f"the plan was not finished but {end.outcome or 'dropped'}: {end.reason}")
 
-    def _follow(self, plan_id: str, show: Callable[[float], None]) -> Execution:
-        """Show the progress of a plan until it ends; return the executor's report of that."""
+    def _follow(self, plan_id: str, title: str) -> Execution:
+        """Print the progress of a plan, a line for each tenth, until it ends; return the executor's report of that."""
+        said = -1
         while True:
             now = self._execution
             if now.plan_id != plan_id or now.state in (Execution.WAITING, Execution.IDLE):
-                if now.outcome == "finished":
-                    show(1.0)
                 return now
             played = rospy.get_time() - now.plan_start.to_sec()
             if played > now.duration + self._settings.timeout:
                 raise ConstructionTwinError(
                     f"the plan lasts {now.duration:g} s but plays for {played:.0f} s; is the executor alive?"
                 )
-            show(min(1.0, max(0.0, played / now.duration)))
+            if (tenth := min(10, int(10.0 * played / now.duration))) > said:
+                said = tenth
+                self._say(f"{title}: {10 * tenth} %")
             self._pause()
 
     def _wait_for_rest(self) -> None:
@@ -209,33 +208,6 @@ class Experiment:
 
     def _say(self, text: str) -> None:
         self._console.print(text, soft_wrap=True)
-
-
-class ProgressView:
-    """Shows progress: a bar on a terminal, elsewhere a line every 10 %. Entering yields ``show(fraction)``."""
-
-    def __init__(self, console: Console, title: str):
-        self._console = console
-        self._title = title
-        self._bar = Progress(console=console) if console.is_terminal and not console.is_dumb_terminal else None
-        self._next = 0.0
-
-    def __enter__(self) -> Callable[[float], None]:
-        bar = self._bar
-        if bar is None:
-            return self._line
-        bar.start()
-        task = bar.add_task(self._title, total=1.0)
-        return lambda fraction: bar.update(task, completed=fraction)
-
-    def __exit__(self, *_) -> None:
-        if self._bar is not None:
-            self._bar.stop()
-
-    def _line(self, fraction: float) -> None:
-        if fraction >= self._next:
-            self._console.print(f"{self._title}: {100 * fraction:3.0f} %")
-            self._next = np.floor(fraction * 10.0 + 1e-9) / 10.0 + 0.1
 
 
 def point_latest(results: Path, directory: Path) -> None:

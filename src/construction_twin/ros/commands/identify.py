@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
@@ -127,7 +126,13 @@ def main(arguments: list[str] | None = None) -> int:
     Returns:
         0, or 1 after a sentence on standard error.
     """
-    options = _parser().parse_args(rospy.myargv()[1:] if arguments is None else arguments)
+    parser = bag_parser(
+        "identify",
+        "Find how the arm's servos answer their targets: a file for the argument servo_model.",
+        "a bag with at least twin, physical, physical/feedback and command/joint_states",
+        "_servos",
+    )
+    options = parser.parse_args(rospy.myargv()[1:] if arguments is None else arguments)
 
     def write(recording: Recording, directory: Path, console: Console) -> list[Path]:
         cycle_ns = cycle_of(recording)
@@ -158,12 +163,3 @@ def servo_table(found: Identified) -> Table:
         lag = f"{1e3 * each.servo.lag(found.cycle_ns * 1e-9):.3f} +- {1e3 * each.lag_error:.1g}"
         table.add_row(each.name, *cells, lag, f"{1e6 * each.residual_rms:.1f}", f"{1e6 * each.residual_max:.1f}")
     return table
-
-
-def _parser() -> argparse.ArgumentParser:
-    return bag_parser(
-        "identify",
-        "Find how the arm's servos answer their targets: a file for the argument servo_model.",
-        "a bag with at least twin, physical, physical/feedback and command/joint_states",
-        "_servos",
-    )

@@ -13,13 +13,13 @@ from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-import rospkg
 import rospy
 import yaml
 
 from construction_twin.controller.makes import DEFAULT, MODULES, make_of
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, spoken
 from construction_twin.core.files import check_writable
+from construction_twin.core.share import share_file
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import inverse_kinematics
 from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot, other_joints_text, read_robot_files
@@ -199,11 +199,11 @@ def _make(options: argparse.Namespace, command: str) -> list[str]:
         "launch": folder / f"{robot.name}.launch",
     }
     _check_folder(folder, files, options.force)
-    shipped = _shipped("config/scene.yaml")
+    shipped = share_file("config/scene.yaml")
     described = {"ethernet_xml": make.file.write([axis.name for axis in robot.axes])} if make.file else {}
     # what the gateway would refuse is told before the long part
     cycle = min(make.cycles)
-    settings = yaml.safe_load(read_text(_shipped("config/gateway.yaml"))) | {"cycle": cycle, "make": make.name}
+    settings = yaml.safe_load(read_text(share_file("config/gateway.yaml"))) | {"cycle": cycle, "make": make.name}
     gateway_config(robot, settings | described)
     coarse = sample_self_collision(robot, min(_COARSE, options.samples))
     print("looking for a home pose", file=sys.stderr, flush=True)
@@ -244,11 +244,6 @@ def _check_folder(folder: Path, files: Mapping[str, Path], force: bool) -> None:
             str(there[0]),
             "a folder without these files: what a person has filled in would be lost; give another one, or --force",
         )
-
-
-def _shipped(relative: str) -> Path:
-    """Return the path of a file of this package."""
-    return Path(rospkg.RosPack().get_path("construction_twin"), relative)
 
 
 def _scene(robot: RobotModel, pairs: SelfCollision, floor: Scene) -> tuple[Scene, str, Home]:

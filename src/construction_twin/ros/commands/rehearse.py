@@ -9,6 +9,7 @@ import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,24 +17,24 @@ import rospy
 from rich.console import Console
 from rich.progress import track
 
-from construction_twin.core.errors import ConstructionTwinError, FileError, spoken
+from construction_twin.core.errors import ConstructionTwinError, spoken
 from construction_twin.core.extras import check_extras
 from construction_twin.core.freshness import Moment
 from construction_twin.core.records import document
+from construction_twin.core.share import share_file
 from construction_twin.evaluation.tables import table_console
 from construction_twin.physics.known_mass import TOOL, body_of, masses_of
-from construction_twin.planning.waypoint_file import parse_waypoints
+from construction_twin.planning.waypoint_file import read_waypoints
 from construction_twin.planning.waypoints import plan_waypoints
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
-from construction_twin.robot.tool import read_tool, tool_hash
+from construction_twin.robot.tool import read_tool
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.ros.commands.bag_report import read_plans
-from construction_twin.ros.commands.evaluate import package_file
+from construction_twin.ros.shared.physics_process import prepared
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.scene_yaml import read_scene
-from construction_twin.scene.self_collision import read_self_collision
 from construction_twin.work.contacts import tool_objects
 
 #: Exit codes: the rehearsal passed, failed, or could not be made.
@@ -67,30 +68,24 @@ def _load_mujoco() -> None:
 def _rehearse(options: argparse.Namespace) -> int:
     # what follows needs the packages of the set-up's group
     from construction_twin.physics import report as states
-    from construction_twin.physics.drive import drives_of, read_drives
     from construction_twin.physics.film import Film
-    from construction_twin.physics.grip import SuctionGrip
-    from construction_twin.physics.rehearsal import Rehearsal
     from construction_twin.views.rehearsal_table import rehearsal_table
 
     options.drives = options.drives or _drives_beside(options.robot_config)
     robot = read_robot_files(options.robot_xacro, options.robot_config, options.robot_xacro_args)
     _check_files(options)
+    drives = "" if options.drives == "none" else options.drives
+    payload = _numbers("--payload", options.payload, "MASS or MASS,X,Y,Z [kg], [m]") if options.payload else []
+    arm = prepared(robot, options.self_collision, drives, options.tool, tuple(payload))
     tool = read_tool(options.tool) if options.tool else None
     scene = read_scene(options.scene)
     if tool is not None:
         for item in tool_objects(tool, robot.tip_link):
             scene = scene.add(item)
-    bodies = RobotBodies(robot)
-    masses = _masses(options.mass, scene, bodies)
+    masses = _masses(options.mass, scene, arm.bodies)
     if tool is not None:
-        masses |= masses_of({TOOL: tool.tool.mass}, (scene,), bodies)
-    drives = drives_of(robot) if options.drives == "none" else read_drives(options.drives, robot)
-    rehearsal = Rehearsal(
-        bodies, read_self_collision(options.self_collision, robot), drives, masses=masses, flange=_payload(options.payload),
-        grip=SuctionGrip.of(tool.tool.cups, tool.tool.tool0_T_tcp) if tool is not None and tool.tool.cups is not None else None,
-        tool=tool_hash(options.tool), inputs=_inputs(options, masses),
-    )  # fmt: skip
+        masses |= masses_of({TOOL: tool.tool.mass}, (scene,), arm.bodies)
+    rehearsal = replace(arm, masses=masses, inputs=_inputs(options, masses))
     plan = _plan(*_trajectory(options, robot), scene)
     film = Film() if options.picture or options.video else None
     report = rehearsal.of_plan(plan, {scene.hash: scene}, time.perf_counter, film.watch if film else None)
@@ -211,16 +206,9 @@ def _trajectory(options: argparse.Namespace, robot: RobotModel) -> tuple[Traject
                 f"plan {plan.id} has other joints than {robot.name}; give --robot-xacro and --robot-config"
             )
         return plan.trajectory, plan.id
-    waypoints = parse_waypoints(_text(options.plan), robot)
+    waypoints = read_waypoints(str(options.plan.absolute()), robot)
     start = waypoints.positions[0] if len(waypoints.positions) > 1 else np.array(robot.home)
     return plan_waypoints(waypoints, start, robot), ""
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileError(str(path), error) from error
 
 
 def _plan(trajectory: Trajectory, plan_id: str, scene: Scene) -> Plan:
@@ -231,13 +219,6 @@ def _plan(trajectory: Trajectory, plan_id: str, scene: Scene) -> Plan:
     return Plan(
         plan_id or found[:12], found, "rehearse", "waypoints", scene.hash, Moment("", 0), 0.0, trajectory, report
     )
-
-
-def _payload(text: str):
-    """Return the load that `--payload` says: ``MASS`` or ``MASS,X,Y,Z``."""
-    from construction_twin.physics.mass import payload_of
-
-    return payload_of(_numbers("--payload", text, "MASS or MASS,X,Y,Z [kg], [m]") if text else (), "--payload")
 
 
 def _mass(text: str) -> tuple[str, float]:
@@ -302,7 +283,7 @@ def _parser() -> argparse.ArgumentParser:
     }
     for option, (file, meaning) in files.items():
         parser.add_argument(
-            option, default=str(package_file(file)), metavar="FILE", help=f"{meaning} (default: {Path(file).name})"
+            option, default=str(share_file(file)), metavar="FILE", help=f"{meaning} (default: {Path(file).name})"
         )
     parser.add_argument(
         "--drives",

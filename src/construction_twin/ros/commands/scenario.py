@@ -1,8 +1,7 @@
-"""scenario: runs one scenario on a running cell with the mock, records and judges it; with options it judges recorded runs."""
+"""scenario: runs one scenario on a running cell with the mock, records and judges it."""
 
 from __future__ import annotations
 
-import argparse
 import difflib
 import json
 import shutil
@@ -30,9 +29,8 @@ from construction_twin.core.units import from_wire
 from construction_twin.evaluation.tables import table_console
 from construction_twin.gateway.trace import read_trace
 from construction_twin.msg import Execution, Link, Plan, Sync, Transition
-from construction_twin.robot.description import RobotModel, read_robot_files
+from construction_twin.robot.description import RobotModel
 from construction_twin.ros import nodes
-from construction_twin.ros.commands.evaluate import package_file
 from construction_twin.ros.commands.experiment import RestDetector
 from construction_twin.ros.commands.recorder import Recorder
 from construction_twin.ros.commands.scenario_bag import BAG, NOTES, TOPICS, TRACE, VERDICT, read_run
@@ -42,7 +40,7 @@ from construction_twin.ros.shared.params import Parameters, PrivateSettings, rob
 from construction_twin.ros.shared.refusal_log import warn_of_refusals
 from construction_twin.ros.transport.persistent_service import PersistentService
 from construction_twin.ros.transport.subscriber import Subscriber
-from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, Step, make_scenario, read_scenario
+from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, Step, make_scenario
 from construction_twin.scenario.judge import Judgement, judge
 from construction_twin.scenario.timeline import Change
 from construction_twin.srv import InjectFault, PlanToJoints, ReviewPlan
@@ -64,8 +62,6 @@ _READY = 60.0
 #: The arm counts as at rest when no joint left this band [rad] for this time [s].
 _REST_BAND, _REST_TIME = 1e-6, 0.4
 _POLL = 0.005
-#: Of the recorded robot, where no option names another.
-XACRO, DESCRIPTION = "urdf/kr120r2500.urdf.xacro", "config/kr120.yaml"
 
 
 class ScenarioSettings(PrivateSettings):
@@ -292,67 +288,12 @@ def run_scenario(settings: ScenarioSettings, content: dict, console: Console) ->
         json.dumps({"failure": failure, "actions": [asdict(action) for action in driver.actions]}, indent=2) + "\n"
     )
     shutil.copyfile(settings.trace, folder / TRACE)
+    run, trace = read_run(folder, rospy.get_namespace()), read_trace(str(folder / TRACE))
     decimals, cycle_ms = rospy.get_param("gateway/decimals"), rospy.get_param("gateway/cycle")
-    return judge_folder(folder, scenario, robot, decimals, cycle_ms, rospy.get_namespace())
-
-
-def judge_folder(
-    folder: Path, scenario: Scenario, robot: RobotModel, decimals: int, cycle_ms: int, namespace: str | None
-) -> Judgement:
-    """Judge what lies in a folder, and write its verdict.json. `cycle_ms` is the controller's cycle.
-
-    Raises:
-        ConstructionTwinError: If it cannot be judged.
-    """
-    check_writable(folder)
-    run = read_run(folder, namespace)
-    trace = read_trace(str(folder / TRACE))
     verdict = judge(scenario, run, trace, MotionLimits.of(robot), decimals, cycle_ms / 1000)
     changes = [asdict(change) | {"at_s": round((change.stamp - run.start) / 1e9, 4)} for change in run.changes]
     (folder / VERDICT).write_text(json.dumps(verdict.to_dict() | {"changes": changes}, indent=2, default=str) + "\n")
     return verdict
-
-
-def command(arguments: list[str]) -> int:
-    """Judge a recorded run again, without a ROS master; return the exit code.
-
-    0; 1 when the scenario failed or something cannot be read.
-    """
-    options = _parser().parse_args(arguments)
-    try:
-        return _judge(options, table_console(markup=False))
-    except (ConstructionTwinError, OSError) as error:
-        print(f"scenario: {spoken(error)}", file=sys.stderr)
-        return 1
-
-
-def _judge(options: argparse.Namespace, console: Console) -> int:
-    robot = read_robot_files(
-        options.robot_xacro or package_file(XACRO),
-        options.robot_config or package_file(DESCRIPTION),
-        options.robot_xacro_args,
-    )
-    name = options.judge.resolve().name
-    scenario = read_scenario(options.scenario or package_file(f"config/scenarios/{name}.yaml"))
-    verdict = judge_folder(options.judge, scenario, robot, options.decimals, options.cycle, None)
-    print_verdict(verdict, console)
-    return 0 if verdict.passed else 1
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="scenario", description="Judge a recorded scenario; without options it is the node of scenario.launch."
-    )
-    parser.add_argument("--judge", type=Path, metavar="DIR", required=True, help="judge the recording in DIR again")
-    parser.add_argument(
-        "--scenario", type=Path, metavar="FILE", help="scenario YAML (default: the shipped one of DIR's name)"
-    )
-    parser.add_argument("--decimals", type=int, default=3, help="decimals of a degree on the wire [3]")
-    parser.add_argument("--cycle", type=int, default=4, choices=[4, 12], help="the controller's cycle [ms] [4]")
-    parser.add_argument("--robot-xacro", type=Path, metavar="FILE", help=f"URDF or xacro (default: {XACRO})")
-    parser.add_argument("--robot-xacro-args", default="", metavar="'NAME=VALUE ...'", help="arguments of the xacro")
-    parser.add_argument("--robot-config", type=Path, metavar="FILE", help=f"robot YAML (default: {DESCRIPTION})")
-    return parser
 
 
 def checked(parameters: Parameters = rospy) -> tuple[ScenarioSettings, dict]:
@@ -373,10 +314,7 @@ def checked(parameters: Parameters = rospy) -> tuple[ScenarioSettings, dict]:
 
 
 def main() -> int:
-    """Run the node, or with options `command`; return the process's status: 0 when the scenario passed, else 1."""
-    arguments = rospy.myargv()[1:]
-    if arguments:
-        return command(arguments)
+    """Run the node; return the process's status: 0 when the scenario passed, else 1."""
     console = table_console(markup=False)
     try:
         await_master()

@@ -32,9 +32,9 @@ from rich.table import Table
 from construction_twin.core.errors import ConstructionTwinError, spoken
 from construction_twin.core.extras import check_extras
 from construction_twin.core.files import check_writable, write_whole
+from construction_twin.core.share import share_file
 from construction_twin.evaluation.tables import table_console
 from construction_twin.robot.description import read_robot_files
-from construction_twin.ros.commands.evaluate import package_file
 from construction_twin.work.check import CheckedTask
 from construction_twin.work.prepared import Prepared
 from construction_twin.work.site import read_site
@@ -152,8 +152,8 @@ def check_all(
 
 def _check(options: argparse.Namespace, folder: str, console: Console) -> Checked:
     kind = ("kr120_track", "kr120_track") if options.track else ("kr120r2500", "kr120")
-    xacro = options.robot_xacro or package_file(f"urdf/{kind[0]}.urdf.xacro")
-    config = options.robot_config or package_file(f"config/{kind[1]}.yaml")
+    xacro = options.robot_xacro or share_file(f"urdf/{kind[0]}.urdf.xacro")
+    config = options.robot_config or share_file(f"config/{kind[1]}.yaml")
     columns = (TextColumn("checking"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, auto_refresh=False) as progress:
         bar = progress.add_task("check", total=None)
@@ -165,9 +165,9 @@ def _check(options: argparse.Namespace, folder: str, console: Console) -> Checke
             model=str(options.model),
             cell=str(options.cell),
             robot=read_robot_files(xacro, config, options.robot_xacro_args),
-            self_collision=str(options.self_collision or package_file(f"config/{kind[1]}_self_collision.yaml")),
+            self_collision=str(options.self_collision or share_file(f"config/{kind[1]}_self_collision.yaml")),
             # the same model and cell give the same findings
-            planner={**yaml.safe_load(package_file("config/planner.yaml").read_text(encoding="utf-8")), "seed": SEED},
+            planner={**yaml.safe_load(share_file("config/planner.yaml").read_text(encoding="utf-8")), "seed": SEED},
             cache=folder,
         )
 
@@ -296,7 +296,3 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--robot-config", type=Path, metavar="FILE", help="its robot YAML")
     parser.add_argument("--self-collision", type=Path, metavar="FILE", help="its self-collision file")
     return parser
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

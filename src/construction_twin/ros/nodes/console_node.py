@@ -48,15 +48,12 @@ COLLECTED = 500_000
 
 
 class Settings(MqttSettings):
-    """Private parameters; see config/console_node.yaml.
+    """Private parameters; see config/console_node.yaml. Folders are relative to ROS_HOME.
 
     Attributes:
-        trajectories: Whether motions, and requests for plans, are taken by MQTT.
-        self_collision: YAML of the link pairs that are not checked; empty: no joint values are found for poses that are dragged.
-        messages: Folder of the messages that outlast this node, relative to ROS_HOME; empty: they do not.
-        servo_model: As the gate has it; empty: it does not expect the arm where its servos should have it.
-        private: Folder of what a console serves to whom is logged in, relative to ROS_HOME; empty: no console was started.
-        tool: Tool file; empty: no tool.
+        self_collision: Empty: no joint values are found for poses that are dragged.
+        messages: Folder of the messages that outlast this node; empty: they do not.
+        private: Folder of what a console serves to whom is logged in; empty: no console was started.
     """
 
     trajectories: bool = True
@@ -129,7 +126,11 @@ class ConsoleNode:
         """Carry out what is asked for, and show everything, until shutdown."""
         self.acts.start()
         viewer = threading.Thread(target=self.run_view, name="view", daemon=True)
-        threads = {"connections": self.acts.run_connections, "log": self._run_log, "ik": self._run_ik}
+        threads = {
+            "connections": self.acts.run_connections,
+            "log": self._run_log,
+            "ik": lambda: self.requests.run(bool(self._settings.private)),
+        }
         for each in (*(threading.Thread(target=run, name=name, daemon=True) for name, run in threads.items()), viewer):
             each.start()
         while not rospy.is_shutdown():
@@ -151,9 +152,6 @@ class ConsoleNode:
             # after a pause of the machine the next one is a whole period away: nobody needs what was missed
             due = max(due + period, time.monotonic())
             time.sleep(max(0.0, due - time.monotonic()))
-
-    def _run_ik(self) -> None:
-        self.requests.run(bool(self._settings.private))
 
     def _run_log(self) -> None:
         """Write log and messages: nothing else here waits for a disk or a terminal."""

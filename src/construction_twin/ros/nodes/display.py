@@ -321,8 +321,8 @@ INTERFACE = Interface(
     ),
     serves=(Served("preview_plan", PreviewPlan, lambda node, request: node.plan.on_preview(request)),),
     every=(
-        Every(lambda _settings: FRAME_PERIOD, lambda node, _ports: node.move_ghost()),
-        Every(lambda _settings: SYNC_PERIOD, lambda node, _ports: node.show_sync()),
+        Every(lambda _settings: FRAME_PERIOD, DisplayNode.move_ghost),
+        Every(lambda _settings: SYNC_PERIOD, DisplayNode.show_sync),
     ),
 )
 

@@ -19,24 +19,25 @@ from std_srvs.srv import Trigger
 
 import construction_twin.srv as srv
 from construction_twin import msg
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, PayloadError, ReviewError
+from construction_twin.core.errors import ConstructionTwinError, PayloadError, ReviewError
 from construction_twin.core.files import check_writable
 from construction_twin.core.freshness import parse_moment
-from construction_twin.core.reports import ExecutionReport, SessionRequest, SpeedChange, ToolReport
+from construction_twin.core.reports import SessionRequest, SpeedChange, ToolReport
 from construction_twin.core.sentences import Sentence, both
-from construction_twin.core.speed_limit import LimitState, SpeedLimit
+from construction_twin.core.speed_limit import SpeedLimit
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.approval import AUTO_APPROVE, Approval, WithoutPerson
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
 from construction_twin.execution.engagement import read_engagement
-from construction_twin.execution.executor import Executor, ExecutorState
+from construction_twin.execution.executor import Executor
 from construction_twin.execution.rehearsal_check import RehearsalCheck
 from construction_twin.execution.segment_run import NO_ARM
+from construction_twin.execution.upkeep import Disk, News, Permission
 from construction_twin.monitor.gate import SyncState
 from construction_twin.physics.report import RehearsalReport, is_whole
 from construction_twin.review.plan_under_review import EXECUTOR, REJECTED, Verdict
 from construction_twin.review.record import Responsibility, ReviewLog
-from construction_twin.robot.description import ESTIMATES, RobotModel
+from construction_twin.robot.description import RobotModel
 from construction_twin.robot.tool import tool_hash
 from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.messages.records import from_msg, to_msg
@@ -70,19 +71,12 @@ BACKGROUND_PERIOD = 0.05
 TWIN_PAUSE = 0.02
 #: How long the forecast of a stop leaves the processor to the cycle, every few setpoints [s].
 PAUSE = 0.0005
-#: States of the limit in which who should tell it does not.
-_UNHEARD = (LimitState.SILENT, LimitState.MISSING)
-
 _Result = TypeVar("_Result")
 
 
-class Settings(NodeSettings):
+class Settings(NodeSettings, Permission):
     """Private parameters; see config/executor.yaml, the others are given in launch/gate.launch."""
 
-    arm: Literal["mock", "real", "none"]
-    auto_approve: bool = False
-    auto_approve_is_meant: bool = False
-    auto_approve_sources: tuple[Annotated[str, pydantic.Field(min_length=1)], ...] = ()
     review_file: Annotated[str, pydantic.Field(min_length=1)]
     neighbour: str = ""
     rehearsal: Literal["auto", "advise", "require", "off"] = "off"
@@ -90,13 +84,6 @@ class Settings(NodeSettings):
     speed_limit_deadline: float = pydantic.Field(gt=0)
     speed_limit_silent: float = pydantic.Field(ge=0, le=1)
     speed_limit_required: bool
-
-    @pydantic.field_validator("auto_approve_sources")
-    @classmethod
-    def _never_with_a_real_arm(cls, names: tuple[str, ...], given: pydantic.ValidationInfo) -> tuple[str, ...]:
-        if names and given.data.get("arm") == "real":
-            raise ValueError("none with a real arm: the name of a client proves nothing, a person has to approve")
-        return names
 
 
 def _do(_what: str, part: Callable[..., _Result], *arguments: object) -> _Result:
@@ -111,8 +98,8 @@ class ExecutorNode:
         self._robot, self._ports, self._diagnostics = robot, ports, ports.diagnostics
         self._log = ReviewLog(robot_file(settings.review_file, robot.name), time.time_ns)
         file = self._log.file.path
-        self._engagement_file = file.with_name(f"{file.stem}_engagement.json")
-        self.executor = executor = Executor(robot, read_engagement(self._engagement_file, robot.joint_names))
+        left = file.with_name(f"{file.stem}_engagement.json")
+        self.executor = executor = Executor(robot, read_engagement(left, robot.joint_names))
         executor.neighbour = ConflictVerdicts(settings.neighbour)
         executor.rehearsal = RehearsalCheck(settings.rehearsal == "require", tool_hash(settings.tool))
         if settings.arm != "none":
@@ -128,12 +115,8 @@ class ExecutorNode:
         self._log_queue = DeferredLog()
         self.side_effects = executor.side_effects
         self._sync_at = 0
-        # what was told last
-        self._news: tuple = (None,)
-        self._limit_state: LimitState | None = None
-        self._engagement: tuple | None = None
-        # what the disk does not take, by what it is
-        self._problems: dict[str, str] = {}
+        self._news = News(executor, self._limit)
+        self._disk = Disk(executor, left, self._lock, lambda problem: rospy.logerr_throttle(5.0, "%s", problem))
         rospy.on_shutdown(self.write_records)
         rospy.loginfo("verdicts are recorded in %s (%d so far)", file, self._log.file.lines)
         if executor.engagement.engaged:
@@ -225,10 +208,13 @@ class ExecutorNode:
         who, unchecked = message.responsible, tuple(message.not_checked)
         self._log.on_responsible(Responsibility(who, message.session, unchecked) if who else None)
 
-    def on_person(self, message: msg.SessionRequest | msg.SpeedChange) -> None:
-        """Record who has lifted a stop or fault, or armed, and who has set the speed limit of people."""
-        is_session = isinstance(message, msg.SessionRequest)
-        self._log.defer(from_msg(SessionRequest, message) if is_session else from_msg(SpeedChange, message))
+    def on_session_request(self, message: msg.SessionRequest) -> None:
+        """Record who has lifted a stop or fault, or armed."""
+        self._log.defer(from_msg(SessionRequest, message))
+
+    def on_speed_change(self, message: msg.SpeedChange) -> None:
+        """Record who has set the speed limit of people."""
+        self._log.defer(from_msg(SpeedChange, message))
 
     # -- services
 
@@ -321,7 +307,7 @@ class ExecutorNode:
         with self._lock:
             self.executor.under_review.scene_alive = self._ports.connections("scene") > 0
             self.executor.look_for_obstacle()
-        self._on_disk("an approval", self._approve_by_itself)
+        self._disk.write("an approval", self._approve_by_itself)
 
     def _approve_by_itself(self) -> None:
         verdict = self._approval.approve_by_itself(time.monotonic_ns(), self._without_person)
@@ -333,30 +319,12 @@ class ExecutorNode:
         # the lines of a stop are among these
         self.side_effects.run("the log", self._log_queue.flush)
         self.side_effects.write(rospy.logerr)
-        self.side_effects.run("the record", self._on_disk, "the record", self._log.flush)
-
-    def _on_disk(self, what: str, write: Callable[[], None]) -> bool:
-        """Write something; return whether the disk has taken it. What it has not is said, and tried again."""
-        try:
-            write()
-        except ConstructionTwinError as error:
-            self._problems[what] = str(error)
-            rospy.logerr_throttle(5.0, "%s", error)
-            return False
-        self._problems.pop(what, None)
-        return True
+        self.side_effects.run("the record", self._disk.write, "the record", self._log.flush)
 
     def keep_engagement(self) -> None:
         """Write down where the arm is about to be, or was left, and tell the planner; not for the path of the setpoints."""
-        keeper = self.executor.engagement
-        if not self._on_disk("the engagement", lambda: keeper.settle(self._lock, self._engagement_file)):
-            return
-        with self._lock:
-            left, tool = keeper.left, self.executor.tool
-        engagement = left, left.requires(tool) if left is not None else ()
-        if engagement != self._engagement:
-            self._engagement = engagement
-            self._publish("engagement", engagement_to_msg(left, tool))
+        if (engagement := self._disk.settle()) is not None:
+            self._publish("engagement", engagement_to_msg(*engagement))
 
     # -- reports
 
@@ -384,7 +352,10 @@ class ExecutorNode:
         with self._lock:
             run = self.side_effects.run if executor.take_act() else _do
             events, orders = executor.take_events(), executor.take_orders()
-            report, lines = run("the executor's state", self._changed) or (None, ())
+            report, lines = run("the executor's state", self._news.take, lambda: (now_ns(), str(present()))) or (
+                None,
+                (),
+            )
         for order in orders:
             self._publish("tool_command", order_to_msg(order))
         if report is not None:
@@ -398,28 +369,8 @@ class ExecutorNode:
                 run("the record", self._log.defer, event)
             if isinstance(event, Verdict):
                 run("the topic review", self._publish_verdict, event)
-        for line in lines:
-            run("the log", self._log_queue.add, *line)
-
-    def _changed(self) -> tuple[ExecutionReport | None, list[tuple]]:
-        """Return what is new of the executor, and lines for the log; to be called under the lock.
-
-        A stop that comes after the report's moment is not known to it.
-        """
-        executor, news = self.executor, self.executor.news()
-        lines: list[tuple] = []
-        if self._limit.state is not self._limit_state:
-            self._limit_state = self._limit.state
-            write = rospy.logwarn if self._limit_state in _UNHEARD else rospy.loginfo
-            lines.append((write, "%s", self._limit.reason))
-        if news == self._news:
-            return None, lines
-        if news[0] != self._news[0]:
-            lines.append((rospy.loginfo, "%s: %s", executor.state.name, executor.reason))
-        report = executor.report(now_ns(), str(present()))
-        # after what may fail: what was not reported is news in the next cycle, too
-        self._news = news
-        return report, lines
+        for warns, line in lines:
+            run("the log", self._log_queue.add, rospy.logwarn if warns else rospy.loginfo, "%s", line)
 
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""
@@ -432,31 +383,18 @@ class ExecutorNode:
             "records": log.lines,
             "records lost": log.lost,
         } | self.side_effects.report()
-        if problem := next(iter(self._problems.values()), ""):
+        if problem := self._disk.problem:
             return Report(ERROR, problem, values)
         with self._lock:
             engaged = executor.engaged()
         if failed := engaged or self.side_effects.sentence:
             return Report(WARN, failed, values)
-        waits = self._limit.state in _UNHEARD or executor.state in (ExecutorState.WAITING, ExecutorState.HELD)
-        return Report(WARN if waits else OK, f"{executor.state.name}: {executor.reason}", values)
+        return Report(WARN if self._news.waits else OK, f"{executor.state.name}: {executor.reason}", values)
 
 
 def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
-    """Check files, and that a real arm moves by a person's word and by looked-up values; see `NodeShell`."""
-    if settings.arm == "real" and settings.auto_approve and not settings.auto_approve_is_meant:
-        raise ConfigurationError(
-            "auto_approve",
-            True,
-            "false with arm:=real, for a person to approve each plan; or also give auto_approve_is_meant:=true",
-        )
-    if settings.arm == "real" and robot.estimates:
-        keys = " and ".join(ESTIMATES[word] for word in robot.estimates)
-        raise ConfigurationError(
-            "estimates",
-            list(robot.estimates),
-            f"none with arm:=real: put in the right values of {keys}, then take the words out",
-        )
+    """Check permission and files; see `NodeShell`."""
+    settings.check(robot)
     tool_hash(settings.tool)
     check_writable(robot_file(settings.review_file, robot.name).parent)
 
@@ -480,14 +418,14 @@ INTERFACE = Interface(
         Subscription(
             "speed_limit_in_force", msg.SpeedLimitInForce, ExecutorNode.on_limit, queue_size=5, tcp_nodelay=True
         ),
-        Subscription("speed_change", msg.SpeedChange, ExecutorNode.on_person, queue_size=50),
+        Subscription("speed_change", msg.SpeedChange, ExecutorNode.on_speed_change, queue_size=50),
         Subscription(
             "conflict", msg.Conflict, ExecutorNode.on_conflict, queue_size=20, tcp_nodelay=True,
             when=lambda settings: bool(settings.neighbour),
         ),
         Subscription("link", msg.Link, ExecutorNode.on_link, queue_size=5, when=has_arm),
         Subscription(
-            "session_request", msg.SessionRequest, ExecutorNode.on_person, queue_size=10, when=has_arm
+            "session_request", msg.SessionRequest, ExecutorNode.on_session_request, queue_size=10, when=has_arm
         ),
         Subscription("tool", msg.ToolState, ExecutorNode.on_tool, queue_size=20, tcp_nodelay=True, when=has_arm),
     ),
@@ -500,12 +438,7 @@ INTERFACE = Interface(
         Served("resume", Trigger, ExecutorNode.on_resume, "resume"),
         Served("~act_as_seen", srv.ActAsSeen, ExecutorNode.on_act_as_seen, "resume"),
     ),
-    every=(
-        Every(
-            lambda _settings: BACKGROUND_PERIOD,
-            lambda node, _ports: node.do_background_work(),
-        ),
-    ),
+    every=(Every(lambda _settings: BACKGROUND_PERIOD, ExecutorNode.do_background_work),),
 )  # fmt: skip
 NODE = NodeShell("executor", Settings, ExecutorNode, INTERFACE, check, fast=True)
 main = NODE.run

@@ -46,7 +46,6 @@ class Settings(PrivateSettings):
 
     Attributes:
         gzserver: Words that start Gazebo's server; the world's file is put behind them.
-        drives: YAML of the arm's drives; empty: what the URDF says.
         realtime: SCHED_FIFO priority of the thread that simulates, where permitted; 0: none.
     """
 
@@ -56,7 +55,7 @@ class Settings(PrivateSettings):
 
 
 class GazeboNode:
-    """A scene in, a server that simulates it; `start` gives it parameters and topics.
+    """A scene in, a server that simulates it.
 
     Args:
         make: Returns the world of a scene. Raises ConstructionTwinError.

@@ -394,7 +394,7 @@ INTERFACE = Interface(
         Served("halt", Trigger, MqttBridge.on_halt),
         Served("mirror", SetBool, MqttBridge.on_mirror),
     ),
-    every=(Every(lambda _settings: LOG_PERIOD, lambda node, _ports: node.write_log()),),
+    every=(Every(lambda _settings: LOG_PERIOD, MqttBridge.write_log),),
 )
 
 

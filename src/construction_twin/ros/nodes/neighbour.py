@@ -62,7 +62,7 @@ def first_meeting(
 
 
 class NeighbourNode:
-    """Two arms' topics in, verdicts on a plan of ours out; `start` gives it parameters and topics.
+    """Two arms' topics in, verdicts on a plan of ours out.
 
     Args:
         world: Of our arm, in any scene.

@@ -334,10 +334,10 @@ INTERFACE = Interface(
         Served("limit_speed", srv.LimitSpeed, lambda node, asked: node.speed.on_limit_speed(asked)),
     ),
     every=(
-        Every(lambda _settings: 1 / SYNC_RATE, lambda node, _ports: node.watch()),
-        Every(lambda _settings: WRITE_PERIOD, lambda node, _ports: node.write_transitions()),
-        Every(lambda _settings: PERIOD, lambda node, _ports: node.speed.repeat()),
-        Every(lambda _settings: AGAIN, lambda node, _ports: node.speed.write()),
+        Every(lambda _settings: 1 / SYNC_RATE, PcaMonitorNode.watch),
+        Every(lambda _settings: WRITE_PERIOD, PcaMonitorNode.write_transitions),
+        Every(lambda _settings: PERIOD, lambda node: node.speed.repeat()),
+        Every(lambda _settings: AGAIN, lambda node: node.speed.write()),
     ),
 )
 NODE = NodeShell("pca_monitor", Settings, PcaMonitorNode, INTERFACE, check, fast=True)

@@ -123,11 +123,6 @@ class Settings(PlannerSettings):
     """The node's parameters: the planner's, and what only the node needs.
 
     Behaviour is explained in config/planner.yaml; `self_collision` and `tf_prefix` are given in launch/twin.launch.
-
-    Attributes:
-        ik_budget: [s]
-        self_collision: YAML of the link pairs that are not checked.
-        tf_prefix: What stands before the robot's `base_link` in tf; empty: nothing.
     """
 
     ik_budget: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]

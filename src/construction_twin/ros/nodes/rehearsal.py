@@ -58,9 +58,7 @@ class Settings(PrivateSettings):
 
     Attributes:
         mode: Of the launch argument `rehearsal`; with `auto` nothing is rehearsed where MuJoCo is not installed.
-        drives: YAML of the arm's drives; empty: what its URDF says, and nothing is known of motors and rating.
-        tool: Tool file; empty: no tool.
-        self_collision: YAML of the link pairs that are not checked.
+        drives: Empty: what the URDF says, and nothing is known of motors and rating.
         payload: At the flange at all times: mass [kg], or mass and centre in the tip link [m]; empty: nothing.
     """
 

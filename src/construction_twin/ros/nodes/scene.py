@@ -56,13 +56,7 @@ _RUN = "/run_id"
 
 
 class Settings(PrivateSettings):
-    """Private parameters, given in launch/twin.launch.
-
-    Attributes:
-        scene: YAML of the scene at the start; ``none`` or empty: no objects, no padding.
-        self_collision: YAML of the link pairs that are not checked.
-        tf_prefix: Of the twin's tf frames.
-    """
+    """Private parameters, given in launch/twin.launch; `scene` ``none`` or empty: no objects, no padding."""
 
     scene: str
     self_collision: str
@@ -275,7 +269,7 @@ INTERFACE = Interface(
         _edit("clear_scene", Trigger, SceneNode.on_clear),
         _edit("edit_scene", srv.EditScene, SceneNode.on_edit),
     ),
-    every=(Every(lambda _settings: CHECK_PERIOD, lambda node, _ports: node.check()),),
+    every=(Every(lambda _settings: CHECK_PERIOD, SceneNode.check),),
 )
 
 

@@ -103,7 +103,8 @@ class StartupNode:
         self._said: set[str] = set()
         self._clock, self._began = clock, clock()
         self._is_over = False
-        self._came: set[str] = set()
+        #: Topics of which a message has come.
+        self.came: set[str] = set()
         others = other_joints_text(robot.other_joints, robot.base_link, robot.tip_link)
         if others:
             rospy.loginfo("%s", others)
@@ -117,18 +118,6 @@ class StartupNode:
         self._listener = RobotListener(namespace, robot)
         self._ports = ports
         self._heard: set[str] = set()
-
-    def on_feedback(self, _message: Feedback) -> None:
-        """Note that the arm's pose comes."""
-        self._came.add(FEEDBACK)
-
-    def on_twin(self, _message: rospy.AnyMsg) -> None:
-        """Note that the twin's pose comes."""
-        self._came.add(TWIN)
-
-    def on_scene(self, _message: Scene) -> None:
-        """Note that there is a scene."""
-        self._came.add(SCENE)
 
     def run(self) -> None:
         """Wait for the end of ROS, or end the launch: only at its start, so that no arm is left in the midst."""
@@ -150,7 +139,7 @@ class StartupNode:
         for sentence in set(self._refusals.sentences) - self._said:
             self._said.add(sentence)
             rospy.logerr("%s", sentence)
-        for topic in self._came - self._heard:
+        for topic in self.came - self._heard:
             self._heard.add(topic)
             self._ports.stop_hearing(topic)  # one message of a 250 Hz stream is enough
         reports = {"link": snapshot.link, "sync": snapshot.sync, "execution": snapshot.execution}
@@ -160,15 +149,14 @@ class StartupNode:
             for name, facts in reports.items()
             if facts is not None and name not in snapshot.silent
         }
-        came = self._came
         told = snapshot.link.gateway_counters if snapshot.link is not None and "link" in words else {}
         seen = Seen(
             link=words.get("link"),
             sync=words.get("sync"),
             execution=words.get("execution"),
-            feedback=FEEDBACK in came,
-            twin=TWIN in came,
-            scene=SCENE in came,
+            feedback=FEEDBACK in self.came,
+            twin=TWIN in self.came,
+            scene=SCENE in self.came,
             controller=told.get("controller_sentence", ""),
             clock=told.get("cycle_sentence", ""),
         )
@@ -254,12 +242,12 @@ def refused(sentence: str) -> None:
 INTERFACE = Interface(
     report=StartupNode.report,
     hears=(
-        Subscription(FEEDBACK, Feedback, StartupNode.on_feedback, queue_size=1),
-        Subscription(TWIN, rospy.AnyMsg, StartupNode.on_twin, queue_size=1),
-        Subscription(SCENE, Scene, StartupNode.on_scene, queue_size=1),
+        Subscription(FEEDBACK, Feedback, lambda node, _: node.came.add(FEEDBACK), queue_size=1),
+        Subscription(TWIN, rospy.AnyMsg, lambda node, _: node.came.add(TWIN), queue_size=1),
+        Subscription(SCENE, Scene, lambda node, _: node.came.add(SCENE), queue_size=1),
     ),
     listeners=(*REPORTS, TOPIC),
-    every=(Every(lambda _settings: PERIOD, lambda node, _ports: node.update()),),
+    every=(Every(lambda _settings: PERIOD, StartupNode.update),),
 )
 NODE = NodeShell("startup", Settings, StartupNode, INTERFACE, check, refused=refused)
 main = NODE.run

@@ -116,20 +116,12 @@ _HANDLE, _SPHERE = 0.3, 0.25
 _HALF = math.sqrt(0.5)
 #: Orientation of a control whose axis is the marker's x, y, z.
 _AXES = {"x": (_HALF, 0.0, 0.0, _HALF), "y": (0.0, 0.0, _HALF, _HALF), "z": (0.0, _HALF, 0.0, _HALF)}
-_Positive = Annotated[float, pydantic.Field(gt=0.0, allow_inf_nan=False)]
 
 
 class Settings(PrivateSettings):
-    """Private parameters: behaviour in config/tool_marker.yaml; `self_collision`, `tf_prefix` in the launch file.
+    """Private parameters: behaviour in config/tool_marker.yaml; `self_collision`, `tf_prefix` in the launch file."""
 
-    Attributes:
-        scale: [m]
-        self_collision: YAML of the link pairs that are not checked.
-        tf_prefix: Of the tf frames of the robot's links; empty: none.
-        reviewer: Who approves and rejects by the menu; empty: the user who starts it.
-    """
-
-    scale: _Positive
+    scale: Annotated[float, pydantic.Field(gt=0.0, allow_inf_nan=False)]
     self_collision: str
     tf_prefix: str
     reviewer: str

@@ -50,15 +50,10 @@ EFFORT_PERIOD = NANOSECONDS // 50
 
 
 class Settings(NodeSettings):
-    """Private parameters, given in launch/gate.launch.
+    """Private parameters, given in launch/gate.launch; what follows `twin` counts with mujoco alone.
 
     Attributes:
-        arm: The physical arm.
-        twin: What simulates.
-        self_collision: YAML of the link pairs that are not checked; with mujoco alone.
-        drives: YAML of the arm's drives; empty: what the URDF says; with mujoco alone.
-        tool: Tool file, for what the tool weighs; empty: no tool; with mujoco alone.
-        payload: At the flange at all times: mass [kg], or mass and centre in the tip link [m]; empty: nothing; with mujoco alone.
+        payload: At the flange at all times: mass [kg], or mass and centre in the tip link [m]; empty: nothing.
     """
 
     arm: Literal["mock", "real", "none"]

@@ -74,10 +74,7 @@ class Settings(PrivateSettings):
     Attributes:
         model, cell: Absolute paths of the IFC file and of the cell file.
         tool, scene: Absolute paths of the robot's: those that the cell file names.
-        self_collision: YAML of the link pairs that are not checked.
-        tf_prefix: Of the twin's tf frames.
         folder: Of the ledgers.
-        arm: ``mock``, ``real`` or ``none``: without a physical arm the twin's pose counts as measured.
         private: Folder of what a console serves to whom is logged in, relative to ROS_HOME; empty: no console was started.
         service_timeout, listen_time, retry_time: [s]
     """

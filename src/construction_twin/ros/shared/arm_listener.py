@@ -56,11 +56,7 @@ class NeighbourSettings(NodeSettings):
 
 
 def neighbour_settings() -> NeighbourSettings | None:
-    """Return the settings of the node's own robot; None for a robot alone.
-
-    Raises:
-        ConfigurationError: With the parameter's name, its value and what was expected.
-    """
+    """Return the settings of the node's own robot; None for a robot alone. Raises like `settings_of`."""
     values = rospy.get_param("neighbour", None)
     return None if values is None else settings_of(NeighbourSettings, values, rospy.resolve_name("neighbour"))
 
@@ -97,15 +93,11 @@ class ArmListener:
     Args:
         robot: Its name is its namespace.
         above: What that is in: ``/``, or ``/cell/``.
-        refused: Called as ``refused(reason, sentence)`` for a message that is not used.
-
-    Attributes:
-        newest: Its newest plan; None before the first.
-        scene: None before the first.
     """
 
     def __init__(self, robot: RobotModel, above: str, refused: Refuse):
         self.robot = robot
+        # None before the first
         self.newest: PlanValue | None = None
         self.scene: SceneValue | None = None
         self._space = f"{above}{robot.name}"
@@ -118,11 +110,7 @@ class ArmListener:
             Subscriber(f"{self._space}/{topic}", kind, callback, refused, queue_size=10)
 
     def claim(self) -> Claim | None:
-        """Return what tells of the plan that it follows; None: it follows none.
-
-        Raises:
-            NeighbourUnknownError: If this is not known.
-        """
+        """Return what tells of the plan that it follows; None: it follows none. NeighbourUnknownError if that is not known."""
         last = self._execution
         if last is None:
             raise NeighbourUnknownError(self.robot.name, Sentence("its executor has said nothing yet"))
@@ -207,10 +195,9 @@ class OtherArm:
         self._known: tuple[SceneValue, str] | None = None
 
     def occupied(self) -> Occupied:
-        """Return the space that the arm occupies; the same obstacles while that is the same.
+        """Return the space that the arm occupies: the same obstacles while that is the same.
 
-        Raises:
-            NeighbourUnknownError: If its pose, its plan or its load is not known.
+        NeighbourUnknownError if its pose, its plan or its load is not known.
         """
         name, scene, claim = self._arm.name, self._listener.scene, self._listener.claim()
         if scene is None:
@@ -256,11 +243,7 @@ def await_robot(name: str) -> None:
 
 
 def listen_to_other_arm(own: str, settings: NeighbourSettings, refused: Refuse) -> OtherArm:
-    """Return the other arm of the cell, listening to its topics.
-
-    Args:
-        own: Name of our robot in the cell.
-        refused: As in `ArmListener`.
+    """Return the other arm of the cell, listening to its topics; `own` is the name of our robot there.
 
     Raises:
         ConfigurationError: If the other robot's description is missing, or the cell does not hold both.

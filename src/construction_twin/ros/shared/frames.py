@@ -19,7 +19,6 @@ import rosgraph
 import rospy
 import tf2_ros
 import yaml
-from geometry_msgs.msg import TransformStamped
 from tf2_msgs.msg import TFMessage
 
 from construction_twin.core.motion_errors import FrameError
@@ -121,24 +120,16 @@ class Frames:
 
     Args:
         tf_prefix: Of the twin's tf frames.
-        lookup: Takes a tf frame and a stamp; returns where it is in the base; raises tf2_ros.TransformException.
-        known: Returns what tf knows, as `tf2_ros.Buffer.all_frames_as_yaml` does.
+        timeout: How long a frame is waited for [s].
 
     Attributes:
         base: tf frame of the robot's base.
     """
 
-    def __init__(
-        self,
-        robot: RobotModel,
-        tf_prefix: str,
-        lookup: Callable[[str, rospy.Time], TransformStamped],
-        known: Callable[[], str],
-    ):
+    def __init__(self, robot: RobotModel, tf_prefix: str, buffer: tf2_ros.Buffer, timeout: float = 0.0):
         self.base = tf_frame(tf_prefix, robot.base_link)
         self._links = {link: tf_frame(tf_prefix, link) for link in parse_urdf(robot.urdf).link_map}
-        self._lookup = lookup
-        self._known = known
+        self._buffer, self._timeout = buffer, rospy.Duration(timeout)
 
     def tf_name(self, frame: str) -> str:
         """Return the tf frame that a person means: a link by its URDF name is the twin's, as commanded; empty is the base."""
@@ -154,30 +145,19 @@ class Frames:
         if name == self.base:
             return Pose(np.zeros(3), np.eye(3))
         try:
-            return pose_from_transform_msg(self._lookup(name, stamp).transform)
+            found = self._buffer.lookup_transform(self.base, name, stamp, self._timeout)
+            return pose_from_transform_msg(found.transform)
         except tf2_ros.TransformException as error:
             raise FrameError(frame, self.base, str(error), (*self._links, *self._others())) from error
 
     def _others(self) -> tuple[str, ...]:
         """Return the frames that tf knows, without those of the robot's own links."""
-        read = yaml.safe_load(self._known()) or {}
+        read = yaml.safe_load(self._buffer.all_frames_as_yaml()) or {}
         # a frame's parents are known too, the root as nothing else
         names = {str(name) for name in read} | {str(each["parent"]) for each in read.values() if "parent" in each}
         return tuple(sorted(names - set(self._links.values())))
 
 
 def listen_to_frames(robot: RobotModel, tf_prefix: str, timeout: float, refused: Callable[[str, str], None]) -> Frames:
-    """Return the frames, listening to tf for as long as they are used.
-
-    Args:
-        robot, tf_prefix: As of `Frames`.
-        timeout: How long a frame is waited for [s].
-        refused: As of `FrameListener`.
-    """
-    listener = FrameListener(refused)
-    base, wait = tf_frame(tf_prefix, robot.base_link), rospy.Duration(timeout)
-
-    def lookup(frame: str, stamp: rospy.Time) -> TransformStamped:
-        return listener.buffer.lookup_transform(base, frame, stamp, wait)
-
-    return Frames(robot, tf_prefix, lookup, listener.buffer.all_frames_as_yaml)
+    """Return the frames, listening to tf for as long as they are used; arguments as of `Frames` and `FrameListener`."""
+    return Frames(robot, tf_prefix, FrameListener(refused).buffer, timeout)

@@ -23,11 +23,7 @@ TIMEOUT = 100
 
 
 def config_from_parameters(namespace: str = "", parameters: Parameters = rospy) -> GatewayConfig:
-    """Return the configuration that a namespace's `robot_description`, `robot` and `gateway` parameters describe.
-
-    Args:
-        namespace: ``/kr120/``; the node's own by default.
-    """
+    """Return the configuration that the parameters of a namespace describe: ``/kr120/``; the node's own by default."""
     robot = robot_from_parameters(namespace, parameters)
     return config_of_link(robot, parameters.get_param(namespace + "gateway", None))
 
@@ -92,7 +88,13 @@ def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
         )
     except TypeError as error:
         raise ConfigurationError("gateway", settings, f"the keys of config/gateway.yaml ({error})") from error
-    _check_format(robot, config)
+    codec = JointStringCodec.of(robot, config.decimals)
+    for end, q in (("lower", robot.lower), ("upper", robot.upper)):
+        try:
+            codec.encode(q)
+        except PayloadError as error:
+            expected = f"a range the wire can carry ({error})"
+            raise ConfigurationError(f"{end} limits of {robot.name}", q, expected) from error
     return config
 
 
@@ -100,15 +102,3 @@ def gateway_tool(tool: Tool) -> GatewayTool:
     """Return what the gateway must know about a tool."""
     outputs = tuple(ToolOutput(name, output.on_stop, output.opens) for name, output in tool.outputs.items())
     return GatewayTool(tool.name, outputs, tool.inputs)
-
-
-def _check_format(robot: RobotModel, config: GatewayConfig) -> None:
-    """Refuse what could be commanded, but not be sent."""
-    codec = JointStringCodec.of(robot, config.decimals)
-    for end, q in (("lower", robot.lower), ("upper", robot.upper)):
-        try:
-            codec.encode(q)
-        except PayloadError as error:
-            raise ConfigurationError(
-                f"{end} limits of {robot.name}", q, f"a range the wire can carry ({error})"
-            ) from error

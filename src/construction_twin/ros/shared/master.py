@@ -80,12 +80,9 @@ def ask(uri: str, timeout: float, question: str, *words: str) -> tuple[int, Any]
 def await_master(timeout: float = TIMEOUT) -> None:
     """Return when the master of ROS_MASTER_URI has answered.
 
-    Args:
-        timeout: [s]
-
     Raises:
         ConfigurationError: When ROS_MASTER_URI is no address.
-        SilenceError: When no master answers there.
+        SilenceError: When no master answers there within a time [s].
     """
     uri = rosgraph.get_master_uri()
     address = urllib.parse.urlsplit(uri)
@@ -118,11 +115,7 @@ def wait_for_master(name: str) -> None:
 
 
 def expect_wall_clock(uri: str) -> None:
-    """Check that a master gives no simulated time; without a master there is none.
-
-    Raises:
-        ConfigurationError: It does, by /use_sim_time; with what to do.
-    """
+    """Raise ConfigurationError where a master gives simulated time, by /use_sim_time; without a master there is none."""
     try:
         _, is_simulated = ask(uri, TIMEOUT, "getParam", SIMULATED)
     except FAILURES:
@@ -147,16 +140,13 @@ def publishing_nodes(topic: str) -> list[str]:
 
 
 def expect_publisher(topic: str, patience: float = ANSWER) -> None:
-    """Return when a node that publishes a topic answers; to tell a node that is down from one that has nothing to say yet.
-
-    Args:
-        topic: Absolute.
-        patience: How long a node may take to answer [s]; it is asked twice, because a machine under load may lose a question.
+    """Return when a node that publishes a topic answers: one that is down is told from one that has nothing to say yet.
 
     Raises:
         SilenceError: When none is registered, or those that are do not answer.
     """
     names = publishing_nodes(topic)
+    # twice, because a machine under load may lose a question
     answers = (node.pid for _ in range(2) for node in running(names, rosgraph.get_master_uri(), patience))
     if not any(answers):
         who = " and ".join(names)
@@ -168,12 +158,7 @@ def running(names: Iterable[str], uri: str, patience: float = NODE_TIMEOUT) -> l
     """Return which nodes run now; none when there is no master.
 
     A node that was killed stays registered: whether it lives, it is asked itself. One whose machine refuses the connection, or
-    whose port now belongs to a node of another name, has ended; one that keeps silent may live.
-
-    Args:
-        names: Absolute.
-        uri: Of the master.
-        patience: How long a node may take to answer [s].
+    whose port now belongs to a node of another name, has ended; one that keeps silent for `patience` [s] may live.
     """
     try:
         found = {name: ask(uri, TIMEOUT, "lookupNode", name) for name in names}

@@ -132,11 +132,7 @@ def build(arm: Mapping, scene: Scene, masses: Mapping[str, float]) -> PhysicsMod
 
 def rehearse(arm: Mapping, question: Question) -> RehearsalReport:
     """Return what the rehearsal of a plan by an arm, the arguments of `prepared`, finds."""
-    return answer(prepared(**arm), question)
-
-
-def answer(rehearsal: Rehearsal, question: Question) -> RehearsalReport:
-    """Return what a rehearsal finds."""
+    rehearsal = prepared(**arm)
     masses = masses_of(question.masses, question.scenes.values(), rehearsal.bodies, question.standing)
     found = replace(rehearsal, masses=masses, unweighed=question.unweighed, inputs=question.inputs)
     return found.of_plan(question.plan, question.scenes, time.perf_counter)

@@ -68,8 +68,6 @@ class Publication:
 
     Attributes:
         kind: Of its messages; the name of one that need not be installed, as ``moveit_msgs/PlanningScene``: then there is no topic.
-        queue_size: Messages kept for a subscriber that is too slow.
-        when: Whether there is such a topic.
     """
 
     topic: str
@@ -100,11 +98,7 @@ class Publication:
 
 @dataclass(frozen=True)
 class PosePublication:
-    """Poses of the robot that the node publishes, as joint states or as `Feedback`.
-
-    Attributes:
-        when: Whether there is such a topic.
-    """
+    """Poses of the robot that the node publishes, as joint states or as `Feedback`."""
 
     topic: str
     kind: type = JointState
@@ -117,13 +111,7 @@ class PosePublication:
 
 @dataclass(frozen=True)
 class Subscription:
-    """A topic that the node hears.
-
-    Attributes:
-        handler: Takes node and message.
-        queue_size: Messages kept for a handler that is busy.
-        when: Whether it is heard.
-    """
+    """A topic that the node hears; the handler takes node and message."""
 
     topic: str
     kind: type
@@ -143,8 +131,6 @@ class PoseSubscription:
 
     Attributes:
         handler: Takes the node, a stamp [ns] and positions [rad]; of `Feedback` also its number and the command's stamp [ns].
-        queue_size, kind, pause: As of `JointSubscriber`.
-        when: Whether they are heard.
     """
 
     topic: str
@@ -161,23 +147,10 @@ class PoseSubscription:
 
 @dataclass(frozen=True)
 class NewestPose:
-    """Poses of which the node asks for the newest, now and then: see `LatestPose`.
-
-    Attributes:
-        when: Whether it does.
-    """
+    """Poses of which the node asks for the newest, now and then: see `LatestPose`."""
 
     topic: str
     when: When = always
-
-
-def _nothing(_node: Any, _request: Any) -> Mapping[str, object]:
-    return {}
-
-
-def _counted_as(error: ConstructionTwinError) -> str:
-    """Return as what an error is counted by itself; "": as what its service says."""
-    return TOO_OLD if isinstance(error, ExpiredError) else error.reason if isinstance(error, ProtocolError) else ""
 
 
 @dataclass(frozen=True)
@@ -195,29 +168,25 @@ class Served:
     kind: type
     handler: Callable[[Any, Any], Outcome | str]
     reason: str = ""
-    refused: Callable[[Any, Any], Mapping[str, object]] = _nothing
+    refused: Callable[[Any, Any], Mapping[str, object]] = lambda _node, _request: {}
 
     def answer(self, node: Any, refuse: Refuse, request: Any) -> Any:
         """Return the response: the one place where a refusal becomes an answer, is counted, and written to the log later."""
         try:
             done = self.handler(node, request)
         except ConstructionTwinError as error:
-            refuse(_counted_as(error) or self.reason or type(error).__name__, str(error))
-            done = Outcome(False, str(error), isinstance(error, ExpiredError), self.refused(node, request))
+            expired, own = isinstance(error, ExpiredError), error.reason if isinstance(error, ProtocolError) else ""
+            refuse(TOO_OLD if expired else own or self.reason or type(error).__name__, str(error))
+            done = Outcome(False, str(error), expired, self.refused(node, request))
         return (Outcome(True, done) if isinstance(done, str) else done).response(self.kind)
 
 
 @dataclass(frozen=True)
 class Every:
-    """What the node does again and again.
-
-    Attributes:
-        period: Takes the node's parameters; returns how often [s].
-        act: Takes the node and its ports.
-    """
+    """What the node does again and again: `period` takes its parameters [s], `act` the node."""
 
     period: Callable[[Any], float]
-    act: Callable[[Any, Ports], object]
+    act: Callable[[Any], object]
 
 
 @dataclass(frozen=True)
@@ -306,9 +275,9 @@ class Ports:
         """Hear no more of a topic."""
         self._subscribers.pop(topic).unregister()
 
-    def _doing(self, act: Callable[[Any, Ports], object]) -> Callable[[object], object]:
+    def _doing(self, act: Callable[[Any], object]) -> Callable[[object], object]:
         # once this node is asked to end, what stays away is no news: the others end as well
-        return lambda _event: rospy.core.is_shutdown_requested() or act(self._node, self)
+        return lambda _event: rospy.core.is_shutdown_requested() or act(self._node)
 
     def _report(self) -> Report:
         if self._node is None or self._interface.report is None:

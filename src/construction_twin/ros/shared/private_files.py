@@ -9,7 +9,6 @@ A file is written whole or not at all; what is there already under its digest is
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -23,53 +22,6 @@ from construction_twin.scene.objects import Scene, read_mesh_file
 _LARGEST = 64 * 2**20
 #: What a browser's loaders read.
 SUFFIXES = (".stl", ".dae", ".obj", ".glb")
-
-
-@dataclass(frozen=True)
-class ShownUrdf:
-    """What a browser gets.
-
-    Attributes:
-        text: The URDF; its meshes are ``<folder><digest><suffix>``.
-        meshes: Contents by ``<digest><suffix>``.
-        problems: One sentence for each shape that is left out, because its mesh cannot be used.
-    """
-
-    text: str
-    meshes: dict[str, bytes] = field(default_factory=dict)
-    problems: tuple[str, ...] = ()
-
-
-def shown_urdf(urdf: str, folder: str) -> ShownUrdf:
-    """Return a URDF without collision shapes, whose visual meshes are named by their digests.
-
-    Args:
-        urdf: Expanded.
-        folder: What stands before a mesh's name, e.g. ``../mesh/``.
-
-    Raises:
-        ElementTree.ParseError: If the text is not XML.
-    """
-    # bytes, because the XML parser refuses an encoding declaration in a str
-    robot = ElementTree.fromstring(urdf.encode())
-    packages, meshes, problems = Packages(), {}, []
-    for link in robot.iter("link"):
-        for collision in link.findall("collision"):
-            link.remove(collision)
-        for visual in link.findall("visual"):
-            mesh = visual.find("geometry/mesh")
-            if mesh is None:
-                continue
-            try:
-                path = packages.file(mesh.get("filename", ""), f"URDF link {link.get('name')} visual mesh")
-                name, contents = _read(path)
-            except ConfigurationError as error:
-                problems.append(str(error))
-                link.remove(visual)
-                continue
-            meshes[name] = contents
-            mesh.set("filename", folder + name)
-    return ShownUrdf(ElementTree.tostring(robot, encoding="unicode"), meshes, tuple(problems))
 
 
 def _read(path: Path) -> tuple[str, bytes]:
@@ -100,19 +52,36 @@ class PrivateFiles:
         self._robot = robot
 
     def write_robot(self, urdf: str) -> tuple[str, ...]:
-        """Write the robot's model and its meshes; return a sentence for each shape that is left out.
+        """Write the robot's model without collision shapes, and its meshes; return a sentence for each shape that is left out.
 
         Raises:
             ConfigurationError: When the folder takes no files, or the text is no URDF.
         """
         try:
-            shown = shown_urdf(urdf, MESHES)
+            # bytes, because the XML parser refuses an encoding declaration in a str
+            robot = ElementTree.fromstring(urdf.encode())
         except ElementTree.ParseError as error:
             raise ConfigurationError("robot_description", str(error), "a URDF") from error
-        for name, contents in shown.meshes.items():
-            self._keep(f"mesh/{name}", contents)
-        self._write(f"{self._robot}/robot.urdf", shown.text)
-        return shown.problems
+        packages, problems = Packages(), []
+        for link in robot.iter("link"):
+            for collision in link.findall("collision"):
+                link.remove(collision)
+            for visual in link.findall("visual"):
+                mesh = visual.find("geometry/mesh")
+                if mesh is None:
+                    continue
+                try:
+                    path = packages.file(mesh.get("filename", ""), f"URDF link {link.get('name')} visual mesh")
+                    name, contents = _read(path)
+                except ConfigurationError as error:
+                    problems.append(str(error))
+                    link.remove(visual)
+                    continue
+                if not (self._folder / "mesh" / name).exists():
+                    self._write(f"mesh/{name}", contents)
+                mesh.set("filename", MESHES + name)
+        self._write(f"{self._robot}/robot.urdf", ElementTree.tostring(robot, encoding="unicode"))
+        return tuple(problems)
 
     def write_scene(self, scene: Scene) -> None:
         """Write the meshes of a scene, as binary STL in the files' own units.
@@ -138,10 +107,6 @@ class PrivateFiles:
             (self._folder / self._robot / "building.glb").unlink(missing_ok=True)
         except OSError as error:
             raise self._refused(error) from error
-
-    def _keep(self, name: str, contents: bytes) -> None:
-        if not (self._folder / name).exists():
-            self._write(name, contents)
 
     def _write(self, name: str, contents: str | bytes) -> None:
         try:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import rospy
@@ -71,14 +70,6 @@ def moved(before: Pose, after: Pose, tolerance: float = STILL) -> bool:
     return bool(position.max() > tolerance or rotation.max() > tolerance)
 
 
-@dataclass(frozen=True)
-class ShownPlan:
-    """The plan that the operator sees (empty: none), and since when [s, monotonic]."""
-
-    plan_id: str = ""
-    since: float = 0.0
-
-
 class ToolMarkerMenu:
     """Carries out what an operator chooses.
 
@@ -107,7 +98,8 @@ class ToolMarkerMenu:
         self._say = say
         self._run = run
         self._planning = threading.Lock()
-        self._shown = ShownPlan()
+        # the plan that the operator sees, empty: none, and since when [s, monotonic]
+        self._shown = "", 0.0
         self._actions: dict[str, Callable[[], Outcome]] = {
             "Plan": lambda: self._plan(lambda: self._pose_request("pose")),
             "Plan straight line": lambda: self._plan(lambda: self._pose_request("line")),
@@ -139,8 +131,8 @@ class ToolMarkerMenu:
 
     def show(self, plan_id: str) -> None:
         """Note which plan the operator sees now; empty for none."""
-        if plan_id != self._shown.plan_id:
-            self._shown = ShownPlan(plan_id, time.monotonic())
+        if plan_id != self._shown[0]:
+            self._shown = plan_id, time.monotonic()
 
     def choose(self, title: str) -> None:
         """Carry out an entry, and tell the operator how it ended."""
@@ -178,8 +170,8 @@ class ToolMarkerMenu:
         plan = self._under_review()
         if plan is None:
             raise RequestRefused("no plan waits for approval; plan one first")
-        shown = self._shown
-        if shown.plan_id != plan.id or time.monotonic() - shown.since < SHOWN:
+        shown, since = self._shown
+        if shown != plan.id or time.monotonic() - since < SHOWN:
             raise RequestRefused(f"plan {plan.id[:8]} has only just come; look at it, then choose again")
         return self._client.review(ReviewRequest(plan.id, plan.hash, verdict, self._reviewer, "by the marker's menu"))
 

@@ -1,0 +1,127 @@
+"""What goes on beside the cycle of the executor: what it has to tell, what its disk keeps, and who may have it move the arm."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Annotated, Literal
+
+import pydantic
+
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.reports import ExecutionReport, ToolReport
+from construction_twin.core.speed_limit import LimitState, SpeedLimit
+from construction_twin.execution.engagement import Engagement
+from construction_twin.execution.executor import Executor, ExecutorState
+from construction_twin.robot.description import ESTIMATES, RobotModel
+
+#: States of the limit in which who should tell it does not.
+_UNHEARD = (LimitState.SILENT, LimitState.MISSING)
+
+
+class Permission(pydantic.BaseModel):
+    """Which arm moves, and by whose word: launch arguments of these names."""
+
+    arm: Literal["mock", "real", "none"]
+    auto_approve: bool = False
+    auto_approve_is_meant: bool = False
+    auto_approve_sources: tuple[Annotated[str, pydantic.Field(min_length=1)], ...] = ()
+
+    @pydantic.field_validator("auto_approve_sources")
+    @classmethod
+    def _never_with_a_real_arm(cls, names: tuple[str, ...], given: pydantic.ValidationInfo) -> tuple[str, ...]:
+        if names and given.data.get("arm") == "real":
+            raise ValueError("none with a real arm: the name of a client proves nothing, a person has to approve")
+        return names
+
+    def check(self, robot: RobotModel) -> None:
+        """Raise ConfigurationError unless a real arm moves by a person's word and by looked-up values."""
+        if self.arm == "real" and self.auto_approve and not self.auto_approve_is_meant:
+            raise ConfigurationError(
+                "auto_approve",
+                True,
+                "false with arm:=real, for a person to approve each plan; or also give auto_approve_is_meant:=true",
+            )
+        if self.arm == "real" and robot.estimates:
+            keys = " and ".join(ESTIMATES[word] for word in robot.estimates)
+            expected = f"none with arm:=real: put in the right values of {keys}, then take the words out"
+            raise ConfigurationError("estimates", list(robot.estimates), expected)
+
+
+class News:
+    """What is new of an executor and its speed limit."""
+
+    def __init__(self, executor: Executor, limit: SpeedLimit):
+        self._executor, self._limit = executor, limit
+        self._told: tuple = (None,)
+        self._limit_state: LimitState | None = None
+
+    @property
+    def waits(self) -> bool:
+        """Whether somebody should look: nothing moves by itself, or no limit comes."""
+        return self._limit.state in _UNHEARD or self._executor.state in (ExecutorState.WAITING, ExecutorState.HELD)
+
+    def take(self, moments: Callable[[], tuple[int, str]]) -> tuple[ExecutionReport | None, list[tuple[bool, str]]]:
+        """Return the report, where one is due, and lines for the log, each with whether it is a warning.
+
+        Args:
+            moments: Returns ROS time [ns] and the robot's clock. A stop that comes after that is not known to the report.
+        """
+        executor, news = self._executor, self._executor.news()
+        lines: list[tuple[bool, str]] = []
+        if self._limit.state is not self._limit_state:
+            self._limit_state = self._limit.state
+            lines.append((self._limit_state in _UNHEARD, self._limit.reason))
+        if news == self._told:
+            return None, lines
+        if news[0] != self._told[0]:
+            lines.append((False, f"{executor.state.name}: {executor.reason}"))
+        report = executor.report(*moments())
+        # after what may fail: what was not reported is news in the next cycle, too
+        self._told = news
+        return report, lines
+
+
+class Disk:
+    """What is written beside the cycle. What the disk does not take is said, and tried again.
+
+    Args:
+        engagement: File of where the arm is engaged.
+        lock: Held around every use of the executor.
+        say: Takes a sentence.
+    """
+
+    def __init__(self, executor: Executor, engagement: Path, lock: AbstractContextManager, say: Callable[[str], None]):
+        self._executor, self._engagement, self._lock, self._say = executor, engagement, lock, say
+        self._problems: dict[str, str] = {}
+        self._told: tuple | None = None
+
+    @property
+    def problem(self) -> str:
+        """What was not taken; empty: all was."""
+        return next(iter(self._problems.values()), "")
+
+    def write(self, what: str, write: Callable[[], object]) -> bool:
+        """Write something; return whether the disk has taken it."""
+        try:
+            write()
+        except ConstructionTwinError as error:
+            self._problems[what] = str(error)
+            self._say(str(error))
+            return False
+        self._problems.pop(what, None)
+        return True
+
+    def settle(self) -> tuple[Engagement | None, ToolReport] | None:
+        """Write where the arm is about to be, or was left; return that, and the tool, where it is news for the planner."""
+        keeper = self._executor.engagement
+        if not self.write("the engagement", lambda: keeper.settle(self._lock, self._engagement)):
+            return None
+        with self._lock:
+            left, tool = keeper.left, self._executor.tool
+        engagement = left, left.requires(tool) if left is not None else ()
+        if engagement == self._told:
+            return None
+        self._told = engagement
+        return left, tool
