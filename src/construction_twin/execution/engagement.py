@@ -88,10 +88,7 @@ def holding_of(segment: Segment) -> Holding:
 
 
 class EngagementKeeper:
-    """Which engagement there is, and which of it is on the disk.
-
-    Args:
-        found: What the disk says at the start: the executor before this one ended inside.
+    """Which engagement there is, and which of it is on the disk, where the executor before this one may have left one.
 
     Attributes:
         present: What must be on the disk. A segment that is engaged is entered only when it is.
@@ -169,13 +166,9 @@ def write_engagement(path: Path, engagement: Engagement | None) -> None:
         rows = [json.dumps([float(time), *(values.tolist() for values in row)]) for time, *row in columns]
         write_whole(path, json.dumps(fields)[:-1] + ', "waypoints": [\n' + ",\n".join(rows) + "\n]}\n")
     except OSError as error:
+        values = {"path": str(path), "problem": error.strerror or str(error)}
         raise ExecutionError(
-            Sentence(
-                "{path}: {problem}: where the arm may be left is not on the disk, so no engaged segment is "
-                "entered or left; mend it",
-                path=str(path),
-                problem=error.strerror or str(error),
-            )
+            Sentence("{path}: {problem}: where the arm may be left is not on the disk; mend it", **values)
         ) from error
 
 
@@ -199,12 +192,8 @@ def read_engagement(path: Path, joint_names: Sequence[str]) -> Engagement | None
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, TypeError, TrajectoryError) as error:
-        problem = f"{type(error).__name__}: {problem_of(error)}"
-        raise ConfigurationError(
-            str(path),
-            problem,
-            "the file that an executor of this robot wrote; look at the arm, free it, and only then delete the file",
-        ) from error
+        expected = "the file that an executor of this robot wrote; free the arm, and only then delete the file"
+        raise ConfigurationError(str(path), f"{type(error).__name__}: {problem_of(error)}", expected) from error
     left = Engagement(path=ExecutedPath(trajectory, end), holding=holding, **words)
     # one that was only expected
     return left if left.reason else replace(left, reason="the executor ended before the plan did")
@@ -221,8 +210,8 @@ def check_way_back(plan: Plan, engagement: Engagement) -> None:
     if segment is None or segment.switches or segment.scene_after != segment.scene:
         raise ReviewError(
             Sentence(
-                "the arm is engaged in segment {segment} of plan {left}, and plan {plan} is not the way "
-                "back: call plan_way_back, or free the arm by hand and call release_engagement",
+                "plan {plan} is not the way back out of segment {segment} of plan {left}: call plan_way_back, or free the arm by "
+                "hand and call release_engagement",
                 plan=plan.id,
                 segment=repr(engagement.segment),
                 left=engagement.plan_id,
@@ -232,33 +221,26 @@ def check_way_back(plan: Plan, engagement: Engagement) -> None:
         found = ", ".join(f"{signal.name}={signal.value}" for signal in segment.requires) or "nothing"
         raise ReviewError(
             Sentence(
-                "plan {plan} requires {found} of the tool, not what the arm was left with in segment "
-                "{segment} of plan {left}: call plan_way_back, or free the arm by hand and call "
-                "release_engagement",
+                "plan {plan} requires {found} of the tool, not what the arm was left with: call plan_way_back, or free the arm by "
+                "hand and call release_engagement",
                 plan=plan.id,
                 found=found,
-                segment=repr(engagement.segment),
-                left=engagement.plan_id,
             )
         )
     scenes = engagement.scenes_of(segment.requires)
     if plan.scene not in scenes:
-        raise ReviewError(
-            Sentence(
-                "plan {plan} is not the way back: {problem}", plan=plan.id, problem=scene_problem(plan.scene, scenes)
-            )
-        )
+        problem = scene_problem(plan.scene, scenes)
+        raise ReviewError(Sentence("plan {plan} is not the way back: {problem}", plan=plan.id, problem=problem))
     trajectory, path = plan.trajectory, engagement.path
     start = trajectory.positions[0]
     entry = path.entry(start)
     if entry.distance > LARGEST_ENTRY:
-        distance = float(entry.distance)
         raise ReviewError(
             Sentence(
-                "plan {plan} starts {distance:.4f} rad (or m) beside the executed path, which is more than "
-                "{most:g}: free the arm by hand, then call release_engagement",
+                "plan {plan} starts {distance:.4f} rad (or m) beside the executed path; expected at most {most:g}, or free the arm "
+                "by hand, then call release_engagement",
                 plan=plan.id,
-                distance=distance,
+                distance=float(entry.distance),
                 most=LARGEST_ENTRY,
             )
         )
@@ -270,9 +252,8 @@ def check_way_back(plan: Plan, engagement: Engagement) -> None:
     if off is not None:
         raise ReviewError(
             Sentence(
-                "plan {plan} leaves the executed path {time:.3f} s after its start; the arm is engaged, and "
-                "only the way back can be reviewed: call plan_way_back, or free the arm and call "
-                "release_engagement",
+                "plan {plan} leaves the executed path {time:.3f} s after its start: call plan_way_back, or free the arm by hand "
+                "and call release_engagement",
                 plan=plan.id,
                 time=float(times[off]),
             )
@@ -283,19 +264,17 @@ def scene_problem(scene: str, scenes: Sequence[str]) -> str:
     """Return why an engaged arm cannot go back in a scene, and what to do, as a clause; `scenes`: those in which it can."""
     wanted = " or ".join(each[:12] for each in scenes) or "none that is known"
     return Sentence(
-        "it is for scene {scene}, which does not say what hangs on the tool; the scene must become "
-        "{wanted} first (the node work makes it so), or free the arm by hand and call "
-        "release_engagement",
+        "scene {scene} does not say what hangs on the tool; it must become {wanted} first (by the node work), or free the arm by "
+        "hand and call release_engagement",
         scene=scene[:12],
         wanted=wanted,
     )
 
 
 def follow(way: np.ndarray, poses: np.ndarray) -> int | None:
-    """Follow a polyline from its beginning to its end, never backwards.
+    """Follow a polyline, its corners of shape (k, n), from its beginning to its end, never backwards.
 
     Args:
-        way: Shape (k, n). Corners, at least two.
         poses: Shape (m, n). Each within `WAY_BACK_TOLERANCE` of the polyline, at or after the place of the one before. Between two
             poses nothing of it may be left out that is further away than their distance.
 

@@ -34,12 +34,12 @@ from construction_twin.gateway.states import CAUSES, ROWS, Action, Event, Guard,
 from construction_twin.gateway.status import StateReport, Status
 from construction_twin.gateway.stop_report import StopReport
 from construction_twin.gateway.tool_switches import ToolSwitches, stamp_of
-from construction_twin.mqtt.interventions import Intervention
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import (
     PROTOCOL,
     CommandProperties,
     Control,
+    Intervention,
     StateProperties,
     is_session,
     other_protocol,
