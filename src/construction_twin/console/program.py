@@ -89,8 +89,7 @@ def settings_of(arguments: argparse.Namespace) -> ServerSettings:
     if arguments.rights:
         _check_rights(arguments.rights)
     if to_broker is None and not is_loopback(arguments.broker_host):
-        expected = "loopback, or --broker-ca: passwords cross the network"
-        raise ConfigurationError("--broker-host", arguments.broker_host, expected)
+        raise ConfigurationError("--broker-host", arguments.broker_host, "loopback, or --broker-ca, for passwords")
     if arguments.page and not arguments.page.is_dir():
         raise ConfigurationError("--page", str(arguments.page), "a folder")
     return ServerSettings(

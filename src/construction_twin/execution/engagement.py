@@ -25,6 +25,9 @@ from construction_twin.robot.plan import Plan
 from construction_twin.robot.segments import Segment, Signal
 from construction_twin.robot.trajectory import Trajectory
 
+#: What to do where an arm was left engaged.
+_BY_HAND = Sentence("free the arm by hand and call release_engagement")
+REMEDY = Sentence("call plan_way_back, or {by_hand}", by_hand=_BY_HAND)
 #: Of the file's format.
 VERSION = 3
 #: Fields of an engagement that are texts.
@@ -208,25 +211,13 @@ def check_way_back(plan: Plan, engagement: Engagement) -> None:
     """
     segment = plan.segments[0] if len(plan.segments) == 1 else None
     if segment is None or segment.switches or segment.scene_after != segment.scene:
-        raise ReviewError(
-            Sentence(
-                "plan {plan} is not the way back out of segment {segment} of plan {left}: call plan_way_back, or free the arm by "
-                "hand and call release_engagement",
-                plan=plan.id,
-                segment=repr(engagement.segment),
-                left=engagement.plan_id,
-            )
-        )
+        left = Sentence("segment {segment} of plan {plan}", segment=repr(engagement.segment), plan=engagement.plan_id)
+        values = {"plan": plan.id, "left": left, "remedy": REMEDY}
+        raise ReviewError(Sentence("plan {plan} is not the way back out of {left}: {remedy}", **values))
     if all(set(segment.requires) != set(signals) for signals, _ in engagement.holding):
         found = ", ".join(f"{signal.name}={signal.value}" for signal in segment.requires) or "nothing"
-        raise ReviewError(
-            Sentence(
-                "plan {plan} requires {found} of the tool, not what the arm was left with: call plan_way_back, or free the arm by "
-                "hand and call release_engagement",
-                plan=plan.id,
-                found=found,
-            )
-        )
+        values = {"plan": plan.id, "found": found, "remedy": REMEDY}
+        raise ReviewError(Sentence("plan {plan} requires {found} of the tool, not what it held: {remedy}", **values))
     scenes = engagement.scenes_of(segment.requires)
     if plan.scene not in scenes:
         problem = scene_problem(plan.scene, scenes)
@@ -237,11 +228,11 @@ def check_way_back(plan: Plan, engagement: Engagement) -> None:
     if entry.distance > LARGEST_ENTRY:
         raise ReviewError(
             Sentence(
-                "plan {plan} starts {distance:.4f} rad (or m) beside the executed path; expected at most {most:g}, or free the arm "
-                "by hand, then call release_engagement",
+                "plan {plan} starts {distance:.4f} rad (or m) beside the executed path, expected at most {most:g}: {remedy}",
                 plan=plan.id,
                 distance=float(entry.distance),
                 most=LARGEST_ENTRY,
+                remedy=REMEDY,
             )
         )
     line = np.linspace(0.0, 1.0, 2 + math.ceil(entry.distance / WAY_BACK_TOLERANCE))[:-1, None]
@@ -252,10 +243,10 @@ def check_way_back(plan: Plan, engagement: Engagement) -> None:
     if off is not None:
         raise ReviewError(
             Sentence(
-                "plan {plan} leaves the executed path {time:.3f} s after its start: call plan_way_back, or free the arm by hand "
-                "and call release_engagement",
+                "plan {plan} leaves the executed path {time:.3f} s after its start: {remedy}",
                 plan=plan.id,
                 time=float(times[off]),
+                remedy=REMEDY,
             )
         )
 
@@ -263,11 +254,9 @@ def check_way_back(plan: Plan, engagement: Engagement) -> None:
 def scene_problem(scene: str, scenes: Sequence[str]) -> str:
     """Return why an engaged arm cannot go back in a scene, and what to do, as a clause; `scenes`: those in which it can."""
     wanted = " or ".join(each[:12] for each in scenes) or "none that is known"
+    found = {"scene": scene[:12], "wanted": wanted, "by_hand": _BY_HAND}
     return Sentence(
-        "scene {scene} does not say what hangs on the tool; it must become {wanted} first (by the node work), or free the arm by "
-        "hand and call release_engagement",
-        scene=scene[:12],
-        wanted=wanted,
+        "scene {scene} does not say what the tool holds; it must become {wanted} first, or {by_hand}", **found
     )
 
 

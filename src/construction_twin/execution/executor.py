@@ -20,7 +20,7 @@ from construction_twin.core.state_table import Machine, Occasion, conditions
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
-from construction_twin.execution.engagement import Engagement, EngagementKeeper
+from construction_twin.execution.engagement import REMEDY, Engagement, EngagementKeeper
 from construction_twin.execution.playback import START_TOLERANCE, Playback, PlayRate, StopForecaster, distance_along
 from construction_twin.execution.rehearsal_check import RehearsalCheck
 from construction_twin.execution.segment_run import SegmentRun, awaited, lacks
@@ -290,13 +290,8 @@ class Executor:
         left = self.engagement.left
         if left is None:
             return ""
-        return Sentence(
-            "the arm was left in engaged segment {segment} of plan {plan} ({reason}); call plan_way_back, or free it by hand and "
-            "call release_engagement",
-            segment=repr(left.segment),
-            plan=left.plan_id,
-            reason=left.reason,
-        )
+        values = {"segment": repr(left.segment), "plan": left.plan_id, "reason": left.reason, "remedy": REMEDY}
+        return Sentence("the arm was left in engaged segment {segment} of plan {plan} ({reason}); {remedy}", **values)
 
     def _is_way_back(self, plan: Plan) -> bool:
         return self.engagement.engaged and self._way_back == (plan.id, self.engagement.present)
@@ -724,9 +719,7 @@ class Executor:
         if action is Action.FINISH:
             return sentence
         if self.engagement.engaged:
-            return Sentence(
-                "{end}; the arm is engaged: plan the way back, or free it and call release_engagement", end=sentence
-            )
+            return Sentence("{end}; the arm is engaged: {remedy}", end=sentence, remedy=REMEDY)
         return Sentence("{end}: look at arm and tool, then plan the task again from where things are", end=sentence)
 
     def _withdraw_other(self, plan: Plan | None) -> None:

@@ -330,32 +330,31 @@ class WorkTask(WayBack):
     task: Text = ""
 
 
-class JointGoal(WayBack):
-    """A goal of joints; scales of all others, too."""
-
-    joints: JointValues
+class _Scaled(WayBack):
     speed_scale: Fraction = 0.0
     acceleration_scale: Fraction = 0.0
 
 
-class PoseGoal(WayBack):
+class JointGoal(_Scaled):
+    """A goal of joints."""
+
+    joints: JointValues
+
+
+class PoseGoal(_Scaled):
     """A goal of the tool."""
 
     position: Position
     orientation: Quaternion
     configuration: Text = ""
-    speed_scale: Fraction = 0.0
-    acceleration_scale: Fraction = 0.0
 
 
-class LineGoal(WayBack):
+class LineGoal(_Scaled):
     """A goal of the tool, on a straight line."""
 
     position: Position
     orientation: Quaternion
     speed: Annotated[Number, Field(ge=0.0)] = 0.0
-    speed_scale: Fraction = 0.0
-    acceleration_scale: Fraction = 0.0
 
 
 GOALS: Mapping[str, type[WayBack]] = {

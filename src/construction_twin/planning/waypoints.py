@@ -173,12 +173,8 @@ def plan_waypoints(
             not at rest at an end, too fast.
         PlanningError: If waypoints without times cannot be timed, or the motion would be larger than `bounds`.
     """
-    bounds.check(0.0, len(waypoints.rows))
-    robot.check_range(present)
-    _check_ranges(waypoints, robot)
-    if len(waypoints.positions) == 1:
-        waypoints = _goal_from(waypoints, np.array(present, dtype=float))
-    positions = _from_present(waypoints, np.array(present, dtype=float), robot)
+    waypoints = _from_here(waypoints, present, robot, bounds)
+    positions = waypoints.positions
     if waypoints.times is None:
         return time_path(
             positions, robot, speed_scale=speed_scale, acceleration_scale=acceleration_scale, bounds=bounds
@@ -200,21 +196,12 @@ def plan_waypoints(
     return trajectory
 
 
-def asked_path(
-    waypoints: Waypoints, present: JointValues, robot: RobotModel, bounds: PlanBounds = PlanBounds()
-) -> Waypoints:
+def asked_path(waypoints: Waypoints, present: JointValues, robot: RobotModel) -> Waypoints:
     """Return waypoints with times, checked but for what times can mend: from the present pose, at 0 s."""
-    assert waypoints.times is not None  # only with times
-    bounds.check(0.0, len(waypoints.rows))
-    robot.check_range(present)
-    _check_ranges(waypoints, robot)
-    if len(waypoints.positions) == 1:
-        waypoints = _goal_from(waypoints, np.array(present, dtype=float))
-    times = waypoints.times
-    assert times is not None  # as before
-    positions = _from_present(waypoints, np.array(present, dtype=float), robot)
-    _check_times(waypoints, times)
-    return replace(waypoints, positions=positions, times=times - times[0])
+    path = _from_here(waypoints, present, robot, PlanBounds())
+    assert path.times is not None  # only with times
+    _check_times(path, path.times)
+    return replace(path, times=path.times - path.times[0])
 
 
 def time_asked(
@@ -255,6 +242,17 @@ def _check_ranges(waypoints: Waypoints, robot: RobotModel) -> None:
         span = f"{unit.text(robot.lower[joint])} to {unit.text(robot.upper[joint])}"
         found = f"{waypoints.place(row)}: {name} is {unit.text(value)}; its range is {span}"
         raise WaypointsError(found, waypoints.rows[row], name, float(value), limit)
+
+
+def _from_here(waypoints: Waypoints, present: JointValues, robot: RobotModel, bounds: PlanBounds) -> Waypoints:
+    """Return checked waypoints that begin exactly at the present pose; a single one is the goal of a motion from there."""
+    bounds.check(0.0, len(waypoints.rows))
+    robot.check_range(present)
+    _check_ranges(waypoints, robot)
+    here = np.array(present, dtype=float)
+    if len(waypoints.positions) == 1:
+        waypoints = _goal_from(waypoints, here)
+    return replace(waypoints, positions=_from_present(waypoints, here, robot))
 
 
 def _goal_from(goal: Waypoints, present: np.ndarray) -> Waypoints:

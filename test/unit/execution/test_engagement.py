@@ -144,7 +144,7 @@ class TestEngaged:
         stopped_in(bench, 2)
         other = make_plan("other", reach(bench.twin, ROBOT.home), LATER[0], bench.stamp)
         with pytest.raises(
-            ReviewError, match="left in engaged segment 'lift' of plan w .* plan_way_back, or free it by hand"
+            ReviewError, match="left in engaged segment 'lift' of plan w .* plan_way_back, or free the arm by hand"
         ):
             bench.executor.offer(other)
 
