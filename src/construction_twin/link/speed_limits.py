@@ -148,12 +148,16 @@ class SpeedLimits:
         if not moment and limit > before.limit:
             raise PayloadError(
                 "direction",
-                Sentence("lower_speed only lowers the limit of people, {before:.0f}%", before=100 * before.limit),
+                Sentence(
+                    "lower_speed only lowers the limit of people, which is {before:.0f}%", before=100 * before.limit
+                ),
             )
         if moment and limit < before.limit:
             raise PayloadError(
                 "direction",
-                Sentence("raise_speed only raises the limit of people, {before:.0f}%", before=100 * before.limit),
+                Sentence(
+                    "raise_speed only raises the limit of people, which is {before:.0f}%", before=100 * before.limit
+                ),
             )
         if moment:
             seen = parse_moment(moment)
