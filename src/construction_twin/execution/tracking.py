@@ -105,13 +105,13 @@ class Tracking:
 
     def sample(self) -> Sample | None:
         """Return the newest desired and actual motion; None while one of them is not known."""
-        latest, arm = self._twin.latest, self._arm
+        latest, arm = self._twin.latest, self._arm if self._has_arm else None
         if latest is None or (self._has_arm and arm is None):
             return None
         stamp, desired = latest
-        actual = arm.q if self._has_arm and arm is not None else desired
+        actual = desired if arm is None else arm.q
         # at rest the gateway goes on playing stamps that the twin has left behind, or not reached
-        if self._has_arm and arm is not None and arm.command_stamp and (found := self._twin.at(arm.command_stamp)):
+        if arm is not None and arm.command_stamp and (found := self._twin.at(arm.command_stamp)):
             stamp, desired = arm.command_stamp, found[0]
         last = self._last
         if last is not None and stamp <= last.stamp:

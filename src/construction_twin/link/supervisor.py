@@ -167,9 +167,10 @@ class LinkSupervisor:
         """Start over from the arm's pose, for a person: clear the stops known now, no later one; ReviewError where it cannot."""
         if self.mirrors:
             raise ReviewError(Sentence("cannot reset: the arm leads; call mirror with false, which ends in the same"))
-        cannot = self.state in _NO_ARM or self.inputs.gateway_failed
-        if why := self.reason if cannot else self.inputs.why_not_at_rest(now):
-            raise ReviewError(Sentence("cannot reset: {why}", why=why))
+        if self.state in _NO_ARM or self.inputs.gateway_failed:
+            raise ReviewError(Sentence("cannot reset: {why}", why=self.reason))
+        if unrest := self.inputs.why_not_at_rest(now):
+            raise ReviewError(Sentence("cannot reset: {why}", why=unrest))
         self._want_session()
 
     def request_arm(self, now: int, person: str = "") -> None:
