@@ -113,7 +113,7 @@ def test_a_scene_that_changes_while_planning_drops_the_plan(look):
     clock.edit = lambda: made.set_scene(WALLED)
     with pytest.raises(SceneChangedError, match="the scene changed while planning") as caught:
         made.to_joints(RIGHT, LEFT, REQUEST)
-    values = caught.value.sentence.values
+    values = caught.value.args[0].values
     assert (values["planned"], values["present"]) == (EMPTY.hash[:8], WALLED.hash[:8])
     assert made.to_joints(RIGHT, LEFT, REQUEST).scene == WALLED.hash
 
