@@ -114,7 +114,7 @@ def test_a_scene_that_changes_while_planning_drops_the_plan(look):
     with pytest.raises(SceneChangedError, match="the scene changed while planning") as caught:
         made.to_joints(RIGHT, LEFT, REQUEST)
     values = caught.value.args[0].values
-    assert (values["planned"], values["present"]) == (EMPTY.hash[:8], WALLED.hash[:8])
+    assert (values["before"], values["now"]) == (EMPTY.hash[:8], WALLED.hash[:8])
     assert made.to_joints(RIGHT, LEFT, REQUEST).scene == WALLED.hash
 
 
