@@ -14,6 +14,7 @@ from twin_client import wait
 from construction_twin.mqtt.account import load_account
 from construction_twin.mqtt.client import Broker, make_client, unique_id
 from construction_twin.mqtt.messages import Topics
+from construction_twin.mqtt.requests import TRAJECTORY
 
 UNITS = {"angle": "deg", "length": "mm", "time": "s"}
 
@@ -28,13 +29,13 @@ class RemotePlanner:
     """
 
     def __init__(self, account: Path, port: int, topics: Topics):
-        self.topic = topics.trajectory_from(account.parent.name)
+        self.topic = topics.of(TRAJECTORY, account.parent.name)
         self._topics = topics
         self.answers: list[dict] = []
         self.views: list[dict] = []
         broker = Broker("localhost", port, "3.1.1", account=load_account(account))
         self.client = make_client(broker, unique_id(topics.robot, "elsewhere"), "unused")
-        self.client.on_connect = lambda client, *_: client.subscribe([(topics.trajectory_ack, 1), (topics.view, 0)])
+        self.client.on_connect = lambda client, *_: client.subscribe([(topics.ack_of(TRAJECTORY), 1), (topics.view, 0)])
         self.client.on_message = self._on_message
         self.client.connect_async(broker.host, broker.port, broker.keepalive)
         self.client.loop_start()

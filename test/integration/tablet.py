@@ -11,6 +11,7 @@ from twin_client import wait
 from construction_twin.mqtt.account import load_account
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.messages import Topics
+from construction_twin.mqtt.requests import REVIEW
 from construction_twin.ros.shared.robot_clock import present
 
 
@@ -29,7 +30,7 @@ class Tablet:
         self.account = known.user
         self._refused: dict[int, bool] = {}
         self.heard: dict[str, list[tuple[bytes, bool]]] = {
-            topic: [] for topic in (topics.plan, topics.view, topics.review_ack, topics.stop_ack)
+            topic: [] for topic in (topics.plan, topics.view, topics.ack_of(REVIEW), topics.stop_ack)
         }
         broker = Broker("localhost", port, account=known)
         self.client = make_client(broker, unique_id(topics.robot, "tablet"), "unused")
@@ -57,9 +58,9 @@ class Tablet:
 
     def answer(self, payload: bytes, retain: bool = False) -> dict:
         """Publish on `review/<account>`; return the answer."""
-        answers = self.heard[self._topics.review_ack]
+        answers = self.heard[self._topics.ack_of(REVIEW)]
         count = len(answers)
-        self.client.publish(self._topics.review_by(self.account), payload, qos=1, retain=retain)
+        self.client.publish(self._topics.of(REVIEW, self.account), payload, qos=1, retain=retain)
         wait(lambda: len(answers) > count, "an answer on review/ack")
         return json.loads(answers[count][0])
 

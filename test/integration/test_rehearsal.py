@@ -93,7 +93,7 @@ class RehearsalTest(RobotTest):
             for seen in ("", "0" * 64):
                 answer = self.client.review(plan.plan_id, plan.plan_hash, override=seen)
                 self.assertFalse(answer.success)
-                self.assertIn("something else than what was seen", answer.message)
+                self.assertIn("something else than was seen", answer.message)
                 self.assertIn(report.reasons[0], answer.message)
             self.assertFalse(self.client.review(plan.plan_id, "", override=report.hash).success)
             self.assertTrue(self.client.idle())

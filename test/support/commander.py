@@ -70,7 +70,7 @@ class Commander(threading.Thread):
         self._timeout = feedback_timeout
         self._heard_at = time.monotonic()
         self._codec = JointStringCodec(len(config.axes), config.decimals)
-        self._supervisor = LinkSupervisor.of(config, lambda: uuid.uuid4().hex)
+        self._supervisor = LinkSupervisor(config, lambda: uuid.uuid4().hex)
         self._check = StateCheck(_MAX_STATE_AGE)
         self._lock = threading.Lock()
         self._ended = threading.Event()

@@ -16,8 +16,7 @@ from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.gateway import Gateway, State
 from construction_twin.link.states import LinkState
 from construction_twin.link.supervisor import LinkSupervisor
-from construction_twin.mqtt.interventions import STOP, Intervention
-from construction_twin.mqtt.messages import Control
+from construction_twin.mqtt.messages import Control, Intervention
 
 MS = NANOSECONDS // 1000
 #: Cycles between two polls of the bridge, as in its node.
@@ -37,7 +36,7 @@ class ResetBench:
         self.cell = Cell()
         self.up, self.down = up, down
         ids = (f"id{number}" for number in itertools.count(1))
-        self._make = lambda waits="": LinkSupervisor.of(self.cell.config, lambda: next(ids), waits=waits)
+        self._make = lambda waits="": LinkSupervisor(self.cell.config, lambda: next(ids), waits=waits)
         self.supervisor = self._make()
         self.supervisor.inputs.on_connection(True)
         #: Control messages for which this returns True are lost on their way.
@@ -169,7 +168,7 @@ class ResetBench:
 
     def stop_by_account(self) -> None:
         """Stop the gateway by `stop/anna`, which the bridge does not hear."""
-        self.gateway.on_stop(Intervention(STOP, "anna", "1"), self.now)
+        self.gateway.on_stop(Intervention("anna", "1"), self.now)
 
     def stop_by_verb(self) -> None:
         """Stop the gateway by `control`, as another program may."""

@@ -30,7 +30,7 @@ from construction_twin.gateway.states import State
 from construction_twin.gateway.trace import TraceEntry
 from construction_twin.mock.faults import KINDS, Fault
 from construction_twin.mock.program import MockSettings, axis_angles, build_controller, joint_angles
-from construction_twin.monitor.settings import Behaviour
+from construction_twin.monitor.monitor import Behaviour
 from construction_twin.mqtt.messages import Control
 from construction_twin.physics.rehearsal import Rehearsal
 from construction_twin.planning.timing import time_path

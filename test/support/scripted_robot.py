@@ -387,7 +387,8 @@ class ScriptedRobot:
     def _on_connect(self, client, userdata, flags, reason_code, properties) -> None:
         assert not reason_code.is_failure, str(reason_code)
         topics = self._topics
-        asked = [topics.review, topics.review_by("+"), topics.stop_by("+"), topics.pause_by("+"), topics.resume_by("+")]
+        kinds = (requests.NAMELESS_REVIEW, requests.REVIEW, requests.STOP, requests.PAUSE, requests.RESUME)
+        asked = [topics.of(kind) for kind in kinds]
         asked += [
             self._root + "override_rehearsal/+",
             self._root + "plan_request/+",

@@ -111,7 +111,7 @@ class SimulatedChain:
         self.twin = VirtualRobot(None, robot.linear)
         self.backend = backend
         ids = map(str, itertools.count(1))
-        self.supervisor = LinkSupervisor.of(config, lambda: next(ids))
+        self.supervisor = LinkSupervisor(config, lambda: next(ids))
         #: What the gateway answered [rad]: (IPOC, correction).
         self.corrections: list[tuple[int, tuple[float, ...]]] = []
         self.twin_poses: list[tuple[int, tuple[float, ...]]] = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from types import SimpleNamespace
 
 import pytest
 
@@ -16,6 +17,13 @@ from construction_twin.mqtt.messages import PROTOCOL
 HASH, DECIMALS, RUN = "cafe", 3, "run1"
 TOLERANCE = math.radians(0.05)
 POSE = (0.1, 0.2)
+#: What of a `GatewayConfig` the link is decided by.
+CONFIG = SimpleNamespace(
+    hash=HASH,
+    decimals=DECIMALS,
+    start_tolerances=(TOLERANCE,) * len(POSE),
+    limits=SimpleNamespace(last_digits=lambda decimals: (last_digit(decimals),) * len(POSE)),
+)
 POLL = NANOSECONDS // 50
 FAULT = "refused: joint_a1: velocity check failed"
 SILENCE = "silence: no command for 0.104 s"
@@ -31,9 +39,7 @@ class Bench:
 
     def __init__(self, mirrors: bool = False):
         ids = map(str, itertools.count(1))
-        self.supervisor = LinkSupervisor(
-            HASH, DECIMALS, (TOLERANCE,) * len(POSE), (last_digit(DECIMALS),) * len(POSE), lambda: next(ids), mirrors
-        )
+        self.supervisor = LinkSupervisor(CONFIG, lambda: next(ids), mirrors)
         self.now = 100 * NANOSECONDS
         self.gateway = {
             "state": "ready", "reason": "", "session": "", "fault": False, "fault_number": 0, "run": RUN, "hash": HASH,
@@ -103,8 +109,7 @@ class BareBench:
 
     def __init__(self):
         ids = map(str, itertools.count(1))
-        digits = (last_digit(DECIMALS),) * len(POSE)
-        self.supervisor = BareSupervisor(HASH, DECIMALS, (TOLERANCE,) * len(POSE), digits, lambda: next(ids))
+        self.supervisor = BareSupervisor(CONFIG, lambda: next(ids))
         self.now = 100 * NANOSECONDS
         self.word: str | None = "ready"
         self.refusal = ""

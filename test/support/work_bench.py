@@ -124,9 +124,8 @@ class Bench:
             monkeypatch.setattr(rospy, level, lambda *_: None)
         self._patch = monkeypatch.setattr
         self._patch(rospy, "on_shutdown", lambda _: None)
-        self._patch(
-            module, "listen_to_frames", lambda *_: SimpleNamespace(in_base=lambda *_: Pose(np.zeros(3), np.eye(3)))
-        )
+        frames = SimpleNamespace(in_base=lambda *_: Pose(np.zeros(3), np.eye(3)))
+        self._patch(module, "listen_to_frames", lambda *_: frames)
         self.start()
 
     def start(self, worker=None, **files: str) -> None:
@@ -135,21 +134,16 @@ class Bench:
             model="panel.ifc", cell="/cell.yaml", self_collision="", tf_prefix="",
             folder="work", arm="mock", service_timeout=1.0, listen_time=0.02, retry_time=0.01,
         ).model_copy(update=files)  # fmt: skip
-        refuse = self.refuse
         made = worker or SimpleNamespace(ask_first=lambda *_, **__: prepared(), ask=self._planned, close=None)
         self._patch(module, "Worker", lambda: made)
+        poses = {"twin": lambda *_: HOME, "physical": lambda *_: self.arm_pose()}
+        takers = {"tasks": lambda message: self.tasks.append(over_the_wire(message)), "markers": lambda _: None}
         ports = SimpleNamespace(
             parameters={"planner": {}, module.RECORD: str(self.review_file)},
-            poses={
-                "twin/joint_states": SimpleNamespace(pose=lambda *_: HOME),
-                "physical/joint_states": SimpleNamespace(pose=lambda *_: self.arm_pose()),
-            },
-            publishers={
-                "work/tasks": SimpleNamespace(publish=lambda message: self.tasks.append(over_the_wire(message))),
-                "work/markers": SimpleNamespace(publish=lambda _: None),
-            },
+            poses={f"{of}/joint_states": SimpleNamespace(pose=pose) for of, pose in poses.items()},
+            publishers={f"work/{topic}": SimpleNamespace(publish=take) for topic, take in takers.items()},
             connections=self.publishers.__getitem__,
-            diagnostics=SimpleNamespace(refuse=refuse, count=refuse),
+            diagnostics=SimpleNamespace(refuse=self.refuse, count=self.refuse),
         )
         self.node = module.WorkNode(settings, ROBOT, ports)
         self.node._call = self._call

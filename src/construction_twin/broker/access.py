@@ -27,7 +27,7 @@ _OF_ACCOUNTS = [kind for kind in REQUESTS if kind.right]
 
 @dataclass(frozen=True)
 class Site:
-    """What a site consists of.
+    """What a site consists of; ConfigurationError when a name could not stand in a topic, an access rule or a certificate.
 
     Attributes:
         hosts: Names and addresses under which clients reach the broker.
@@ -35,13 +35,9 @@ class Site:
         plc: Also an account for a PLC that commands in place of the bridge.
         certificates: Also a listener for client certificates.
         port: TLS port; client certificates use the one above it.
-        prefix: First level of the MQTT topics.
         folder: Where the broker finds its files.
         listen: The broker's own address on which it listens; empty: all of them.
         consoles: Names and addresses under which browsers reach the console; empty: no files for one.
-
-    Raises:
-        ConfigurationError: When a name could not stand in a topic, an access rule or a certificate.
     """
 
     hosts: tuple[str, ...]
@@ -73,20 +69,15 @@ class Site:
         if not 0 < self.port < 65535:
             raise ConfigurationError("--port", self.port, "1 to 65534; client certificates use the one above it")
         if not self.folder or re.search(r"\s", self.folder):
-            raise ConfigurationError(
-                "--broker-folder", self.folder, "a path without spaces: mosquitto.conf cannot hold them"
-            )
+            raise ConfigurationError("--broker-folder", self.folder, "a path without spaces, for mosquitto.conf")
         for words in self.persons:
             name, rights, robots = read_person(words)
             for found, known in ((rights, RIGHTS), (robots, self.robots)):
                 if unknown := sorted({*found} - {*known}):
-                    expected = f"one of {', '.join(known)}"
-                    raise ConfigurationError(f"--person {name}", unknown[0], expected)
+                    raise ConfigurationError(f"--person {name}", unknown[0], f"one of {', '.join(known)}")
             # what a robot's program is called, or may be called: no two accounts have one name
             if name in _RESERVED or name.startswith(tuple(f"{robot}-" for robot in self.robots)):
-                raise ConfigurationError(
-                    "--person", name, "a name that is none of a program's, and does not begin as a robot's accounts do"
-                )
+                raise ConfigurationError("--person", name, "a name that no program's account has, or may have")
 
     def programs(self, robot: str) -> dict[str, str]:
         """Return the accounts of a robot's programs, and which program each is of."""
@@ -113,19 +104,13 @@ def read_person(words: str) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
     """Return name, rights and robots of what `Site.persons` holds; no robot: every one."""
     found = _PERSON.fullmatch(str(words))
     if found is None:
-        raise ConfigurationError(
-            "--person", words, "NAME:RIGHTS, or NAME:RIGHTS@ROBOTS, as ada:operate,approve@kr120_1,kr120_2"
-        )
+        raise ConfigurationError("--person", words, "NAME:RIGHTS[@ROBOTS], as ada:operate,approve@kr120_1,kr120_2")
     name, rights, robots = found.groups()
     return name, tuple(rights.split(",")), tuple(robots.split(",")) if robots else ()
 
 
 def access_rules(site: Site, template: Callable[[str], str]) -> str:
-    """Return mosquitto's ACL file.
-
-    Args:
-        template: Returns the text of a file in config/mosquitto/, e.g. ``bridge.acl``.
-    """
+    """Return mosquitto's ACL file; `template` returns the text of a file in config/mosquitto/, e.g. ``bridge.acl``."""
     parts = ["# Who may do what. Made by make_site; it is written anew with every run.\n"]
     for robot in site.robots:
         topics = Topics(site.prefix, robot)

@@ -25,23 +25,17 @@ _END = ("basicConstraints=critical,CA:false", "keyUsage=critical,digitalSignatur
 
 
 class Authority:
-    """A CA in a folder of its own, `ca.key` and `ca.crt`; made when it is not there.
+    """A CA in a folder of its own, `ca.key` and `ca.crt`; made when it is not there. ConstructionTwinError where openssl fails.
 
     Args:
         hosts: Names and addresses that a new CA may vouch for, beside this machine's loopback; no browser believes it about others.
             Of a name also what stands below it: ``twin.example`` permits ``hall7.twin.example``.
-
-    Raises:
-        ConstructionTwinError: When openssl is not installed or fails, or only one half of the CA is there.
     """
 
     def __init__(self, folder: Path, hosts: Iterable[str]):
         self.certificate, self._key = folder / "ca.crt", folder / "ca.key"
         if self._key.exists() != self.certificate.exists():
-            raise ConstructionTwinError(
-                f"{folder} holds only one of ca.key and ca.crt; put the other one back, or make a new site in "
-                "another folder"
-            )
+            raise ConstructionTwinError(f"{folder} holds only one of ca.key and ca.crt; put the other one back")
         if self._key.exists():
             return
         make_folder(folder)
@@ -65,10 +59,7 @@ class Authority:
     def issue(self, name: str, key: Path, certificate: Path, days: int, hosts: Iterable[str] = ()) -> None:
         """Sign a certificate for the key in `key`, which is made when it is not there.
 
-        Args:
-            name: Common name.
-            days: Lifetime [days].
-            hosts: With them it is a server's, for these names and addresses; otherwise a client's.
+        With `hosts` it is a server's, for these names and addresses; otherwise a client's.
         """
         if not key.exists():
             make_key(key)

@@ -21,6 +21,8 @@ from construction_twin.core.share import share_file
 
 #: Lifetime of certificates [days]: what most software accepts at most.
 DAYS = 825
+#: What follows when the CA's certificate is signed anew.
+_NEEDED = "every tablet and every client needs the new ca.crt"
 
 
 class SiteFolder:
@@ -42,9 +44,7 @@ class SiteFolder:
                 raise ValueError(f"it holds {sorted(unknown)}, which no site has")
             return {key: tuple(value) if isinstance(value, list) else value for key, value in document.items()}
         except (OSError, ValueError, TypeError, AttributeError) as error:
-            raise ConstructionTwinError(
-                f"{self._settings} cannot be read: {error}; restore it from a backup"
-            ) from error
+            raise ConstructionTwinError(f"{self._settings} cannot be read: {error}; restore it") from error
 
     def make(
         self, site: Site, days: int = DAYS, renew: bool = False, replace: Iterable[str] = (), renew_ca: bool = False
@@ -53,17 +53,17 @@ class SiteFolder:
 
         Args:
             days: Lifetime of new certificates.
-            renew: Sign all certificates anew, for the same keys.
+            renew, renew_ca: Sign all certificates, or the CA's for the names of this site, anew for the same keys.
             replace: Accounts that get a new password and a new key.
-            renew_ca: Sign the CA's certificate anew, for the same key, and for the names of this site.
 
         Raises:
             ConstructionTwinError: When a program is missing, a name does not fit, or the CA may not vouch for one.
         """
         replace, before = set(replace), self.load()
         if unknown := replace - {*site.accounts()}:
-            known = f"accounts of this site: {', '.join(site.accounts())}"
-            raise ConfigurationError("--replace", sorted(unknown), known)
+            raise ConfigurationError(
+                "--replace", sorted(unknown), f"accounts of this site: {', '.join(site.accounts())}"
+            )
         rules, configuration = access_rules(site, _template), broker_configuration(site, _template)
         for folder in (self._folder, self._broker, self._folder / "accounts"):
             make_folder(folder)
@@ -100,15 +100,10 @@ class SiteFolder:
             ca = authority.certificate.read_text(encoding="utf-8")
             for path in (self._folder / "accounts").glob("*/ca.crt"):
                 write_private(path, ca)
-            return authority, [
-                f"signed the CA's certificate anew, for {', '.join(names)} only, with the same key: every tablet and every client "
-                "needs the new ca.crt"
-            ]
+            return authority, [f"signed the CA's certificate anew, for {', '.join(names)} only: {_NEEDED}"]
         if missing := authority.not_permitted(names):
-            raise ConstructionTwinError(
-                f"the site's CA may not vouch for {', '.join(missing)}; with --renew-ca its certificate is "
-                "signed anew, with the same key, and then every tablet and every client needs the new ca.crt"
-            )
+            found = f"the site's CA may not vouch for {', '.join(missing)}; --renew-ca signs its certificate anew: {_NEEDED}"
+            raise ConstructionTwinError(found)
         return authority, []
 
     def expiries(self) -> list[str]:

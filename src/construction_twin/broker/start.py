@@ -26,8 +26,8 @@ from construction_twin.core.realtime import request_realtime
 DEFAULT_PORT = 18830
 #: What a real arm is commanded by.
 ACCOUNTS = (
-    "accounts, with arm:=real: this broker lets in everybody, and every client could command the arm; make a site with make_site, "
-    "and give its accounts and its broker_config, or give anonymous_broker_is_meant:=true"
+    "accounts, with arm:=real: this broker lets in everybody; give the accounts and the broker_config of a site (make_site), or "
+    "anonymous_broker_is_meant:=true"
 )
 #: Longest time until a mosquitto on trial listens [s]: long, because a busy machine is no reason to refuse a start.
 TRIAL_TIME = 20.0
@@ -51,30 +51,25 @@ def main(argv: list[str] | None = None) -> None:
 def read_arguments(argv: list[str] | None) -> argparse.Namespace:
     """Return the options; ConfigurationError for a wrong one."""
     parser = Parser(
-        prog="broker",
-        description="Run mosquitto: on loopback, or where the listeners of the configuration file say.",
+        prog="broker", description="Run mosquitto: on loopback, or where its configuration's listeners say."
     )
-    parser.add_argument("--config", required=True, help="mosquitto configuration file")
-    parser.add_argument(
+    add = parser.add_argument
+    add("--config", required=True, help="mosquitto configuration file")
+    add(
         "--port",
         type=int,
         default=DEFAULT_PORT,
-        help="TCP port on 127.0.0.1; not used when the file has listeners of its own [%(default)s]",
+        help="TCP port on 127.0.0.1, for a file without listeners [%(default)s]",
     )
-    parser.add_argument(
-        "--realtime", type=int, default=0, metavar="PRIORITY", help="SCHED_FIFO priority, 0 for none [%(default)s]"
-    )
-    parser.add_argument(
-        "--accounts", action="store_true", help="refuse a configuration that lets in clients without an account"
-    )
+    add("--realtime", type=int, default=0, metavar="PRIORITY", help="SCHED_FIFO priority, 0 for none [%(default)s]")
+    add("--accounts", action="store_true", help="refuse a configuration that lets in clients without an account")
     return parser.options(argv)
 
 
 def check(path: str, port: int, accounts: bool = False) -> tuple[str, str]:
     """Return mosquitto's path and the text of its configuration; ConfigurationError where it could not start, or not stay.
 
-    Args:
-        accounts: Whether a configuration that lets in clients without an account is refused.
+    `accounts`: a configuration that lets in clients without an account is refused.
     """
     program = shutil.which("mosquitto", path="/usr/sbin:/usr/bin:" + os.environ.get("PATH", ""))
     if program is None:
@@ -82,17 +77,15 @@ def check(path: str, port: int, accounts: bool = False) -> tuple[str, str]:
     try:
         text = Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(
-            "broker_config", path, f"a file that can be read: {getattr(error, 'strerror', error)}"
-        ) from error
+        why = getattr(error, "strerror", error)
+        raise ConfigurationError("broker_config", path, f"a file that can be read: {why}") from error
     if accounts and lets_in_everybody(text):
         raise ConfigurationError("broker_config", path, ACCOUNTS)
     for number in listener_ports(text) or [port]:
         if not port_is_free(socket.SOCK_STREAM, number):
-            expected = (
-                "a free TCP port: another MQTT broker may have it, which broker:=false uses; or give another port"
+            raise ConfigurationError(
+                "broker_port", number, "a free TCP port; broker:=false uses the broker that has it"
             )
-            raise ConfigurationError("broker_port", number, expected)
     if cause := trial(program, text):
         raise ConfigurationError("broker_config", path, f"one that mosquitto can start with: {cause}")
     return program, text
@@ -106,11 +99,7 @@ def lets_in_everybody(text: str) -> bool:
 
 
 def trial(program: str, text: str) -> str:
-    """Start mosquitto on free ports, and end it once it listens; return why it cannot work, empty when it can.
-
-    Args:
-        text: Of the configuration file.
-    """
+    """Start mosquitto on free ports, and end it once it listens; return why it cannot work, empty when it can."""
     wanted: set[int] = set()
 
     def elsewhere(listener: re.Match[str]) -> str:

@@ -33,12 +33,10 @@ _BROKER_SILENCE_S = 2.0
 
 @dataclass(frozen=True)
 class PipeLimits:
-    """What one connection may do.
+    """What one connection may do: a browser's frames and bytes in the long run, and at once.
 
     Attributes:
         largest: Longest frame of a browser [bytes].
-        frames_per_s, bytes_per_s: What a browser may send in the long run.
-        burst_frames, burst_bytes: And at once.
         login_s: Longest wait for the broker, and from then on for its answer to the login [s].
         wrong_s: Delay of the broker's answer to a wrong password [s].
         ping_s: Time of silence before a ping; a browser that is silent for half of it then is gone [s].
@@ -81,12 +79,7 @@ def drop_silent_peer(connection: socket.socket, seconds: float) -> None:
 
 
 class Pipe:
-    """Carries the bytes of one browser.
-
-    Args:
-        on_accepted: Called when the broker has accepted the login.
-        on_wrong: Called when the broker says that account or password is wrong.
-    """
+    """Carries the bytes of one browser, and tells when the broker accepts the login, or says that it is wrong."""
 
     def __init__(
         self,
@@ -191,8 +184,7 @@ class Pipe:
 async def read_connack(reader: asyncio.StreamReader) -> bytes:
     """Return the broker's answer to a login as far as its last byte, the reason code: 0 accepts it (MQTT 5.0, section 3.2).
 
-    Raises:
-        Cut: If what answers is no broker.
+    Raises `Cut` where what answers is no broker.
     """
     # type, length, flags, reason code; each byte of the length says whether another one follows
     answer = await reader.readexactly(4)

@@ -44,10 +44,11 @@ def check(argv: list[str] | None) -> tuple[argparse.Namespace, ServerSettings]:
     check_extras("console")
     settings = settings_of(arguments)
     if not port_is_free(socket.SOCK_STREAM, arguments.port, arguments.listen):
-        where = f"{arguments.listen}:{arguments.port}"
-        raise ConfigurationError(
-            "--listen and --port", where, "an address of this machine, and a free port, as --port 8490"
+        where, expected = (
+            f"{arguments.listen}:{arguments.port}",
+            "an address of this machine, and a free port, as --port 8490",
         )
+        raise ConfigurationError("--listen and --port", where, expected)
     return arguments, settings
 
 
@@ -72,11 +73,7 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
 
 
 def settings_of(arguments: argparse.Namespace) -> ServerSettings:
-    """Return the settings that the arguments mean.
-
-    Raises:
-        ConfigurationError: Naming the argument.
-    """
+    """Return the settings that the arguments mean; ConfigurationError names the argument."""
     # aiohttp is needed from here on only
     from construction_twin.console.pipe import BrokerAddress
     from construction_twin.console.server import ServerSettings
@@ -92,9 +89,7 @@ def settings_of(arguments: argparse.Namespace) -> ServerSettings:
     if arguments.rights:
         _check_rights(arguments.rights)
     if to_broker is None and not is_loopback(arguments.broker_host):
-        raise ConfigurationError(
-            "--broker-host", arguments.broker_host, "loopback, or --broker-ca: passwords cross the network"
-        )
+        raise ConfigurationError("--broker-host", arguments.broker_host, "loopback, or --broker-ca, for passwords")
     if arguments.page and not arguments.page.is_dir():
         raise ConfigurationError("--page", str(arguments.page), "a folder")
     return ServerSettings(

@@ -85,9 +85,6 @@ class Listener(socket.socket):
 
     Above a limit the oldest connection that is not logged in ends: of the new one's peer, or of the peer with the most of them. So
     one peer takes nothing from another one with fewer.
-
-    Args:
-        logged_in: Addresses of those that never have to go.
     """
 
     def __init__(self, family: int, settings: ServerSettings, logged_in: Container[object]):
@@ -119,11 +116,6 @@ def origin_refusal(origin: str | None, host: str | None, secure: bool, allowed: 
     """Return why a page may not open a WebSocket; "" when it may (RFC 6455, section 10.2).
 
     The name that the browser connected to counts as well: after DNS rebinding a foreign page has the same origin as this server.
-
-    Args:
-        origin, host: Headers of the request.
-        secure: The server speaks TLS.
-        allowed: Further origins that may.
     """
     if origin is None:
         return "no Origin: expected a browser's request"
@@ -161,14 +153,7 @@ class ConsoleServer:
         self._lines = LineLimiter()
 
     async def run(self, host: str, port: int, on_ready: Callable[[], None]) -> None:
-        """Serve until cancelled.
-
-        Args:
-            on_ready: Called when the port is open.
-
-        Raises:
-            OSError: When there is no such address, or somebody else holds the port.
-        """
+        """Serve until cancelled; `on_ready` is called when the port is open. OSError: no such address, or another one has it."""
         settings, loop = self._settings, asyncio.get_running_loop()
         app = web.Application()
         app.router.add_get(SOCKET, self._on_socket)
@@ -296,11 +281,7 @@ async def _add_headers(_: web.Request, answer: web.StreamResponse) -> None:
 def _file(folder: Path | None, name: str, who: str = "") -> web.FileResponse:
     """Return the answer with a file of a folder, compressed where that lies beside it with the suffix ``.gz``.
 
-    Args:
-        who: Begin of the header that says who may keep it.
-
-    Raises:
-        web.HTTPNotFound: When there is none, it is hidden, or a link out of the folder.
+    `who` begins the header that says who may keep it. HTTPNotFound where there is none, it is hidden, or a link out of the folder.
     """
     if folder is None or "/." in f"/{name}":
         raise web.HTTPNotFound(text="no such file\n")

@@ -41,11 +41,7 @@ class BareProtocol:
 
 
 class LastResort:
-    """Remembers what was sent; after `take_over` answers in the gateway's place.
-
-    Args:
-        bare: None: the controller expects no answers, and gets none.
-        cycle_ms: The controller's cycle [ms].
+    """Remembers what was sent; after `take_over` answers in the gateway's place, where a controller expects answers.
 
     Attributes:
         ending: True: once at rest, replies end the controller's program.

@@ -154,7 +154,6 @@ class Encoder(Protocol):
 
         Args:
             target: Length n. Position of the axes, or its correction, as `Make.absolute` says [rad], [m].
-            stamp: Of the telegram.
             stop: True: it ends the controller's program; None: it does not.
             switched: One value per name of `Layout.switched`; () leaves a tool's outputs alone.
         """
@@ -359,11 +358,7 @@ class Make(Generic[LayoutT]):
     references: tuple[str, ...] = ()
 
     def layout_of(self, given: str, axes: Sequence[str]) -> LayoutT:
-        """Return the layout of an arm; ConfigurationError for a file that describes none.
-
-        Args:
-            given: Path of the file that describes it, or its text, which has several lines; "" for the plain one.
-        """
+        """Return the layout of an arm, by path or text (several lines) of the file that describes it; the plain one for ""."""
         if not given:
             return self.plain(axes)
         form = self.form_of(given)

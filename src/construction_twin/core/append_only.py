@@ -26,11 +26,7 @@ def iso_time(now: int) -> str:
 
 
 def read_lines(path: str | Path) -> list[dict]:
-    """Return the lines of a file that another process may be writing, without a last one that has no end.
-
-    Raises:
-        ConfigurationError: If it cannot be read, or a line is no JSON object.
-    """
+    """Return the lines of a file that another process may be writing, without a last one that has no end."""
     content = _read(Path(path))
     lines = []
     for number, line in enumerate(content[: content.rfind(b"\n") + 1].split(b"\n")[:-1], start=1):
@@ -56,9 +52,6 @@ class AppendOnlyFile:
 
     Attributes:
         lost: Deferred lines that were not kept, because `KEPT` others waited for a file that could not be written.
-
-    Raises:
-        ConfigurationError: When the file cannot be written, or another process writes it.
     """
 
     def __init__(self, path: str | Path, failure: Callable[[str, str], ConstructionTwinError], writer: str):

@@ -57,11 +57,7 @@ def parse_moment(text: object) -> Moment:
 
 
 def staleness(seen: Moment, now: Moment) -> str:
-    """Return why what repeats the moment `seen` is void, as a sentence; "" while it may be carried out.
-
-    Args:
-        seen, now: What was shown, and the present; compared only where both are of one clock.
-    """
+    """Return why what repeats the moment `seen` is void, as a sentence; "" while it may be carried out."""
     if seen.origin != now.origin:
         return Sentence("void: it repeats a moment of another computer, or of before this one was started; look again")
     age = (now.at - seen.at) / NANOSECONDS

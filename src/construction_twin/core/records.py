@@ -42,11 +42,7 @@ def left_out() -> Any:
 
 
 def as_seconds(zero: float | None = 0.0) -> Any:
-    """Return a field of a time in whole ns, 0 where it is not given, that is written in seconds.
-
-    Args:
-        zero: What is written for 0: None where that means that there is no time.
-    """
+    """Return a field of a time in whole ns, 0 where it is not given, that is written in seconds, and 0 as `zero`."""
     return field(default=0, metadata={_ZERO: zero})
 
 

@@ -37,11 +37,9 @@ class Row(Generic[S, E, G, A]):
 
 
 class Rows(Generic[S, E, G, A]):
-    """Makes the rows of one table: the same one for a state, or for several.
+    """Makes the rows of one table of these Enums, the same one for a state, or for several.
 
-    Args:
-        states, events, guards, actions: The table's Enums; without another word a guard is the one that always holds, and an action
-            does nothing.
+    Without another word a guard is the one that always holds, and an action does nothing.
     """
 
     def __init__(self, states: type[S], events: type[E], guards: type[G], actions: type[A]):

@@ -95,11 +95,7 @@ class SequenceCheck:
 
 
 class FreshnessCheck:
-    """Refuses messages that travelled much longer than the quickest one.
-
-    Args:
-        limit: How much longer [s].
-    """
+    """Refuses messages that travelled longer by `limit` [s] than the quickest one."""
 
     def __init__(self, limit: float):
         self._limit = round(limit * NANOSECONDS)
@@ -129,11 +125,7 @@ class FreshnessCheck:
 
 
 class StateCheck:
-    """Both checks on the states of one gateway.
-
-    Args:
-        max_age: A state may have travelled this much longer than the quickest one of this gateway run [s].
-    """
+    """Both checks on the states of one gateway, which may travel longer by `max_age` [s] than the quickest one of its run."""
 
     def __init__(self, max_age: float):
         self._sequence = SequenceCheck()

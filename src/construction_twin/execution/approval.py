@@ -50,9 +50,7 @@ class WithoutPerson:
         for name in self.sources:
             if source == name or source.endswith(f" from {name}"):
                 return Sentence(
-                    "the launch argument auto_approve_sources names {name}, and the plan is of {source}",
-                    name=name,
-                    source=repr(source),
+                    "auto_approve_sources names {name}, and the plan is of {source}", name=name, source=repr(source)
                 )
         return ""
 
@@ -60,12 +58,11 @@ class WithoutPerson:
 class Approval:
     """The only way to start an execution: an approval is carried out only after it was recorded.
 
-    Recording waits for a disk, so it happens outside of the lock that the executor's loop takes every 4 ms.
+    Recording waits for a disk, so it happens outside of the `lock` that is held around every use of the executor.
 
     Args:
         record: Called with each approval and release before it is carried out, with one that is refused, and with the Ending of an
             execution that could then not begin; raises RecordError when it cannot be kept. A rejection's record is the caller's.
-        lock: Held around every use of the executor.
         clock: Returns the present moment.
     """
 
@@ -87,18 +84,12 @@ class Approval:
         self._waiting, self._waits_since = "", 0
 
     def offer(self, plan: Plan) -> None:
-        """Put a plan under review; tell of one that cannot be that it is withdrawn: displays that show it as waiting take it away.
-
-        Raises:
-            ReviewError: When it cannot be reviewed.
-        """
+        """Put a plan under review; tell of one that cannot be (ReviewError) that it is withdrawn: displays take it away then."""
         try:
             if plan.asked.origin != self._started.origin:
                 raise ReviewError(
                     Sentence(
-                        "plan {plan} was asked for on another computer, or before this one was started; plan again, "
-                        "on this computer",
-                        plan=plan.id,
+                        "plan {plan} was asked for on another computer, or before its start; plan again", plan=plan.id
                     )
                 )
             if plan.asked.at < self._started.at:
@@ -148,7 +139,7 @@ class Approval:
         moment = self._clock() if seen is None else seen
         with self._one_verdict_at_a_time:
             try:
-                self._demand_fresh(moment, "the approval is {problem}")
+                self._approval_left(moment)
                 with self._lock:
                     plan = self._executor.under_review.plan
                 if plan is not None and plan.id == plan_id:
@@ -174,12 +165,7 @@ class Approval:
     def approve_by_itself(self, now: int, which: WithoutPerson = WithoutPerson(every=True)) -> Verdict | None:
         """Approve the waiting plan as soon as it may start; withdraw it when it may not. None: there is nothing to do yet.
 
-        Args:
-            now: [ns]
-            which: Which plans need no person; by default every one.
-
-        Raises:
-            RecordError: When it cannot be recorded; the plan is withdrawn.
+        `which` says which plans need no person. RecordError when it cannot be recorded; the plan is withdrawn.
         """
         with self._lock:
             plan = self._executor.under_review.plan if self._executor.is_ready() else None
@@ -197,8 +183,8 @@ class Approval:
             with self._lock:
                 review = self._executor.under_review
                 if review.plan is not None and review.plan.id == plan.id:
-                    reason = Sentence("auto_approve: {reason}", reason=str(error))
-                    self._executor.tell_withdrawn(review.clear(), reason)
+                    why = Sentence("auto_approve: {reason}", reason=str(error))
+                    self._executor.tell_withdrawn(review.clear(), why)
             if isinstance(error, RecordError):
                 raise
             return None
@@ -206,18 +192,19 @@ class Approval:
     def resume(self, seen: Moment | None = None) -> str:
         """Go on after a pause; return one sentence.
 
-        Args:
-            seen: What the person's screen had shown; it is of after the newest pause or stop. None: the person is at this computer.
+        What the person's screen had `seen` is of after the newest pause or stop; None: the person is at this computer.
         """
         with self._lock:
             if seen is None:
                 return self._executor.resume()
-            may_wait = self._demand_fresh(seen, "the resume is {problem}")
+            left, problem = self._left(seen)
+            if problem:
+                raise ExpiredError(Sentence("the resume is {problem}", problem=problem))
             if seen.at <= self._executor.rested:
                 raise ExpiredError(
-                    Sentence("the resume is void: the arm was paused or stopped since; look again, and then ask anew")
+                    Sentence("the resume is void: the arm was paused or stopped since; look, and ask anew")
                 )
-            return self._executor.resume(may_wait)
+            return self._executor.resume(left)
 
     def release(self, person: str, reason: str) -> str:
         """End an engagement in the name of a person who has freed the arm, after it was recorded; return one sentence."""
@@ -229,12 +216,11 @@ class Approval:
         asked = self._clock()
         self._record(release)
         try:
-            self._demand_fresh(asked, "the release is {problem}")
+            if problem := self._left(asked)[1]:
+                raise ExpiredError(Sentence("the release is {problem}", problem=problem))
             with self._lock:
                 if self._executor.check_release() is not left:
-                    raise ExecutionError(
-                        Sentence("the arm was left inside another engaged segment meanwhile; look at it again")
-                    )
+                    raise ExecutionError(Sentence("the arm was left in another engaged segment meanwhile; look again"))
                 self._executor.engagement.end()
         except (ExecutionError, ExpiredError) as error:
             # something happened while it was written down: the record is corrected
@@ -266,39 +252,33 @@ class Approval:
         problem = self._executor.rehearsal_problem(plan)
         if not problem:
             raise ReviewError(
-                Sentence("there is no rehearsal to override: plan {plan} needs none, or has passed it", plan=plan.id)
+                Sentence("plan {plan} needs no rehearsal, or has passed it: nothing to override", plan=plan.id)
             )
         if not plan_hash:
-            raise ReviewError(
-                Sentence(
-                    "whoever approves plan {plan} in spite of its rehearsal must name the plan's hash", plan=plan.id
-                )
-            )
+            raise ReviewError(Sentence("to override the rehearsal of plan {plan}, name the plan's hash", plan=plan.id))
         report = self._executor.rehearsal.of(plan)
         if seen != (report.hash if report is not None else ""):
-            raise ReviewError(
-                Sentence(
-                    "the rehearsal of plan {plan} says something else than what was seen and overridden: {now}",
-                    plan=plan.id,
-                    now=problem,
-                )
+            now = Sentence(
+                "the rehearsal of plan {plan} says something else than was seen: {now}", plan=plan.id, now=problem
             )
+            raise ReviewError(now)
         if not reason.strip():
-            raise ReviewError(
-                Sentence("whoever approves plan {plan} in spite of its rehearsal must say why", plan=plan.id)
-            )
+            raise ReviewError(Sentence("to override the rehearsal of plan {plan}, say why", plan=plan.id))
 
-    def _demand_fresh(self, moment: Moment, voided: str) -> int:
-        """Return how long a person's word may still wait for motion [ns]; ExpiredError when that is over."""
+    def _left(self, moment: Moment) -> tuple[int, str]:
+        """Return how long a person's word may still wait for motion [ns], and why that is over; "" while it is not."""
         now = self._clock()
-        if problem := staleness(moment, now):
-            raise ExpiredError(Sentence(voided, problem=problem))
-        return LIFETIME - (now.at - moment.at)
+        return LIFETIME - (now.at - moment.at), staleness(moment, now)
+
+    def _approval_left(self, moment: Moment) -> int:
+        left, problem = self._left(moment)
+        if problem:
+            raise ExpiredError(Sentence("the approval is {problem}", problem=problem))
+        return left
 
     def _begin_approved(self, verdict: Verdict, moment: Moment) -> None:
         """Begin what an approval that was recorded is for, if it still may."""
-        left = self._demand_fresh(moment, "the approval is {problem}")
-        known = verdict.rehearsal
+        left, known = self._approval_left(moment), verdict.rehearsal
         override = known.hash if known is not None and known.overridden else None
         self._examine(verdict.plan_id, verdict.plan_hash, True, verdict.reviewer, verdict.reason, override)
         plan = self._executor.under_review.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)

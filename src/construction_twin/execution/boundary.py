@@ -21,7 +21,6 @@ LEAD = NANOSECONDS * 3 // 20 // CYCLE_NS * CYCLE_NS
 FIRE_TIMEOUT = 3 * NANOSECONDS
 #: What is asked to change the scene must have done so within this time [ns]: longer than a node that was killed takes to come back.
 SCENE_TIMEOUT = 30 * NANOSECONDS
-_FIRE_TIMEOUT_S, _SCENE_TIMEOUT_S = FIRE_TIMEOUT / NANOSECONDS, SCENE_TIMEOUT / NANOSECONDS
 
 
 @dataclass(frozen=True)
@@ -61,8 +60,7 @@ class _Order:
 class Boundary:
     """The end of one segment. What a switch has done is done: none fires twice, whatever is paused and resumed.
 
-    Attributes:
-        wants_scene: The switches are confirmed, and the scene is not yet `scene_after`.
+    `wants_scene`: the switches are confirmed, and the scene is not yet `scene_after`.
     """
 
     def __init__(self, plan_id: str, number: int, segment: Segment | None, scene_after: str):
@@ -135,14 +133,12 @@ class Boundary:
             self._wanted_at = now
 
     def update(self, stamp: int, now: int, tool: ToolReport, scene: str, may_switch: bool) -> BoundaryEvent | None:
-        """Go on by one cycle; return what ends the waiting badly, else None (see `done`).
+        """Go on by one cycle, whose setpoint has this stamp [ns]; return what ends the waiting badly, else None (see `done`).
 
         Args:
-            stamp: Of this cycle's setpoint [ns].
-            now: [ns]
             scene: Hash of the present scene; empty: not known.
-            may_switch: Whether a switch may be armed now: not while a speed limit of 0 keeps everything still, or
-                the arm is waited for.
+            may_switch: Whether a switch may be armed now: not while a speed limit of 0 keeps everything still, or the arm is waited
+                for.
         """
         self.observe(tool, now)
         if not self._confirmed:
@@ -151,10 +147,11 @@ class Boundary:
             self._wanted_at = now
         self.wants_scene = scene != self.scene_after
         if self.wants_scene and now - self._wanted_at > SCENE_TIMEOUT:
+            wanted, seconds = self.scene_after[:12], SCENE_TIMEOUT / NANOSECONDS
             late = Sentence(
-                "the scene did not become {scene} within {seconds:g} s; check that the node that changes it runs",
-                scene=self.scene_after[:12],
-                seconds=_SCENE_TIMEOUT_S,
+                "the scene did not become {scene} within {seconds:g} s; does its node run?",
+                scene=wanted,
+                seconds=seconds,
             )
             return BoundaryEvent(ExecutorEvent.TIMEOUT, late)
         return None
@@ -183,13 +180,10 @@ class Boundary:
         """Tell of a switch that would confirm nothing: a sensor that is stuck reads the same before and after it."""
         for order in self._ordered:
             if order.switch.confirm and not tool.problem(order.switch.confirm):
-                return BoundaryEvent(
-                    ExecutorEvent.LOST,
-                    Sentence(
-                        "what confirms {switch} reads so before it was switched; look at the sensor and at the tool",
-                        switch=_name(order),
-                    ),
+                stuck = Sentence(
+                    "what confirms {switch} reads so already; look at sensor and tool", switch=_name(order)
                 )
+                return BoundaryEvent(ExecutorEvent.LOST, stuck)
         return None
 
     def _arm(self, which: list[_Order], stamp: int, now: int) -> None:
@@ -216,13 +210,10 @@ class Boundary:
             if order.fired is not None or report is None:
                 continue
             if report.state is SwitchState.REFUSED or (_is_void(report) and not self._voided):
-                sentence = Sentence(
-                    "the gateway has refused {switch}: {reason}"
-                    if report.state is SwitchState.REFUSED
-                    else "the gateway has forgotten {switch}: {reason}",
-                    switch=_name(order),
-                    reason=report.reason,
-                )
+                values = {"switch": _name(order), "reason": report.reason}
+                sentence = Sentence("the gateway has refused {switch}: {reason}", **values)
+                if report.state is not SwitchState.REFUSED:
+                    sentence = Sentence("the gateway has forgotten {switch}: {reason}", **values)
                 return BoundaryEvent(ExecutorEvent.REFUSED, sentence)
         return None
 
@@ -234,10 +225,9 @@ class Boundary:
             if order.fired is None:
                 all_in = False
                 if now - self._armed_at > FIRE_TIMEOUT:
+                    name, seconds = _name(order), FIRE_TIMEOUT / NANOSECONDS
                     words = Sentence(
-                        "{switch} was not reported as fired within {seconds:g} s",
-                        switch=_name(order),
-                        seconds=_FIRE_TIMEOUT_S,
+                        "{switch} was not reported as fired within {seconds:g} s", switch=name, seconds=seconds
                     )
                     late = BoundaryEvent(ExecutorEvent.TIMEOUT, words)
             elif problem := tool.problem(order.switch.confirm):
@@ -259,7 +249,7 @@ def _is_void(report: SwitchReport | None) -> bool:
 
 
 def _name(order: _Order) -> str:
-    return Sentence(
-        "the switch of {output} to on" if order.switch.value else "the switch of {output} to off",
-        output=order.switch.output,
-    )
+    output = order.switch.output
+    if order.switch.value:
+        return Sentence("the switch of {output} to on", output=output)
+    return Sentence("the switch of {output} to off", output=output)

@@ -10,13 +10,9 @@ VERDICT_TIMEOUT = NANOSECONDS // 2
 
 
 class ConflictVerdicts:
-    """The newest verdict.
+    """The newest verdict on a plan by the watch over the robot `name`; "": there is none, and nothing is ever against a plan.
 
-    Args:
-        name: Of the other robot; empty: there is none, and nothing is ever against a plan.
-
-    Attributes:
-        now: The present moment, set by its owner in every cycle, on the clock of `on_verdict` [ns].
+    `now` is the present moment, set by its owner in every cycle, on the clock of `on_verdict` [ns].
     """
 
     def __init__(self, name: str = ""):
@@ -34,13 +30,11 @@ class ConflictVerdicts:
             return ""
         if self._plan_id != plan_id:
             return Sentence(
-                "its path was not checked against {name} yet; is the node `neighbour` running?", name=self.name
+                "its path was not checked against {name} yet; does the node `neighbour` run?", name=self.name
             )
-        age = self.now - self._at
-        if age > VERDICT_TIMEOUT:
+        age = (self.now - self._at) / NANOSECONDS
+        if self.now - self._at > VERDICT_TIMEOUT:
             return Sentence(
-                "its path was last checked against {name} {age:.1f} s ago; is the node `neighbour` running?",
-                name=self.name,
-                age=age / NANOSECONDS,
+                "its path was checked against {name} {age:.1f} s ago; runs `neighbour`?", name=self.name, age=age
             )
         return self._problem

@@ -25,6 +25,9 @@ from construction_twin.robot.plan import Plan
 from construction_twin.robot.segments import Segment, Signal
 from construction_twin.robot.trajectory import Trajectory
 
+#: What to do where an arm was left engaged.
+_BY_HAND = Sentence("free the arm by hand and call release_engagement")
+REMEDY = Sentence("call plan_way_back, or {by_hand}", by_hand=_BY_HAND)
 #: Of the file's format.
 VERSION = 3
 #: Fields of an engagement that are texts.
@@ -88,10 +91,7 @@ def holding_of(segment: Segment) -> Holding:
 
 
 class EngagementKeeper:
-    """Which engagement there is, and which of it is on the disk.
-
-    Args:
-        found: What the disk says at the start: the executor before this one ended inside.
+    """Which engagement there is, and which of it is on the disk, where the executor before this one may have left one.
 
     Attributes:
         present: What must be on the disk. A segment that is engaged is entered only when it is.
@@ -169,13 +169,9 @@ def write_engagement(path: Path, engagement: Engagement | None) -> None:
         rows = [json.dumps([float(time), *(values.tolist() for values in row)]) for time, *row in columns]
         write_whole(path, json.dumps(fields)[:-1] + ', "waypoints": [\n' + ",\n".join(rows) + "\n]}\n")
     except OSError as error:
+        values = {"path": str(path), "problem": error.strerror or str(error)}
         raise ExecutionError(
-            Sentence(
-                "{path}: {problem}: where the arm may be left is not on the disk, so no engaged segment is "
-                "entered or left; mend it",
-                path=str(path),
-                problem=error.strerror or str(error),
-            )
+            Sentence("{path}: {problem}: where the arm may be left is not on the disk; mend it", **values)
         ) from error
 
 
@@ -199,12 +195,8 @@ def read_engagement(path: Path, joint_names: Sequence[str]) -> Engagement | None
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, TypeError, TrajectoryError) as error:
-        problem = f"{type(error).__name__}: {problem_of(error)}"
-        raise ConfigurationError(
-            str(path),
-            problem,
-            "the file that an executor of this robot wrote; look at the arm, free it, and only then delete the file",
-        ) from error
+        expected = "the file that an executor of this robot wrote; free the arm, and only then delete the file"
+        raise ConfigurationError(str(path), f"{type(error).__name__}: {problem_of(error)}", expected) from error
     left = Engagement(path=ExecutedPath(trajectory, end), holding=holding, **words)
     # one that was only expected
     return left if left.reason else replace(left, reason="the executor ended before the plan did")
@@ -219,47 +211,28 @@ def check_way_back(plan: Plan, engagement: Engagement) -> None:
     """
     segment = plan.segments[0] if len(plan.segments) == 1 else None
     if segment is None or segment.switches or segment.scene_after != segment.scene:
-        raise ReviewError(
-            Sentence(
-                "the arm is engaged in segment {segment} of plan {left}, and plan {plan} is not the way "
-                "back: call plan_way_back, or free the arm by hand and call release_engagement",
-                plan=plan.id,
-                segment=repr(engagement.segment),
-                left=engagement.plan_id,
-            )
-        )
+        left = Sentence("segment {segment} of plan {plan}", segment=repr(engagement.segment), plan=engagement.plan_id)
+        values = {"plan": plan.id, "left": left, "remedy": REMEDY}
+        raise ReviewError(Sentence("plan {plan} is not the way back out of {left}: {remedy}", **values))
     if all(set(segment.requires) != set(signals) for signals, _ in engagement.holding):
         found = ", ".join(f"{signal.name}={signal.value}" for signal in segment.requires) or "nothing"
-        raise ReviewError(
-            Sentence(
-                "plan {plan} requires {found} of the tool, not what the arm was left with in segment "
-                "{segment} of plan {left}: call plan_way_back, or free the arm by hand and call "
-                "release_engagement",
-                plan=plan.id,
-                found=found,
-                segment=repr(engagement.segment),
-                left=engagement.plan_id,
-            )
-        )
+        values = {"plan": plan.id, "found": found, "remedy": REMEDY}
+        raise ReviewError(Sentence("plan {plan} requires {found} of the tool, not what it held: {remedy}", **values))
     scenes = engagement.scenes_of(segment.requires)
     if plan.scene not in scenes:
-        raise ReviewError(
-            Sentence(
-                "plan {plan} is not the way back: {problem}", plan=plan.id, problem=scene_problem(plan.scene, scenes)
-            )
-        )
+        problem = scene_problem(plan.scene, scenes)
+        raise ReviewError(Sentence("plan {plan} is not the way back: {problem}", plan=plan.id, problem=problem))
     trajectory, path = plan.trajectory, engagement.path
     start = trajectory.positions[0]
     entry = path.entry(start)
     if entry.distance > LARGEST_ENTRY:
-        distance = float(entry.distance)
         raise ReviewError(
             Sentence(
-                "plan {plan} starts {distance:.4f} rad (or m) beside the executed path, which is more than "
-                "{most:g}: free the arm by hand, then call release_engagement",
+                "plan {plan} starts {distance:.4f} rad (or m) beside the executed path, expected at most {most:g}: {remedy}",
                 plan=plan.id,
-                distance=distance,
+                distance=float(entry.distance),
                 most=LARGEST_ENTRY,
+                remedy=REMEDY,
             )
         )
     line = np.linspace(0.0, 1.0, 2 + math.ceil(entry.distance / WAY_BACK_TOLERANCE))[:-1, None]
@@ -270,11 +243,10 @@ def check_way_back(plan: Plan, engagement: Engagement) -> None:
     if off is not None:
         raise ReviewError(
             Sentence(
-                "plan {plan} leaves the executed path {time:.3f} s after its start; the arm is engaged, and "
-                "only the way back can be reviewed: call plan_way_back, or free the arm and call "
-                "release_engagement",
+                "plan {plan} leaves the executed path {time:.3f} s after its start: {remedy}",
                 plan=plan.id,
                 time=float(times[off]),
+                remedy=REMEDY,
             )
         )
 
@@ -282,20 +254,16 @@ def check_way_back(plan: Plan, engagement: Engagement) -> None:
 def scene_problem(scene: str, scenes: Sequence[str]) -> str:
     """Return why an engaged arm cannot go back in a scene, and what to do, as a clause; `scenes`: those in which it can."""
     wanted = " or ".join(each[:12] for each in scenes) or "none that is known"
+    found = {"scene": scene[:12], "wanted": wanted, "by_hand": _BY_HAND}
     return Sentence(
-        "it is for scene {scene}, which does not say what hangs on the tool; the scene must become "
-        "{wanted} first (the node work makes it so), or free the arm by hand and call "
-        "release_engagement",
-        scene=scene[:12],
-        wanted=wanted,
+        "scene {scene} does not say what the tool holds; it must become {wanted} first, or {by_hand}", **found
     )
 
 
 def follow(way: np.ndarray, poses: np.ndarray) -> int | None:
-    """Follow a polyline from its beginning to its end, never backwards.
+    """Follow a polyline, its corners of shape (k, n), from its beginning to its end, never backwards.
 
     Args:
-        way: Shape (k, n). Corners, at least two.
         poses: Shape (m, n). Each within `WAY_BACK_TOLERANCE` of the polyline, at or after the place of the one before. Between two
             poses nothing of it may be left out that is further away than their distance.
 

@@ -20,7 +20,7 @@ from construction_twin.core.state_table import Machine, Occasion, conditions
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.conflict_verdicts import ConflictVerdicts
-from construction_twin.execution.engagement import Engagement, EngagementKeeper
+from construction_twin.execution.engagement import REMEDY, Engagement, EngagementKeeper
 from construction_twin.execution.playback import START_TOLERANCE, Playback, PlayRate, StopForecaster, distance_along
 from construction_twin.execution.rehearsal_check import RehearsalCheck
 from construction_twin.execution.segment_run import SegmentRun, awaited, lacks
@@ -45,7 +45,6 @@ _BY_GATE = (ExecutorEvent.GATE_HOLDS, ExecutorEvent.GATE_ENDS)
 _MAY_BEGIN = (ExecutorState.PLAYING, ExecutorState.HELD, ExecutorState.AT_BOUNDARY)
 #: States in which a person's act is under way.
 _BRAKING = (ExecutorState.STOPPING, ExecutorState.PAUSING)
-_OLDEST = LIFETIME / NANOSECONDS
 #: The twin's pose counts as known this long after its last message [ns].
 TWIN_TIMEOUT = NANOSECONDS // 2
 
@@ -64,14 +63,12 @@ def check_start_pose(plan: Plan, pose: tuple[float, ...], robot: RobotModel) -> 
     start = tuple(plan.trajectory.positions[0])
     off = outside_tolerance(start, pose, START_TOLERANCE)
     if off is not None:
-        joint, unit = robot.joint_names[off], "m" if robot.linear[off] else "rad"
-        distance = Quantity(start[off] - pose[off], unit)
         raise ReviewError(
             Sentence(
                 "plan {plan} starts {distance} from the present pose at {joint}; plan again",
                 plan=plan.id,
-                distance=distance,
-                joint=joint,
+                distance=Quantity(start[off] - pose[off], "m" if robot.linear[off] else "rad"),
+                joint=robot.joint_names[off],
             )
         )
 
@@ -88,8 +85,6 @@ class Executor:
         rehearsal: Says whether a plan has passed its rehearsal; by default none is required.
         rested: Moment of the newest stop or pause [ns of the robot's clock]; -1: none.
         limit: How fast plans are played; set by `limit_rate`.
-        engagement: Whether the arm was left inside an engaged segment, and what of it must be on the disk.
-        tool: What is known of the tool; set by `on_tool`.
         segment_run: The present or last execution of a work plan; None when the plan played last is none.
         reason: Why the state was entered, and what the speed limit makes of it now.
         side_effects: Runs what tells of a stop, a pause or a rejection: it can fail none of them.
@@ -202,11 +197,7 @@ class Executor:
             self._on(ExecutorEvent.GATE_ENDS if ends else ExecutorEvent.GATE_HOLDS, reason)
 
     def on_link(self, armed: bool, reason: str, session: str = "", now: int = 0) -> None:
-        """Take the link's state; without a physical arm there is none. While the arm is not armed nothing is played.
-
-        Args:
-            session: The command session; a new one ends what is executed, as `restart`.
-        """
+        """Store the link's state; not armed: drop the plan. A new command session ends what is executed, as `restart`."""
         if session and session != self._session:
             if self._session:
                 self.restart(Sentence("new command session"), now)
@@ -217,20 +208,17 @@ class Executor:
 
     def on_scene(self, scene: str) -> None:
         """Take the present scene's hash: what was planned for another one is withdrawn, stopped or ended."""
-        before, after = self.under_review.scene[:12] or "none", scene[:12]
-        self.tell_withdrawn(
-            self.under_review.on_scene(scene),
-            Sentence("the scene changed from {before} to {after}; plan again", before=before, after=after),
-        )
+        scenes = {"before": self.under_review.scene[:12] or "none", "after": scene[:12]}
+        withdrawn = self.under_review.on_scene(scene)
+        self.tell_withdrawn(withdrawn, Sentence("the scene changed from {before} to {after}; plan again", **scenes))
         if self.state not in ACTIVE:
             return
-        reason = Sentence("the scene changed from {before} to {after}", before=before, after=after)
+        reason = Sentence("the scene changed from {before} to {after}", **scenes)
         if self.segment_run is not None:
             if not self.segment_run.expects(scene):
                 where = self.segment_run.where
-                self._on(
-                    ExecutorEvent.LOST, Sentence("{change}, which was not planned {where}", change=reason, where=where)
-                )
+                reason = Sentence("{change}, which was not planned {where}", change=reason, where=where)
+                self._on(ExecutorEvent.LOST, reason)
         elif scene != self._played.plan.scene:
             self._on(ExecutorEvent.STOP, reason)
 
@@ -287,13 +275,9 @@ class Executor:
     # -- review, and the start of a plan
 
     def offer(self, plan: Plan, way_back: Engagement | None = None) -> None:
-        """Put a plan under review in place of the one before.
+        """Put a plan under review in place of the one before, or raise ReviewError.
 
-        Args:
-            way_back: The engagement that `check_way_back` has found this plan to be the way back out of.
-
-        Raises:
-            ReviewError: When it cannot be reviewed.
+        `way_back`: the engagement that `check_way_back` has found this plan to be the way back out of.
         """
         left = self.engagement.left
         if left is not None and left is not way_back:
@@ -306,13 +290,8 @@ class Executor:
         left = self.engagement.left
         if left is None:
             return ""
-        return Sentence(
-            "the arm was left in engaged segment {segment} of plan {plan} ({reason}); plan the way back "
-            "with plan_way_back, or free it by hand and call release_engagement",
-            segment=repr(left.segment),
-            plan=left.plan_id,
-            reason=left.reason,
-        )
+        values = {"segment": repr(left.segment), "plan": left.plan_id, "reason": left.reason, "remedy": REMEDY}
+        return Sentence("the arm was left in engaged segment {segment} of plan {plan} ({reason}); {remedy}", **values)
 
     def _is_way_back(self, plan: Plan) -> bool:
         return self.engagement.engaged and self._way_back == (plan.id, self.engagement.present)
@@ -323,13 +302,8 @@ class Executor:
         if left is None:
             raise ExecutionError(Sentence("the arm is not engaged; there is nothing to release"))
         if self.state in ACTIVE:
-            raise ExecutionError(
-                Sentence(
-                    "plan {plan} is {state}; release the arm when it is at rest",
-                    plan=self._played.plan.id,
-                    state=self.state.name,
-                )
-            )
+            values = {"plan": self._played.plan.id, "state": self.state.name}
+            raise ExecutionError(Sentence("plan {plan} is {state}; release the arm when it is at rest", **values))
         return left
 
     def rehearsal_problem(self, plan: Plan) -> str:
@@ -337,19 +311,10 @@ class Executor:
         return "" if self._is_way_back(plan) else self.rehearsal.problem(plan)
 
     def check_start(self, plan: Plan, override: bool = False) -> None:
-        """Check that the plan under review may start now.
-
-        Raises:
-            ReviewError: Naming what is against it.
-        """
+        """Raise ReviewError where the plan under review may not start now, naming what is against it."""
         if self.state is not ExecutorState.IDLE:
-            raise ReviewError(
-                Sentence(
-                    "the executor is {state} ({reason}); approve when it is idle",
-                    state=self.state.name,
-                    reason=self.reason,
-                )
-            )
+            values = {"state": self.state.name, "reason": self.reason}
+            raise ReviewError(Sentence("the executor is {state} ({reason}); approve when it is idle", **values))
         if self._sync is not SyncState.IN_SYNC:
             raise ReviewError(
                 Sentence(
@@ -366,7 +331,7 @@ class Executor:
             if not problem and self._way_back is not None and self._is_way_back(plan):
                 if set(plan.segments[0].requires) != set(self._way_back[1].requires(self.tool)):
                     problem = Sentence(
-                        "the tool reads something else than when the way back was planned; call plan_way_back again"
+                        "the tool reads something else since the way back was planned; call plan_way_back"
                     )
         if problem:
             raise ReviewError(Sentence("plan {plan} may not start: {reason}", plan=plan.id, reason=problem))
@@ -402,20 +367,13 @@ class Executor:
         return not self.neighbour.problem(plan.id)
 
     def reject(self, verdict: Verdict) -> None:
-        """Take a plan out of review because a person said no; the verdict is told with the next `take_events`.
-
-        Its record is the caller's.
-        """
+        """Take a plan out of review because a person said no; tell it with the next `take_events`. Its record is the caller's."""
         self._acted = True
         self.under_review.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
         self._events.append(verdict)
 
     def begin(self, plan: Plan, reason: str, may_wait: int = LIFETIME) -> None:
-        """Play a plan that was approved, from the next cycle on; `Approval` has checked and recorded it.
-
-        Args:
-            may_wait: A plan that has not begun to move for longer than this ends [ns].
-        """
+        """Play a plan that `Approval` has checked and recorded; it ends when it has not begun to move for `may_wait` [ns]."""
         self._approved, self._begin_by = plan, self._now + may_wait
         self._on(ExecutorEvent.APPROVED, reason)
 
@@ -492,22 +450,11 @@ class Executor:
         """Brake one plan along its path as `stop` does, and leave the plans alone that wait; return one sentence."""
         self._acted = True
         if self.state not in ACTIVE:
-            raise ExecutionError(
-                Sentence(
-                    "plan {plan} is not played: the executor is {state} ({reason})",
-                    plan=repr(plan_id),
-                    state=self.state.name,
-                    reason=self.reason,
-                )
-            )
+            values = {"plan": repr(plan_id), "state": self.state.name, "reason": self.reason}
+            raise ExecutionError(Sentence("plan {plan} is not played: the executor is {state} ({reason})", **values))
         if self._played.plan.id != plan_id:
-            raise ExecutionError(
-                Sentence(
-                    "plan {plan} is not played: the executor plays plan {present}",
-                    plan=repr(plan_id),
-                    present=self._played.plan.id,
-                )
-            )
+            plans = {"plan": repr(plan_id), "present": self._played.plan.id}
+            raise ExecutionError(Sentence("plan {plan} is not played: the executor plays plan {present}", **plans))
         self.rested = now
         return self._stop(reason)
 
@@ -521,12 +468,11 @@ class Executor:
             return Sentence("plan {plan} is braking already", plan=self._played.plan.id)
         if self.state is not ExecutorState.STOPPING:
             return Sentence("plan {plan} ended at rest", plan=self._played.plan.id)
+        if not self.limit.waits:
+            return Sentence("braking plan {plan}", plan=self._played.plan.id)
         # also where the setpoints rest already, the gateway still plays what it has put off
         return Sentence(
-            "braking plan {plan}; the arm trails by much, and goes on until it is there"
-            if self.limit.waits
-            else "braking plan {plan}",
-            plan=self._played.plan.id,
+            "braking plan {plan}; the arm trails by much, and goes on until it is there", plan=self._played.plan.id
         )
 
     def braking(self) -> StopForecaster | None:
@@ -536,44 +482,29 @@ class Executor:
     def pause(self, now: int) -> str:
         """Brake along the path smoothly and rest on it. Plans asked for until `now` [ns] and not here are void."""
         if not ROWS[self.state, ExecutorEvent.PAUSE]:
-            raise ExecutionError(
-                Sentence(
-                    "nothing to pause: the executor is {state} ({reason})", state=self.state.name, reason=self.reason
-                )
-            )
+            values = {"state": self.state.name, "reason": self.reason}
+            raise ExecutionError(Sentence("nothing to pause: the executor is {state} ({reason})", **values))
         self._acted, self.rested = True, now
-        before = self.state
+        before, plan = self.state, self._played.plan.id
         if before in (ExecutorState.PLAYING, ExecutorState.AT_BOUNDARY):
             self.under_review.void_coming(now)
         self._on(ExecutorEvent.PAUSE, Sentence("pause requested"))
         if self.segment_run is not None and before is ExecutorState.AT_BOUNDARY:
             where = self.side_effects.run("where a pause rests", lambda work: work.where, self.segment_run)
             return Sentence(
-                "plan {plan} rests {where}; resume goes on",
-                plan=self._played.plan.id,
-                where=where or Sentence("at a boundary"),
+                "plan {plan} rests {where}; resume goes on", plan=plan, where=where or Sentence("at a boundary")
             )
         if before is ExecutorState.HELD:
-            return Sentence(
-                "plan {plan} is HELD; when twin and arm agree again it stays at rest, and resume goes on",
-                plan=self._played.plan.id,
-            )
+            return Sentence("plan {plan} is HELD, and stays at rest when twin and arm agree; resume goes on", plan=plan)
         if before is not ExecutorState.PLAYING:
-            return Sentence("plan {plan} is {state} already", plan=self._played.plan.id, state=before.name)
-        return Sentence("plan {plan} comes to rest on its path; resume goes on", plan=self._played.plan.id)
+            return Sentence("plan {plan} is {state} already", plan=plan, state=before.name)
+        return Sentence("plan {plan} comes to rest on its path; resume goes on", plan=plan)
 
     def resume(self, may_wait: int = LIFETIME) -> str:
-        """Go on along the same path; return one sentence. The approval that started the plan covers it.
-
-        Args:
-            may_wait: A plan that had not begun to move, and does not for longer than this, ends [ns].
-        """
+        """Go on along the same path, within `may_wait` [ns] where it had not moved yet; return one sentence."""
         if not ROWS[self.state, ExecutorEvent.RESUME]:
-            raise ExecutionError(
-                Sentence(
-                    "nothing to resume: the executor is {state} ({reason})", state=self.state.name, reason=self.reason
-                )
-            )
+            values = {"state": self.state.name, "reason": self.reason}
+            raise ExecutionError(Sentence("nothing to resume: the executor is {state} ({reason})", **values))
         if self._sync is not SyncState.IN_SYNC:
             raise ExecutionError(
                 Sentence("twin and physical arm are not in sync ({state}); resume when they are", state=self._sync.name)
@@ -582,11 +513,8 @@ class Executor:
             raise ExecutionError(Sentence("the arm is not armed ({reason}); resume when it is", reason=self._unarmed))
         self._begin_by = self._now + may_wait
         self._on(ExecutorEvent.RESUME, Sentence("resumed"))
-        return Sentence(
-            "plan {plan} goes on; {rest:.3f} s of it are left",
-            plan=self._played.plan.id,
-            rest=self._played.plan.trajectory.duration - self._played.elapsed,
-        )
+        rest = self._played.plan.trajectory.duration - self._played.elapsed
+        return Sentence("plan {plan} goes on; {rest:.3f} s of it are left", plan=self._played.plan.id, rest=rest)
 
     # -- output
 
@@ -599,10 +527,9 @@ class Executor:
         if machine.state is ExecutorState.WAITING:
             return None
         if machine.state in _MAY_BEGIN and now > self._begin_by and not self._played.moved:
-            sentence = Sentence(
-                "not begun, {waits}: an approval is void after {seconds:g} s", waits=self._waits_for(), seconds=_OLDEST
-            )
-            self._on(ExecutorEvent.TIMEOUT, sentence)
+            waits, seconds = self._waits_for(), LIFETIME / NANOSECONDS
+            void = Sentence("not begun, {waits}: an approval is void after {seconds:g} s", waits=waits, seconds=seconds)
+            self._on(ExecutorEvent.TIMEOUT, void)
         if machine.state is ExecutorState.AT_BOUNDARY:
             self._wait_at_boundary(stamp, now)
         if machine.state is ExecutorState.IDLE:
@@ -791,12 +718,9 @@ class Executor:
             self.side_effects.run("the verdict on a waiting plan", self._withdraw_other, waiting)
         if action is Action.FINISH:
             return sentence
-        return Sentence(
-            "{end}; the arm is engaged: plan the way back, or free it by hand and call release_engagement"
-            if self.engagement.engaged
-            else "{end}: look at arm and tool, then plan the task again from where things are",
-            end=sentence,
-        )
+        if self.engagement.engaged:
+            return Sentence("{end}; the arm is engaged: {remedy}", end=sentence, remedy=REMEDY)
+        return Sentence("{end}: look at arm and tool, then plan the task again from where things are", end=sentence)
 
     def _withdraw_other(self, plan: Plan | None) -> None:
         self.tell_withdrawn(plan, Sentence("not the way back: {engaged}", engaged=self.engaged()))
@@ -808,15 +732,10 @@ class Executor:
                 return both(self.cause, reason)
             if row.action is Action.LOSE:
                 return Sentence(
-                    "{hold} at a setpoint that is not known to be of plan {plan}",
-                    plan=self._played.plan.id,
-                    hold=reason,
+                    "{hold} at a setpoint that is none of plan {plan}", plan=self._played.plan.id, hold=reason
                 )
-            return Sentence(
-                "{hold} {elapsed:.3f} s into the plan; goes on by itself when twin and arm agree again",
-                hold=reason,
-                elapsed=self._played.elapsed,
-            )
+            elapsed = self._played.elapsed
+            return Sentence("{hold} {elapsed:.3f} s into the plan; goes on by itself", hold=reason, elapsed=elapsed)
         if row.target is ExecutorState.AT_BOUNDARY:
             where = self._run_at_boundary.where
             if row.event is ExecutorEvent.APPROVED:

@@ -21,11 +21,7 @@ QUANTITIES = {Sentence("position"): "", Sentence("velocity"): "/s", Sentence("ac
 
 @dataclass(frozen=True)
 class Tolerances:
-    """How far every joint may be off.
-
-    Attributes:
-        position, velocity, acceleration: Length n. In the robot's joint order; infinity: no bound.
-    """
+    """How far every joint may be off, in the robot's joint order, each of length n; infinity: no bound."""
 
     position: tuple[float, ...]
     velocity: tuple[float, ...]
@@ -39,10 +35,7 @@ class Tolerances:
         return cls(position, free, free)
 
     def asked(self, robot: RobotModel, asked: Iterable[Any]) -> Tolerances:
-        """Return these tolerances with what a goal asks for in their place.
-
-        Args:
-            asked: control_msgs/JointTolerance. Joints in any order; those that are missing keep their default.
+        """Return these tolerances with what a goal asks for in their place: control_msgs/JointTolerance, joints in any order.
 
         Raises:
             GoalJointsError: Naming a joint that is none of the robot's.
@@ -53,26 +46,16 @@ class Tolerances:
         for one in asked:
             if one.name not in robot.joint_names:
                 known = ", ".join(robot.joint_names)
-                raise GoalJointsError(
-                    Sentence(
-                        "goal_tolerance names the joint '{joint}'; expected only {known}", joint=one.name, known=known
-                    )
-                )
+                raise GoalJointsError(f"goal_tolerance names the joint {one.name!r}; expected only {known}")
             if one.name in named:
-                raise GoalError(Sentence("goal_tolerance names {joint} twice; expected once", joint=one.name))
+                raise GoalError(f"goal_tolerance names {one.name} twice; expected once")
             named.add(one.name)
             index = robot.joint_names.index(one.name)
             for quantity, column in columns.items():
                 value = getattr(one, quantity)
                 if math.isnan(value):
-                    raise GoalError(
-                        Sentence(
-                            "goal_tolerance: the {quantity} of {joint} is nan; expected a number, 0 for the default, "
-                            "below 0 for no bound",
-                            quantity=quantity,
-                            joint=one.name,
-                        )
-                    )
+                    expected = "expected a number, 0 for the default, below 0 for no bound"
+                    raise GoalError(f"goal_tolerance: the {quantity} of {one.name} is nan; {expected}")
                 if value:
                     column[index] = value if value > 0.0 else math.inf
         return Tolerances(*(tuple(column) for column in columns.values()))
@@ -80,11 +63,7 @@ class Tolerances:
     def violation(
         self, robot: RobotModel, position: Sequence[float], velocity: Sequence[float], acceleration: Sequence[float]
     ) -> str:
-        """Return which joint is off by more than it may, with the values; "" when none is.
-
-        Args:
-            position, velocity, acceleration: Length n. Actual minus desired.
-        """
+        """Return which joint is off by more than it may, actual minus desired, with the values; "" when none is."""
         for (quantity, per), errors in zip(QUANTITIES.items(), (position, velocity, acceleration)):
             for index, (error, bound) in enumerate(zip(errors, getattr(self, quantity))):
                 # written so that a nan does not pass
@@ -101,27 +80,13 @@ class Tolerances:
 
 
 def check_joint_names(robot: RobotModel, names: Sequence[str]) -> None:
-    """Check that a goal names each of the robot's joints once, in any order.
-
-    Raises:
-        GoalJointsError: Naming the first joint that is too many or missing.
-    """
-    known = ", ".join(robot.joint_names)
+    """Raise GoalJointsError unless a goal names each of the robot's joints once, in any order."""
+    expected = f"expected each of {', '.join(robot.joint_names)} once"
     for name in names:
         if name not in robot.joint_names:
-            raise GoalJointsError(
-                Sentence("the goal names the joint '{joint}'; expected each of {known} once", joint=name, known=known)
-            )
+            raise GoalJointsError(f"the goal names the joint {name!r}; {expected}")
         if list(names).count(name) > 1:
-            raise GoalJointsError(
-                Sentence(
-                    "the goal names the joint {joint} twice; expected each of {known} once", joint=name, known=known
-                )
-            )
+            raise GoalJointsError(f"the goal names the joint {name} twice; {expected}")
     for name in robot.joint_names:
         if name not in names:
-            raise GoalJointsError(
-                Sentence(
-                    "the goal does not name the joint {joint}; expected each of {known} once", joint=name, known=known
-                )
-            )
+            raise GoalJointsError(f"the goal does not name the joint {name}; {expected}")

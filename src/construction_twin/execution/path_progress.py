@@ -127,14 +127,11 @@ class Progress:
         return tuple(self._poses[2].tolist())
 
     def advance(self, rate: float) -> tuple[float, ...]:
-        """Go on by one cycle, on a smooth ramp from the present rate to `rate`.
+        """Go on by one cycle, on a smooth ramp from the present rate to `rate`; return the setpoint, shape (n,) [rad].
 
         The ramp is the shortest found on which every joint stays within its acceleration limit and `JERK_FRACTION` of its jerk
         limit; a ramp down from which none leads up again is ended first. Where there is none, or none that comes to rest soon
         enough, the rate changes as far as the acceleration limits allow, its slope as gently as the jerk limits ask for.
-
-        Returns:
-            Shape (n,). [rad]
         """
         if rate != self._goal:
             ramp = self._plan_ramp(rate, LONGEST_RAMP if rate >= self._now.rate else LONGEST_PAUSE)

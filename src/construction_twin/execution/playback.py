@@ -22,12 +22,7 @@ from construction_twin.robot.plan import Plan
 
 @dataclass(frozen=True)
 class StoppingPath:
-    """How far the joints move until they rest.
-
-    Attributes:
-        joints: Length n. Distance of each joint, there and back both counted [rad], [m].
-        time: [s]
-    """
+    """How far the joints move until they rest, and in which time [s]: each joint there and back [rad], [m]."""
 
     joints: tuple[float, ...]
     time: float
@@ -40,14 +35,9 @@ class StoppingPath:
             if joints:
                 joint = max(joints, key=lambda index: self.joints[index])
                 most.append((Quantity(self.joints[joint], unit), robot.joint_names[joint]))
+        (turn, revolute), (slide, carriage) = most[0], most[-1]
         if len(most) == 1:
-            return Sentence(
-                "{time:.3f} s and at most {distance:.3} of {joint}",
-                time=self.time,
-                distance=most[0][0],
-                joint=most[0][1],
-            )
-        (turn, revolute), (slide, carriage) = most
+            return Sentence("{time:.3f} s and at most {turn:.3} of {joint}", time=self.time, turn=turn, joint=revolute)
         return Sentence(
             "{time:.3f} s and at most {turn:.3} of {joint}, {slide:.3} of {carriage}",
             time=self.time,
@@ -59,11 +49,7 @@ class StoppingPath:
 
 
 def distance_along(poses: Iterable[Sequence[float]]) -> StoppingPath:
-    """Return the distance along setpoints that follow each other by one cycle.
-
-    Args:
-        poses: Each of length n. At least one; the first is the pose when the stop was asked for [rad].
-    """
+    """Return the distance along setpoints that follow each other by one cycle, from the pose when the stop was asked for."""
     poses = iter(poses)
     last = next(poses)
     joints, cycles = [0.0] * len(last), 0
@@ -79,8 +65,7 @@ class StoppingForecast:
 
     Attributes:
         setpoints: From the last setpoint before the stop to rest.
-        arm: What the arm does from the moment of the stop: the same, and the setpoints before it that it has not reached yet.
-        lag: How long the arm was taken to trail the setpoints [s].
+        arm: What the arm does, `lag` behind [s]: the same, and the setpoints before it that it has not reached yet.
     """
 
     setpoints: StoppingPath
@@ -207,14 +192,10 @@ class Playback:
     def braking(self, lag: float) -> StopForecaster:
         """Return what is needed to forecast a stop that begins now; nothing is computed yet.
 
-        Args:
-            lag: How long the arm trails the setpoints [s]; 0 when there is none, or it is not known. Of an arm that trails by more
-                than is remembered nothing is forecast.
+        `lag`: how long the arm trails the setpoints [s]; 0 where it is not known. Of more than is remembered nothing is forecast.
         """
         if lag < 0.0:
-            raise ExecutionError(
-                Sentence("a lag of {lag:.3f} s, expected 0 or more: it was measured on a clock that was set", lag=lag)
-            )
+            raise ExecutionError(Sentence("a lag of {lag:.3f} s, expected 0 or more: a clock was set", lag=lag))
         if len(self._history) == HISTORY and lag > (HISTORY - 1) * CYCLE:
             lag = 0.0
         cycles = min(-int(-lag * NANOSECONDS // CYCLE_NS), len(self._history) - 1)
@@ -223,12 +204,9 @@ class Playback:
 
 
 class StopForecaster:
-    """The forecast of a stop, on a copy: it needs no lock and holds up no cycle.
+    """The forecast of a stop, on a copy, which is used up: it needs no lock and holds up no cycle.
 
-    Args:
-        progress: A copy, which is used up.
-        in_flight: Times along the trajectory of the setpoints that the arm has not reached yet [ns], the newest last.
-        lag: [s]
+    `in_flight`: times along the trajectory of the setpoints that the arm has not reached yet [ns], the newest last.
     """
 
     def __init__(self, progress: Progress, in_flight: Sequence[float], lag: float):
@@ -239,8 +217,7 @@ class StopForecaster:
     def forecast(self, pause: Callable[[], None] = lambda: None) -> StoppingForecast:
         """Brake the copy to rest; return the distance it took. The execution itself takes the same, unless it is held before.
 
-        Args:
-            pause: Called every few setpoints: a thread that computes without a break keeps the one with the setpoints waiting.
+        `pause` is called every few setpoints: a thread that computes without a break keeps the one with the setpoints waiting.
         """
         progress, sample = self._progress, self._progress.trajectory.sample
         before = []
@@ -283,10 +260,7 @@ class PlayRate:
         return 0.0 if self.waits else self.fraction
 
     def trail(self, lag: float) -> bool:
-        """Take how long the arm trails its setpoints [s]; return whether there is something new to say.
-
-        What is not known, or is no such time, changes nothing: an arm that was waited for has not caught up by it.
-        """
+        """Take how long the arm trails [s]; return whether that is news. What is not known, or no such time, changes nothing."""
         if not 0.0 <= lag < math.inf:
             return False
         waits = lag >= (KEEPS_UP if self.waits else TRAILS)
@@ -295,20 +269,13 @@ class PlayRate:
         return changed
 
     def take(self, fraction: float, reason: str) -> bool:
-        """Take a limit and why it is there; return whether there is something new to say.
-
-        Raises:
-            ExecutionError: When it is no fraction; nothing has changed then.
-        """
+        """Take a limit and why it is there; return whether that is news. ExecutionError, and no change, when it is no fraction."""
         if fraction == self.fraction and reason == self.reason:
             return False
         # written so that a nan does not pass
         if not 0.0 <= fraction <= 1.0:
             raise ExecutionError(
-                Sentence(
-                    "a rate of {fraction} was asked for; expected a fraction of the planned speed, 0 to 1",
-                    fraction=fraction,
-                )
+                f"a rate of {fraction} was asked for; expected a fraction of the planned speed, 0 to 1"
             )
         self.fraction, self.reason = fraction, reason
         return True
@@ -319,8 +286,8 @@ class PlayRate:
             return Sentence("stands still on the path, goes on by itself: {reason}", reason=self.reason)
         if self.waits:
             return Sentence(
-                "waits on the path until the arm has caught up, goes on by itself: the arm trails by more "
-                "than {trails:g} s, because replies to it are lost or it is slowed down",
+                "waits on the path until the arm has caught up, goes on by itself: the arm trails by more than {trails:g} s, "
+                "because replies to it are lost or it is slowed down",
                 trails=TRAILS,
             )
         if self.fraction < 1.0:

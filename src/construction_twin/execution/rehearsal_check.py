@@ -12,11 +12,7 @@ _KEPT = 4
 
 
 class RehearsalCheck:
-    """Keeps results of rehearsals.
-
-    Args:
-        tool: Hash of the tool file that counts; empty: no tool.
-    """
+    """Keeps results of rehearsals; `tool`: hash of the tool file that counts, empty for no tool."""
 
     def __init__(self, required: bool = False, tool: str = ""):
         self.required = required

@@ -36,15 +36,13 @@ def lacks(report: ToolReport, plan: Plan) -> str:
     for segment in plan.segments:
         for switch in segment.switches:
             if switch.output not in report.outputs:
-                return Sentence(
-                    "the tool {tool} has no output {signal}", tool=repr(report.tool), signal=repr(switch.output)
-                )
+                named = {"tool": repr(report.tool), "signal": repr(switch.output)}
+                return Sentence("the tool {tool} has no output {signal}", **named)
         confirmed = [signal for switch in segment.switches for signal in switch.confirm]
         for signal in (*segment.requires, *confirmed):
             if signal.name not in report.inputs:
-                return Sentence(
-                    "the tool {tool} has no input {signal}", tool=repr(report.tool), signal=repr(signal.name)
-                )
+                named = {"tool": repr(report.tool), "signal": repr(signal.name)}
+                return Sentence("the tool {tool} has no input {signal}", **named)
     return ""
 
 
@@ -100,11 +98,10 @@ class SegmentRun:
         """Where it is, for people: a clause."""
         if self.segment is None:
             return Sentence("before the first segment")
-        return Sentence(
-            "at the end of segment {number} ({name})" if self.at_boundary else "in segment {number} ({name})",
-            number=self.number,
-            name=repr(self.segment.name),
-        )
+        name = repr(self.segment.name)
+        if self.at_boundary:
+            return Sentence("at the end of segment {number} ({name})", number=self.number, name=name)
+        return Sentence("in segment {number} ({name})", number=self.number, name=name)
 
     def waits_for(self) -> str:
         """Return what a boundary waits for, as a clause for the operator."""
@@ -177,20 +174,16 @@ class SegmentRun:
         if not self._recorded(following, now):
             assert self._recording_since is not None  # `_recorded` has set it
             if now - self._recording_since > RECORD_TIMEOUT:
-                return BoundaryEvent(
-                    ExecutorEvent.TIMEOUT,
-                    Sentence("the disk did not take what is needed to find the way back; see the executor's log"),
-                )
+                late = Sentence("the disk did not take what the way back needs; see the executor's log")
+                return BoundaryEvent(ExecutorEvent.TIMEOUT, late)
             return None
         if following is None:
             return BoundaryEvent(ExecutorEvent.GOAL, Sentence("goal reached"))
         if following.switches and not tool.known:
             return BoundaryEvent(ExecutorEvent.LOST, tool.unknown())
         if problem := tool.problem(following.requires):
-            return BoundaryEvent(
-                ExecutorEvent.LOST,
-                Sentence("segment {name} cannot begin: {problem}", name=repr(following.name), problem=problem),
-            )
+            lost = Sentence("segment {name} cannot begin: {problem}", name=repr(following.name), problem=problem)
+            return BoundaryEvent(ExecutorEvent.LOST, lost)
         return BoundaryEvent(ExecutorEvent.NEXT_SEGMENT)
 
     def _recorded(self, following: Segment | None, now: int) -> bool:

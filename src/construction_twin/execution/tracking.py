@@ -6,17 +6,13 @@ travel times of the network do not count as error, the servo's lag does. Joint v
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.monitor.comparison import TwinHistory
 
 #: The twin rests when its pose has been the same for this long [ns].
 REST = 20_000_000
-
-
-def _difference(a: tuple[float, ...], b: tuple[float, ...]) -> tuple[float, ...]:
-    return tuple(x - y for x, y in zip(a, b))
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,22 +23,10 @@ class Motion:
     velocity: tuple[float, ...]
     acceleration: tuple[float, ...]
 
-    def minus(self, other: Motion) -> Motion:
-        """Return the difference to another one."""
-        return Motion(
-            _difference(self.position, other.position),
-            _difference(self.velocity, other.velocity),
-            _difference(self.acceleration, other.acceleration),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """Desired and actual motion at one moment.
-
-    Attributes:
-        stamp: Of the setpoint that both belong to [ns].
-    """
+    """Desired and actual motion at one moment, that of the setpoint with this nominal stamp [ns]."""
 
     stamp: int
     desired: Motion
@@ -51,7 +35,8 @@ class Sample:
     @property
     def error(self) -> Motion:
         """Actual minus desired."""
-        return self.actual.minus(self.desired)
+        rows = [zip(astuple(self.actual)[row], astuple(self.desired)[row]) for row in range(3)]
+        return Motion(*(tuple(x - y for x, y in row) for row in rows))
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,15 +46,6 @@ class _ArmPose:
     q: tuple[float, ...]
     command_stamp: int
     twin_stamp: int
-
-
-@dataclass(frozen=True, slots=True)
-class _Pair:
-    """Where the arm should be and where it is, and the stamp of the setpoint that both belong to [ns]."""
-
-    stamp: int
-    desired: tuple[float, ...]
-    actual: tuple[float, ...]
 
 
 class Tracking:
@@ -129,10 +105,14 @@ class Tracking:
 
     def sample(self) -> Sample | None:
         """Return the newest desired and actual motion; None while one of them is not known."""
-        pair = self._pair()
-        if pair is None:
+        latest, arm = self._twin.latest, self._arm if self._has_arm else None
+        if latest is None or (self._has_arm and arm is None):
             return None
-        stamp, desired, actual = pair.stamp, pair.desired, pair.actual
+        stamp, desired = latest
+        actual = desired if arm is None else arm.q
+        # at rest the gateway goes on playing stamps that the twin has left behind, or not reached
+        if arm is not None and arm.command_stamp and (found := self._twin.at(arm.command_stamp)):
+            stamp, desired = arm.command_stamp, found[0]
         last = self._last
         if last is not None and stamp <= last.stamp:
             return last
@@ -143,19 +123,6 @@ class Tracking:
             seconds = (stamp - last.stamp) / NANOSECONDS
             self._last = Sample(stamp, _moved(last.desired, desired, seconds), _moved(last.actual, actual, seconds))
         return self._last
-
-    def _pair(self) -> _Pair | None:
-        latest = self._twin.latest
-        if latest is None:
-            return None
-        if not self._has_arm:
-            return _Pair(latest[0], latest[1], latest[1])
-        if self._arm is None:
-            return None
-        stamp = self._arm.command_stamp
-        found = self._twin.at(stamp) if stamp else None
-        # at rest the gateway goes on playing stamps that the twin has left behind, or not reached
-        return _Pair(stamp, found[0], self._arm.q) if found else _Pair(latest[0], latest[1], self._arm.q)
 
 
 def _moved(before: Motion, q: tuple[float, ...], seconds: float) -> Motion:

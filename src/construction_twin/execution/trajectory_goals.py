@@ -150,6 +150,14 @@ class _PlanReport:
     start: int = 0
 
 
+#: How a goal ends by an action whose event brings the sentence.
+_FAILURES = {
+    Action.REFUSE: (Ending.REJECTED, ResultCode.INVALID_GOAL),
+    Action.ABORT_INVALID: (Ending.ABORTED, ResultCode.INVALID_GOAL),
+    Action.ABORT_GOAL: (Ending.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED),
+}
+
+
 class TrajectoryGoals:
     """Takes goals, one at a time, and says what has to be done about them."""
 
@@ -201,9 +209,8 @@ class TrajectoryGoals:
             return Sentence("no goal")
         if self._plan is None:
             return Sentence("goal of {client} is {state}", client=self._client, state=self.state.value)
-        return Sentence(
-            "goal of {client} is {state}, plan {plan}", client=self._client, state=self.state.value, plan=self._plan.id
-        )
+        values = {"client": self._client, "state": self.state.value, "plan": self._plan.id}
+        return Sentence("goal of {client} is {state}, plan {plan}", **values)
 
     # -- what clients ask
 
@@ -217,7 +224,7 @@ class TrajectoryGoals:
         ours = [each for each in (self.goal, self._next) if each is not None and each.client == goal.client]
         if not ours:
             sentence = Sentence(
-                "the trajectory has no points, and no goal of yours is there to be stopped; give at least one point"
+                "the trajectory has no points, and no goal of yours is to be stopped; give at least one"
             )
             self._effects.append(End(goal.id, Ending.REJECTED, ResultCode.INVALID_GOAL, sentence))
             return
@@ -262,23 +269,11 @@ class TrajectoryGoals:
             if self._plan is not None and plan_id == self._plan.id and self.state is GoalState.REVIEW:
                 self._tell(Sentence("plan {plan} was approved by {reviewer}", plan=plan_id, reviewer=reviewer))
             return
+        sentence = Sentence("plan {plan} was rejected by {reviewer}", plan=plan_id, reviewer=reviewer)
         if reviewer == EXECUTOR:
-            sentence = Sentence(
-                "plan {plan} was withdrawn by the executor: {reason}"
-                if reason
-                else "plan {plan} was withdrawn by the executor",
-                plan=plan_id,
-                reason=reason,
-            )
-        else:
-            sentence = Sentence(
-                "plan {plan} was rejected by {reviewer}: {reason}"
-                if reason
-                else "plan {plan} was rejected by {reviewer}",
-                plan=plan_id,
-                reviewer=reviewer,
-                reason=reason,
-            )
+            sentence = Sentence("plan {plan} was withdrawn by the executor", plan=plan_id)
+        if reason:
+            sentence = Sentence("{what}: {reason}", what=sentence, reason=reason)
         self._turned_down[plan_id] = sentence
         if len(self._turned_down) > VERDICTS:
             del self._turned_down[next(iter(self._turned_down))]
@@ -296,11 +291,8 @@ class TrajectoryGoals:
             if moving and self.state is GoalState.MOVING and before.state is not state:
                 self._tell(f"{state.name}: {reason}")
         elif self.state in PLAYED:
-            self._on(
-                GoalEvent.LOST,
-                now,
-                Sentence("the executor no longer plays plan {plan}: {reason}", plan=self._plan.id, reason=reason),
-            )
+            lost = Sentence("the executor no longer plays plan {plan}: {reason}", plan=self._plan.id, reason=reason)
+            self._on(GoalEvent.LOST, now, lost)
 
     def on_call_failed(self, now: int) -> None:
         """Take that a call of `stop_plan` or `review_plan` did nothing: it is made again, while it is still needed."""
@@ -309,22 +301,14 @@ class TrajectoryGoals:
     # -- what time and poses bring
 
     def tick(self, now: int, sample: Sample | None, at_rest: bool, settled: bool) -> None:
-        """Take the time, where the arm is, and whether the twin, and then the arm, is at rest.
-
-        Args:
-            now: [ns]
-            sample: The newest one; None: not known.
-        """
+        """Take the time, the newest sample, and whether the twin, and then the arm, is at rest."""
         self._now = now
         if self._retry_at and now >= self._retry_at:
             self._retry_at = 0
             self._repeat()
         if self.state is GoalState.WITHDRAWING and now - self._since > WITHDRAWAL:
-            self._why = Sentence(
-                "{why}; the executor does not say that plan {plan} is withdrawn: reject it",
-                why=self._why,
-                plan=self._planned.id,
-            )
+            values = {"why": self._why, "plan": self._planned.id}
+            self._why = Sentence("{why}; the executor does not say that plan {plan} is withdrawn: reject it", **values)
             self._on(GoalEvent.TOO_LATE, now)
         if at_rest:
             self._on(GoalEvent.STILL, now)
@@ -346,9 +330,8 @@ class TrajectoryGoals:
         if not problem:
             self._on(GoalEvent.AT_GOAL, now)
         elif now - self._since > self.goal.time_tolerance * NANOSECONDS:
-            late = Sentence(
-                "{seconds:g} s after the plan's end {problem}", seconds=self.goal.time_tolerance, problem=problem
-            )
+            seconds = self.goal.time_tolerance
+            late = Sentence("{seconds:g} s after the plan's end {problem}", seconds=seconds, problem=problem)
             self._on(GoalEvent.TOO_LATE, now, late)
 
     # -- the table
@@ -382,8 +365,10 @@ class TrajectoryGoals:
         return self._coming is not None and self.goal is not None and self._coming.motion == self.goal.motion
 
     def _action(self, action: Action) -> Callable[[Row, Occasion], None]:
+        if action in _FAILURES:
+            return lambda row, occasion: self._finish(*_FAILURES[action], occasion.reason)
         act = getattr(self, f"_{action.name.lower()}")
-        return lambda row, occasion: act(occasion.reason)
+        return lambda row, occasion: act()
 
     def _after(self, row: Row, occasion: Occasion) -> None:
         if row.target is not row.state:
@@ -392,145 +377,107 @@ class TrajectoryGoals:
             self.goal = self._plan = None
             self._why = ""
 
-    # -- actions: one method for each of the table
+    # -- actions: one method for each of the table that is none of `_FAILURES`
 
-    def _ask(self, _reason: str) -> None:
+    def _ask(self) -> None:
         self.goal, self._coming = self._coming, None
         assert self.goal is not None  # the event brings it
         self._client = self.goal.client
         self._effects.append(Ask(self.goal))
 
-    def _turn_away(self, _reason: str) -> None:
+    def _turn_away(self) -> None:
+        values = {"client": self._client, "state": self.describe()}
+        self._reject_coming(Sentence("{client} has the arm ({state}); cancel that goal, or wait for its end", **values))
+
+    def _turn_away_busy(self) -> None:
+        plan = self._report.plan_id
         self._reject_coming(
-            Sentence(
-                "{client} has the arm ({state}); cancel that goal, or send this one when it has ended",
-                client=self._client,
-                state=self.describe(),
-            )
+            Sentence("the arm follows plan {plan}, of no goal of this action; wait for its end", plan=plan)
         )
 
-    def _turn_away_busy(self, _reason: str) -> None:
-        self._reject_coming(
-            Sentence(
-                "the arm follows plan {plan}, which is of no goal of this action; wait for its end",
-                plan=self._report.plan_id,
-            )
-        )
-
-    def _line_up(self, _reason: str) -> None:
+    def _line_up(self) -> None:
         if self._next is not None:
             self._end(self._next, Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, REPLACED)
         self._next, self._coming = self._coming, None
 
-    def _take_over(self, _reason: str) -> None:
+    def _take_over(self) -> None:
         self._finish(Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, REPLACED)
         self.goal, self._coming = self._coming, None
         if self._plan is not None:
-            self._accept("")
+            self._accept()
 
-    def _replace(self, _reason: str) -> None:
+    def _replace(self) -> None:
         self._why = REPLACED
-        self._cancel("")
-        self._line_up("")
+        self._preempt()
+        self._line_up()
 
-    def _withdraw(self, _reason: str) -> None:
-        plan = self._planned
-        self._effects.append(
-            Withdraw(plan.id, plan.hash, self._client, self._why or Sentence("no longer wanted by its client"))
-        )
+    def _withdraw(self) -> None:
+        plan, why = self._planned, self._why or Sentence("no longer wanted by its client")
+        self._effects.append(Withdraw(plan.id, plan.hash, self._client, why))
         self._tell(Sentence("{why}; plan {plan} is being withdrawn", why=self._why, plan=plan.id))
 
-    def _withdraw_for_next(self, _reason: str) -> None:
+    def _withdraw_for_next(self) -> None:
         self._why = self._why or REPLACED
-        self._withdraw("")
-        self._line_up("")
+        self._withdraw()
+        self._line_up()
 
-    def _accept(self, _reason: str) -> None:
+    def _accept(self) -> None:
         assert self.goal is not None  # it was planned
         plan = self._planned
-        late = plan.asked and plan.duration > plan.asked + NOTABLE
+        of: str = Sentence("plan {plan} of {seconds:.3f} s", plan=plan.id, seconds=plan.duration)
+        if plan.asked and plan.duration > plan.asked + NOTABLE:
+            of = Sentence("{plan} instead of {asked:.3f} s", plan=of, asked=plan.asked)
         waits = Sentence(
-            "plan {plan} of {seconds:.3f} s instead of {asked:.3f} s waits for approval; a person gives or refuses "
-            "it by {service}"
-            if late
-            else "plan {plan} of {seconds:.3f} s waits for approval; a person gives or refuses it by {service}",
-            plan=plan.id,
-            seconds=plan.duration,
-            asked=plan.asked,
-            service=self._reviewed_by,
+            "{plan} waits for approval; a person gives or refuses it by {service}", plan=of, service=self._reviewed_by
         )
         if plan.retimed:
             waits = Sentence("{waits}; timed anew, because {why}", waits=waits, why=plan.retimed)
         self._effects.append(Accept(self.goal.id, waits))
 
-    def _refuse(self, reason: str) -> None:
-        self._finish(Ending.REJECTED, ResultCode.INVALID_GOAL, reason)
+    def _preempt(self, where: str = "") -> None:
+        self._finish(Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, both(self._why, where))
 
-    def _preempt(self, _reason: str) -> None:
-        self._cancel("")
-
-    def _abort_invalid(self, reason: str) -> None:
-        self._finish(Ending.ABORTED, ResultCode.INVALID_GOAL, reason)
-
-    def _abort_path(self, _reason: str) -> None:
+    def _abort_path(self) -> None:
         report = self._report
         code = ResultCode.PATH_TOLERANCE_VIOLATED if report.outcome == "held" else ResultCode.GOAL_TOLERANCE_VIOLATED
-        ended = Sentence(
-            "plan {plan} ended as {outcome}: {reason}",
-            plan=self._planned.id,
-            outcome=report.outcome,
-            reason=report.reason,
-        )
-        self._finish(Ending.ABORTED, code, ended)
+        values = {"plan": self._planned.id, "outcome": report.outcome, "reason": report.reason}
+        self._finish(Ending.ABORTED, code, Sentence("plan {plan} ended as {outcome}: {reason}", **values))
 
-    def _abort_goal(self, reason: str) -> None:
-        self._finish(Ending.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED, reason)
+    def _end_stopped(self) -> None:
+        where = Sentence("the arm is at rest on its path") if self._report.reason else Sentence("the arm is at rest")
+        self._preempt(both(where, self._report.reason))
 
-    def _end_stopped(self, _reason: str) -> None:
-        self._end_where(Sentence("the arm is at rest on its path" if self._report.reason else "the arm is at rest"))
-
-    def _give_up(self, _reason: str) -> None:
-        self._end_where(UNKNOWN_REST)
+    def _give_up(self) -> None:
+        self._preempt(both(UNKNOWN_REST, self._report.reason))
         if self._next is not None:
-            seconds = STOPPED // NANOSECONDS
-            sentence = Sentence(
-                "not planned: {seconds} s after the stop {unknown}; see whether it runs, and send the goal again",
-                seconds=seconds,
-                unknown=UNKNOWN_REST,
-            )
+            sentence = Sentence("not planned: {unknown}; see whether it runs, and send it again", unknown=UNKNOWN_REST)
             self._end(self._next, Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, sentence)
             self._next = None
 
-    def _end_where(self, where: str) -> None:
-        self._cancel(both(where, self._report.reason))
-
-    def _brake(self, _reason: str) -> None:
+    def _brake(self) -> None:
         self._effects.append(Brake(self._planned.id))
         self._tell(Sentence("{why}; brakes on the path", why=self._why))
 
-    def _brake_for_next(self, _reason: str) -> None:
+    def _brake_for_next(self) -> None:
         self._why = self._why or REPLACED
-        self._brake("")
-        self._line_up("")
+        self._brake()
+        self._line_up()
 
-    def _say_moving(self, _reason: str) -> None:
+    def _say_moving(self) -> None:
         self._tell(f"{self._report.state.name}: {self._report.reason}")
 
-    def _succeed(self, _reason: str) -> None:
+    def _succeed(self) -> None:
         reached = Sentence("plan {plan} was executed; the arm is at the goal", plan=self._planned.id)
         self._finish(Ending.SUCCEEDED, ResultCode.SUCCESSFUL, reached)
 
     def _repeat(self) -> None:
         """Make a call again that failed and is still needed."""
         if self.state is GoalState.WITHDRAWING:
-            self._withdraw("")
+            self._withdraw()
         elif self.state is GoalState.BRAKING:
             self._effects.append(Brake(self._planned.id))
 
     # -- what clients are told
-
-    def _cancel(self, where: str) -> None:
-        self._finish(Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, both(self._why, where))
 
     def _finish(self, ending: Ending, code: ResultCode, sentence: str) -> None:
         """End the goal that has the arm; while its plan is being withdrawn, there may be none."""

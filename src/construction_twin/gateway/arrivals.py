@@ -25,9 +25,6 @@ class Arrivals:
     This is the difference of two clocks, so only its changes mean anything. At its largest value a command travelled fastest; at
     its smallest one came late, after a stall or after lost ones. The end of a stream is not lateness: the smallest value counts
     only once a command follows.
-
-    Args:
-        assumed: Jitter to reckon with before any was seen [ns].
     """
 
     def __init__(self, assumed: int) -> None:
@@ -84,12 +81,11 @@ class Arrivals:
         return changed
 
     def note_command(self, lead: int, offset: int) -> None:
-        """Take a command's arrival.
+        """Take a command's arrival [ns].
 
         Args:
-            lead: Stamp of the command before it, minus the controller's clock at the last telegram: how far what was there reached
-                [ns].
-            offset: Its own stamp minus the controller's clock, the latter interpolated to its arrival [ns].
+            lead: Stamp of the command before it, minus the controller's clock at the last telegram: how far what was there reached.
+            offset: Its own stamp minus the controller's clock, the latter interpolated to its arrival.
         """
         if self._quickest is None or offset > self._quickest:
             self._quickest = offset

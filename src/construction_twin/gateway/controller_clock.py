@@ -131,11 +131,8 @@ class ControllerClock:
     def judge(self, rates: bool = True) -> str | None:
         """Return in one sentence what is wrong with the clock, "" when nothing is; None when there is nothing new to say.
 
-        It takes as long as an answer, and is due every 0.4 s at most: call it when nothing waits for it.
-
-        Args:
-            rates: False: only the cycle is judged. A rate that once was right becomes wrong by a machine that stalls, not by a
-                program.
+        It takes as long as an answer, and is due every 0.4 s at most: call it when nothing waits for it. Without `rates` only the
+        cycle is judged: a rate that once was right becomes wrong by a machine that stalls, not by a program.
         """
         if self._to_judge > 0:
             return None

@@ -34,12 +34,12 @@ from construction_twin.gateway.states import CAUSES, ROWS, Action, Event, Guard,
 from construction_twin.gateway.status import StateReport, Status
 from construction_twin.gateway.stop_report import StopReport
 from construction_twin.gateway.tool_switches import ToolSwitches, stamp_of
-from construction_twin.mqtt.interventions import Intervention
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import (
     PROTOCOL,
     CommandProperties,
     Control,
+    Intervention,
     StateProperties,
     is_session,
     other_protocol,
@@ -706,8 +706,7 @@ class Gateway:
     def end(self, reason: str, program: bool = False) -> None:
         """Brake as in `stop`, and once at rest end the controller's program where a reply can.
 
-        Args:
-            program: Whether this program ends, and asks for it itself: that is no stop of anybody's, and gets no number.
+        Where this `program` ends, and asks for it itself, that is no stop of anybody's, and gets no number.
         """
         self.stop(reason, ending=program)
         self._ending = self.config.layout.stop

@@ -113,12 +113,7 @@ class Player:
         return position
 
     def stand(self, pause: int, taken_back: bool) -> None:
-        """Go on from where HOLDON keeps the arm, while a stream is followed.
-
-        Args:
-            pause: Controller time without a reply that could have been given [ns].
-            taken_back: True: the last position did not arrive either.
-        """
+        """Go on from where HOLDON keeps the arm, while a stream is followed, after a pause without a reply; see `Playout.stand`."""
         self._playout.stand(pause, taken_back)
         if taken_back:
             self.stamp = self._stamp_before

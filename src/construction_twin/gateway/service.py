@@ -34,7 +34,6 @@ from construction_twin.gateway.stop_file import StopFile
 from construction_twin.mqtt import requests
 from construction_twin.mqtt.client import Broker, make_client, offline_word, subscriptions, unique_id
 from construction_twin.mqtt.failures import ConnectionReport
-from construction_twin.mqtt.interventions import STOP, parse_intervention
 from construction_twin.mqtt.messages import (
     PROTOCOL,
     VERBS,
@@ -44,6 +43,7 @@ from construction_twin.mqtt.messages import (
     account_of,
     identity_of,
     parse_control,
+    parse_intervention,
     read_command_properties,
 )
 from construction_twin.mqtt.polled_client import PolledClient
@@ -436,7 +436,7 @@ class GatewayService:
             if not account:
                 # an answer: this gateway's, or the executor's
                 return
-            stop = parse_intervention(STOP, account, payload, message.retain)
+            stop = parse_intervention(account, payload, message.retain)
         except PayloadError as error:
             done = self.gateway.refuse_stop(account, error, now)
             line = logging.WARNING, f"refused on {error.reason}", str(error)

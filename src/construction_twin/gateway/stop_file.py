@@ -23,10 +23,7 @@ _AGAIN = 0.5
 
 
 class StopFile:
-    """Keeps why the arm was stopped, until `close`.
-
-    Args:
-        path: A file that is not there is made: nothing was stopped then.
+    """Keeps why the arm was stopped, until `close`. A file that is not there is made: nothing was stopped then.
 
     Attributes:
         found: Why the arm was stopped when the program before this one ended; "": it was not.

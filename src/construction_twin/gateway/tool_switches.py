@@ -54,10 +54,6 @@ class ToolSwitch:
     state: SwitchState = SwitchState.PENDING
     reason: str = ""
 
-    def enter(self, state: SwitchState, reason: str) -> None:
-        """Go to another state."""
-        self.state, self.reason = state, reason
-
 
 class ToolSwitches:
     """The outputs of one tool."""
@@ -132,12 +128,7 @@ class ToolSwitches:
         self._news = True
 
     def hear(self, obstacle: str = "", missed: bool = False) -> None:
-        """Take the reading of a telegram that is being answered.
-
-        Args:
-            obstacle: Why this session is not answered.
-            missed: The telegrams show that the controller missed a reply since the last one.
-        """
+        """Take the reading of a telegram, why its session is not answered, and whether the controller missed a reply before it."""
         self._telegrams += 1
         reading = self._latest
         why = obstacle or ("" if reading is not None else _NOT_TOLD)
@@ -204,7 +195,7 @@ class ToolSwitches:
             self._command(tuple(switch.value if name == switch.output else value for name, value in pairs))
             self._counters["tool_switches_fired"] += 1
             self._news = True
-            switch.enter(SwitchState.FIRED, _FIRED)
+            switch.state, switch.reason = SwitchState.FIRED, _FIRED
 
     def _command(self, values: tuple[bool, ...]) -> None:
         self._seen &= {name for name, value in zip(self._names, values) if value}
@@ -212,11 +203,7 @@ class ToolSwitches:
         self._replies.clear()
 
     def channels(self, ending: bool = False) -> tuple[bool, ...]:
-        """Return what a reply carries, one value per name of `Layout.switched`.
-
-        Args:
-            ending: The reply carries Stop 1: outputs that are `off` without RSI are switched off with it.
-        """
+        """Return what a reply carries by `Layout.switched`; an `ending` one switches off what is off without RSI."""
         if ending not in self._replies:
             values = dict(zip(self._names, self._commanded))
             if ending and self._enabled:
@@ -249,9 +236,12 @@ class ToolSwitches:
         self._news = True
         if why:
             refusal = Sentence("tool: {why}", why=why)
-            switch.enter(SwitchState.REFUSED, refusal)
+            switch.state, switch.reason = SwitchState.REFUSED, refusal
             return refusal
-        switch.enter(SwitchState.ARMED, Sentence("fires with the setpoint of {stamp}", stamp=switch.stamp))
+        switch.state, switch.reason = (
+            SwitchState.ARMED,
+            Sentence("fires with the setpoint of {stamp}", stamp=switch.stamp),
+        )
         self._armed.append(switch)
         self._armed.sort(key=lambda waiting: waiting.stamp)
         return ""
@@ -277,7 +267,7 @@ class ToolSwitches:
         """Make every armed switch void; return how many there were."""
         count = len(self._armed)
         for switch in self._armed:
-            switch.enter(SwitchState.VOID, why)
+            switch.state, switch.reason = SwitchState.VOID, why
         self._armed.clear()
         if count:
             self._counters["tool_switches_void"] += count

@@ -99,13 +99,7 @@ class BatchKinematics:
 
         An arm with more joints than a pose needs takes the smallest steps, measured in fractions of the joints' full speeds.
 
-        Args:
-            q: Shape (k, n)
-            positions, rotations: Shape (k, 3) and (k, 3, 3)
-            pace: Shape (n,). Speeds by which steps are measured; 0: the joint stays. Default: full speeds.
-
-        Returns:
-            Shape (k, n). Neither the ranges nor the remaining error is checked.
+        `pace`, shape (n,), has others; 0: the joint stays. Neither the ranges nor the remaining error is checked.
         """
         pace = self._pace if pace is None else pace
         for _ in range(steps):

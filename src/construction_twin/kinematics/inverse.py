@@ -27,16 +27,11 @@ def inverse_kinematics(
     rng: np.random.Generator | None = None,
     clock: Clock = MONOTONIC,
 ) -> InverseKinematics:
-    """Return the inverse kinematics that fits an arm.
+    """Return the inverse kinematics that fits an arm; not for use from several threads at once.
 
-    Args:
-        settings: Default: those of an `IkSettings` without arguments.
-        rng: Source of the search's starting points. Default: one with a fixed seed, so that a program finds the same each time.
-        clock: Returns the present time [s]: for the search's budget.
-
-    Returns:
-        The first that fits: of the OPW kind (`opw`), another closed form (`decomposition`), an arm of the OPW kind on a linear axis
-        (`rail`), the search (`numeric`). Its `kind` says why. Not for use from several threads at once.
+    The first that fits: of the OPW kind (`opw`), another closed form (`decomposition`), an arm of the OPW kind on a linear axis
+    (`rail`), the search (`numeric`). Its `kind` says why. A search starts from random points of `rng`, by default of a fixed seed,
+    and keeps its budget by the clock [s].
     """
     settings = settings or IkSettings()
     rng = rng or np.random.default_rng(0)

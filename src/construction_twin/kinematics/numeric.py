@@ -54,12 +54,7 @@ _POSITION_STEPS = 60
 
 
 class NumericInverse(InverseKinematics):
-    """Inverse kinematics by search.
-
-    Args:
-        clock: Returns the present time [s], e.g. ``time.monotonic``: for the budget.
-        why: Why nothing better solves the arm: part of a sentence.
-    """
+    """Inverse kinematics by search; `why` nothing better solves the arm is part of a sentence."""
 
     def __init__(
         self,

@@ -265,11 +265,7 @@ class RailInverse(InverseKinematics):
         return every[np.abs(every.imag) < _TANGENT].real
 
     def _rank(self, rows: _Rows, seed: np.ndarray, turns: np.ndarray | None) -> _Ranked:
-        """Rank branches.
-
-        Args:
-            turns: Shape (6,). By how many whole turns joints are further than nearest to the seed. None: nearest within the ranges.
-        """
+        """Rank branches so many whole turns, shape (6,), further than nearest to the seed; None: nearest within the ranges."""
         joints = rows.joints - TURN * np.rint((rows.joints - seed[1:]) * (1.0 / TURN))
         if turns is not None:
             joints += TURN * turns

@@ -154,12 +154,7 @@ class Ranges:
         return np.maximum(self.lower - q, q - self.upper)
 
     def turned(self, q: Sequence[float], slack: float, kept: Sequence[int] = ()) -> Iterator[tuple[float, ...]]:
-        """Return joint values with every choice of whole turns within the ranges.
-
-        Args:
-            q: Length n
-            kept: Joints that keep the turns they have.
-        """
+        """Return joint values with every choice of whole turns within the ranges, but of joints `kept` as they are."""
         choices: list[list[float]] = []
         for joint, (value, (lower, upper, turn)) in enumerate(zip(q, self._each)):
             if joint in kept or not turn:
@@ -171,11 +166,7 @@ class Ranges:
 
 
 class InverseKinematics(abc.ABC):
-    """From a pose of the tip to joint values. `inverse.inverse_kinematics` makes the one that fits the arm.
-
-    Args:
-        settings: Joint values that miss the pose by more than the tolerances are improved by Newton steps first.
-    """
+    """From a pose of the tip to joint values. `inverse.inverse_kinematics` makes the one that fits the arm."""
 
     def __init__(self, chain: Chain, settings: IkSettings):
         self.chain = chain
@@ -238,12 +229,9 @@ class InverseKinematics(abc.ABC):
     def confirmed(
         self, q: JointValues, pose: Pose, seed: JointValues, configuration: Configuration | None = None
     ) -> IkSolution | None:
-        """Return joint values, moved to the end of a range where they are beyond it, as a solution; None: they are none.
+        """Return joint values, moved to the end of a range where rounding has them beyond it, as a solution; None: they are none.
 
         Forward kinematics decides; near misses are improved by Newton steps first.
-
-        Args:
-            q: Length n. Beyond the ranges at most by rounding.
         """
         # plain floats: in closed form the nearest branch takes as long as this
         q = [

@@ -102,23 +102,18 @@ class BareSupervisor(LinkSupervisor):
             self.responsible = ""
 
     def request_arm(self, now: int, person: str = "") -> None:
-        """Begin a session in the name of the person who is responsible for what is not checked.
+        """Begin a session in the name of the person who is responsible for what is not checked; ReviewError where it cannot.
 
         Args:
             person: Not empty, printable, at most 64 characters.
-
-        Raises:
-            ReviewError: Without a name, while it is armed or there is no PLC, or when twin and arm are not at rest.
         """
         name = person.strip()
         if not name or len(name) > _LONGEST_NAME or not name.isprintable():
             raise ReviewError(
                 Sentence(
-                    "a bare PLC is armed in a person's name, {name} is none: {command} (at most {longest} "
-                    "characters in one line)",
+                    "a bare PLC is armed in a person's name, {name} is none: {command}",
                     name=repr(name[:_LONGEST_NAME]),
                     command=ARM_COMMAND,
-                    longest=_LONGEST_NAME,
                 )
             )
         if self.state in (LinkState.RESYNC, LinkState.ARMED):
@@ -129,16 +124,12 @@ class BareSupervisor(LinkSupervisor):
             )
         if self.state is not LinkState.NEEDS_RESET:
             raise ReviewError(Sentence("cannot arm: {why}", why=self.sentence))
-        unrest = self.inputs.why_not_at_rest(now)
-        if unrest:
+        if unrest := self.inputs.why_not_at_rest(now):
             raise ReviewError(Sentence("cannot arm: {why}", why=unrest))
         self.responsible = name
         self.requests += 1
-        self.take(
-            LinkEvent.RESPONSIBILITY_TAKEN,
-            now,
-            Sentence("{name} has taken the responsibility; twin and arm take the same pose", name=name),
-        )
+        taken = Sentence("{name} has taken the responsibility; twin and arm take the same pose", name=name)
+        self.take(LinkEvent.RESPONSIBILITY_TAKEN, now, taken)
 
     def withdraw(self, request: int, reason: str) -> None:
         """Give up arming, because the poses do not meet in time: it must not happen later, when the person is gone."""
@@ -149,26 +140,17 @@ class BareSupervisor(LinkSupervisor):
         return Sentence("mirror mode has ended; a person arms the PLC again: {command}", command=ARM_COMMAND)
 
     def request_reset(self, now: int) -> None:
-        """Refuse: a person's name is needed.
-
-        Raises:
-            ReviewError: Always; it says why nothing could be armed either.
-        """
-        refusal = Sentence("cannot {verb} a bare PLC without a name: {command}", verb="reset", command=ARM_COMMAND)
+        """Raise ReviewError: a person's name is needed; it says why nothing could be armed either."""
+        refusal = Sentence("cannot reset a bare PLC without a name: {command}", command=ARM_COMMAND)
         if self.state in (LinkState.RESYNC, LinkState.ARMED):
-            raise ReviewError(
-                Sentence(
-                    "{refusal}; first end what {name} has armed, with halt", refusal=refusal, name=self.responsible
-                )
+            ends = Sentence(
+                "{refusal}; first end what {name} has armed, with halt", refusal=refusal, name=self.responsible
             )
-        problem = self.inputs.why_no_pose(now)
-        if self.state is not LinkState.NEEDS_RESET:
-            problem = self.reason
-        raise ReviewError(
-            Sentence("{refusal}; now it could not either: {problem}", refusal=refusal, problem=problem)
-            if problem
-            else refusal
-        )
+            raise ReviewError(ends)
+        problem = self.inputs.why_no_pose(now) if self.state is LinkState.NEEDS_RESET else self.reason
+        if problem:
+            refusal = Sentence("{refusal}; now it could not either: {problem}", refusal=refusal, problem=problem)
+        raise ReviewError(refusal)
 
     @property
     def _responsible_sentence(self) -> str:

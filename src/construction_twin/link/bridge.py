@@ -38,10 +38,7 @@ WITHDRAWAL = NANOSECONDS
 #: Between two reports of an unchanged link [ns].
 _REPEAT = NANOSECONDS
 #: What `halt` comes to with a bare PLC.
-PLC_HALTED = Sentence(
-    "no more strings are sent to the PLC, and the plan is dropped: a PLC that is lawful brakes on silence; "
-    "a person arms again, by name"
-)
+PLC_HALTED = Sentence("no more strings are sent to the PLC, which brakes on silence; a person arms again, by name")
 _NO_PROPERTIES = StateProperties(0, 0, 0)
 
 
@@ -49,12 +46,7 @@ class JointStrings:
     """Commands and poses as joint strings with their user properties; one thread sends, another one receives.
 
     Args:
-        properties: Whether the link carries MQTT 5 properties.
-        bare: Whether a bare PLC is there, whose strings travel alone.
         max_age: Of a state, beyond that of the quickest one [s].
-
-    Attributes:
-        sent, received: How many.
     """
 
     def __init__(self, codec: JointStringCodec, properties: bool, bare: bool, max_age: float):
@@ -113,10 +105,7 @@ class Asked:
     def answer(self, now: int, ending: bool) -> tuple[bool, str] | None:
         """Return whether the link is armed, and one sentence; None: ask again. What fails is withdrawn, also at the gateway.
 
-        What is answered is what is the case: the last look and the withdrawal are one call.
-
-        Args:
-            ending: The process ends.
+        What is answered is what is the case: the last look and the withdrawal are one call. `ending`: the process ends.
         """
         if self._answer is None:
             self._answer = self._look(ending or now >= self._deadline, now)
@@ -169,7 +158,7 @@ class Bridge:
         waits: str = "",
     ):
         kind = BareSupervisor if bare else LinkSupervisor
-        self.supervisor: LinkSupervisor = kind.of(config, new_id, mirrors, waits)
+        self.supervisor: LinkSupervisor = kind(config, new_id, mirrors, waits)
         self.speed = SpeedForwarder(config.speed_limit_deadline)
         #: Id of the plan that the executor plays, or has played last: only its switches are armed.
         self.played = ""
@@ -231,9 +220,8 @@ class Bridge:
         """Return the message for a switch of a plan at a stamp [ns]; None where it is refused here."""
         obstacle = "" if self._takes_control else self._link_sentence
         if not obstacle and (not plan or plan != self.played):
-            obstacle = Sentence(
-                "switch of plan {plan}, but the executor plays {present}", plan=repr(plan), present=repr(self.played)
-            )
+            plans = {"plan": repr(plan), "present": repr(self.played)}
+            obstacle = Sentence("switch of plan {plan}, but the executor plays {present}", **plans)
         return self._tool.switch(id, output, value, stamp, self.supervisor.session, obstacle)
 
     def on_gate(self, is_open: bool) -> Control | None:
@@ -252,9 +240,8 @@ class Bridge:
 
     @property
     def _link_sentence(self) -> Sentence:
-        return Sentence(
-            "the link is {state}: {reason}", state=self.supervisor.state.name, reason=self.supervisor.reason
-        )
+        supervisor = self.supervisor
+        return Sentence("the link is {state}: {reason}", state=supervisor.state.name, reason=supervisor.reason)
 
     # -- what a person asks for
 
@@ -277,10 +264,7 @@ class Bridge:
                 raise ExpiredError(Sentence("this is {problem}", problem=problem))
             if not self._stops.was_seen(seen):
                 raise ExpiredError(
-                    Sentence(
-                        "this is void: the arm was stopped since what the screen had shown; look again, and then ask "
-                        "anew"
-                    )
+                    Sentence("this is void: the arm was stopped since the screen had shown it; ask anew")
                 )
         asked = Asked(self.supervisor, now, self._timeout)
         if verb == "reset":
@@ -315,14 +299,10 @@ class Bridge:
     def reason(self, connection: str) -> str:
         """Return the supervisor's sentence; without a connection also why there is none, else why the arm may not move."""
         supervisor = self.supervisor
-        if supervisor.state is LinkState.DISCONNECTED:
-            return (
-                Sentence("{state}: {reason}", state=supervisor.reason, reason=connection)
-                if connection
-                else supervisor.reason
-            )
+        if supervisor.state is LinkState.DISCONNECTED and connection:
+            return Sentence("{state}: {reason}", state=supervisor.reason, reason=connection)
         # a status of a gateway that is gone says nothing of now
-        if supervisor.state is LinkState.GATEWAY_OFFLINE:
+        if supervisor.state in (LinkState.DISCONNECTED, LinkState.GATEWAY_OFFLINE):
             return supervisor.reason
         return both(supervisor.reason, controller_sentence(supervisor.status), clock_sentence(supervisor.status))
 
@@ -348,12 +328,7 @@ class Bridge:
         return self.supervisor.status.get("counters", {}) | self._values
 
     def report(self, connection: str, refused: Mapping[str, int], stamp: int) -> LinkReport:
-        """Return the report on `link`.
-
-        Args:
-            refused: How often inputs were refused, by reason.
-            stamp: ROS time [ns].
-        """
+        """Return the report on `link`; `refused`: how often inputs were refused, by reason."""
         supervisor = self.supervisor
         reply = supervisor.status.get("reply_us", {})
         counters = self._gateway_values | {

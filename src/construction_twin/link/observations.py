@@ -5,13 +5,13 @@ Pure: time is an argument [ns]. Angles in rad (axis space).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 from construction_twin.core.freshness import Moment, is_newer
 from construction_twin.core.limits import outside_tolerance
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
+from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.states import LinkEvent
 from construction_twin.mqtt.messages import OFFLINE, PLC, PROTOCOL, other_protocol, protocol_of
 
@@ -52,25 +52,16 @@ class SeenStops:
 class LinkObservations:
     """The newest of everything that the link is decided by.
 
-    Args:
-        config_hash: Hash of the configuration that this side would give the gateway.
-        start_tolerances: Shape (n,). Per joint [rad], [m], as `GatewayConfig.start_tolerances`.
-        last_digits: Shape (n,). Value of the last decimal on the wire [rad], [m], as `MotionLimits.last_digits`.
-
     Attributes:
         status: The gateway's last status; empty while there is no connection.
     """
 
-    def __init__(
-        self, config_hash: str, decimals: int, start_tolerances: Sequence[float], last_digits: Sequence[float]
-    ):
-        self._hash = config_hash
-        self._decimals = decimals
-        self._tolerances = tuple(start_tolerances)
+    def __init__(self, config: GatewayConfig):
+        self._hash, self._decimals = config.hash, config.decimals
+        self._tolerances = tuple(config.start_tolerances)
         # an arm that rests between two values of the wire flickers by one digit
-        self._rest_bands = tuple(
-            max(tolerance / 50, 1.5 * digit) for tolerance, digit in zip(start_tolerances, last_digits)
-        )
+        digits = config.limits.last_digits(config.decimals)
+        self._rest_bands = tuple(max(most / 50, 1.5 * digit) for most, digit in zip(self._tolerances, digits))
         self.status: dict = {}
         self._status_at = 0
         # gateways that answer beside the one whose status is taken: run, and when it was heard last
@@ -102,8 +93,7 @@ class LinkObservations:
     def on_status(self, status: dict, now: int) -> str:
         """Take what was said on `status`; return in a sentence why it was not taken, empty when it was.
 
-        While a gateway answers, a bare PLC's word is not its, nor the status of another run, nor that one's last will: none of them
-        may end a motion as the gateway's own word does. What another run says is remembered: two gateways are an `obstacle`.
+        While a gateway answers, only its own run's word may end a motion. Another run's is remembered: two are an `obstacle`.
         """
         problem = self.why_not_believed(status, now)
         if status.get("kind") != PLC:
@@ -118,35 +108,22 @@ class LinkObservations:
         if not self.status or self.gateway == OFFLINE or now - self._status_at > STATUS_TIMEOUT:
             return ""
         if status.get("kind") == PLC and self.status.get("kind") != PLC:
-            return Sentence(
-                "a bare PLC's word `{word}` on `status`, while rsi_gateway answers there: see to who else writes on it",
-                word=status["state"],
-            )
+            return Sentence("a bare PLC's word `{word}` on `status`, where rsi_gateway answers", word=status["state"])
         run = _run_of(status)
         if self.status.get("kind") == PLC or not self.run:
             return ""
         if run != self.run:
+            runs = {"run": repr(run), "present": repr(self.run)}
             if status.get("state") == OFFLINE:
-                return Sentence(
-                    "the last will of run {run}, while run {present} answers: it changes nothing",
-                    run=repr(run),
-                    present=repr(self.run),
-                )
-            return Sentence(
-                "status of run {run}, while run {present} answers too", run=repr(run), present=repr(self.run)
-            )
+                return Sentence("the last will of run {run}, while run {present} answers: it changes nothing", **runs)
+            return Sentence("status of run {run}, while run {present} answers too", **runs)
         former, present = status.get("connection"), self.status.get("connection")
         if status.get("state") == OFFLINE and type(former) is type(present) is int and former < present:
-            return Sentence(
-                "the last will of a former connection of run {run}, which answers over another one: it changes nothing",
-                run=repr(run),
-            )
+            return Sentence("the last will of a former connection of run {run}: it changes nothing", run=repr(run))
         number, known = status.get("fault_number"), self.fault_number
         if type(number) is int and known is not None and number < known:
             # a client sends again what was not acknowledged, behind what is newer
-            return Sentence(
-                "an old status: it tells of stop {number}, and stop {known} was told before", number=number, known=known
-            )
+            return Sentence("an old status, of stop {number} after stop {known}", number=number, known=known)
         return ""
 
     def _note_run(self, run: str, speaks: bool, now: int) -> None:
@@ -263,8 +240,7 @@ class LinkObservations:
             return LinkEvent.BROKER_LOST, Sentence("not connected to the broker")
         if self.status.get("kind") == PLC and self.gateway != OFFLINE:
             return LinkEvent.MISMATCHED, Sentence(
-                "a bare PLC answers on the broker, no rsi_gateway: start with gateway_kind:=plc, and read in "
-                "docs/broker.md what is not checked then"
+                "a bare PLC answers on the broker, no rsi_gateway: start with gateway_kind:=plc (docs/broker.md)"
             )
         if self.gateway == "offline" or now - self._status_at > STATUS_TIMEOUT:
             return LinkEvent.GATEWAY_LOST, Sentence(
@@ -272,12 +248,9 @@ class LinkObservations:
             )
         others = sorted(run for run, heard in self._other_runs.items() if now - heard <= STATUS_TIMEOUT)
         if others:
-            runs = " and ".join(
-                [f"run {run}" if run else "one that names no run" for run in sorted([self.run, *others])]
-            )
+            runs = " and ".join(f"run {run}" if run else "one without a run" for run in sorted([self.run, *others]))
             return LinkEvent.MISMATCHED, Sentence(
-                "more than one gateway answers on the broker: {runs} (each logs its run when it starts): end "
-                "all but one; nothing is armed until one is left",
+                "more than one gateway answers on the broker: {runs} (each logs its run when it starts): end all but one",
                 runs=runs,
             )
         if sentence := other_protocol(protocol_of(self.status), PROTOCOL):
@@ -290,8 +263,7 @@ class LinkObservations:
             )
         if self.status.get("hash") != self._hash:
             return LinkEvent.MISMATCHED, Sentence(
-                "gateway runs another configuration (its hash differs); export it again with `rosrun "
-                "construction_twin export_gateway_config` and restart the gateway"
+                "gateway runs another configuration (its hash differs); export_gateway_config, then restart the gateway"
             )
         if not self.run or self.fault_number is None:
             return LinkEvent.MISMATCHED, Sentence(
@@ -310,31 +282,23 @@ class LinkObservations:
         return self._pose is not None and now - self._pose_at < FRESH and now - self._moved_at >= REST
 
     def why_not_at_rest(self, now: int) -> str:
-        """Return why the arm does not count as at rest; empty when it does.
-
-        Strings that come and are refused are no pose: then the reason is theirs.
-        """
+        """Return why the arm does not count as at rest, or why its strings are refused; empty when it is at rest."""
         if self.at_rest(now):
             return ""
-        return self.why_no_pose(now) or Sentence(
-            "the arm's pose is unknown or still changing; wait until it is at rest"
-        )
+        return self.why_no_pose(now) or Sentence("the arm's pose is unknown or still changing; wait until it rests")
 
     def why_no_pose(self, now: int) -> str:
         """Return why the strings that come from the arm are not its pose; empty when they are, or when none come."""
         if not self._refusals or now - self._refused_at >= REFUSED_RECENTLY:
             return ""
         return Sentence(
-            "the arm's pose is unknown, because its strings are refused ({count} of them): {reason}",
+            "the arm's pose is unknown: {count} of its strings are refused: {reason}",
             count=self._refusals,
             reason=self._refusal,
         )
 
     def stream_may_move(self, now: int) -> bool:
-        """Return whether commands come that have not been the same for `REST`: they move, or it is not known yet.
-
-        That those of another session were forgotten does not mean that none come.
-        """
+        """Return whether commands come, of whatever session, that have not been the same for `REST`, or not long enough to know."""
         return now - self._command_at < FRESH and not self.stream_rests(now)
 
     def stream_rests(self, now: int) -> bool:

@@ -31,12 +31,7 @@ _LEFT_OUT = Field(exclude_if=lambda value: value is None)
 
 @dataclass(frozen=True)
 class SwitchView:
-    """What is shown of a switch at the end of a segment.
-
-    Attributes:
-        confirm: What the tool's inputs must read afterwards.
-        timeout: [s]
-    """
+    """What is shown of a switch at the end of a segment; `confirm`: what the tool's inputs must read afterwards; `timeout` [s]."""
 
     output: str
     value: bool
@@ -46,14 +41,12 @@ class SwitchView:
 
 @dataclass(frozen=True)
 class SegmentView:
-    """What is shown of a segment of a work plan; the keys of its JSON.
+    """What is shown of a segment of a work plan, which ends at `end` [s]; the keys of its JSON.
 
     Attributes:
-        end: [s]
         tool_path_end: Which point of the tool path is at its end, from 0.
-        requires: Inputs of the tool.
         scene, scene_after: Hashes.
-        put, remove: Names of the objects that come, and of those that go; for display.
+        put, remove: Names of objects.
     """
 
     name: str
@@ -96,20 +89,18 @@ class UseView:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanView:
-    """A message on <prefix>/<robot>/plan: the plan under review.
+    """A message on <prefix>/<robot>/plan: the plan under review. SI: m, rad, s.
 
     Attributes:
         scene: Its hash.
         frame: Of all points.
         created_ns: ROS time [ns].
-        duration, planning_time: [s]
-        start, goal: Joint positions [rad, m].
         waypoints: How many points the whole tool path has.
-        tool_path: Of tool0 [m]; at the waypoints until it is thinned.
-        tool_path_deviation: How far the thinned path is off at most [m].
+        tool_path: Of tool0; at the waypoints until it is thinned.
+        tool_path_deviation: How far the thinned path is off at most.
         clearance: None when it was not measured.
-        trajectory: What the trajectory's hash covers besides the joints' names: ``times`` [s], and by waypoint ``positions``,
-            ``velocities`` and ``accelerations`` [rad, m, s]; None when it is too long. Who checks the hash reads the numbers.
+        trajectory: What the trajectory's hash covers besides the joints' names: ``times``, and by waypoint ``positions``,
+            ``velocities`` and ``accelerations``; None when it is too long. Who checks the hash reads the numbers.
         tool: Hash of the tool file that counts, where there is a tool. A rehearsal with another one is none of this plan.
         task, content, segments: Of a work plan only. `content` is the text whose SHA-256 is its hash.
     """
@@ -138,17 +129,12 @@ class PlanView:
     segments: Annotated[Sequence[SegmentView] | None, _LEFT_OUT] = None
 
     def to_json(self, points: int) -> bytes:
-        """Return the payload for `plan`.
-
-        Args:
-            points: The tool path is thinned to at most so many points, both ends among them; of a work plan the ends of the
-                segments are kept besides.
-        """
+        """Return the payload for `plan`, its tool path thinned to `points` and the ends of the segments."""
         segments = self.segments or ()
         path, deviation, ends = thinned(self.tool_path, points, [segment.tool_path_end for segment in segments])
-        sent = [
-            replace(segment, tool_path_end=end, put=_object_names(segment.put)) for segment, end in zip(segments, ends)
-        ]
+        sent = [replace(each, tool_path_end=end, put=_object_names(each.put)) for each, end in zip(segments, ends)]
+        times = self.trajectory["times"] if self.trajectory is not None else ()
+        too_long = len(times) * (1 + 3 * len(self.joints)) > MAX_TRAJECTORY_NUMBERS
         message = replace(
             self,
             source=shown(self.source),
@@ -157,15 +143,10 @@ class PlanView:
             frame=shown(self.frame),
             tool_path=path,
             tool_path_deviation=deviation,
-            trajectory=None if self._is_too_long() else self.trajectory,
+            trajectory=None if too_long else self.trajectory,
             segments=sent or None,
         )
         return _PLANS.dump_json(message)
-
-    def _is_too_long(self) -> bool:
-        """Return whether the trajectory has more numbers than a message may carry."""
-        times = self.trajectory["times"] if self.trajectory is not None else ()
-        return len(times) * (1 + 3 * len(self.joints)) > MAX_TRAJECTORY_NUMBERS
 
 
 _PLANS = pydantic.TypeAdapter(PlanView)
@@ -190,15 +171,10 @@ def kept_points(count: int, points: int, keep: Sequence[int] = ()) -> list[int]:
 
 
 def thinned(path: Sequence[Point], points: int, keep: Sequence[int] = ()) -> tuple[list[Point], float, list[int]]:
-    """Return at most `points` of a path, evenly by their number and with both ends, and how much was lost.
-
-    Args:
-        path: [m]
-        points: At least 2.
-        keep: Numbers of points that are kept besides.
+    """Return at most `points` (2 or more) of a path [m], evenly by number and with both ends, and what was lost.
 
     Returns:
-        kept: [m]
+        kept: Of `keep`, the numbers of points that stay in any case, too.
         deviation: Largest distance of a point left out from the line between its kept neighbours [m].
         places: Where in `kept` the points of `keep` are.
     """
@@ -256,25 +232,14 @@ class PlanBoard:
 
 @dataclass(frozen=True)
 class PathView:
-    """A message on <prefix>/<robot>/path: the tool's path of the plan that is played.
-
-    Attributes:
-        plan_id: As `execution` of `view` has it.
-        times: Of the plan, when the tool is at each point [s].
-        tool_path: Of tool0 in base_link [m].
-    """
+    """A message on <prefix>/<robot>/path: where tool0 is in base_link [m] at `times` of the plan that is played [s]."""
 
     plan_id: Annotated[str, Field(min_length=1)]
     times: Sequence[Annotated[float, rounded(_MICRO)]]
     tool_path: Sequence[_ShownPoint]
 
     def to_json(self, points: int, keep: Sequence[int] = ()) -> bytes:
-        """Return the payload for `path`.
-
-        Args:
-            points: It is thinned to at most so many, both ends among them.
-            keep: Numbers of points that are kept besides.
-        """
+        """Return the payload for `path`, thinned to `points` and those of `keep`."""
         kept = kept_points(len(self.tool_path), points, keep)
         return _PATHS.dump_json(
             PathView(self.plan_id, [self.times[k] for k in kept], [self.tool_path[k] for k in kept])

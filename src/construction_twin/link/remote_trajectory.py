@@ -30,10 +30,9 @@ Values = tuple[float, ...]
 
 @dataclass(frozen=True)
 class TrajectoryPoint:
-    """A point in the robot's joint order, SI.
+    """A point in the robot's joint order, SI; velocities and accelerations have values in every point, or in none.
 
     Attributes:
-        positions, velocities, accelerations: [rad] or [m], and per s and s²; of the last two every point has values, or none.
         time_ns: From the start [ns]; 0 in all points: not timed.
     """
 
@@ -49,7 +48,6 @@ class TrajectoryRequest:
 
     Attributes:
         id: The sender's own, echoed in the answer; empty where COMPAS gave none.
-        source: What the sender says of itself; proves nothing.
         speed_scale, acceleration_scale: Fractions of the limits, 0 for the planner's default.
         notes: What was understood in a way that the sender should know.
     """
@@ -151,15 +149,7 @@ class EnvelopedCompas(Envelope):
 
 
 def parse_trajectory(document: Mapping[str, Any], joints: Joints) -> TrajectoryRequest:
-    """Return the motion in a document.
-
-    Args:
-        document: See `read_document`.
-        joints: Of the robot; the sender may name them in any order.
-
-    Raises:
-        PayloadError: ``format`` (keys and their kinds), ``joints``, ``values``.
-    """
+    """Return the motion in a document of `read_document`, or raise PayloadError: ``format``, ``joints``, ``values``."""
     if "dtype" in document:
         bare = read(BareCompas, document, "trajectory")
         points, notes = _compas_points(bare.data, joints)
@@ -191,18 +181,12 @@ def _plain_points(said: PlainTrajectory, joints: Joints) -> tuple[TrajectoryPoin
 
 def _check_points(points: Sequence[TrajectoryPoint]) -> None:
     if len(points) < 2:
-        raise PayloadError(
-            "values",
-            f"{len(points)} points; expected at least two, the first where the twin is: a goal alone does "
-            "not say from where",
-        )
+        raise PayloadError("values", f"{len(points)} points; expected at least two, the first where the twin is")
     for name in ("velocities", "accelerations"):
         given = [bool(getattr(point, name)) for point in points]
         if any(given) and not all(given):
-            raise PayloadError(
-                "values",
-                f"point {given.index(False)} has no {name}, others have; expected them in every point or in none",
-            )
+            found = f"point {given.index(False)} has no {name}, others have; expected them in every point or in none"
+            raise PayloadError("values", found)
 
 
 def _is_timed(points: Sequence[TrajectoryPoint]) -> bool:
@@ -213,8 +197,7 @@ def _check_timed(points: Sequence[TrajectoryPoint]) -> None:
     """Refuse velocities of a motion without times: it is timed here, and they would be dropped."""
     if not _is_timed(points) and any(point.velocities or point.accelerations for point in points):
         raise PayloadError(
-            "values",
-            "velocities or accelerations without times; expected time_from_start in the points, or neither of them",
+            "values", "velocities or accelerations without times; expected time_from_start, or none of them"
         )
 
 
@@ -224,11 +207,10 @@ def _check_timed(points: Sequence[TrajectoryPoint]) -> None:
 def _compas_points(data: CompasData, joints: Joints) -> tuple[tuple[TrajectoryPoint, ...], tuple[str, ...]]:
     """Return the points, and what was understood in a way that the sender should know."""
     if data.fraction not in (None, 1.0):
-        raise PayloadError(
-            "values",
-            f"fraction is {data.fraction:g}: compas_fab's planner followed only a part of what was asked "
-            "for; plan again, or cut the path there and say fraction 1",
+        found = (
+            f"fraction is {data.fraction:g}: only a part was planned; plan again, or cut the path and say fraction 1"
         )
+        raise PayloadError("values", found)
     names = _compas_names(data)
     order = _order(names, joints)
     points = tuple(_compas_point(point, index, names, order, joints) for index, point in enumerate(data.points))
@@ -251,10 +233,8 @@ def _compas_names(data: CompasData) -> list[str]:
     for index, point in enumerate(data.points):
         names = names or point.joint_names
         if point.joint_names and point.joint_names != names:
-            raise PayloadError(
-                "joints",
-                f"point {index} names its joints {shown(point.joint_names)}; expected {shown(names)}, as before",
-            )
+            found = f"point {index} names its joints {shown(point.joint_names)}; expected {shown(names)}, as before"
+            raise PayloadError("joints", found)
     return names
 
 
@@ -263,8 +243,9 @@ def _compas_point(
 ) -> TrajectoryPoint:
     kinds = point.joint_types
     if len(kinds) != len(names):
-        found = f"point {index} has {len(kinds)} joint_types for {len(names)} joints; expected as many"
-        raise PayloadError("joints", found)
+        raise PayloadError(
+            "joints", f"point {index} has {len(kinds)} joint_types; expected {len(names)}, one per joint"
+        )
     for robots, place in enumerate(order):
         if _COMPAS_LINEAR.get(kinds[place]) is not joints.linear[robots]:
             expected = "2, prismatic [m]" if joints.linear[robots] else "0 or 1, revolute [rad]"

@@ -101,37 +101,29 @@ def read_document(payload: bytes, retained: bool, what: str, limit: int, paramet
 
     Args:
         what: Name of its kind, for the sentence.
-        limit: Longest payload that is read [bytes].
-        parameter: That sets the limit, where a motion can have fewer points; "" for none.
+        parameter: That sets the limit [bytes], where a motion can have fewer points; "" for none.
 
     Raises:
         PayloadError: ``retained``, ``size`` or ``format``.
     """
     demand_live(retained, what)
     if len(payload) > limit:
-        refusal = f"{what} of {len(payload)} bytes; at most {limit} are read"
-        if parameter:
-            refusal = f"{refusal} ({parameter}); use fewer points"
-        raise PayloadError("size", refusal)
+        more = f" ({parameter}); use fewer points" if parameter else ""
+        raise PayloadError("size", f"{what} of {len(payload)} bytes; at most {limit} are read{more}")
     return parse_object(payload, "format", limit)
 
 
 def read(model: type[_Model], document: Mapping[str, Any], what: str) -> _Model:
-    """Return what a document of `read_document` asks for, or raise PayloadError."""
+    """Return what a document of `read_document` asks for, or raise PayloadError on the first thing that is wrong with it."""
     try:
         return model.model_validate(document)
     except pydantic.ValidationError as error:
-        raise refusal(error, what) from None
-
-
-def refusal(error: pydantic.ValidationError, what: str) -> PayloadError:
-    """Return the first thing that is wrong with a message: what, where, which value, and what was expected."""
-    first = error.errors(include_url=False, include_context=False)[0]
+        first = error.errors(include_url=False, include_context=False)[0]
     place = ".".join(map(str, first["loc"])) or what
     found = "nothing" if first["type"] == "missing" else shown(first["input"])
     expected = repr(first["msg"])[1:-1][:200]
     reason = "values" if first["type"] in _OF_NUMBERS else "format"
-    return PayloadError(reason, f"field {shown(place)} of a {what} message holds {found}: {expected}")
+    raise PayloadError(reason, f"field {shown(place)} of a {what} message holds {found}: {expected}")
 
 
 def shown(value: object) -> str:
@@ -176,8 +168,7 @@ class ReviewRequest:
         account: The topic's, which a site's broker has checked; "" on `review`.
         says: What a message of an account says of who gave it, where that is another name; proves nothing.
         moment: The newest that the screen had received; of a rejection it may be "".
-        override_rehearsal: It came on `override_rehearsal/<account>`: an approval in spite of the rehearsal, which needs a reason.
-        rehearsal_hash: Of the result that it is in spite of, as the person saw it; "": there was none.
+        rehearsal_hash: Of an override: of the result that it is in spite of, as the person saw it; "": there was none.
     """
 
     plan_id: str
@@ -297,16 +288,14 @@ class GoalRequest:
 
     Attributes:
         kind: One of `GOALS`, or ``csv``, which is not taken by MQTT; of the fields below only those of its kind count.
-        id: Of MQTT: the sender's own, echoed in the answer.
         moment: Of MQTT: the newest that the screen had received.
         joints: Goal in the robot's order [rad], [m].
         position, orientation: Of tool0 in `frame` [m]; x y z w, of unit length.
         configuration: Empty: any.
         speed: Of the tool along a line [m/s]; 0: as fast as the limits allow.
-        speed_scale, acceleration_scale: Fractions of the limits; 0: the planner's default.
+        speed_scale, acceleration_scale, duration: Fractions of the limits, and [s]; 0: the planner's default.
         task: Id of a task of the building model; empty: the next one.
         frame: Of tf; by MQTT always "", the base_link.
-        duration: Of the motion [s]; 0: the planner's default.
         path, columns: Of a file of waypoints on the planner's machine; see `waypoint_file`.
     """
 
@@ -341,32 +330,31 @@ class WorkTask(WayBack):
     task: Text = ""
 
 
-class JointGoal(WayBack):
-    """A goal of joints; scales of all others, too."""
-
-    joints: JointValues
+class _Scaled(WayBack):
     speed_scale: Fraction = 0.0
     acceleration_scale: Fraction = 0.0
 
 
-class PoseGoal(WayBack):
+class JointGoal(_Scaled):
+    """A goal of joints."""
+
+    joints: JointValues
+
+
+class PoseGoal(_Scaled):
     """A goal of the tool."""
 
     position: Position
     orientation: Quaternion
     configuration: Text = ""
-    speed_scale: Fraction = 0.0
-    acceleration_scale: Fraction = 0.0
 
 
-class LineGoal(WayBack):
+class LineGoal(_Scaled):
     """A goal of the tool, on a straight line."""
 
     position: Position
     orientation: Quaternion
     speed: Annotated[Number, Field(ge=0.0)] = 0.0
-    speed_scale: Fraction = 0.0
-    acceleration_scale: Fraction = 0.0
 
 
 GOALS: Mapping[str, type[WayBack]] = {

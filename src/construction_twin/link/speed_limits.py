@@ -92,8 +92,8 @@ def write_people(path: Path, people: SpeedChange) -> str:
         with contextlib.suppress(OSError):
             path.unlink()
         return Sentence(
-            "the speed limit of people would not outlast this node: {path} was not written ({problem}); "
-            "mend it, until then it only falls, and after a restart it is the least",
+            "{path} was not written ({problem}); mend it: until then the speed limit of people only falls, to the least "
+            "after a restart",
             path=str(path),
             problem=error.strerror or str(error),
         )
@@ -104,7 +104,6 @@ class SpeedLimits:
     """Merges one program's limit and that of people; the lowest is in force. Not for use from several threads.
 
     Args:
-        started: Of this process: what a screen had shown before raises nothing.
         problem: Why `people` is not what they had set, as a clause; "": it is.
     """
 
@@ -120,14 +119,14 @@ class SpeedLimits:
         self.problem = ""
         if limit <= before.limit:
             self._lowered = replace(now, at=now.at + SHOWN_AFTER)
-        whose = before.person or Sentence("nobody")
+        whose, was, now_is = before.person or Sentence("nobody"), 100 * before.limit, 100 * limit
+        former = Sentence("before it was {before:.0f}% ({whose})", before=was, whose=whose)
+        if limit > before.limit:
+            return Sentence(
+                "the speed limit of people is raised to {percent:.0f}%; {former}", percent=now_is, former=former
+            )
         return Sentence(
-            "the speed limit of people is raised to {percent:.0f}%; before it was {before:.0f}% ({whose})"
-            if limit > before.limit
-            else "the speed limit of people is lowered to {percent:.0f}%; before it was {before:.0f}% ({whose})",
-            percent=100 * limit,
-            before=100 * before.limit,
-            whose=whose,
+            "the speed limit of people is lowered to {percent:.0f}%; {former}", percent=now_is, former=former
         )
 
     def asked(self, limit: float, person: str, moment: str, now: Moment, at: int) -> SpeedChange:
@@ -137,12 +136,10 @@ class SpeedLimits:
 
         Raises:
             PayloadError: ``values``, ``person``, ``moment``, or ``direction``.
-            ExpiredError: What the screen had shown is too old to raise it, or was lowered since.
+            ExpiredError: The moment is too old, or the limit was lowered since.
         """
         if not LEAST_SPEED <= limit <= 1.0:
-            raise PayloadError(
-                "values", f"limit is {limit:g}; expected a fraction of the planned speed, {LEAST_SPEED:g} to 1"
-            )
+            raise PayloadError("values", f"limit is {limit:g}; expected {LEAST_SPEED:g} to 1, of the planned speed")
         if not person.strip():
             raise PayloadError("person", Sentence("a speed limit of people needs the name of who sets it"))
         before = self.people
@@ -152,20 +149,14 @@ class SpeedLimits:
             raise PayloadError(
                 "direction",
                 Sentence(
-                    "{percent:.0f}% would raise the speed limit of people, which is {before:.0f}%; on "
-                    "lower_speed it is only lowered",
-                    percent=100 * limit,
-                    before=100 * before.limit,
+                    "lower_speed only lowers the limit of people, which is {before:.0f}%", before=100 * before.limit
                 ),
             )
         if moment and limit < before.limit:
             raise PayloadError(
                 "direction",
                 Sentence(
-                    "{percent:.0f}% would lower the speed limit of people, which is {before:.0f}%; on "
-                    "raise_speed it is only raised",
-                    percent=100 * limit,
-                    before=100 * before.limit,
+                    "raise_speed only raises the limit of people, which is {before:.0f}%", before=100 * before.limit
                 ),
             )
         if moment:
@@ -173,11 +164,7 @@ class SpeedLimits:
             if problem := staleness(seen, now):
                 raise ExpiredError(Sentence("the raise of the speed limit is {problem}", problem=problem))
             if not is_newer(seen, self._lowered):
-                raise ExpiredError(
-                    Sentence(
-                        "the raise of the speed limit is void: it was lowered since; look again, and then ask anew"
-                    )
-                )
+                raise ExpiredError(Sentence("the raise of the speed limit is void: it was lowered since; ask anew"))
         return SpeedChange(person, limit, before.limit, before.person, at)
 
     def report(self, now: int) -> SpeedReport | None:
@@ -197,8 +184,7 @@ class SpeedLimits:
             reason = program.reason if asks else Sentence("nobody limits the speed")
         elif self.problem:
             reason = Sentence(
-                "speed limit {percent:.0f}%: what people had set could not be read ({problem}); whoever may "
-                "must set it anew",
+                "speed limit {percent:.0f}%: what people had set could not be read ({problem}); set it anew",
                 percent=100 * people.limit,
                 problem=self.problem,
             )

@@ -8,7 +8,7 @@ only then, with a command stream within the start tolerance of the arm, is the g
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
 from construction_twin.core.errors import ReviewError
 from construction_twin.core.sentences import Sentence
@@ -31,19 +31,15 @@ class LinkSupervisor:
     """Decides when to start a session, arm, and resume: finds the events, guards and actions of `states.TABLE`.
 
     Args:
-        config_hash: Hash of the configuration that this side would give the gateway.
-        start_tolerances: Shape (n,). Per joint [rad], [m], as `GatewayConfig.start_tolerances`.
-        last_digits: Shape (n,). Value of the last decimal on the wire [rad], [m], as `MotionLimits.last_digits`.
         new_id: Returns a new unique id.
         mirrors: Whether the arm leads from the start: it did when the process before this one ended, and only a person ends that.
         waits: What `waits_for` said when the process before this one ended: then nothing is armed before a person resets.
 
     Attributes:
-        machine: The link's state, and what changes it.
         session: "" before the first.
         inputs: What is known of gateway, arm and command stream.
         responsible: Who has armed a bare PLC; empty for a gateway, which checks by itself.
-        not_checked: What is not checked with a bare PLC; empty for a gateway.
+        not_checked: What is not checked with a bare PLC.
         sends_control: Whether control messages are understood.
     """
 
@@ -54,19 +50,10 @@ class LinkSupervisor:
     _observations: type[LinkObservations] = LinkObservations
     _rows: Mapping[tuple[LinkState, LinkEvent], tuple[Row, ...]] = ROWS
 
-    def __init__(
-        self,
-        config_hash: str,
-        decimals: int,
-        start_tolerances: Sequence[float],
-        last_digits: Sequence[float],
-        new_id: Callable[[], str],
-        mirrors: bool = False,
-        waits: str = "",
-    ):
-        self._hash = config_hash
+    def __init__(self, config: GatewayConfig, new_id: Callable[[], str], mirrors: bool = False, waits: str = ""):
+        self._hash = config.hash
         self._new_id = new_id
-        self.inputs = self._observations(config_hash, decimals, start_tolerances, last_digits)
+        self.inputs = self._observations(config)
         self.session = new_id() if mirrors else ""
         self.responsible = ""
         #: True from `begin_mirror` to its end, also while the arm's pose is not known.
@@ -104,14 +91,6 @@ class LinkSupervisor:
             self._actions(),
         )
 
-    @classmethod
-    def of(
-        cls, config: GatewayConfig, new_id: Callable[[], str], mirrors: bool = False, waits: str = ""
-    ) -> LinkSupervisor:
-        """Return the supervisor of a robot whose gateway runs `config`."""
-        digits = config.limits.last_digits(config.decimals)
-        return cls(config.hash, config.decimals, config.start_tolerances, digits, new_id, mirrors, waits)
-
     @property
     def state(self) -> LinkState:
         """The link's."""
@@ -140,11 +119,12 @@ class LinkSupervisor:
         """
         if not self.sends_control:
             return ""
-        stop = self.inputs.stop_told
-        told = (
-            Sentence("gateway was stopped before this bridge was started again ({reason})", reason=stop) if stop else ""
+        if self._halted or not self.inputs.stop_told:
+            return self._halted or self._under_way
+        return Sentence(
+            "gateway was stopped before this bridge was started again ({reason}); call reset",
+            reason=self.inputs.stop_told,
         )
-        return self._halted or (told and Sentence("{reason}; call reset", reason=told)) or self._under_way
 
     # -- what comes in
 
@@ -184,32 +164,19 @@ class LinkSupervisor:
     # -- what a person asks for
 
     def request_reset(self, now: int) -> None:
-        """Start over from the arm's pose, on a person's request: it clears the stops that are known now, and no later one.
-
-        Raises:
-            ReviewError: When the arm leads, the gateway's program has failed, the arm's pose is not known, or it moves.
-        """
+        """Start over from the arm's pose, for a person: clear the stops known now, no later one; ReviewError where it cannot."""
         if self.mirrors:
-            raise ReviewError(
-                Sentence(
-                    "cannot reset: {why}",
-                    why=Sentence("the arm leads (mirror mode); call mirror with false, which ends in the same"),
-                )
-            )
+            raise ReviewError(Sentence("cannot reset: the arm leads; call mirror with false, which ends in the same"))
         if self.state in _NO_ARM or self.inputs.gateway_failed:
             raise ReviewError(Sentence("cannot reset: {why}", why=self.reason))
-        unrest = self.inputs.why_not_at_rest(now)
-        if unrest:
+        if unrest := self.inputs.why_not_at_rest(now):
             raise ReviewError(Sentence("cannot reset: {why}", why=unrest))
         self._want_session()
 
     def request_arm(self, now: int, person: str = "") -> None:
-        """Refuse: where nothing stands against it the link arms by itself, and what does is lifted by `request_reset` alone.
+        """Raise ReviewError: by itself the link arms where nothing stands against it; what does, `request_reset` alone lifts.
 
         A bare PLC is armed in the person's name.
-
-        Raises:
-            ReviewError: Always; it says what stands against it.
         """
         if self.state is not LinkState.NEEDS_RESET:
             raise ReviewError(Sentence("nothing to arm: {why}", why=self.sentence))
@@ -220,15 +187,13 @@ class LinkSupervisor:
         self.requests += 1
 
     def withdraw(self, request: int, reason: str) -> None:
-        """Give up what a person asked for, because it has been answered as failed: it must not happen later without a person.
+        """Give up a person's request that was answered as failed: nothing is armed until a person asks again.
 
-        Nothing is armed until a person asks again, not by the link's own rules either. The gateway is told to stop: an `arm` that
-        is still under way arms nothing then, and a bridge that is started again waits for a person too. Where mirror mode began
-        since, it goes on, and has ended the request's session at the gateway.
+        The gateway is told to stop: an `arm` that is still under way arms nothing then, and a bridge that is started again waits
+        for a person too. Where mirror mode began since, it goes on, and has ended the request's session at the gateway.
 
         Args:
             request: `requests` after it was asked for; nothing happens when a person has asked again since.
-            reason: One sentence.
         """
         if request != self.requests:
             return
@@ -240,35 +205,21 @@ class LinkSupervisor:
             self.take(LinkEvent.WITHDRAWN, 0, reason)
 
     def begin_mirror(self, now: int) -> str:
-        """Let the arm lead, on a person's request: nothing is commanded until `end_mirror`. Return one sentence.
-
-        Raises:
-            ReviewError: When there is no arm to follow, or arm or command stream move.
-        """
+        """Let the arm lead, for a person: nothing is commanded until `end_mirror`. Return a sentence, or raise ReviewError."""
         if self.mirrors:
             return Sentence("the arm leads already")
         if why := self._why_no_mirror(now):
             raise ReviewError(Sentence("cannot mirror: {why}", why=why))
         if self.inputs.stream_may_move(now):
             raise ReviewError(
-                Sentence(
-                    "cannot mirror: {why}",
-                    why=Sentence(
-                        "the command stream still moves, or has just begun; stop or pause the plan and wait until it "
-                        "is at rest"
-                    ),
-                )
+                Sentence("cannot mirror: the command stream moves, or has just begun; stop the plan first")
             )
         self.mirrors, self._ended_session = True, self.session
         self.take(LinkEvent.MIRROR_ASKED, now)
         return self.reason
 
     def end_mirror(self, now: int) -> str:
-        """Stop following the arm, on a person's request, and start over as after `reset`. Return one sentence.
-
-        Raises:
-            ReviewError: When the arm does not lead, its pose is not known, it moves, or the gateway's program has failed.
-        """
+        """Stop following the arm, for a person, and start over as after `reset`. Return a sentence, or raise ReviewError."""
         if not self.mirrors:
             raise ReviewError(Sentence("the arm does not lead: {why}", why=self.sentence))
         if self.inputs.gateway_failed:
@@ -280,10 +231,7 @@ class LinkSupervisor:
 
     def _after_mirror(self) -> str:
         if self.inputs.reads_only:
-            return Sentence(
-                "mirror mode has ended; the gateway is read-only, so nothing can be commanded: give the "
-                "controller an Ethernet XML with ONLYSEND FALSE"
-            )
+            return Sentence("mirror mode has ended; the gateway is read-only: its Ethernet XML needs ONLYSEND FALSE")
         self._want_session()
         return Sentence("mirror mode has ended; twin and gateway start over from the arm's pose")
 
@@ -313,12 +261,7 @@ class LinkSupervisor:
         return self._outgoing
 
     def take(self, event: LinkEvent, now: int, reason: str = "") -> None:
-        """Carry out the first row of the table whose guard holds; without one nothing changes.
-
-        Args:
-            now: [ns]
-            reason: The event's own sentence, for the actions that use it.
-        """
+        """Carry out the first row of the table whose guard holds; `reason` is the event's own sentence."""
         self.machine.on(event, Occasion(reason, now))
 
     # -- guards
@@ -431,7 +374,7 @@ class LinkSupervisor:
         self._pending, self._asked_for = None, False
         run, _ = self._shown
         if run != self.inputs.run:
-            self._halted = Sentence("{reason}; call reset", reason=Sentence("gateway was started again since the call"))
+            self._halted = Sentence("gateway was started again since the call; call reset")
         else:
             number, reason = str(self.inputs.fault_number), self.inputs.gateway_reason
             self._halted = self._with_remedy(
@@ -466,9 +409,7 @@ class LinkSupervisor:
         self._reset_wanted = False
         self._begin_session("")
         self._asked_for = True
-        self._under_way = Sentence(
-            "{reason}; call reset", reason=Sentence("the bridge was started again while a reset was under way")
-        )
+        self._under_way = Sentence("the bridge was started again while a reset was under way; call reset")
         return Sentence("reset asked for")
 
     def _begin_session_after_refusal(self, row: Row, at: Occasion) -> str:
@@ -482,12 +423,9 @@ class LinkSupervisor:
         self._was_armed, self._under_way = True, ""
         self.inputs.forget_stop()
         # in commissioning mode the link is armed, and yet the arm stands still
-        return Sentence(
-            "session {session}; gateway is in commissioning mode"
-            if self.status.get("mode") == "commissioning"
-            else "session {session}",
-            session=self.session,
-        )
+        if self.status.get("mode") == "commissioning":
+            return Sentence("session {session}; gateway is in commissioning mode", session=self.session)
+        return Sentence("session {session}", session=self.session)
 
     @property
     def _gateway_sentence(self) -> Sentence:
@@ -498,15 +436,8 @@ class LinkSupervisor:
 
     def _tell_stop(self, row: Row, at: Occasion) -> str:
         known = self.inputs
-        number, state, reason = str(known.fault_number), known.gateway, known.gateway_reason
-        return self._with_remedy(
-            Sentence(
-                "gateway was stopped (stop {number}) and is {state}: {reason}",
-                number=number,
-                state=state,
-                reason=reason,
-            )
-        )
+        values = {"number": str(known.fault_number), "state": known.gateway, "reason": known.gateway_reason}
+        return self._with_remedy(Sentence("gateway was stopped (stop {number}) and is {state}: {reason}", **values))
 
     def _tell_halt(self, row: Row, at: Occasion) -> str:
         # what the gateway still knows it tells better than the process before this one
@@ -514,10 +445,9 @@ class LinkSupervisor:
 
     def _with_remedy(self, reason: str) -> Sentence:
         # a gateway whose program has failed takes no control message any more
-        return Sentence(
-            "{reason}; restart rsi_gateway, then call reset" if self.inputs.gateway_failed else "{reason}; call reset",
-            reason=reason,
-        )
+        if self.inputs.gateway_failed:
+            return Sentence("{reason}; restart rsi_gateway, then call reset", reason=reason)
+        return Sentence("{reason}; call reset", reason=reason)
 
     def _send_arm(self, row: Row, at: Occasion) -> str:
         return self._send("arm", self.session, at.now, arm_value(self._hash, self.status["run"]))

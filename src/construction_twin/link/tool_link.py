@@ -33,22 +33,15 @@ class ToolLink:
     # -- from the executor
 
     def switch(self, id: str, output: str, value: bool, stamp: int, session: str, obstacle: str) -> Control | None:
-        """Take a switch; return the message for the gateway, None when it is refused here.
-
-        Args:
-            stamp: [ns]
-            session: That commands.
-            obstacle: Why nothing can be sent now; "" for nothing.
-        """
+        """Take a switch at a stamp [ns]; return the message for the gateway, None when it is refused here, as for an `obstacle`."""
         if id in self._switches or id in self._by_control.values():
             self._refused = Sentence("tool: switch {id} was asked for before", id=repr(id))
             return None
         if obstacle:
             self._report(id, SwitchState.REFUSED, Sentence("tool: {why}", why=obstacle))
             return None
-        control = Control(
-            self._new_id(), session, "switch", {"id": id, "output": output, "value": value, "stamp": stamp}
-        )
+        asked = {"id": id, "output": output, "value": value, "stamp": stamp}
+        control = Control(self._new_id(), session, "switch", asked)
         self._by_control[control.id] = id
         while len(self._by_control) > MOST_REPORTED:
             self._by_control.popitem(last=False)
@@ -100,8 +93,7 @@ class ToolLink:
 
     def _lose(self, why: str) -> None:
         # not void: that would say that it has not fired, and may be asked for again
-        armed = [id for id, switch in self._switches.items() if switch.state is SwitchState.ARMED]
-        for id in (*armed, *self._by_control.values()):
+        for id in sorted(self.waiting):
             self._report(id, SwitchState.REFUSED, why)
         self._by_control.clear()
 
@@ -119,11 +111,7 @@ class ToolLink:
     # -- to ROS
 
     def report(self, obstacle: str) -> ToolReport:
-        """Return what `tool` tells.
-
-        Args:
-            obstacle: Why the gateway's status says nothing of the present; "" for nothing.
-        """
+        """Return what `tool` tells; `obstacle`: why the gateway's status says nothing of the present."""
         status = self._status
         switches = dict(self._switches)
         if obstacle:

@@ -85,9 +85,6 @@ class ReplyRefusals:
 class MockController:
     """One mock controller; see the module for what it does and when.
 
-    Args:
-        forward_kinematics: From axis angles [rad] to the tool's position [m] and A, B, C [rad], which packets report.
-
     Attributes:
         running: False when the session has stopped, for `reason`; then nothing is sent and nothing is accepted.
         flag: The controller's own flag that the link was interrupted (timeout).
@@ -183,10 +180,7 @@ class MockController:
         return replace(self.status_shown, slow=bool(self._tool_speed))
 
     def restart(self, pose: Sequence[float] | None = None) -> None:
-        """Start a new session, ending the present one if there is one.
-
-        Args:
-            pose: Length n. Start pose [rad]; default: what the encoders report, brought inside the soft limits.
+        """Start a new session, ending the present one, at a pose [rad], by default what the encoders report, within soft limits.
 
         Raises:
             ConfigurationError: If the emergency stop is pressed.

@@ -23,11 +23,6 @@ _PEAK_VELOCITY, _PEAK_ACCELERATION = 15.0 / 8.0, 10.0 / math.sqrt(3.0)
 class EmergencyBrake:
     """The STOP ramp: all axes come to rest at the same time, along a straight line, within the slowest axis' limit.
 
-    Args:
-        position, step: Length n. Setpoint [rad] and its last step [rad per cycle].
-        acceleration: Length n. Limits [rad/s^2].
-        measured: Length n. Where the arm is, behind the setpoint [rad].
-
     Attributes:
         distance: Length n. Distance of the arm to rest, including its lag behind the setpoint [rad].
     """
@@ -65,10 +60,7 @@ class EmergencyBrake:
 class Program:
     """A motion of the controller's own: from rest to rest along a straight line in joint space, in a given time.
 
-    Args:
-        start, goal: Length n. [rad]
-        velocity, acceleration: Length n. Limits [rad/s], [rad/s^2].
-        duration: [s]; 0: as long as `JOG_FRACTION` of the limits takes.
+    Duration 0: as long as `JOG_FRACTION` of the limits takes.
     """
 
     def __init__(
@@ -113,12 +105,6 @@ class ToolSpeedLimit:
     The steps of all axes are shortened alike, so the arm keeps its direction; then each is brought within its
     acceleration limit, so that the tool may be faster for as long as it takes to brake. What a KR C4 really does about
     fast corrections in T1 is not known (docs/rsi.md, section 14): it may as well end the session.
-
-    Args:
-        position, step: Length n. Present setpoint [rad] and its last step [rad per cycle].
-        velocity, acceleration: Length n. Limits [rad/s], [rad/s^2].
-        tool_position: From axis angles [rad] to the tool's position [m].
-        speed: [m/s]
     """
 
     def __init__(

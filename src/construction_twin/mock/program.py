@@ -43,12 +43,7 @@ if TYPE_CHECKING:
 class PhysicsServo(WithMass, Servo):
     """Axes that a simulated arm moves; they answer as `RealisticServo`, as long as the drives have the torque for it.
 
-    A stalled axis is held where it is by a brake, whatever it takes.
-
-    Args:
-        signs: Length n. 1 or -1: the sense of each axis, seen from its joint.
-        resolution: Encoder step [rad]; 0 for an exact reading.
-        period: Length of a cycle [s], a multiple of 4 ms.
+    A stalled axis is held where it is by a brake, whatever it takes. Signs are the senses of the axes, seen from their joints.
     """
 
     def __init__(
@@ -153,6 +148,7 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
     axes = tuple(axis.name for axis in robot.axes)
     ends = zip(axis_angles(robot, robot.lower), axis_angles(robot, robot.upper))
     lower, upper = zip(*(sorted(pair) for pair in ends))
+    e1 = settings.e1_sign, settings.e1_offset, settings.e1_feedback_scale, settings.e1_correction_scale
 
     def listed(name: str) -> tuple[float, ...] | None:
         values = getattr(settings, name)
@@ -168,7 +164,7 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
         velocity=robot.velocity,
         acceleration=robot.acceleration,
         layout=_layout(settings, axes),
-        units=_units(settings, robot),
+        units=tuple(AxisUnit(linear, *(e1 if axis == "E1" else ())) for axis, linear in zip(axes, robot.linear)),
         cycle=settings.cycle,
         precision=settings.precision,
         timeout=settings.timeout,
@@ -199,11 +195,6 @@ def gateway_address(settings: MockSettings) -> tuple[str, int]:
 
 def _layout(settings: MockSettings, axes: tuple[str, ...]) -> Layout:
     return make_of(settings.make).layout_of(settings.ethernet_xml, axes)
-
-
-def _units(settings: MockSettings, robot: RobotModel) -> tuple[AxisUnit, ...]:
-    e1 = settings.e1_sign, settings.e1_offset, settings.e1_feedback_scale, settings.e1_correction_scale
-    return tuple(AxisUnit(linear, *(e1 if axis.name == "E1" else ())) for axis, linear in zip(robot.axes, robot.linear))
 
 
 def build_servo(settings: MockSettings, robot: RobotModel) -> Servo:

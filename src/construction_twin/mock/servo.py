@@ -120,12 +120,7 @@ class WithMass(ABC):
 
 
 class IdealServo(Servo):
-    """A pure delay: the arm reaches each setpoint exactly, a fixed number of cycles later.
-
-    Args:
-        delay_cycles: Cycles from the packet whose reply carries a setpoint to the packet that reports it as reached; at least 1,
-            default 3.
-    """
+    """A pure delay: a setpoint is reported as reached so many cycles, at least 1, after the packet whose reply set it."""
 
     def __init__(self, delay_cycles: int = 3, period: float = CYCLE):
         if delay_cycles < 1:
@@ -149,11 +144,7 @@ class IdealServo(Servo):
 class RealisticServo(Servo):
     """A second-order lag per joint, exactly discretised for a setpoint held during the cycle, read by an encoder.
 
-    On a ramp it lags by 2 zeta / omega seconds (27 ms with the defaults) plus half a cycle of holding.
-
-    Args:
-        omega: Natural frequency [rad/s].
-        resolution: Encoder step [rad]; 0 for an exact reading.
+    On a ramp it lags by 2 zeta / omega seconds (27 ms with the defaults) plus half a cycle of holding. Resolution 0: exact reading.
     """
 
     def __init__(

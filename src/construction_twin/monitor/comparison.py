@@ -21,13 +21,10 @@ SLOWEST = 0.02
 
 
 class LagEstimate:
-    """Recursive least squares with forgetting for one unknown, the lag.
+    """Recursive least squares with forgetting for one unknown, the lag: `most` is the largest that is believed [s].
 
     A pose measured L after its command differs from the commanded one by -L times the velocity. Each difference between the
     arm and the twin at the present estimate so corrects it, weighted by velocity squared.
-
-    Args:
-        most: Largest lag that is believed [s]: a joint at rest must not be taken for one that is late.
     """
 
     def __init__(self, most: float):
@@ -80,15 +77,7 @@ ALIGNED, INSTANT = "aligned", "instant"
 
 
 def agrees(theta_virtual: tuple[float, ...], theta_physical: tuple[float, ...], threshold: tuple[float, ...]) -> bool:
-    """Return whether twin and arm agree: the test of Algorithm 1. What follows from it is in `Gate.on_physical`.
-
-    Args:
-        theta_virtual, theta_physical: Shape (n,). Joint angles of the twin and of the physical arm [rad].
-        threshold: Shape (n,). Largest difference that still counts as agreement, per joint [rad].
-
-    References:
-        Liang et al., section 3.3, Algorithm 1.
-    """
+    """Return whether twin and arm agree within a threshold per joint: Algorithm 1's test (Liang et al., section 3.3)."""
     for virtual, physical, limit in zip(theta_virtual, theta_physical, threshold):
         # written so that a nan does not agree
         if not abs(virtual - physical) <= limit:
@@ -187,10 +176,8 @@ class Comparison:
 
     def worst(self) -> int:
         """Index of the joint that uses most of its threshold; one whose error is no number comes first."""
-        fractions = [error / limit for error, limit in zip(self.error, self.threshold)]
-        return max(
-            range(len(fractions)), key=lambda index: math.inf if math.isnan(fractions[index]) else fractions[index]
-        )
+        uses = [error / limit for error, limit in zip(self.error, self.threshold)]
+        return max(range(len(uses)), key=lambda index: math.inf if math.isnan(uses[index]) else uses[index])
 
 
 @dataclass(frozen=True)
@@ -230,15 +217,11 @@ class PoseComparison:
     def compare(
         self, q: tuple[float, ...], command_stamp: int, now: int, round_trip: float = math.nan
     ) -> Comparison | None:
-        """Compare a physical pose.
+        """Compare a physical pose, shape (n,) [rad]; return None when the twin's pose for that stamp is not known.
 
         Args:
-            q: Shape (n,). Physical pose [rad].
             command_stamp: Stamp of the command it answers to [ns]; 0 compares with the twin's present pose.
             now: Time of reception, on the clock of the stamps [ns]: for the report alone.
-
-        Returns:
-            None when the twin's pose for that stamp is not known.
         """
         settings = self._settings
         mode = ALIGNED if command_stamp and settings.aligned else INSTANT
@@ -264,3 +247,33 @@ class PoseComparison:
             return self.twin.at(stamp)
         before = self.twin.at(stamp - CYCLE_NS)
         return latest[1], before[1] if before else (0.0,) * len(latest[1])
+
+
+#: Setpoints that are remembered: 65 s. An arm whose replies get lost may trail by many of them.
+KEPT = 16384
+
+
+class RoundTrips:
+    """When each of the last setpoints passed, on the monotonic clock: how long the arm's answer to one takes."""
+
+    def __init__(self):
+        # two lists that are written over: nothing is made in a cycle
+        self._stamps = [0] * KEPT
+        self._passed = [0] * KEPT
+
+    def note(self, stamp: int, now: int) -> None:
+        """Note that the setpoint with this nominal stamp passed at `now` [ns]."""
+        place = stamp // CYCLE_NS % KEPT
+        self._stamps[place], self._passed[place] = stamp, now
+
+    def since(self, stamp: int, now: int) -> float:
+        """Return how long ago at `now` [ns] the path had come to this stamp [s]; nan when no setpoint nearby is known.
+
+        A stamp between two setpoints is one of the gateway's playout. Where a message waited in a queue the time of its reception
+        is an estimate, and may lie a moment before the setpoint passed: 0 then.
+        """
+        place = stamp // CYCLE_NS % KEPT
+        between = stamp - self._stamps[place]
+        if stamp == 0 or not -CYCLE_NS < between < CYCLE_NS:
+            return math.nan
+        return max(now - self._passed[place] - between, 0) / NANOSECONDS

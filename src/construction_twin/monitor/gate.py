@@ -16,8 +16,7 @@ from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.core.state_table import conditions
 from construction_twin.core.travel_time import TravelTime
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS, axis_name, from_people, to_people
-from construction_twin.monitor.comparison import Comparison, ComparisonSettings, PoseComparison
-from construction_twin.monitor.round_trip import RoundTrips
+from construction_twin.monitor.comparison import Comparison, ComparisonSettings, PoseComparison, RoundTrips
 from construction_twin.monitor.servo_watch import ServoDifference, ServoWatch
 from construction_twin.monitor.states import (
     HELD_STATES,
@@ -34,13 +33,15 @@ from construction_twin.servo.model import ServoModel
 
 #: What may happen after a violation.
 REPLAN, RESUME, STOP = "replan", "resume", "stop"
-POLICIES = (REPLAN, RESUME, STOP)
 #: A setpoint may be this much later than the quickest one [ns]: an executor that catches up sends what is 80 ms late, and what is
 #: later the gateway has bridged and braked for.
 LATEST = NANOSECONDS // 10
 #: A gate is at rest when the command has not changed for this long [ns]: by then the arm has arrived, too.
 REST = NANOSECONDS // 2
-_LATEST_S = LATEST / NANOSECONDS
+_IN_TIME = Sentence(
+    "at most {latest:g} s: the monitor was not run, or the executor's clock was set back (then call reset)",
+    latest=LATEST / NANOSECONDS,
+)
 
 
 @dataclass(frozen=True)
@@ -90,11 +91,7 @@ class GateSettings:
 
 @dataclass(frozen=True)
 class Cause:
-    """Why a gate is closed.
-
-    Attributes:
-        since: When that began [ns], on the gate's clock.
-    """
+    """Why a gate is closed, and since when [ns], on the gate's clock."""
 
     sentence: str
     since: int
@@ -108,10 +105,7 @@ class Gate:
 
     Args:
         codec: The wire's; everything that passes is rounded by it, so that both robots execute identical numbers.
-        now: [ns]
-        servos: How the arm's servos answer; None: nobody says, and the arm is compared with the twin alone.
-
-    Raises ConfigurationError.
+        servos: How the arm's servos answer; None: unknown, and the arm is compared with the twin alone.
     """
 
     def __init__(
@@ -238,26 +232,18 @@ class Gate:
         return self._moved_at is None or now - self._moved_at >= REST
 
     def check_rest(self, now: int) -> None:
-        """Refuse a change of settings while the arm moves or may move, or while the gate holds; `now` in ns.
-
-        Raises ConfigurationError.
-        """
+        """Raise ConfigurationError for a change of settings while the arm moves or may move, or while the gate holds."""
         if self.mirrored:
             raise ConfigurationError("the gate", "the arm leads", "an arm that does not: it can move at any moment")
         if not self.rests(now):
-            raise ConfigurationError(
-                "the gate", "in motion", f"a command that has not changed for {REST / NANOSECONDS:g} s"
-            )
+            expected = f"a command that has not changed for {REST / NANOSECONDS:g} s"
+            raise ConfigurationError("the gate", "in motion", expected)
         if self.state in HELD_STATES:
             expected = "WAITING, IN_SYNC or STOPPED: settings must not open a gate that a violation has closed"
             raise ConfigurationError("the gate", self.state.name, expected)
 
     def configure(self, settings: GateSettings, reason: str, now: int) -> None:
-        """Go on with other settings, from rest; the change is a transition.
-
-        Args:
-            now: [ns]
-        """
+        """Go on with other settings, from rest; the change is a transition."""
         self.check_rest(now)
         comparison = settings.comparison(self._limits)
         if self.watch_of_servos is not None:
@@ -283,18 +269,13 @@ class Gate:
     def on_physical(
         self, q: tuple[float, ...], command_stamp: int, now: int, received: int | None = None, seq: int = 0
     ) -> Comparison | None:
-        """Take a physical pose. The first one above a threshold closes the gate at once.
+        """Take a physical pose, shape (n,) [rad]; None when the twin's for that stamp is not known. The first difference closes.
 
         Where the servos are known it is compared with where they should have the arm, too; either difference closes the gate.
 
         Args:
-            q: Shape (n,). [rad]
-            now: [ns]
             received: Time of reception on the clock of the stamps [ns], for the report alone; by default `now`.
             seq: The gateway's counter of its states; 0: not known, and so is what the servos should do.
-
-        Returns:
-            None when the twin's pose for that stamp is not known.
         """
         continued = self._fresh(now)
         round_trip = self._round_trips.since(command_stamp, now)
@@ -353,16 +334,11 @@ class Gate:
     # -- the path
 
     def pass_next(self, stamp: int, theta_next: tuple[float, ...], now: int) -> tuple[float, ...] | None:
-        """Decide what is executed in place of theta_next.
-
-        Args:
-            stamp: Nominal time of the setpoint [ns].
-            theta_next: Shape (n,). [rad]
-            now: [ns]
+        """Decide what is executed in place of theta_next, shape (n,) [rad], of a nominal stamp [ns].
 
         Returns:
-            Shape (n,). Pose to execute, rounded to the wire [rad]; None while the gate has never been open and while the arm leads,
-            and for a setpoint that is not newer than the last one: whatever went out with its stamp would be refused further on.
+            Pose to execute, rounded to the wire; None while the gate has never been open and while the arm leads, and for a
+            setpoint that is not newer than the last one: whatever went out with its stamp would be refused further on.
         """
         if stamp <= self._stamp:
             self.refused += 1
@@ -377,12 +353,8 @@ class Gate:
         if not was_open:
             self._try_to_open(stamp, theta_next, late, now)
         elif late > LATEST and self.state is SyncState.IN_SYNC:
-            sentence = Sentence(
-                "theta_next is {late:.3f} s late; at most {latest:g} s: the monitor was not run, or the "
-                "executor's clock was set back (then call reset)",
-                late=late / NANOSECONDS,
-                latest=_LATEST_S,
-            )
+            seconds = late / NANOSECONDS
+            sentence = Sentence("theta_next is {late:.3f} s late; {expected}", late=seconds, expected=_IN_TIME)
             self._close(SyncEvent.SETPOINT_STALE, sentence, now)
         passed = self._check.position or None
         if self.state is SyncState.IN_SYNC:
@@ -396,9 +368,8 @@ class Gate:
         if self.state is SyncState.IN_SYNC:
             if self.settings.compares and not self._fresh(now) and self._last_feedback is not None:
                 age = (now - self._last_feedback) / NANOSECONDS
-                self._close(
-                    SyncEvent.FEEDBACK_STALE, Sentence("last comparable feedback is {age:.3f} s old", age=age), now
-                )
+                stale = Sentence("last comparable feedback is {age:.3f} s old", age=age)
+                self._close(SyncEvent.FEEDBACK_STALE, stale, now)
             elif self.watch_of_servos is not None and self.watch_of_servos.refinement.due and self.rests(now):
                 self._refine(self.watch_of_servos, now)
         elif self._held_too_long(now) and self.state in HELD_STATES:
@@ -417,10 +388,8 @@ class Gate:
         return now - self._closed_at > self.settings.give_up_time * NANOSECONDS
 
     def _fresh(self, now: int) -> bool:
-        return (
-            self._last_feedback is not None
-            and now - self._last_feedback <= self.settings.feedback_timeout * NANOSECONDS
-        )
+        last = self._last_feedback
+        return last is not None and now - last <= self.settings.feedback_timeout * NANOSECONDS
 
     def _on_difference(self, comparison: Comparison, now: int) -> None:
         if not self.settings.compares:
@@ -450,16 +419,9 @@ class Gate:
         if self._fire(event, reason, now):
             self._violation = Cause(reason, self._closed_at)
         self._fire(SyncEvent.POLICY_STOP, Sentence("the policy is to stop; {reason}; call reset", reason=reason), now)
-        self._fire(
-            SyncEvent.ESCALATED,
-            Sentence(
-                "held {count} times in {time:g} s; {reason}; call reset",
-                count=len(self._closings),
-                time=self.settings.escalate_time,
-                reason=reason,
-            ),
-            now,
-        )
+        count, time = len(self._closings), self.settings.escalate_time
+        held = Sentence("held {count} times in {time:g} s; {reason}; call reset", count=count, time=time, reason=reason)
+        self._fire(SyncEvent.ESCALATED, held, now)
 
     def _hold(self, now: int) -> None:
         self.violations += 1
@@ -484,11 +446,7 @@ class Gate:
         if self.state is SyncState.STOPPED or self.mirrored or not self.agreed(now):
             return
         if late > LATEST:
-            self._obstacle = Sentence(
-                "theta_next is late; at most {latest:g} s: the monitor was not run, or the executor's clock "
-                "was set back (then call reset)",
-                latest=_LATEST_S,
-            )
+            self._obstacle = Sentence("theta_next is late; {expected}", expected=_IN_TIME)
             return
         latest = self.comparison.twin.latest
         if latest is None:
@@ -512,16 +470,10 @@ class Gate:
             moves = command != self._check.position
             if moves and stamp - self._before > LATEST:
                 gap = (stamp - self._before) / NANOSECONDS
-                self._close(
-                    SyncEvent.SETPOINT_STALE,
-                    Sentence(
-                        "theta_next moves after {gap:.3f} s without setpoints; at most {latest:g} s: the monitor was "
-                        "not run, or the executor's clock was set back (then call reset)",
-                        gap=gap,
-                        latest=_LATEST_S,
-                    ),
-                    now,
+                sentence = Sentence(
+                    "theta_next moves {gap:.3f} s after the last one; {expected}", gap=gap, expected=_IN_TIME
                 )
+                self._close(SyncEvent.SETPOINT_STALE, sentence, now)
                 return self._check.position
             self._check.accept(stamp, command)
         except (MotionRefused, PayloadError) as refusal:

@@ -10,14 +10,18 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated, Literal
+
+import pydantic
+import yaml
 
 from construction_twin.core.append_only import AppendOnlyFile, iso_time
 from construction_twin.core.errors import ConfigurationError, RequestRefused, TransitionLogError
 from construction_twin.core.reports import SyncReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.monitor.gate import REPLAN, Gate
-from construction_twin.monitor.settings import Behaviour
+from construction_twin.core.validation import configuration_error
+from construction_twin.monitor.gate import REPLAN, Gate, GateSettings
 from construction_twin.monitor.states import SyncState, Transition
 
 #: Plans remembered besides the one that was played last.
@@ -28,6 +32,61 @@ SYNC_RATE = 50.0
 RESTING_SYNC = NANOSECONDS // 10
 #: Transitions shown on `/diagnostics`, the newest first.
 SHOWN = 5
+
+
+#: A difference of poses [rad], [m]: above 1 the gate would compare nothing.
+_Threshold = Annotated[float, pydantic.Field(gt=0, le=1, strict=True)]
+
+
+class Behaviour(pydantic.BaseModel):
+    """How strict the gate is: what the service `configure_gate` can change at rest; see config/pca_monitor.yaml."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    threshold: _Threshold
+    threshold_linear: _Threshold
+    thresholds: dict[str, _Threshold] = {}
+    comparison: Literal["aligned", "instant"]
+    lag_allowance: float = pydantic.Field(ge=0, le=1, strict=True)
+    lag_margin: float = pydantic.Field(ge=0, le=1, strict=True)
+    feedback_timeout: float = pydantic.Field(gt=0, le=10, strict=True)
+    agree_share: float = pydantic.Field(gt=0, le=1, strict=True)
+    agree_time: float = pydantic.Field(ge=0, le=60, strict=True)
+    policy: Literal["replan", "resume", "stop"]
+    give_up_time: float = pydantic.Field(gt=0, le=3600, strict=True)
+    escalate_count: int = pydantic.Field(ge=1, le=1000, strict=True)
+    escalate_time: float = pydantic.Field(gt=0, le=3600, strict=True)
+
+    def gate_settings(self, compares: bool) -> GateSettings:
+        """Return the same for the gate; `compares` is False without a physical arm."""
+        values = {name: getattr(self, name) for name in Behaviour.model_fields if name in GateSettings.__match_args__}
+        return GateSettings(**values, aligned=self.comparison == "aligned", compares=compares)
+
+    def changed(self, text: str) -> Behaviour:
+        """Return the behaviour with some settings changed.
+
+        Args:
+            text: YAML, as in config/pca_monitor.yaml: ``{policy: resume, thresholds: {joint_a3: 0.02}}``.
+        """
+        try:
+            changes = yaml.safe_load(text)
+        # a date that does not exist is a ValueError, brackets nested by the thousand are a RecursionError
+        except (yaml.YAMLError, ValueError, RecursionError) as error:
+            raise ConfigurationError("settings", text[:200], f"YAML ({' '.join(str(error).split())})") from error
+        if not isinstance(changes, dict):
+            raise ConfigurationError("settings", text, "a YAML mapping, e.g. {policy: resume}")
+        try:
+            return Behaviour.model_validate(self.model_dump() | changes)
+        except pydantic.ValidationError as error:
+            raise configuration_error(error, Behaviour) from error
+
+    def difference(self, other: Behaviour) -> str:
+        """Return what another behaviour changes, as words; empty when nothing."""
+        return ", ".join(
+            f"{name} {getattr(self, name)} -> {getattr(other, name)}"
+            for name in Behaviour.model_fields
+            if getattr(self, name) != getattr(other, name)
+        )
 
 
 @dataclass(frozen=True)
@@ -54,7 +113,6 @@ class Replan:
     """A plan to ask for: from the held pose to the goal of the plan that was interrupted.
 
     Attributes:
-        held: Shape (n,). [rad]
         state: That the gate has closed to.
         violation: Which hold it is of: an answer may come late, in another one.
     """
@@ -79,22 +137,17 @@ class Monitor:
 
     Args:
         behaviour: What the gate was given.
-        names: Joint names.
-        stopped_in: The session in which a monitor before this one was STOPPED: the gate stays so until the link tells of another
-            session.
+        stopped_in: The session in which a monitor before this one was STOPPED: the gate stays so until the link tells of another.
     """
 
     def __init__(self, gate: Gate, behaviour: Behaviour, names: tuple[str, ...], stopped_in: str = "", now: int = 0):
         self.gate, self._behaviour, self._names = gate, behaviour, names
         self._session = stopped_in
         if stopped_in:
-            gate.stay_stopped(
-                Sentence(
-                    "a monitor before this one was STOPPED in session {session}; see to the arm, then call reset",
-                    session=stopped_in,
-                ),
-                now,
+            was = Sentence(
+                "the monitor before was STOPPED in session {session}; see to it, call reset", session=stopped_in
             )
+            gate.stay_stopped(was, now)
         self._goals: dict[str, ReplanGoal] = {}
         self._played = _Played()
         #: The executor's sentence while a plan is being executed, at rest or not; empty otherwise.
@@ -116,10 +169,7 @@ class Monitor:
             self._session = session
 
     def configure(self, operator: str, text: str, now: int) -> str:
-        """Change settings of the gate, at rest only; return what has changed.
-
-        Raises RequestRefused.
-        """
+        """Change settings of the gate, at rest only; return what has changed, or raise RequestRefused."""
         try:
             if not operator.strip():
                 raise ConfigurationError("operator", operator, "the name of a person: the change is recorded")
@@ -151,11 +201,9 @@ class Monitor:
             del self._goals[known]
 
     def on_execution(self, plan_id: str, executing: str, playing: bool, moment: str) -> None:
-        """Take what the executor did at a moment.
+        """Take what the executor did at a moment: its state as a word while it follows the plan, at rest or not, else empty.
 
-        Args:
-            executing: Its state as a word while it follows the plan, at rest or not; else empty.
-            playing: It plays that plan, and was not told to stop or to pause.
+        `playing`: it was not told to stop or to pause.
         """
         self._executing = executing and f"plan {plan_id} is {executing}"
         self._played = _Played(plan_id, playing, moment)
@@ -183,10 +231,8 @@ class Monitor:
         closed = first.source is SyncState.IN_SYNC and first.target is not SyncState.IN_SYNC
         if not closed or self.gate.policy != REPLAN or wanted is None:
             return changes, None
-        asks = self.gate.on_replan(
-            Sentence("a path to the goal of plan {plan} was asked for, no faster than that plan", plan=wanted.plan_id),
-            first.at,
-        )
+        asked = Sentence("a path to the goal of plan {plan} was asked for, no faster than that", plan=wanted.plan_id)
+        asks = self.gate.on_replan(asked, first.at)
         changes += self.gate.take_transitions()
         replan = Replan(self.gate.held, wanted, first.target.name, self.gate.violations)
         return changes, replan if asks else None
@@ -251,14 +297,7 @@ class Monitor:
 
 
 class TransitionLog:
-    """The file of all transitions, whose stamps are in ROS time here, and the newest of them.
-
-    Attributes:
-        problem: Why the file cannot be written; empty when it can.
-
-    Raises:
-        ConfigurationError: When it cannot be opened.
-    """
+    """The file of all transitions, whose stamps are in ROS time here, and the newest; `problem`: why it cannot be written."""
 
     def __init__(self, path: Path, names: tuple[str, ...]):
         self.problem, self._names, self._count = "", names, 0

@@ -27,12 +27,7 @@ SHARE = 0.8
 
 @dataclass(frozen=True)
 class ServoDifference:
-    """A joint that is not where its servo should have it.
-
-    Attributes:
-        joint: Index of the joint that uses most of its threshold.
-        residual, threshold: [rad], [m]
-    """
+    """A joint, by its index, that is not where its servo should have it: the one that uses most of its threshold [rad], [m]."""
 
     joint: int
     residual: float
@@ -88,16 +83,12 @@ class ServoWatch:
         self._commands.add(stamp, command)
 
     def on_pose(self, q: Sequence[float], seq: int, command_stamp: int, in_sync: bool) -> ServoDifference | None:
-        """Take a pose of the arm.
+        """Take a pose of the arm, shape (n,) [rad]; return the present difference, None while there is none, or none is judged.
 
         Args:
-            q: Shape (n,). Measured [rad].
             seq: The gateway's counter of its states, one per cycle; 0: not known.
             command_stamp: Of the target that it answers [ns]; 0: not known.
             in_sync: Whether the gate is open, and twin and arm agree.
-
-        Returns:
-            The present difference; None while there is none, and while nothing is judged.
         """
         before = self.expected
         if seq and seq == self._seq and self._state is not None:
@@ -117,11 +108,7 @@ class ServoWatch:
         return self.difference
 
     def refine(self) -> dict[str, float]:
-        """Let what was learned of the servos take effect; call it at rest.
-
-        Returns:
-            The change of each joint's lag by its name [s]; empty when there is none.
-        """
+        """Let what was learned of the servos take effect, at rest; return the change of each joint's lag by its name [s]."""
         changes = self.refinement.take()
         if changes and self._state is not None:
             self._state.configure(self.refinement.model)

@@ -141,8 +141,7 @@ class SyncOccasion(state_table.Occasion):
 class SyncMachine(state_table.Machine[SyncState, SyncEvent, Guard, Action, SyncOccasion]):
     """The present state, and how it changes: every change is kept, with its cause, until it is taken.
 
-    Args:
-        actions: As `Machine`; other settings are no reason to be in a state.
+    Other settings are no reason to be in a state.
     """
 
     def __init__(

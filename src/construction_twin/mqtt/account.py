@@ -27,14 +27,10 @@ class Account:
     """An account on a broker: a user with a password, or a client certificate. Empty means none.
 
     Attributes:
-        user: MQTT user name; it needs `password_file`.
         password_file: The password is its first line; only the owner may read it.
         ca_file: Certificates (PEM) of who signed the broker's; with it the connection is TLS.
         cert_file, key_file: Client certificate and its key (PEM, without a passphrase).
         name: What messages call it: the account file, or the user.
-
-    Raises:
-        ConfigurationError: When one half of a pair is missing, or a certificate is given without `ca_file`.
     """
 
     user: str = ""
@@ -48,13 +44,9 @@ class Account:
         for one, other in (("user", "password_file"), ("cert_file", "key_file")):
             if bool(getattr(self, one)) != bool(getattr(self, other)):
                 missing = other if getattr(self, one) else one
-                raise ConfigurationError(
-                    f"{self.name}: {missing}", "", f"a value, because {one} and {other} belong together"
-                )
+                raise ConfigurationError(f"{self.name}: {missing}", "", f"a value: {one} and {other} belong together")
         if self.cert_file and not self.ca_file:
-            raise ConfigurationError(
-                f"{self.name}: ca_file", "", "the CA of the broker's certificate: a client certificate needs TLS"
-            )
+            raise ConfigurationError(f"{self.name}: ca_file", "", "the broker's CA: a client certificate needs TLS")
 
     def password(self) -> str:
         """Return the password; ConfigurationError when it cannot be read, or others can read it too."""
@@ -65,11 +57,7 @@ class Account:
         return lines[0]
 
     def context(self) -> ssl.SSLContext:
-        """Return what makes a TLS connection: TLS 1.2 or newer, the broker's chain and host name checked.
-
-        Raises:
-            ConfigurationError: When a file is missing, is no certificate or key, or the key may be read by others.
-        """
+        """Return what makes a TLS connection: TLS 1.2 or newer, the broker's chain and host name checked."""
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         context.minimum_version = ssl.TLSVersion.TLSv1_2
         # a renegotiation would make reads wait for writes and writes for reads
@@ -82,14 +70,7 @@ class Account:
 
 
 def load_account(path: str | Path) -> Account:
-    """Read an account file.
-
-    Returns:
-        With absolute paths.
-
-    Raises:
-        ConfigurationError: When it cannot be read or holds anything but the keys of `Account`.
-    """
+    """Read an account file; return it with absolute paths, or raise ConfigurationError."""
     path = Path(path).expanduser()
     try:
         document = json.loads(_read(path))
@@ -97,14 +78,11 @@ def load_account(path: str | Path) -> Account:
         raise ConfigurationError(str(path), str(error), "a JSON object, as make_site writes it") from error
     keys = {field.name for field in fields(Account)} - {"name"}
     if not isinstance(document, dict) or not set(document) <= keys:
-        raise ConfigurationError(
-            str(path), document, f"a JSON object with no other keys than {', '.join(sorted(keys))}"
-        )
+        raise ConfigurationError(str(path), document, f"a JSON object of {', '.join(sorted(keys))}")
     if not all(isinstance(value, str) for value in document.values()):
         raise ConfigurationError(str(path), document, "texts as values")
-    files = {
-        key: str(path.parent.absolute() / value) for key, value in document.items() if key.endswith("_file") and value
-    }
+    named = {key: value for key, value in document.items() if key.endswith("_file") and value}
+    files = {key: str(path.parent.absolute() / value) for key, value in named.items()}
     return Account(**(document | files), name=str(path))
 
 
@@ -136,6 +114,4 @@ def _load(path: str, load, expected: str, *more: str) -> None:
     except ssl.SSLError as error:
         raise ConfigurationError(path, error.reason or str(error), expected) from error
     except OSError as error:
-        raise ConfigurationError(
-            " or ".join((path, *more)), error.strerror, "a file that this user may read"
-        ) from error
+        raise ConfigurationError(" or ".join((path, *more)), error.strerror, "a file this user may read") from error

@@ -29,12 +29,7 @@ _PROTOCOLS = {"5": MQTTProtocolVersion.MQTTv5, "3.1.1": MQTTProtocolVersion.MQTT
 
 @dataclass(frozen=True)
 class Broker:
-    """Where the broker is and how to talk to it.
-
-    Attributes:
-        protocol: ``5`` or ``3.1.1``.
-        keepalive: [s]
-        account: None: anonymous, without TLS.
+    """Where the broker is and how to talk to it: `protocol` ``5`` or ``3.1.1``, `keepalive` in s, without an account anonymous.
 
     Raises:
         ConfigurationError: When the protocol is another one, or a password would cross a network in clear.
@@ -50,11 +45,8 @@ class Broker:
         if self.protocol not in _PROTOCOLS:
             raise ConfigurationError("protocol", self.protocol, f"one of {', '.join(sorted(_PROTOCOLS))}")
         if self.account is not None and not self.encrypted and not is_loopback(self.host):
-            raise ConfigurationError(
-                f"{self.account.name}: ca_file",
-                "",
-                f"the CA of {self.host}'s certificate: a password crosses a network in TLS only",
-            )
+            expected = f"the CA of {self.host}'s certificate: a password crosses a network in TLS only"
+            raise ConfigurationError(f"{self.account.name}: ca_file", "", expected)
 
     @property
     def encrypted(self) -> bool:
@@ -87,20 +79,13 @@ def make_client(
     direct: bool = False,
     will_retained: bool = True,
 ) -> PlainClient:
-    """Return a client that is not connected yet.
+    """Return a client that is not connected yet: a fast one where the installed paho was tested with it.
 
     Args:
         client_id: See `unique_id`.
         will_topic: The broker publishes `will` there when the connection is lost.
         will: Empty: the topic's retained message is taken away.
         direct: Send from the thread that publishes, where the socket allows it (not with TLS); for a client served by `loop_start`.
-        will_retained: Whether the broker keeps the will for who comes later.
-
-    Returns:
-        A fast one where the installed paho was tested with it. Call `connect_async` and a loop on it.
-
-    Raises:
-        ConfigurationError: When a file of the account cannot be used.
     """
     kind: type[PlainClient] = PlainClient
     if is_tested():
@@ -125,9 +110,7 @@ def watch_answer(client: paho.Client, mid: int, on_refused: Callable[[ReasonCode
     """Call `on_refused` with the reason code when the broker's access rules refuse one message that was just published.
 
     For one message only: a callback for every published message would cost time with each command. MQTT 3.1.1 has no such answer.
-
-    Args:
-        mid: Of a publish with QoS 1; call this from the thread that serves the client, so that the answer cannot be here already.
+    Call this from the thread that serves the client, so that the answer to `mid` cannot be here already.
     """
 
     def on_publish(client, userdata, answered, reason_code, properties) -> None:

@@ -26,14 +26,14 @@ _UNSUPPORTED_VERSION = 132
 _TAKEN_OVER = 142
 #: What paho calls a connection that ended without a word of the broker.
 _CLOSED = 128
+#: What to do where MQTT 5 is refused.
+_OLDER = (
+    "start with protocol:=3.1.1 (rsi_gateway: --protocol 3.1.1, and its configuration exported again; docs/broker.md)"
+)
 
 
 def connection_failure(broker: Broker, error: OSError) -> str:
-    """Return the sentence for a connection that was not made.
-
-    Args:
-        error: What connecting raised; errors of TLS and of name resolution are OSErrors too.
-    """
+    """Return the sentence for a connection that was not made, for what connecting raised: of TLS and name resolution, too."""
     where = f"broker {broker.host}:{broker.port}"
     if isinstance(error, ssl.SSLCertVerificationError):
         return f"{where}: {_certificate_failure(broker, error)}"
@@ -57,14 +57,10 @@ def _certificate_failure(broker: Broker, error: ssl.SSLCertVerificationError) ->
     if error.verify_code == _NOT_YET_VALID:
         return "its certificate is not valid yet; check the clocks of both machines"
     if error.verify_code in _WRONG_NAME:
-        return (
-            f"its certificate is not for {broker.host!r} ({error.verify_message}); connect by a name it holds, or add this "
-            "one with make_site --host"
-        )
+        return f"its certificate is not for {broker.host!r} ({error.verify_message}); add it with make_site --host"
     if error.verify_code in _UNKNOWN_CA:
         return (
-            f"its certificate is not signed by the CA in {ca_file} ({error.verify_message}); take ca.crt from this broker's "
-            "site"
+            f"its certificate is not signed by the CA in {ca_file} ({error.verify_message}); take ca.crt from its site"
         )
     return f"its certificate is refused: {error.verify_message}"
 
@@ -74,10 +70,7 @@ def _tls_failure(error: ssl.SSLError) -> str:
     if "WRONG_VERSION_NUMBER" in reason or "EOF" in reason:
         return "the port does not speak TLS; give the broker's TLS port, or an account without ca_file"
     if "CERTIFICATE" in reason or "UNKNOWN_CA" in reason:
-        return (
-            f"the broker refuses this client's certificate ({reason}); take the certificate from this broker's site, or "
-            "renew it"
-        )
+        return f"the broker refuses this client's certificate ({reason}); take one from this broker's site, or renew it"
     return f"TLS failed ({reason})"
 
 
@@ -85,52 +78,33 @@ def refused_connection(broker: Broker, reason_code: ReasonCode) -> str:
     """Return the sentence for a connection that the broker refused in its answer (CONNACK)."""
     where = f"broker {broker.host}:{broker.port}"
     if reason_code.value == _UNSUPPORTED_VERSION:
-        return f"{where} {_version_failure(broker)}"
+        if broker.protocol == "5":
+            return f"{where} does not speak MQTT 5, only an older version: {_OLDER}"
+        return f"{where} does not speak MQTT {broker.protocol}: start with protocol:=5, or use another broker"
     if reason_code.value not in (_BAD_CREDENTIALS, _NOT_AUTHORIZED):
         return f"{where} refused the connection: {reason_code}"
     if broker.account is None or not broker.account.user:
         return f"{where} refused the connection: {reason_code}; it wants an account, give an account file"
-    return (
-        f"{where} refused user {broker.account.user!r}: {reason_code}; check the user, and the password in "
-        f"{broker.account.password_file}"
-    )
-
-
-#: What to do where MQTT 5 is refused.
-_OLDER = (
-    "start with protocol:=3.1.1 (rsi_gateway on a cell PC: --protocol 3.1.1, with its configuration exported again); what is lost "
-    "then: docs/broker.md"
-)
-
-
-def _version_failure(broker: Broker) -> str:
-    if broker.protocol == "5":
-        return f"does not speak MQTT 5, only an older version: {_OLDER}"
-    return f"does not speak MQTT {broker.protocol}: start with protocol:=5, or use another broker"
+    account = f"user {broker.account.user!r}"
+    return f"{where} refused {account}: {reason_code}; check it, and the password in {broker.account.password_file}"
 
 
 def lost_connection(broker: Broker, reason_code: ReasonCode) -> str:
     """Return the sentence for a connection that ended; a broker that refuses a client certificate shows itself only here."""
     if reason_code.value == _TAKEN_OVER:
-        return (
-            f"connection to broker {broker.host}:{broker.port} taken away by a client with the same id: somebody who has an "
-            "account there knows it; trying again; find out which log of the broker names ids (docs/broker.md)"
-        )
-    why = "the broker or the network has closed it" if reason_code.value == _CLOSED else str(reason_code)
-    return f"connection to broker {broker.host}:{broker.port} lost: {why}; trying again{_maybe_certificate(broker)}"
+        why = "taken away by a client with the same id, which an account there knows: see the broker's log (docs/broker.md)"
+    else:
+        why = f"lost: {'the broker or the network has closed it' if reason_code.value == _CLOSED else reason_code}"
+    return f"connection to broker {broker.host}:{broker.port} {why}; trying again{_maybe_certificate(broker)}"
 
 
 def no_welcome(broker: Broker) -> str:
     """Return the sentence for a connection that was closed before a broker's answer (CONNACK) had come."""
+    where = f"broker {broker.host}:{broker.port}"
     spoken = f"MQTT {broker.protocol} {'with' if broker.encrypted else 'without'} TLS"
-    older = ""
-    if broker.protocol == "5":
-        # so does RabbitMQ 3.10, which fails on a CONNECT of MQTT 5
-        older = f"; a broker that does not know MQTT 5 may do so (RabbitMQ before 3.13): {_OLDER}"
-    return (
-        f"broker {broker.host}:{broker.port} closed the connection without an answer: is the port right, and is {spoken} spoken "
-        f"there{older}{_maybe_certificate(broker)}"
-    )
+    # so does RabbitMQ 3.10, which fails on a CONNECT of MQTT 5
+    older = f"; one without MQTT 5 may do so (RabbitMQ before 3.13): {_OLDER}" if broker.protocol == "5" else ""
+    return f"{where} closed the connection without an answer: does the port speak {spoken}{older}{_maybe_certificate(broker)}"
 
 
 def _maybe_certificate(broker: Broker) -> str:
@@ -142,10 +116,8 @@ def _maybe_certificate(broker: Broker) -> str:
 def refused_publish(broker: Broker, topic: str, reason_code: ReasonCode) -> str:
     """Return the sentence for a message that the broker's access rules did not let through."""
     who = broker.account.user or broker.account.cert_file if broker.account else "somebody without an account"
-    return (
-        f"broker {broker.host}:{broker.port} does not let {who} publish on {topic}: {reason_code}; this program needs the account "
-        "of its role"
-    )
+    where = f"broker {broker.host}:{broker.port}"
+    return f"{where} does not let {who} publish on {topic}: {reason_code}; this program needs the account of its role"
 
 
 class ConnectionReport:

@@ -68,13 +68,9 @@ def _variable_length(value: int) -> bytes:
 
 
 def read_plain(packet: bytes) -> tuple[bytes, UserProperties, bytes] | None:
-    """Return topic, properties and payload of an MQTT 5 PUBLISH of QoS 0.
+    """Return topic, properties and payload of an MQTT 5 PUBLISH of QoS 0, given all that follows the fixed header.
 
-    Args:
-        packet: All that follows the fixed header.
-
-    Returns:
-        None when there is anything in it but at most 127 bytes of user properties in printable ASCII: it is left to paho.
+    None when it has more than at most 127 bytes of user properties in printable ASCII: it is left to paho.
     """
     start = 2 + int.from_bytes(packet[:2], "big")
     if start >= len(packet) or packet[start] > 127 or start + 1 + packet[start] > len(packet):
@@ -102,13 +98,9 @@ def _text(packet: bytes, at: int, end: int) -> tuple[str | None, int]:
 
 
 def whole_publish(ahead: bytes) -> tuple[int, int] | None:
-    """Return where the first packet's topic begins and where the packet ends.
+    """Return where the topic begins and the packet ends of the PUBLISH with which what has come in begins.
 
-    Args:
-        ahead: What has come in, from the beginning of a packet on.
-
-    Returns:
-        None unless it is a PUBLISH of QoS 0, shorter than 16 kB, and all of it has come.
+    None unless it is one of QoS 0, shorter than 16 kB, and all of it has come.
     """
     if len(ahead) < 3 or ahead[0] & 0xFE != paho.PUBLISH:
         return None
@@ -126,8 +118,7 @@ def is_tested() -> bool:
     tested = paho_version in TESTED_VERSIONS
     if not tested:
         log.warning(
-            "paho-mqtt %s was not tested with the fast client (tested: %s): running on paho's public interface, which costs up to "
-            "0.1 ms more per message; install a tested version",
+            "paho-mqtt %s was not tested with the fast client (tested: %s): up to 0.1 ms more per message; install a tested one",
             paho_version,
             ", ".join(TESTED_VERSIONS),
         )
@@ -154,10 +145,7 @@ class FastClient(PlainClient):
         """Publish with QoS 0, from the caller's thread unless paho has one of its own for the connection.
 
         What the socket does not take at once paho sends when it does. While there is no connection the message is dropped,
-        as by `publish`.
-
-        Args:
-            pairs: User properties; MQTT 3.1.1 has none.
+        as by `publish`. MQTT 3.1.1 has no user properties.
         """
         packet = self._publish_packet(topic.encode(), payload, pairs)
         if self.is_too_large(topic, len(packet)):

@@ -23,16 +23,12 @@ class JointStringCodec:
     """Encodes and decodes joint strings of one length and one number of decimals.
 
     Args:
-        joints: Number of joints.
-        decimals: Decimals of a degree, and of a mm, 1 to 6. The paper's are 3.
+        decimals: Of a degree, and of a mm, 1 to 6. The paper's are 3.
         mapping: Sign and offset [rad], [m] per joint: the wire carries the controller's axis value ``sign * q + offset``. Without
             it joint and axis values are the same, as they are on the KUKA, and always on the gateway's side.
         axes: RSI name of each joint's axis, all different. Fields are in alphabetical order of these: A1 to A6, then E1. Default:
             as the joints are.
         linear: Which joints are linear: m inside, mm on the wire. Default: none.
-
-    Raises:
-        ConfigurationError: If `decimals` or `joints` is out of range, or `axes` and `linear` are not one per joint.
 
     References:
         Liang et al., section 3.3 and Figure 6.
@@ -80,10 +76,7 @@ class JointStringCodec:
         return cls(len(config.axes), config.decimals, None, config.axes, linear)
 
     def encode(self, q: tuple[float, ...]) -> bytes:
-        """Return the joint string of a pose.
-
-        Args:
-            q: Shape (joints,). Joint values [rad], [m] where linear, in the robot's order.
+        """Return the joint string of a pose, shape (joints,) [rad], [m] where linear, in the robot's order.
 
         Returns:
             ASCII; zero is always ``+000.000``, rounding is half-even on the exact value.
@@ -100,9 +93,8 @@ class JointStringCodec:
         if self._fields is None:
             text = self._template % degrees(q)
         else:
-            text = self._template % tuple(
-                [1e3 * q[joint] if linear else math.degrees(q[joint]) for joint, linear in self._fields]
-            )
+            values = [1e3 * q[joint] if linear else math.degrees(q[joint]) for joint, linear in self._fields]
+            text = self._template % tuple(values)
         # a huge angle in rad is infinite in degrees, and "+0000inf" would have the right length
         if len(text) != self.length or "inf" in text:
             most = "1000 degrees" if max(self._digits) == DIGITS else "1000 degrees or 100 m"
@@ -112,10 +104,7 @@ class JointStringCodec:
         return text.encode("ascii")
 
     def decode(self, payload: bytes) -> tuple[float, ...]:
-        """Return the pose that a joint string stands for.
-
-        Returns:
-            Shape (joints,). Joint values [rad], [m] where linear, in the robot's order.
+        """Return the pose that a joint string stands for, as `encode` takes it.
 
         Raises:
             PayloadError: ``decimals`` when the string is well formed with another number of decimals, ``length`` or ``format``.
@@ -127,12 +116,8 @@ class JointStringCodec:
         if self._fields is None:
             axes = radians(map(float, fields))
         else:
-            axes = tuple(
-                [
-                    float(fields[place]) / 1e3 if linear else math.radians(float(fields[place]))
-                    for place, linear in self._places
-                ]
-            )
+            values = [(float(fields[place]), linear) for place, linear in self._places]
+            axes = tuple([value / 1e3 if linear else math.radians(value) for value, linear in values])
         if self._mapping:
             return tuple([sign * (value - offset) for value, (sign, offset) in zip(axes, self._mapping)])
         return axes
@@ -147,12 +132,8 @@ class JointStringCodec:
         any_decimals = rb"[+-]\d{%d}\.(\d+)" % first + b"".join(rb",[+-]\d{%d}\.\d+" % digits for digits in others)
         other = re.fullmatch(any_decimals, payload[:512])
         if other and len(other.group(1)) != self.decimals:
-            found = len(other.group(1))
-            return PayloadError(
-                "decimals",
-                f"joint string with {found} decimals; this side is configured for {self.decimals}: give both "
-                "sides the same number",
-            )
+            found = f"joint string with {len(other.group(1))} decimals; this side is configured for {self.decimals}"
+            return PayloadError("decimals", found)
         if len(payload) != self.length:
             return PayloadError("length", f"{len(payload)} bytes {shown!r}; expected {self.length}")
         digits = " or ".join(map(str, sorted(set(self._digits))))

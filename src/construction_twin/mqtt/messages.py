@@ -16,18 +16,7 @@ from construction_twin.core.errors import ConfigurationError, PayloadError
 from construction_twin.core.records import SPACED, dumped, left_out
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.mqtt.requests import (
-    IK,
-    NAMELESS_REVIEW,
-    NAMELESS_TRAJECTORY,
-    PAUSE,
-    PLAN_REQUEST,
-    RESUME,
-    REVIEW,
-    STOP,
-    TRAJECTORY,
-    RequestKind,
-)
+from construction_twin.mqtt.requests import STOP, RequestKind
 
 _NUMBER = re.compile(r"[0-9]{1,19}")
 #: A ROS time, into which every stamp is turned, ends here [ns].
@@ -66,9 +55,7 @@ class Topics:
     def __post_init__(self):
         for name in ("prefix", "robot"):
             if not _LEVEL.fullmatch(getattr(self, name)):
-                raise ConfigurationError(
-                    name, getattr(self, name), "letters, digits, - and _, because it becomes a topic level"
-                )
+                raise ConfigurationError(name, getattr(self, name), "letters, digits, - and _: it is a topic level")
 
     def _topic(self, name: str) -> str:
         return f"{self.prefix}/{self.robot}/{name}"
@@ -97,14 +84,8 @@ class Topics:
     messages = _level("messages")
     #: The state of everything, for programs that show it, and the status line for a foreman.
     view, screen = _level("view"), _level("screen")
-    #: What people and programs ask for, in no name and by one account; and the answers.
-    review, review_by, review_ack = _level(NAMELESS_REVIEW.topic), partialmethod(of, REVIEW), _level(REVIEW.ack)
+    #: What a person presses to stop, and the answers.
     stop_by, stop_ack = partialmethod(of, STOP), _level(STOP.ack)
-    pause_by, resume_by, pause_ack = partialmethod(of, PAUSE), partialmethod(of, RESUME), _level(PAUSE.ack)
-    plan_request, plan_request_ack = partialmethod(of, PLAN_REQUEST), _level(PLAN_REQUEST.ack)
-    ik, ik_ack = partialmethod(of, IK), partialmethod(ack_of, IK)
-    trajectory, trajectory_from = _level(NAMELESS_TRAJECTORY.topic), partialmethod(of, TRAJECTORY)
-    trajectory_ack = _level(TRAJECTORY.ack)
 
 
 @dataclass(frozen=True)
@@ -142,9 +123,7 @@ def _read(pairs: list[tuple[str, str]], names: tuple[str, ...]) -> dict[str, str
 
 def _number(name: str, text: str) -> int:
     if not _NUMBER.fullmatch(text) or int(text) > _MAX_NUMBER:
-        raise PayloadError(
-            "properties", f"property {name} is {text[:32]!r}; expected a whole number up to {_MAX_NUMBER}"
-        )
+        raise PayloadError("properties", f"property {name} is {text[:32]!r}; expected a number up to {_MAX_NUMBER}")
     return int(text)
 
 
@@ -161,10 +140,9 @@ def message_number(text: str) -> int | None:
 def read_command_properties(pairs: list[tuple[str, str]]) -> CommandProperties:
     """Parse a command's user properties; PayloadError (``properties``) when they are not exactly session, seq and stamp."""
     values = _read(pairs, ("session", "seq", "stamp"))
-    if not is_session(values["session"]):
-        found = f"property session is {values['session'][:32]!r}; expected letters, digits, - and _"
-        raise PayloadError("properties", found)
-    return CommandProperties(values["session"], _number("seq", values["seq"]), _number("stamp", values["stamp"]))
+    if not is_session(session := values["session"]):
+        raise PayloadError("properties", f"property session is {session[:32]!r}; expected letters, digits, - and _")
+    return CommandProperties(session, _number("seq", values["seq"]), _number("stamp", values["stamp"]))
 
 
 def read_state_properties(pairs: list[tuple[str, str]]) -> StateProperties:
@@ -177,11 +155,10 @@ def no_properties(pairs: list[tuple[str, str]]) -> StateProperties | None:
     """Refuse user properties beside a bare PLC's state: PayloadError (``properties``)."""
     if not pairs:
         return None
-    raise PayloadError(
-        "properties",
-        f"a state with user properties {_shown_names(pairs)}: a bare PLC sends the joint string "
-        "alone; a gateway needs gateway_kind:=rsi",
+    found = (
+        f"a state with user properties {_shown_names(pairs)}; expected a bare PLC's, or start with gateway_kind:=rsi"
     )
+    raise PayloadError("properties", found)
 
 
 def _shown_names(pairs: list[tuple[str, str]]) -> str:
@@ -195,10 +172,7 @@ def shown_keys(document: Mapping[str, object]) -> str:
 
 @dataclass(frozen=True)
 class Control:
-    """A message on `control`: who (session), which message (id), what (verb), and the verb's value.
-
-    The id of a `speed_limit` is a number that rises from message to message of the session.
-    """
+    """A message on `control`: who (session), which message (id: of a `speed_limit` a rising number), what (verb), and its value."""
 
     id: str
     session: str
@@ -223,12 +197,7 @@ class ControlAnswer:
 
 @dataclass(frozen=True)
 class BridgeStatus:
-    """A message on `bridge/status`.
-
-    Attributes:
-        session, protocol: Not of a bridge that ends.
-        responsible, not_checked: Of a bare PLC only: who has armed it, and what is not checked, one sentence each.
-    """
+    """A message on `bridge/status`; of a bridge that ends without session and protocol, of a gateway without the last two."""
 
     state: str
     reason: str
@@ -256,18 +225,12 @@ def other_protocol(gateway: object, bridge: object) -> str:
 
 
 def arm_value(config_hash: str, run: str) -> dict[str, str | int]:
-    """Return the value of `arm`: this side's protocol, and configuration and present run as the gateway's status names them.
-
-    A gateway that was started again remembers no session: what was recorded before names another run.
-    """
+    """Return the value of `arm`: this side's protocol, and configuration and present run as the gateway's status names them."""
     return {"hash": config_hash, "run": run, "protocol": PROTOCOL}
 
 
 def reset_value(run: str, fault_number: int) -> dict[str, str | int]:
-    """Return the value of `reset`: this side's protocol, the gateway's run, and the last stop's number as known at the call.
-
-    The gateway refuses it when another stop came since, or when it was started again.
-    """
+    """Return the value of `reset`, which a gateway refuses that was stopped or started again since the call."""
     return {"run": run, "fault_number": fault_number, "protocol": PROTOCOL}
 
 
@@ -275,28 +238,22 @@ def parse_control(payload: bytes) -> Control:
     """Parse a control message; PayloadError (``control``) when it is not one."""
     document = parse_object(payload, "control")
     if set(document) - {"value"} != {"id", "session", "verb"}:
-        raise PayloadError(
-            "control", f"control message with keys {shown_keys(document)}; expected id, session, verb and value"
-        )
+        found = f"control message with keys {shown_keys(document)}; expected id, session, verb and value"
+        raise PayloadError("control", found)
     if not all(is_short_text(document[key]) for key in ("id", "session", "verb")):
         raise PayloadError("control", "control message whose id, session or verb is not a short text in one line")
     return Control(**document)
 
 
 def account_of(topic: str) -> str:
-    """Return the account in a topic whose last level it is, such as `stop/<account>`; "" where the level is ``ack``.
+    """Return the account in a topic whose last level it is, such as `stop/<account>`; PayloadError, ``sender``: there is none.
 
-    Answers have the form of such a topic, so who subscribes to ``stop/+`` hears them too.
-
-    Raises:
-        PayloadError: ``sender``: no account is called so.
+    "" for ``ack``: answers have the form of such a topic, so who subscribes to ``stop/+`` hears them too.
     """
     account = topic.rpartition("/")[2]
     if not _ACCOUNT.fullmatch(account):
-        raise PayloadError(
-            "sender",
-            f"a message on {topic[-80:]!r}; expected an account's name at its end: up to 100 letters, digits, - and _",
-        )
+        found = f"a message on {topic[-80:]!r}; expected an account at its end: up to 100 letters, digits, - and _"
+        raise PayloadError("sender", found)
     return "" if account == "ack" else account
 
 
@@ -319,8 +276,7 @@ def identity_of(
     """Return the short texts in a request by which its sender knows the answer, also where the request is refused.
 
     Args:
-        document: What was read of the payload; None: it was not, and what can be is read here.
-        limit: Of a longer payload nothing is looked for [bytes].
+        document: What was read of the payload; None: what can be is read here, of at most `limit` bytes.
     """
     if document is None:
         try:
@@ -337,9 +293,8 @@ def identity_of(
 def demand_live(retained: bool, what: str) -> None:
     """Refuse a retained message (PayloadError, ``retained``): what was asked for once is not asked for now."""
     if retained:
-        raise PayloadError(
-            "retained", f"retained {what}: it is unknown when it was meant; publish it without the retain flag"
-        )
+        found = f"retained {what}: it is unknown when it was meant; publish it without the retain flag"
+        raise PayloadError("retained", found)
 
 
 def parse_object(payload: bytes, reason: str, limit: int = MAX_CONTROL_BYTES) -> dict:
@@ -353,3 +308,26 @@ def parse_object(payload: bytes, reason: str, limit: int = MAX_CONTROL_BYTES) ->
     if not isinstance(document, dict):
         raise PayloadError(reason, f"{reason} message {payload[:80]!r} is not a JSON object")
     return document
+
+
+@dataclass(frozen=True)
+class Intervention:
+    """A person's stop, as the gateway reads it: `account` is the topic's last level, `id` the person's own."""
+
+    account: str
+    id: str
+
+
+def parse_intervention(account: str, payload: bytes, retained: bool) -> Intervention:
+    """Return what is asked for in a message on `stop/<account>`; PayloadError, ``retained`` or ``stop``.
+
+    It is a JSON object with `id`, a text of 1 to 64 characters in one line; a moment may stand in it, and is not read. The bridge's
+    side reads it by its model (`link.requests.Pressed`).
+    """
+    demand_live(retained, STOP.name)
+    document = parse_object(payload, STOP.name, STOP.limit)
+    id_ = document.get("id", "")
+    if not set(document) <= {"id", "moment"} or not is_short_text(id_) or not id_.strip():
+        found = f"stop with keys {shown_keys(document)}; expected id, a text of 1 to 64 characters, alone"
+        raise PayloadError(STOP.name, found)
+    return Intervention(account, id_)

@@ -72,11 +72,9 @@ class PlainClient(paho.Client):
         return result
 
     def on_stream(self, topic: str, callback: StreamCallback) -> None:
-        """Call ``callback(payload, pairs, retained)`` for each message on `topic`, in the thread that serves the connection.
+        """Call ``callback(payload, pairs, retained)`` in the thread that serves the connection for each message on `topic`.
 
-        Args:
-            topic: Without wildcards.
-            callback: ``pairs`` are the user properties.
+        `pairs` are the user properties; the topic has no wildcards.
         """
         self.message_callback_add(
             topic,
@@ -84,11 +82,7 @@ class PlainClient(paho.Client):
         )
 
     def send_stream(self, topic: str, payload: bytes, pairs: list[tuple[str, str]] | None = None) -> None:
-        """Publish with QoS 0; while there is no connection the message is dropped.
-
-        Args:
-            pairs: User properties; MQTT 3.1.1 has none.
-        """
+        """Publish with QoS 0; while there is no connection the message is dropped. MQTT 3.1.1 has no user properties."""
         properties = None
         if pairs and self.protocol == MQTTProtocolVersion.MQTTv5:
             properties = Properties(PacketTypes.PUBLISH)

@@ -23,11 +23,10 @@ _MAX_PACKETS = 3
 
 
 class PolledClient:
-    """Drives a paho client from a selector loop.
+    """Drives a paho client from a selector loop, where its socket is registered with this object as data.
 
     Args:
         client: With `connect_async` called and callbacks set.
-        selector: The loop's selector; the MQTT socket is registered with this object as data.
         on_failure: Called with the OSError of every attempt to connect that fails, from the thread that connects.
     """
 
@@ -68,11 +67,7 @@ class PolledClient:
             self.client.loop_read(1)
 
     def service(self, now: float) -> None:
-        """Write what is queued, keep the connection alive, connect again when it is lost.
-
-        Args:
-            now: Monotonic time [s].
-        """
+        """Write what is queued, keep the connection alive, connect again when it is lost; `now` is monotonic [s]."""
         if self._connector is not None:
             if self._connector.is_alive():
                 return

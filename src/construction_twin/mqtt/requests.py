@@ -23,10 +23,9 @@ class Answer:
     """Every field of an answer, with what it holds while no more is known; a kind of request has some of them.
 
     Attributes:
-        id: The request's own, also of one that is refused; "" when it could not be read. The same holds of `kind`, `plan_id`,
-            `plan_hash`, `verdict`, `task` and `message`.
+        id, kind, plan_id, plan_hash, verdict, task, message: The request's own, also of one that is refused; "" when they could
+            not be read.
         account, sender: Who asked, as the topic has it; "" in no name.
-        reason, sentence: For people.
         by: Who carries it out.
         expired: The request was too old.
         reviewer: The name on record.
@@ -34,8 +33,6 @@ class Answer:
         reach: ``free``, ``contact``, ``out`` or ``unknown``.
         joints: By name [rad, m].
         between: What is in contact.
-        task: Id of the task whose question was answered.
-        message: Id of the message that was acknowledged.
         limit: People's speed limit after the request, a fraction of the planned speed; 0: not known.
     """
 

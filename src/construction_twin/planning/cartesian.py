@@ -83,19 +83,15 @@ def plan_cartesian(
         world: The motion must be free of contact in it, at every 4 ms sample and between them. Default: nothing is checked.
         speed: Of the tool along the path [m/s]: never exceeded, and reached where the joint limits allow. Default: as fast as the
             limits allow.
-        bounds: Largest duration and number of waypoints. Default: any.
 
     Raises:
-        JointRangeError: If `start` is out of range.
         CartesianPathError: If the path cannot be followed to its end; where, and why.
         FarWaypointError: If a waypoint, or an arc that leads to one, is more than `FAR` times as far away as the arm reaches.
-        PlanSizeError: If the path or the motion would be larger than `bounds`.
-        PlanningError: If the path or an argument is invalid.
+        PlanningError: If start, path or an argument is invalid, or the motion would be larger than `bounds`.
     """
     if speed is not None and not 0.0 < speed < math.inf:
-        raise PlanningError(
-            Sentence("the requested tool speed is {speed}; expected a positive number", speed=Quantity(speed, "m/s"))
-        )
+        found = Quantity(speed, "m/s")
+        raise PlanningError(Sentence("the requested tool speed is {speed}; expected a positive number", speed=found))
     chain = inverse.chain
     chain.robot.check_range(start)
     q = np.array(start, dtype=float)
@@ -202,12 +198,8 @@ class _Part:
         s = self.piece.begin + float(self.timed.parameter(np.array([max(math.ceil(place) - 1, 0) * CYCLE]))[0])
         between = contact.between
         cause = CollisionError(between, Sentence("{distance:.1} along the path", distance=Quantity(s, "m")))
-        raise branch.end(
-            "collision",
-            s,
-            Sentence("{first} would touch {second}; move the path or the object", first=between[0], second=between[1]),
-            cause,
-        )
+        what = Sentence("{first} would touch {second}; move path or object", first=between[0], second=between[1])
+        raise branch.end("collision", s, what, cause)
 
 
 def _joint_curve(branch: Branch, piece: Piece, q: np.ndarray) -> JointCurve:
@@ -232,16 +224,9 @@ def _joint_curve(branch: Branch, piece: Piece, q: np.ndarray) -> JointCurve:
         order = np.argsort(np.concatenate((s, middle[deviates])), kind="stable")
         s = np.concatenate((s, middle[deviates]))[order]
         joints = np.concatenate((joints, between[deviates]))[order]
-    at = float(middle[np.argmax(deviates)])
-    raise branch.end(
-        "deviation",
-        at,
-        Sentence(
-            "the joints cannot follow within {most:.1} there; the path's curvature is too large, give "
-            "the corner a larger blend",
-            most=Quantity(DEVIATION_M, "m"),
-        ),
-    )
+    most = Quantity(DEVIATION_M, "m")
+    what = Sentence("the joints cannot follow within {most:.1} there; give the corner a larger blend", most=most)
+    raise branch.end("deviation", float(middle[np.argmax(deviates)]), what)
 
 
 def _time(

@@ -22,12 +22,11 @@ from scipy.interpolate import CubicSpline, PPoly
 
 
 class Pieces:
-    """A piecewise polynomial of one value or of a vector.
+    """A piecewise polynomial of one value or of a vector, of degree 2 or more.
 
     Args:
         knots: Shape (k,). Where the pieces meet, with both ends, ascending.
-        coefficients: Shape (d + 1, k - 1) or (d + 1, k - 1, n). Of the pieces, highest power of the distance from the piece's first
-            knot first, as those of `PPoly`. Degree d at least 2.
+        coefficients: Shape (d + 1, k - 1) or (d + 1, k - 1, n). Of the pieces, as those of `PPoly`.
     """
 
     def __init__(self, knots: np.ndarray, coefficients: np.ndarray):
@@ -36,10 +35,9 @@ class Pieces:
         self._inner = knots[1:-1]
 
     def states(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return value, first and second derivative, shape (m,) or (m, n) each.
+        """Return value, first and second derivative at x, shape (m,): shape (m,) or (m, n) each.
 
-        Args:
-            x: Shape (m,). Outside of the knots the first or last piece goes on; at a knot it is the piece that begins there.
+        Outside of the knots the first or last piece goes on; at a knot it is the piece that begins there.
         """
         rest, coefficients = self._at(x)
         # Horner's scheme for all three: each order takes what the order below was before
@@ -69,13 +67,9 @@ SAME_KNOT = 1e-9
 
 
 class JointCurve:
-    """A piecewise polynomial joint curve with continuous second derivatives.
-
-    Args:
-        pieces: From parameter 0, values of shape (n,).
+    """A piecewise polynomial joint curve from parameter 0 to `length`, with continuous second derivatives.
 
     Attributes:
-        length: Last parameter value.
         knots: Shape (k,). Where the pieces meet, with both ends.
         straight: The curve is one straight line at constant speed.
     """
@@ -90,72 +84,39 @@ class JointCurve:
         self.joints = coefficients.shape[2]
 
     def states(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Evaluate the curve and its first two derivatives, shape (m, n) each.
-
-        Args:
-            s: Shape (m,). Within [0, `length`].
-        """
+        """Evaluate the curve and its first two derivatives, shape (m, n) each, at places of shape (m,)."""
         return self._pieces.states(s)
 
     def __call__(self, s: np.ndarray, order: int = 0) -> np.ndarray:
-        """Evaluate the curve or one of its derivatives.
-
-        Args:
-            s: Shape (m,). Within [0, `length`].
-            order: 0 to 2.
-
-        Returns:
-            Shape (m, n)
-        """
+        """Evaluate the curve, or its derivative of order 1 or 2, shape (m, n), at places of shape (m,)."""
         return self._pieces.states(s)[order]
 
     def largest_third(self, s: np.ndarray) -> np.ndarray:
-        """Return the size of the third derivative, which jumps at the knots: there the larger one of both sides.
-
-        Args:
-            s: Shape (m,). Within [0, `length`].
-
-        Returns:
-            Shape (m, n)
-        """
+        """Return the size of the third derivative, shape (m, n), which jumps at the knots: there the larger one of both sides."""
         margin = SAME_KNOT * self.length
         before, after = np.maximum(s - margin, 0.0), np.minimum(s + margin, self.length - margin)
         return np.maximum(np.abs(self._pieces.third(before)), np.abs(self._pieces.third(after)))
 
 
 def straight(start: np.ndarray, goal: np.ndarray, pace: np.ndarray) -> JointCurve:
-    """Return the straight line between two joint vectors.
-
-    Args:
-        start, goal: Shape (n,). Not the same.
-        pace: Shape (n,). Full speed of each joint, which sets the parameter.
-    """
+    """Return the straight line between two different joint vectors; the full speed of each joint, `pace`, sets the parameter."""
     length = float(_spans(np.array([start, goal]), pace)[0])
     return JointCurve(PPoly(np.array([[(goal - start) / length], [start]]), [0.0, length]))
 
 
 def interpolated(points: np.ndarray, pace: np.ndarray) -> JointCurve:
-    """Return the cubic spline through all points.
-
-    Args:
-        points: Shape (m, n). m >= 2; successive points differ.
-        pace: Shape (n,). Full speed of each joint, which sets the parameter.
-    """
+    """Return the cubic spline through all points, shape (m, n), of which successive ones differ; `pace` as for `straight`."""
     if len(points) == 2:
         return straight(points[0], points[1], pace)
     return JointCurve(CubicSpline(parameters(points, pace), points))
 
 
 def monotone(points: np.ndarray, pace: np.ndarray) -> JointCurve:
-    """Return a curve through all points along which no joint overshoots them.
+    """Return a curve through all points along which no joint overshoots them; arguments as for `interpolated`.
 
     Quintics that meet at the points with one slope and no second derivative. A slope is the mean of those of the two
     lines that meet there, but 0 where the joint reverses, and at most 1.25 times the smaller one. The control points of a
     quintic lie at fifths of its segment, and this bound keeps them, and with them the quintic, between its ends.
-
-    Args:
-        points: Shape (m, n). m >= 2; successive points differ.
-        pace: Shape (n,). Full speed of each joint, which sets the parameter.
     """
     if len(points) == 2:
         return straight(points[0], points[1], pace)
@@ -184,8 +145,6 @@ def rounded(points: np.ndarray, pace: np.ndarray, corner_fraction: float) -> Joi
     path turns back).
 
     Args:
-        points: Shape (m, n). m >= 2; successive points differ.
-        pace: Shape (n,). Full speed of each joint, which sets the parameter.
         corner_fraction: In (0, 1]: smaller keeps closer to the points and is slower.
     """
     if len(points) == 2:
@@ -216,11 +175,7 @@ def rounded(points: np.ndarray, pace: np.ndarray, corner_fraction: float) -> Joi
 
 
 def parameters(points: np.ndarray, pace: np.ndarray) -> np.ndarray:
-    """Return where on a curve each of its points is, shape (m,); of `rounded` where it is nearest to its corners.
-
-    Args:
-        points, pace: As for the curve. Points between two of them, on the line, change nothing.
-    """
+    """Return where on a curve each of its points is, shape (m,); of `rounded` where it is nearest to its corners."""
     return np.concatenate(([0.0], np.cumsum(_spans(points, pace))))
 
 

@@ -42,10 +42,7 @@ FINEST = 1e-5
 
 
 class Branch:
-    """Follows a tool path from a joint vector.
-
-    Args:
-        start: Shape (n,). Joint values at the path's start.
+    """Follows a tool path from a joint vector, `start`, shape (n,).
 
     Attributes:
         pace: Shape (n,). By these speeds the joints' steps are measured; 0: the joint stays.
@@ -66,17 +63,10 @@ class Branch:
             raise self._singular(0.0, start)
 
     def walk(self, start: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """Follow the path over given places.
-
-        Args:
-            start: Shape (n,). Joint values at the first place.
-            s: Shape (m,). Places along the path, ascending [m].
+        """Follow the path from a joint vector over places, shape (m,), ascending [m]; CartesianPathError where the branch ends.
 
         Returns:
             Shape (m, n)
-
-        Raises:
-            CartesianPathError: Where the branch ends.
         """
         targets = [Pose(*target) for target in zip(*self.path.poses(s))]
         done = np.asarray(start)[None]
@@ -101,14 +91,11 @@ class Branch:
         return reached[: faults[0]] if len(faults) else reached
 
     def check(self, q: np.ndarray, before: np.ndarray, s_before: np.ndarray, s: np.ndarray) -> None:
-        """Check that joint vectors that were not found by `walk` belong to the branch.
+        """Check that joint vectors that were not found by `walk` belong to the branch; CartesianPathError where it ends.
 
         Args:
             q: Shape (m, n). At places `s`, shape (m,).
             before: Shape (m, n). On the branch, at places `s_before`, each a little before the place of the same row of `q`.
-
-        Raises:
-            CartesianPathError: Where the branch ends.
         """
         far = np.any(np.abs(q - before) > LONGEST_STEP, axis=1)
         for row in np.flatnonzero(self._faults(q) | far)[:1]:
@@ -191,11 +178,8 @@ class Branch:
             try:
                 self.chain.robot.check_range(beyond)
             except JointRangeError as error:
-                what = Sentence(
-                    "{joint} reaches its limit ({problem}); start in another configuration or move the path",
-                    joint=error.joint,
-                    problem=str(error),
-                )
+                values = {"joint": error.joint, "problem": str(error)}
+                what = Sentence("{joint} reaches its limit ({problem}); start in another configuration", **values)
                 return self.end("joint limit", begin, what, error)
         unreachable = self._unreachable(q, begin)
         if unreachable is not None:
@@ -206,12 +190,10 @@ class Branch:
         return self._elsewhere(q, begin, end)
 
     def _singular(self, s: float, q: np.ndarray) -> CartesianPathError:
-        measure = self._singularity(q[None])[0]
         what = Sentence(
-            "the arm is at a singularity (smallest singular value {measure:.4f}, expected at least "
-            "{least}), where two configurations meet; start in another configuration, or turn or move "
-            "the path",
-            measure=float(measure),
+            "the arm is at a singularity (smallest singular value {measure:.4f}, expected {least}); start in another "
+            "configuration, or turn or move the path",
+            measure=float(self._singularity(q[None])[0]),
             least=str(SINGULAR),
         )
         return self.end("singularity", s, what)
@@ -244,17 +226,13 @@ class Branch:
             return self.end("unreachable", begin, str(error), error)
         except NotFoundError as error:
             return self.end("not found", begin, str(error), error)
-        now, then = self._inverse.configuration(seed), other.configuration
-        return self.end(
-            "flip",
-            begin,
-            Sentence(
-                "the next pose needs another configuration ({now} here, {then} there), which no straight "
-                "path reaches; start in that one or move the path",
-                now=str(now),
-                then=str(then),
-            ),
+        now, then = str(self._inverse.configuration(seed)), str(other.configuration)
+        what = Sentence(
+            "the next pose needs another configuration ({now} here, {then} there); start in that one or move the path",
+            now=now,
+            then=then,
         )
+        return self.end("flip", begin, what)
 
 
 def _error(reached: Pose, target: Pose) -> np.ndarray:

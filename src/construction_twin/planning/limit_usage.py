@@ -31,7 +31,6 @@ class SampledUsage:
     """A trajectory's use of the limits at its 4 ms samples; 1 is exactly at the limit.
 
     Attributes:
-        trajectory: That it was measured on.
         times: Shape (m,). See `cycle_times` [s].
         positions: Shape (m, n). [rad] or [m]
         velocity, acceleration, jerk: Shape (m, n). Fractions of each joint's limit.
@@ -140,14 +139,7 @@ def segment_jerks(
 
 
 def check_range(q: np.ndarray, robot: RobotModel) -> None:
-    """Check that joint vectors are in range, to `SAME_POINT`.
-
-    Args:
-        q: Shape (m, n)
-
-    Raises:
-        JointRangeError: For the first value out of range.
-    """
+    """Check that joint vectors, shape (m, n), are in range, to `SAME_POINT`; JointRangeError for the first value that is not."""
     outside = np.argwhere((q < np.array(robot.lower) - SAME_POINT) | (q > np.array(robot.upper) + SAME_POINT))
     if len(outside):
         row, joint = outside[0]

@@ -25,8 +25,7 @@ class MotionValidator:
 
     Args:
         levers: Shape (n,). As from `CollisionWorld.levers`.
-        step: Largest distance that any point of the arm, its tool and what it carries moves between two states that are checked
-            [m].
+        step: Largest distance that any point of the arm, its tool and what it carries moves between two states [m].
     """
 
     def __init__(self, world: CollisionWorld, levers: np.ndarray, step: float):
@@ -39,11 +38,7 @@ class MotionValidator:
         return MotionValidator(self.world, self._levers, times * self._step)
 
     def free(self, start: np.ndarray, end: np.ndarray) -> bool:
-        """Return whether nothing touches between `start`, which is not checked, and `end`, which is.
-
-        Args:
-            start, end: Shape (n,). [rad] or [m]
-        """
+        """Return whether nothing touches between `start`, which is not checked, and `end`, which is; shape (n,) each."""
         return self.world.all_free(self.states(start, end)) is None
 
     def first_free(self, starts: np.ndarray, ends: np.ndarray) -> int | None:
@@ -56,11 +51,7 @@ class MotionValidator:
         return start + _middle_first(self.count(displacement)) * displacement
 
     def count(self, displacement: np.ndarray) -> int:
-        """Return how many states of a straight motion are checked, at least 1.
-
-        Args:
-            displacement: Shape (n,). The motion's end minus its start.
-        """
+        """Return how many states of a straight motion are checked, at least 1; `displacement`: its end minus its start."""
         return max(1, math.ceil(np.abs(displacement) @ self._states_per_unit))
 
 
@@ -84,11 +75,9 @@ def _middle_first(count: int) -> np.ndarray:
 
 
 class CornerRounding:
-    """Adds points to a polyline until the curve that rounds its corners is free.
+    """Adds points to a polyline until the curve that rounds its corners is free; `pace` as for `curves.rounded`.
 
-    Args:
-        pace: Shape (n,). As for `curves.rounded`.
-        between: What lies between the states is looked at, too. It costs more, and is worth it where something was missed.
+    Looking at what lies `between` the states, too, costs more, and is worth it where something was missed.
     """
 
     def __init__(self, validator: MotionValidator, pace: np.ndarray, between: bool = False):
@@ -97,15 +86,9 @@ class CornerRounding:
         self._between = between
 
     def tightened(self, path: np.ndarray) -> np.ndarray | None:
-        """Return the path with points added where needed; None if the path itself touches something.
+        """Return the path, shape (m, n), with points added where needed; None if the path itself touches something.
 
         A corner is cut over half the distance to the next point. A point added halfway on either side halves its width.
-
-        Args:
-            path: Shape (m, n)
-
-        Returns:
-            Shape (k, n)
         """
         if len(path) == 2:
             return path if self._validator.free(*path) else None

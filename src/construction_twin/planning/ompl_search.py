@@ -60,7 +60,7 @@ def shortened(path: np.ndarray, first_free: FirstFree) -> np.ndarray:
         path: Shape (m, n). m >= 2; successive points differ, and the edges between them are free.
 
     Returns:
-        Shape (k, n). At least two points, both ends to the last bit; every edge is a part of a given one or was found free.
+        Shape (k, n). Both ends to the last bit; every edge is a part of a given one or was found free.
     """
     points = _divided(path)
     while True:
@@ -152,7 +152,7 @@ class OmplSearch:
         self._kind = ompl_planners()[name]
 
     def find(self, query: PathQuery, budget: float) -> np.ndarray:
-        """Find a path from the start to one of the goals.
+        """Find a path from the start to one of the goals, or raise NoPathError.
 
         Args:
             budget: Of OMPL's own clock [s]; shortening comes on top.
@@ -160,9 +160,6 @@ class OmplSearch:
         Returns:
             Shape (m, n). At least two points, none like the one before; the first is the start and the last a goal, both to the
             last bit. The straight edges between them are free by the query's validator.
-
-        Raises:
-            NoPathError: If none was found within the budget.
         """
         # most edges of a search are in no path: they are checked coarsely first, and the path that comes of them as asked
         for times in (COARSER, 1.0):

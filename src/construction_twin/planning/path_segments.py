@@ -30,10 +30,10 @@ class Leg:
     """A straight line, an arc or a turn on the spot, with a constant angular velocity: rotation ``exp(spin s) first``.
 
     Attributes:
-        origin: Shape (3,). Where it begins [m].
-        tangent: Shape (3,). Unit vector along it there; 0: a turn on the spot, whose length only parametrises the turn.
-        bend: Shape (3,). Its curvature there, towards the centre [1/m]; 0: straight.
-        spin: Shape (3,). [rad/m]
+        origin: Where it begins [m].
+        tangent: Unit vector along it there; 0: a turn on the spot, whose length only parametrises the turn.
+        bend: Its curvature there, towards the centre [1/m]; 0: straight.
+        spin: [rad/m]
         length: [m]
     """
 
@@ -132,9 +132,7 @@ class Blend:
 
     @classmethod
     def between(cls, before: Leg, after: Leg, cut: float) -> Blend | None:
-        """Blend the corner between two segments over the last and first `cut` metres of them; None where the path
-        turns back.
-        """
+        """Blend a corner over the last and first `cut` metres of both segments; None where the path turns back."""
         begin = before.length - cut
         positions, _ = before.at(np.array([begin]))
         goals, _ = after.at(np.array([cut]))

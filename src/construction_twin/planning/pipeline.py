@@ -58,38 +58,21 @@ SPACING, CLOSEST = 0.02, 1e-4
 def way_back(path: ExecutedPath, present: JointValues, robot: RobotModel) -> Trajectory:
     """Return the motion from where the arm is back along a path to its beginning: its positions at other times, slowly.
 
-    Args:
-        present: Length n. The arm's pose. Beside the path by more than a quarter of `WAY_BACK_TOLERANCE`, it goes straight to the
-            nearest point of it first, and rests there; by less, it begins at that point.
-
-    Raises:
-        PlanningError: If the arm is too far from the path, or at its beginning already, or the path cannot be gone back within the
-            limits.
+    Beside the path by more than a quarter of `WAY_BACK_TOLERANCE`, it goes straight to the nearest point of it first, and rests
+    there; by less, it begins at that point. PlanningError where it is too far from the path, at its beginning, or not possible.
     """
     pose = np.array(present, dtype=float)
     if path.trajectory.joint_names != tuple(robot.joint_names):
-        raise PlanningError(
-            Sentence(
-                "the executed path is one of {found}; expected {joints}",
-                found=", ".join(path.trajectory.joint_names),
-                joints=", ".join(robot.joint_names),
-            )
-        )
+        names = {"found": ", ".join(path.trajectory.joint_names), "joints": ", ".join(robot.joint_names)}
+        raise PlanningError(Sentence("the executed path is one of {found}; expected {joints}", **names))
     entry = path.entry(pose)
     if entry.distance > LARGEST_ENTRY:
-        raise PlanningError(
-            Sentence(
-                "the arm is up to {away} (or mm) per joint beside the path that it executed, and can go "
-                "straight to it from at most {most}; free it by hand, then call release_engagement",
-                away=Quantity(entry.distance, "rad"),
-                most=Quantity(LARGEST_ENTRY, "rad"),
-            )
-        )
+        values = {"away": Quantity(entry.distance, "rad"), "most": Quantity(LARGEST_ENTRY, "rad")}
+        far = Sentence("a joint is {away} (or mm) beside the executed path, at most {most}; free it by hand", **values)
+        raise PlanningError(far)
     begin, there = path.trajectory.positions[0], path.trajectory.sample(entry.time)[0]
     if np.max(np.abs(pose - begin)) <= SAME_POINT:
-        raise PlanningError(
-            Sentence("the arm is at the beginning of the engaged segments already; nothing to go back to")
-        )
+        raise PlanningError(Sentence("the arm is at the beginning of the engaged segments; nothing to go back to"))
     at_begin = np.max(np.abs(there - begin)) <= SAME_POINT
     parts = []
     if entry.distance > WAY_BACK_TOLERANCE / 4 or at_begin:
@@ -177,14 +160,7 @@ class PlanningPipeline:
                 self._scene = None
 
     def wait_for_scene(self, timeout: float) -> None:
-        """Wait for the first scene.
-
-        Args:
-            timeout: [s]
-
-        Raises:
-            NoSceneError: If none arrived.
-        """
+        """Wait for the first scene; NoSceneError if none arrives within `timeout` [s]."""
         with self._scene_changed:
             if not self._scene_changed.wait_for(lambda: self._scene is not None or self._problem is not None, timeout):
                 raise NoSceneError(self._source)
@@ -206,10 +182,7 @@ class PlanningPipeline:
     ) -> Plan:
         """Plan a motion of the tip along lines and arcs; see `cartesian.plan_cartesian`.
 
-        Args:
-            start: Length n
-            speed: Of the tool along the path [m/s]; None: as fast as the limits allow.
-            request: Its duration and number of waypoints are not used.
+        A request's duration and number of waypoints are not used, here and in `through`.
         """
 
         def make(world: CollisionWorld) -> Trajectory:
@@ -222,11 +195,8 @@ class PlanningPipeline:
     def through(self, start: JointValues, waypoints: Waypoints, request: PlanRequest, retime: bool = False) -> Plan:
         """Plan a motion through joint waypoints made elsewhere; see `waypoints.plan_waypoints`.
 
-        Args:
-            start: Length n. The arm's pose.
-            request: Its duration and number of waypoints are not used.
-            retime: Times that need too much acceleration or jerk are replaced (`waypoints.time_asked`), and the plan says so,
-                with the reason; otherwise they are refused.
+        `retime`: times that need too much acceleration or jerk are replaced (`waypoints.time_asked`), and the plan says so, with
+        the reason; otherwise they are refused.
         """
 
         def make(world: CollisionWorld) -> Trajectory:
@@ -267,11 +237,7 @@ class PlanningPipeline:
         error: CollisionError,
         timed: TimedPath,
     ) -> Plan:
-        """Time a path anew on the lines between its points, where the curve through them, which is `timed`, touches something.
-
-        Raises:
-            RetimedCollisionError: Between which points it touches.
-        """
+        """Time a path anew on the lines between its points, where the curve through them, which is `timed`, touches something."""
         found = world.first_contact(path.positions)
         if found is not None:
             place, contact = found
@@ -307,12 +273,7 @@ class PlanningPipeline:
     def way_back(
         self, start: JointValues, task: str, path: ExecutedPath, requires: tuple[Signal, ...], request: PlanRequest
     ) -> Plan:
-        """Plan the way back along an executed path, as a work plan of one engaged segment; see `way_back.way_back`.
-
-        Args:
-            start: Length n. The arm's pose.
-            requires: What the tool's inputs must read on the way.
-        """
+        """Plan the way back along an executed path, as a work plan of one engaged segment; see the function `way_back`."""
 
         def make(world: CollisionWorld) -> Plan:
             motion = way_back(path, start, self._robot)

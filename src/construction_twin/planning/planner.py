@@ -49,17 +49,7 @@ DIRECT = "direct"
 
 
 class PlannerSettings(pydantic.BaseModel):
-    """How the planner works. The values, each explained, are in config/planner.yaml; none has a second default here: `shipped`.
-
-    Attributes:
-        planner: Name of one of OMPL's.
-        planning_budget: [s]
-        edge_step: [m]
-        speed_scale: Used by requests that give neither this nor a duration, in (0, 1].
-        max_waypoints: A plan with more is refused.
-        max_duration: A longer plan is refused [s].
-        seed: Of what a search draws by chance.
-    """
+    """How the planner works. The values, each explained, are in config/planner.yaml; none has a second default here: `shipped`."""
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
@@ -95,7 +85,6 @@ class PlanRequest:
     """What a request asks of a plan besides its ends, and what identifies it.
 
     Attributes:
-        plan_id: Unique id of the plan to be made. Default: a new one.
         asked: When it was asked for. Default: not told.
         source: Name of the requester, for the reviewer.
         duration: [s]; None: as fast as the scales allow.
@@ -122,11 +111,7 @@ class PlanRequest:
         task: str = "",
         segments: tuple[Segment, ...] = (),
     ) -> Plan:
-        """Return the plan that answers this request.
-
-        Args:
-            planning_time: Without the report's own [s].
-        """
+        """Return the plan that answers this request; `planning_time` is without the report's own [s]."""
         return Plan(
             id=self.plan_id,
             hash=content_hash(trajectory, task, segments),
@@ -182,18 +167,13 @@ class Planner:
     def plan_to_joints(
         self, start: JointValues, goal: JointValues, request: PlanRequest, world: CollisionWorld
     ) -> Plan:
-        """Plan a motion between two joint vectors.
-
-        Args:
-            start, goal: Length n. [rad] or [m], order of the robot's `joint_names`.
+        """Plan a motion between two joint vectors, length n [rad] or [m].
 
         Raises:
-            JointRangeError: If start or goal is out of range.
             CollisionError: If start or goal touches something, and what.
             NoPathError: If none was found within the budget.
             DurationError: If the requested duration is shorter than the limits allow.
-            PlanSizeError: If the plan would have more waypoints, or last longer, than the settings allow.
-            PlanningError: If the request does not make sense: also a goal where the arm already is (`TrajectoryError`).
+            PlanningError: If an end is out of range, the plan would be too large, or the request does not make sense.
         """
         began = self._clock()
         begin, end = self._joint_vector("start", start), self._joint_vector("goal", goal)
@@ -205,20 +185,17 @@ class Planner:
     def plan_to_pose(
         self, start: JointValues, pose: Pose, request: PlanRequest, world: CollisionWorld, configuration: str = ""
     ) -> Plan:
-        """Plan a motion that brings the robot's tip to a pose.
+        """Plan a motion that brings the robot's tip to a pose in its base frame.
 
         Every joint solution of the pose is a goal: straight motions to them are tried first, the nearest before the
         others; a search is given the nearest ones that are free.
 
         Args:
-            start: Length n. [rad] or [m], order of the robot's `joint_names`.
-            pose: Of the tip in the robot's base frame.
             configuration: Only joint solutions of this configuration, see `Configuration.parse`. Default: all.
 
         Raises:
             KinematicsError: If the pose cannot be reached within the ranges, or start is out of range.
-            CollisionError: If the start, or every solution of the goal, touches something; for the goal the pair of the nearest
-                one.
+            CollisionError: If the start, or every solution of the goal, touches something; of the goal the nearest one's pair.
         """
         began = self._clock()
         begin = self._joint_vector("start", start)
@@ -352,11 +329,9 @@ class Planner:
                 if len(path) == 2:
                     return None
                 if request.waypoints is not None:
+                    count, why = request.waypoints, str(error)
                     found = Sentence(
-                        "the motion through {count} waypoints leaves the path that was found: {problem}; ask for "
-                        "more waypoints, or leave their number to the planner",
-                        count=request.waypoints,
-                        problem=str(error),
+                        "{count} waypoints leave the path: {problem}; ask for more", count=count, problem=why
                     )
                     raise PlanningError(found) from error
                 path = with_midpoints(path)

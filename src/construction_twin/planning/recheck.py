@@ -79,11 +79,7 @@ def recheck(
 
 
 def check_limits(trajectory: Trajectory, robot: RobotModel) -> LimitUsage:
-    """Check every 4 ms sample of a trajectory against the robot's limits.
-
-    Raises:
-        LimitError: For the first sample outside, naming time, joint, quantity, value and limit.
-    """
+    """Check every 4 ms sample of a trajectory against the robot's limits; LimitError for the first one outside."""
     return _check_usage(sampled_usage(trajectory, robot), robot)
 
 
@@ -101,14 +97,9 @@ def _check_usage(sampled: SampledUsage, robot: RobotModel) -> LimitUsage:
 
 
 def check_free(q: np.ndarray, times: np.ndarray, world: World) -> None:
-    """Check that nothing touches in the rows and between them, where each joint goes evenly from one row to the next.
+    """Raise CollisionError for the first contact in the rows or between them, where each joint goes evenly to the next row.
 
-    Args:
-        q: Shape (m, n). Successive joint values.
-        times: Shape (m,). When each is reached [s], for the message.
-
-    Raises:
-        CollisionError: For the first contact, with the pair and its time.
+    `times`: when each row is reached [s], for the message.
     """
     found = world.first_contact(q)
     if found is not None:

@@ -21,70 +21,39 @@ TOOL_STEP = 0.05
 
 @dataclass(frozen=True)
 class PlanBounds:
-    """The largest plan that is made.
-
-    Attributes:
-        duration: [s]
-    """
+    """The largest plan that is made, in s and waypoints."""
 
     duration: float = math.inf
     waypoints: float = math.inf
 
     def check(self, duration: float, waypoints: float = 0) -> None:
-        """Check a plan that is about to be made.
-
-        Args:
-            duration: [s]
-
-        Raises:
-            PlanSizeError: If it would be too large; also if the duration is not a number.
-        """
+        """Check a plan that is about to be made; PlanSizeError if it would be too large, or its duration [s] is no number."""
         if not duration <= self.duration:
             raise PlanSizeError("duration", duration, self.duration)
         if waypoints > self.waypoints:
             raise PlanSizeError("waypoints", waypoints, self.waypoints)
 
     def check_tool_path(self, length: float, speed: float | None) -> None:
-        """Check the length of a tool path [m], and the time it takes at a speed of the tool [m/s] (None: any).
-
-        Raises PlanSizeError.
-        """
+        """Check the length of a tool path [m], and the time it takes at a speed of the tool [m/s] (None: any); PlanSizeError."""
         if speed is not None:
             self.check(length / speed)
         if not length <= TOOL_STEP * self.waypoints:
-            most = TOOL_STEP * self.waypoints
-            raise PlanSizeError("length", length, most)
+            raise PlanSizeError("length", length, TOOL_STEP * self.waypoints)
 
 
 def check_request(
     duration: float | None, speed: float, acceleration: float, waypoints: int | None, corner_fraction: float | None
 ) -> None:
-    """Check what a request asks of a plan besides its path; see `timing.time_path`.
-
-    Raises:
-        PlanningError: Naming the argument, its value and what was expected.
-    """
+    """Check what a request asks of a plan besides its path; see `timing.time_path`. PlanningError names what is wrong."""
     if duration is not None and not 0.0 < duration < math.inf:
-        raise PlanningError(
-            Sentence("the requested duration is {found} s; expected a positive number", found=str(duration))
-        )
+        raise PlanningError(f"the requested duration is {duration} s; expected a positive number")
     for name, scale in (("speed", speed), ("acceleration", acceleration)):
         if not 0.0 < scale <= 1.0:
-            raise PlanningError(
-                Sentence(
-                    "the requested {name} scale is {found}; expected a fraction of the limits in (0, 1]",
-                    name=name,
-                    found=str(scale),
-                )
-            )
+            raise PlanningError(f"the requested {name} scale is {scale}; expected a fraction of the limits in (0, 1]")
     if waypoints is not None and waypoints < 2:
-        raise PlanningError(Sentence("{count} waypoints are requested; a motion needs at least 2", count=waypoints))
+        raise PlanningError(f"{waypoints} waypoints are requested; a motion needs at least 2")
     if corner_fraction is not None and not 0.0 < corner_fraction <= 1.0:
-        raise PlanningError(
-            Sentence(
-                "the requested corner fraction is {found}; expected a number in (0, 1]", found=str(corner_fraction)
-            )
-        )
+        raise PlanningError(f"the requested corner fraction is {corner_fraction}; expected a number in (0, 1]")
 
 
 def check_path(path: np.ndarray, robot: RobotModel) -> np.ndarray:
@@ -92,23 +61,11 @@ def check_path(path: np.ndarray, robot: RobotModel) -> np.ndarray:
     path = np.array(path, dtype=np.float64)
     joints = len(robot.joint_names)
     if path.ndim != 2 or path.shape[1] != joints or len(path) < 2:
-        raise TrajectoryError(
-            Sentence(
-                "the path has shape {found}; expected at least 2 points of {joints} joints",
-                found=str(path.shape),
-                joints=joints,
-            )
-        )
+        raise TrajectoryError(f"the path has shape {path.shape}; expected at least 2 points of {joints} joints")
     if not np.all(np.isfinite(path)):
         row, joint = np.argwhere(~np.isfinite(path))[0]
-        name = robot.joint_names[joint]
-        found = Sentence(
-            "point {row} of the path: {joint} is {found}, not a finite number",
-            row=int(row),
-            joint=name,
-            found=str(path[row, joint]),
-        )
-        raise TrajectoryError(found)
+        found = f"{robot.joint_names[joint]} is {path[row, joint]}, not a finite number"
+        raise TrajectoryError(f"point {row} of the path: {found}")
     for point in path[np.any((path < robot.lower) | (path > robot.upper), axis=1)]:
         robot.check_range(point)
     apart = distinct(path)

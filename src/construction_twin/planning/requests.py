@@ -70,12 +70,7 @@ class PlanRequests:
         read: Callable[[], Callable[[], Plan]],
         changes: Sequence[SceneChange] = (),
     ) -> Answer:
-        """Read what a request refers to, then make and publish a plan.
-
-        Args:
-            read: Returns what makes the plan.
-            changes: What a work plan does to the scene, published with it; `read` may fill it.
-        """
+        """Read what a request refers to, then make and publish a plan, with its changes of the scene, which `read` may fill in."""
         try:
             make = read()  # before taking the lock, so that no request waits while another one reads its file
             with self._busy:

@@ -66,11 +66,7 @@ SLOWER_TRIES = 10
 
 @dataclass(frozen=True, eq=False)
 class TimeScalingLimits:
-    """The part of the robot's limits that a motion may use; all symmetric.
-
-    Attributes:
-        velocity, acceleration, jerk: Shape (n,)
-    """
+    """The part of the robot's limits that a motion may use, shape (n,) each; all symmetric."""
 
     velocity: np.ndarray
     acceleration: np.ndarray
@@ -153,12 +149,7 @@ class RestToRest:
 
 
 def straight_time_scaling(curve: JointCurve, limits: TimeScalingLimits, top_speed: float = math.inf) -> TimeScaling:
-    """Return the fastest time scaling of a straight curve.
-
-    Args:
-        curve: With `straight` true.
-        top_speed: Largest ds/dt.
-    """
+    """Return the fastest time scaling of a straight curve; `top_speed` is the largest ds/dt, here and below."""
     direction = np.abs(curve(np.zeros(1), 1)[0])
     moving = direction > 0.0
     velocity, acceleration, jerk = (
@@ -170,9 +161,6 @@ def straight_time_scaling(curve: JointCurve, limits: TimeScalingLimits, top_spee
 
 class TimeScalingSearch:
     """Finds the time scaling of one curve, repeatedly with less speed where the last one was too fast.
-
-    Args:
-        top_speed: Largest ds/dt.
 
     Raises:
         PlanningError: From `find`, if no motion is within the limits.
@@ -217,9 +205,7 @@ class TimeScalingSearch:
         solver.close_solver()
         both = speed[:-1] + speed[1:]
         if not np.all(both > 0.0):
-            raise PlanningError(
-                Sentence("the path cannot be timed within the limits; choose another goal or points further apart")
-            )
+            raise PlanningError(Sentence("the path cannot be timed within the limits; choose another goal"))
         ds = np.diff(grid)
         half_acceleration = 0.25 * (speed[1:] ** 2 - speed[:-1] ** 2) / ds
         times = np.concatenate(([0.0], np.cumsum(2.0 * ds / both)))
@@ -250,14 +236,10 @@ class TimeScalingSearch:
 
 
 def smoothed(s_over_time: Pieces, first: float, second: float) -> TimeScaling:
-    """Average a piecewise quadratic s(t) over two windows in time, one after the other.
+    """Average a piecewise quadratic s(t), from t = 0, over two windows in time, one after the other [s]; longer by both.
 
     d2s/dt2 of the result is a difference of four values of s divided by the windows, hence quadratic between shifted
     knots: three samples give each piece exactly, and integrating it keeps s and its derivatives consistent.
-
-    Args:
-        s_over_time: From t = 0.
-        first, second: Windows [s]; the result is longer by both.
     """
     end = s_over_time.knots[-1]
     shifts = np.array([0.0, first, second, first + second])
@@ -276,15 +258,11 @@ def smoothed(s_over_time: Pieces, first: float, second: float) -> TimeScaling:
 def _integrated(
     h: np.ndarray, square: np.ndarray, linear: np.ndarray, constant: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Integrate d2s/dt2 from rest at s = 0.
+    """Integrate d2s/dt2 from rest at s = 0; return knots and coefficients of s, as `Pieces` takes them, and s at the end.
 
     Args:
         h: Shape (k,). Durations of the pieces [s].
         square, linear, constant: Shape (k,). d2s/dt2 of each piece, by powers of the time since its begin.
-
-    Returns:
-        knots, coefficients: Of s, as `Pieces` takes them.
-        end: s at the end.
     """
     speeds = np.concatenate(([0.0], np.cumsum(((square / 3.0 * h + 0.5 * linear) * h + constant) * h)))
     fourth, third, second = square / 12.0, linear / 6.0, 0.5 * constant

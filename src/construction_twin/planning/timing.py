@@ -97,19 +97,13 @@ def timed_path(
         corner_fraction: In (0, 1]: follow the straight lines between the points and round the corners over this fraction of the
             available length (`curves.rounded`); never out of range. Default: a curve through all points (`curves.interpolated`, or
             `curves.monotone` where that would leave the range).
-        bounds: Largest duration and number of waypoints. Default: any.
         times: Shape (m,). Increasing [s]: from one point to the next the motion takes no less time than these do; with
             `corner_fraction` from where it is nearest to one to where it is nearest to the next.
-
-    Returns:
-        The trajectory with what was measured on it.
 
     Raises:
         DurationError: If `duration` is shorter than the limits allow.
         JointRangeError: If a point is out of range, or the motion between few waypoints leaves the range.
-        PlanSizeError: If the motion would be larger than `bounds`.
-        TrajectoryError: If the path ends where it starts, or its shape or a value is invalid.
-        PlanningError: If another argument is invalid, or the path cannot be timed.
+        PlanningError: If another argument is invalid, the path cannot be timed, or the motion would be larger than `bounds`.
     """
     acceleration_scale = speed_scale if acceleration_scale is None else acceleration_scale
     check_request(duration, speed_scale, acceleration_scale, waypoints, corner_fraction)
@@ -146,7 +140,7 @@ def time_curve(
     spacing: float = WAYPOINT_SPACING,
     bounds: PlanBounds = PlanBounds(),
 ) -> TimedCurve:
-    """Time a given smooth joint curve from rest to rest, as fast as the limits allow.
+    """Time a given smooth joint curve from rest to rest, as fast as the limits allow; JointRangeError where it leaves the range.
 
     Args:
         top_speed: Largest ds/dt [unit of `length` per s], for a curve over the length of the tool's path the tool's speed.
@@ -154,20 +148,12 @@ def time_curve(
 
     Returns:
         Its duration is a whole number of 4 ms cycles, so that motions joined one after the other stay on one 4 ms grid.
-
-    Raises:
-        JointRangeError: If the curve leaves the range.
-        PlanningError: If an argument is invalid, the motion would be too large, or the curve cannot be timed.
     """
     acceleration_scale = speed_scale if acceleration_scale is None else acceleration_scale
     check_request(None, speed_scale, acceleration_scale, None, None)
     if not (top_speed > 0.0 and 0.0 < spacing < math.inf):
         raise PlanningError(
-            Sentence(
-                "the requested top speed is {speed}, the spacing {spacing} s; expected positive numbers",
-                speed=str(top_speed),
-                spacing=str(spacing),
-            )
+            f"the requested top speed is {top_speed}, the spacing {spacing} s; expected positive numbers"
         )
     fractions = VELOCITY_FRACTION * speed_scale, ACCELERATION_FRACTION * acceleration_scale
     request = _Request(robot, None, *fractions, None, bounds, spacing, CURVE_SLOWING, CURVE_ROUNDS, whole_cycles=True)
@@ -175,15 +161,7 @@ def time_curve(
 
 
 def with_midpoints(path: np.ndarray) -> np.ndarray:
-    """Halve every segment of a path, so that a curve through its points stays closer to the straight lines between
-    them.
-
-    Args:
-        path: Shape (m, n)
-
-    Returns:
-        Shape (2 * m - 1, n)
-    """
+    """Halve every segment of a path, shape (m, n): a curve through its points stays closer to the lines between them then."""
     denser = np.empty((2 * len(path) - 1, path.shape[1]))
     denser[::2] = path
     denser[1::2] = 0.5 * (path[:-1] + path[1:])
@@ -205,11 +183,7 @@ class TimedPath:
 
 @dataclass(frozen=True, eq=False)
 class TimedCurve:
-    """A curve with a motion along it.
-
-    Attributes:
-        stretch: The trajectory is this many times slower than `scaling`.
-    """
+    """A curve with a motion along it, `stretch` times slower than `scaling`."""
 
     trajectory: Trajectory
     scaling: TimeScaling
@@ -217,14 +191,7 @@ class TimedCurve:
     usage: SampledUsage
 
     def parameter(self, times: np.ndarray) -> np.ndarray:
-        """Return where on the curve the motion is.
-
-        Args:
-            times: Shape (m,). [s]
-
-        Returns:
-            Shape (m,). From 0 to the curve's length.
-        """
+        """Return where on the curve the motion is, from 0 to its length, at times of shape (m,) [s]."""
         return self.scaling.pieces.states(np.clip(times / self.stretch, 0.0, self.scaling.duration))[0]
 
 
@@ -289,8 +256,8 @@ class _Request:
             row = int(np.argmax(early)) + 1
             raise PlanningError(
                 Sentence(
-                    "the path cannot be timed as slowly as asked on the way to point {row}, it would be passed "
-                    "{factor:.1f} times too fast; give more points there, or points without times",
+                    "on the way to point {row} the path would be passed {factor:.1f} times faster than asked; give more points "
+                    "there, or none with times",
                     row=row,
                     factor=rest,
                 )
@@ -379,13 +346,7 @@ class _Request:
 
 @dataclass(frozen=True, eq=False)
 class _Way:
-    """Waypoints of a motion along a curve.
-
-    Attributes:
-        times: Shape (k,). [s]
-        s, speed: Shape (k,). Parameter of the curve and its derivative by time.
-        positions, velocities, accelerations: Shape (k, n)
-    """
+    """Waypoints of a motion along a curve: times [s], parameter of the curve and its derivative by time, and the joints' state."""
 
     times: np.ndarray
     s: np.ndarray

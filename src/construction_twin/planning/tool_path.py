@@ -90,13 +90,7 @@ class _Trimmed:
 
 
 class ToolPath:
-    """A checked tool path.
-
-    Args:
-        waypoints: At least one that differs from the start.
-
-    Attributes:
-        length: [m], turns on the spot counted by `TURN_LENGTH`.
+    """A checked tool path, of `length` [m] with turns on the spot counted by `TURN_LENGTH`.
 
     Raises:
         PlanningError: If no waypoint differs from the start, an arc has no circle, or a blend does not fit; names the waypoint.
@@ -105,9 +99,7 @@ class ToolPath:
     def __init__(self, start: Pose, waypoints: Sequence[ToolWaypoint]):
         legs = _legs(start, waypoints)
         if not legs:
-            raise PlanningError(
-                Sentence("the tool is already there: no waypoint differs from the start; nothing to plan")
-            )
+            raise PlanningError(Sentence("the tool is already there: no waypoint differs from the start"))
         trimmed = _trimmed(legs, waypoints)
         self._segments, self._marks = trimmed.segments, trimmed.marks
         self._ends = np.cumsum([segment.length for segment in self._segments])
@@ -118,15 +110,7 @@ class ToolPath:
         self.pieces = tuple(self._piece(first, last) for first, last in pairwise(bounds))
 
     def poses(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the commanded poses along the path.
-
-        Args:
-            s: Shape (m,). [m], from 0 to `length`.
-
-        Returns:
-            positions: Shape (m, 3)
-            rotations: Shape (m, 3, 3)
-        """
+        """Return the commanded poses along the path, shape (m, 3) and (m, 3, 3), at places of shape (m,) [m]."""
         s = np.asarray(s, dtype=float)
         positions, rotations = np.empty((len(s), 3)), np.empty((len(s), 3, 3))
         numbers = np.minimum(np.searchsorted(self._ends, s), len(self._segments) - 1)
@@ -180,13 +164,7 @@ def _legs(start: Pose, waypoints: Sequence[ToolWaypoint]) -> list[_Leg]:
     for number, waypoint in enumerate(waypoints):
         if not (0.0 <= waypoint.blend < math.inf):
             blend = Quantity(waypoint.blend, "m")
-            raise PlanningError(
-                Sentence(
-                    "waypoint {waypoint}: the blend is {blend}; expected 0 or a positive number",
-                    waypoint=number,
-                    blend=blend,
-                )
-            )
+            raise PlanningError(f"waypoint {number}: the blend is {blend}; expected 0 or a positive number")
         leg = _leg(number, at, waypoint)
         if leg is not None:
             legs.append(_Leg(number, leg))
@@ -198,25 +176,14 @@ def _leg(number: int, start: Pose, waypoint: ToolWaypoint) -> Leg | None:
     goal = waypoint.pose
     for values in (goal.position, goal.rotation, () if waypoint.via is None else waypoint.via):
         if not np.all(np.isfinite(values)):
-            raise PlanningError(
-                Sentence(
-                    "waypoint {waypoint}: {found} are not finite numbers",
-                    waypoint=number,
-                    found=str(np.asarray(values).tolist()),
-                )
-            )
+            raise PlanningError(f"waypoint {number}: {np.asarray(values).tolist()} are not finite numbers")
     first = Rotation.from_matrix(start.rotation)
     turn = (Rotation.from_matrix(goal.rotation) * first.inv()).as_rotvec()
     if waypoint.via is not None:
         arc = Leg.arc(start.position, waypoint.via, goal.position, first, turn)
         if arc is None:
-            raise PlanningError(
-                Sentence(
-                    "waypoint {waypoint}: the start, via point and end of its arc are on one line or the same; "
-                    "expected three points of a circle, for a full circle use two arcs",
-                    waypoint=number,
-                )
-            )
+            found = "start, via point and end of its arc are on one line or the same"
+            raise PlanningError(f"waypoint {number}: {found}; expected three points of a circle, or two arcs")
         return arc
     if np.linalg.norm(goal.position - start.position) > SAME_PLACE:
         return Leg.line(start.position, goal.position, first, turn)
@@ -231,23 +198,13 @@ def _trimmed(legs: list[_Leg], waypoints: Sequence[ToolWaypoint]) -> _Trimmed:
         number, leg = legs[index].waypoint, legs[index].segment
         cuts[index + 1] = waypoints[number].blend
         if cuts[index + 1] and (leg.turns or legs[index + 1].segment.turns):
-            raise PlanningError(
-                Sentence(
-                    "waypoint {waypoint}: a turn on the spot has no corner to blend; expected blend 0", waypoint=number
-                )
-            )
+            raise PlanningError(f"waypoint {number}: a turn on the spot has no corner to blend; expected blend 0")
     for index, one in enumerate(legs):
         number, leg = one.waypoint, one.segment
         if cuts[index] + cuts[index + 1] > leg.length * (1.0 + 1e-9):
-            raise PlanningError(
-                Sentence(
-                    "the segment to waypoint {waypoint} is {length} long; the blends at its ends need {needed}, "
-                    "choose smaller ones",
-                    waypoint=number,
-                    length=Quantity(leg.length, "m"),
-                    needed=Quantity(cuts[index] + cuts[index + 1], "m"),
-                )
-            )
+            length, needed = Quantity(leg.length, "m"), Quantity(cuts[index] + cuts[index + 1], "m")
+            found = f"the segment to waypoint {number} is {length} long; its blends need {needed}, choose smaller ones"
+            raise PlanningError(found)
     segments: list[Segment] = []
     stops: list[int] = []
     marks: list[_Mark] = []
@@ -260,12 +217,7 @@ def _trimmed(legs: list[_Leg], waypoints: Sequence[ToolWaypoint]) -> _Trimmed:
         if cuts[index + 1]:
             blend = Blend.between(leg, legs[index + 1].segment, cuts[index + 1])
             if blend is None:
-                raise PlanningError(
-                    Sentence(
-                        "waypoint {waypoint}: the path turns back there and cannot be blended; expected blend 0",
-                        waypoint=number,
-                    )
-                )
+                raise PlanningError(f"waypoint {number}: the path turns back there; expected blend 0")
             segments.append(blend)
         marks.append(_Mark(number, len(segments) - 1))
         if last or (not cuts[index + 1] and not _goes_on(leg, legs[index + 1].segment)):

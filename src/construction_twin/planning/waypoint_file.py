@@ -49,12 +49,7 @@ _LARGEST_FILE = 16 * 2**20
 
 
 def read_waypoints(path: str, robot: RobotModel, columns: str = "") -> Waypoints:
-    """Read a CSV file of joint waypoints, whose columns are told if it does not name them.
-
-    Raises:
-        WaypointsError: Naming the line, the column, what was found and what was expected.
-        PlanningError: If the file cannot be read.
-    """
+    """Read a CSV file of joint waypoints, whose columns are told if it does not name them; errors as of `parse_waypoints`."""
     if not Path(path).is_absolute():
         raise PlanningError(f"the file is {path!r}; expected an absolute path on the planner's machine")
     try:
@@ -77,6 +72,7 @@ def parse_waypoints(text: str, robot: RobotModel, columns: str = "") -> Waypoint
             ``joints_deg`` stand for a column of every joint in the robot's order (a prismatic joint: in m, in mm), ``joints_rad_s``
             and ``joints_rad_s2`` for its velocities and accelerations. Empty: the file names them.
 
+
     Returns:
         `rows` are the file's lines, from 1.
 
@@ -88,30 +84,21 @@ def parse_waypoints(text: str, robot: RobotModel, columns: str = "") -> Waypoint
     ]
     lines = [(number, line) for number, line in lines if line]
     if not lines:
-        raise WaypointsError(
-            "the file is empty; expected a line that names the columns, then one line for each waypoint"
-        )
+        raise WaypointsError("the file is empty; expected a line of columns, then one line for each waypoint")
     first_line, first = lines[0]
     separator = ";" if ";" in first else ","
     cells = [cell.strip() for cell in first.split(separator)]
     numbers_alone = all(_NUMBER.match(cell) or _DECIMAL_COMMA.match(cell) for cell in cells)
     if columns.strip():
         if not numbers_alone:
-            found = (
-                f"line {first_line} begins with {cells[0]!r}, but columns were told for a file of numbers "
-                "alone; leave them out when the file names its own"
-            )
+            found = f"line {first_line} begins with {cells[0]!r}; expected numbers alone where columns are told"
             raise WaypointsError(found, first_line)
         names = _column_names(columns, robot)
         _check_columns("columns", None, names, robot)
     else:
         if numbers_alone:
-            found = (
-                f"line {first_line}: {len(cells)} numbers; {_expected(robot)}; a file of numbers alone, as "
-                f"MATLAB's writematrix makes it, needs its columns told: --columns {_TIME},joints_rad (or "
-                "joints_deg)"
-            )
-            raise WaypointsError(found, first_line)
+            told = f"a file of numbers alone needs its columns told: --columns {_TIME},joints_rad (or joints_deg)"
+            raise WaypointsError(f"line {first_line}: {len(cells)} numbers; {_expected(robot)}; {told}", first_line)
         names = cells
         _check_columns(f"line {first_line}", first_line, names, robot)
         lines = lines[1:]
@@ -147,7 +134,6 @@ def format_waypoints(
 
     Args:
         linear: Length n. Which joints are prismatic.
-        comments: Lines before the names, after ``#``.
         degrees: In deg and mm; exact to the last digit or two. Otherwise in rad and m.
     """
     units = [("mm" if is_linear else "deg") if degrees else ("m" if is_linear else "rad") for is_linear in linear]

@@ -56,9 +56,7 @@ class Waypoints:
     """Waypoints in the robot's joint order, not yet checked against its limits.
 
     Attributes:
-        rows: Number of each waypoint in messages: a line of the file, or the index of the point.
-        row_name: ``line`` or ``point``.
-        units: Length n
+        rows: Number of each waypoint in messages: a line of the file, or the index of the point, as `row_name` says.
         positions: Shape (m, n). [rad] or [m]
         times: Shape (m,). [s]
         velocities, accelerations: Shape (m, n). Only with `times`.
@@ -134,11 +132,7 @@ def from_points(
 
 
 def check_finite(waypoints: Waypoints, robot: RobotModel) -> None:
-    """Check that there is a waypoint, and that every value is a finite number.
-
-    Raises:
-        WaypointsError: Naming row, joint and value.
-    """
+    """Check that there is a waypoint, and that every value is a finite number; WaypointsError names row, joint and value."""
     if not len(waypoints.positions):
         raise WaypointsError("0 waypoints; a motion needs at least one, its goal")
     for name in ("positions", "velocities", "accelerations"):
@@ -173,20 +167,14 @@ def plan_waypoints(
         present: Length n. The arm's pose. The first waypoint must be there within `START_TOLERANCE_RAD` or `START_TOLERANCE_M`, and
             the trajectory then begins exactly at `present`. A single waypoint is the goal of a straight joint motion from there;
             its time is how long the motion takes.
-        bounds: Largest duration and number of waypoints. Default: any.
 
     Raises:
         WaypointsError: Naming row, joint, value and limit: out of range, too far from the present pose, times that do not increase,
             not at rest at an end, too fast.
-        PlanSizeError: If there are too many waypoints, or the motion would be larger than `bounds`.
-        PlanningError: If waypoints without times cannot be timed.
+        PlanningError: If waypoints without times cannot be timed, or the motion would be larger than `bounds`.
     """
-    bounds.check(0.0, len(waypoints.rows))
-    robot.check_range(present)
-    _check_ranges(waypoints, robot)
-    if len(waypoints.positions) == 1:
-        waypoints = _goal_from(waypoints, np.array(present, dtype=float))
-    positions = _from_present(waypoints, np.array(present, dtype=float), robot)
+    waypoints = _from_here(waypoints, present, robot, bounds)
+    positions = waypoints.positions
     if waypoints.times is None:
         return time_path(
             positions, robot, speed_scale=speed_scale, acceleration_scale=acceleration_scale, bounds=bounds
@@ -208,21 +196,12 @@ def plan_waypoints(
     return trajectory
 
 
-def asked_path(
-    waypoints: Waypoints, present: JointValues, robot: RobotModel, bounds: PlanBounds = PlanBounds()
-) -> Waypoints:
+def asked_path(waypoints: Waypoints, present: JointValues, robot: RobotModel) -> Waypoints:
     """Return waypoints with times, checked but for what times can mend: from the present pose, at 0 s."""
-    assert waypoints.times is not None  # only with times
-    bounds.check(0.0, len(waypoints.rows))
-    robot.check_range(present)
-    _check_ranges(waypoints, robot)
-    if len(waypoints.positions) == 1:
-        waypoints = _goal_from(waypoints, np.array(present, dtype=float))
-    times = waypoints.times
-    assert times is not None  # as before
-    positions = _from_present(waypoints, np.array(present, dtype=float), robot)
-    _check_times(waypoints, times)
-    return replace(waypoints, positions=positions, times=times - times[0])
+    path = _from_here(waypoints, present, robot, PlanBounds())
+    assert path.times is not None  # only with times
+    _check_times(path, path.times)
+    return replace(path, times=path.times - path.times[0])
 
 
 def time_asked(
@@ -260,11 +239,20 @@ def _check_ranges(waypoints: Waypoints, robot: RobotModel) -> None:
         row, joint = outside[0]
         name, unit, value = robot.joint_names[joint], waypoints.units[joint], waypoints.positions[row, joint]
         limit = robot.lower[joint] if value < robot.lower[joint] else robot.upper[joint]
-        found = (
-            f"{waypoints.place(row)}: {name} is {unit.text(value)}; its range is {unit.text(robot.lower[joint])}"
-            f" to {unit.text(robot.upper[joint])}"
-        )
+        span = f"{unit.text(robot.lower[joint])} to {unit.text(robot.upper[joint])}"
+        found = f"{waypoints.place(row)}: {name} is {unit.text(value)}; its range is {span}"
         raise WaypointsError(found, waypoints.rows[row], name, float(value), limit)
+
+
+def _from_here(waypoints: Waypoints, present: JointValues, robot: RobotModel, bounds: PlanBounds) -> Waypoints:
+    """Return checked waypoints that begin exactly at the present pose; a single one is the goal of a motion from there."""
+    bounds.check(0.0, len(waypoints.rows))
+    robot.check_range(present)
+    _check_ranges(waypoints, robot)
+    here = np.array(present, dtype=float)
+    if len(waypoints.positions) == 1:
+        waypoints = _goal_from(waypoints, here)
+    return replace(waypoints, positions=_from_present(waypoints, here, robot))
 
 
 def _goal_from(goal: Waypoints, present: np.ndarray) -> Waypoints:
@@ -293,14 +281,9 @@ def _from_present(waypoints: Waypoints, present: np.ndarray, robot: RobotModel) 
         advice = "plan a motion to it first"
         if waypoints.times is not None and waypoints.times[0] > 0.0:
             # as other controllers understand it: from wherever the arm is to the first point, in its time
-            advice = (
-                f"put the arm's pose before it, at 0 s, and the motion to it in {waypoints.times[0]:.9g} s is part of "
-                f"the plan, or {advice}"
-            )
-        found = (
-            f"{waypoints.place(0)}: {name} is {unit.text(value)}, but the arm is at {unit.text(present[joint])}; the "
-            f"first waypoint must be where the arm is within {unit.text(tolerance[joint])}, {advice}"
-        )
+            advice = f"put the arm's pose before it, at 0 s, or {advice}"
+        at = f"{name} is {unit.text(value)}, but the arm is at {unit.text(present[joint])}"
+        found = f"{waypoints.place(0)}: {at}; expected within {unit.text(tolerance[joint])} of it: {advice}"
         raise WaypointsError(found, waypoints.rows[0], name, float(value), float(tolerance[joint]))
     positions = waypoints.positions.copy()
     positions[0] = present
@@ -312,19 +295,12 @@ def _check_times(waypoints: Waypoints, times: np.ndarray) -> None:
     if len(late):
         row = int(late[0]) + 1
         before, time = times[row - 1 : row + 1]
-        found = (
-            f"{waypoints.place(row)}: its time {time:.9g} s is not after the {before:.9g} s of the one before; times "
-            "must increase"
-        )
+        found = f"{waypoints.place(row)}: its time {time:.9g} s is not after {before:.9g} s; times must increase"
         raise WaypointsError(found, waypoints.rows[row], "", float(time))
 
 
 def _moving_end(waypoints: Waypoints, robot: RobotModel) -> WaypointTimesError | None:
-    """Return why the times of a motion must be replaced whose ends are nearly at rest; None where both are.
-
-    Raises:
-        WaypointsError: If a joint moves at an end.
-    """
+    """Return why the times of a motion whose ends are nearly at rest must be replaced; WaypointsError where a joint moves there."""
     ends = [0, len(waypoints.rows) - 1]
 
     def problem(row: int, joint: int, values: np.ndarray, per: str, late: bool = False) -> tuple:
@@ -365,10 +341,9 @@ def _check_given_velocities(waypoints: Waypoints, robot: RobotModel) -> None:
     limits = np.array(robot.velocity)
     for row, joint in np.argwhere(needed > BETWEEN_POINTS * limits)[:1].tolist():
         unit, value = waypoints.units[joint], float(needed[row, joint])
-        message = _too_fast(
-            waypoints.place(row), robot.joint_names[joint], "a velocity", unit, value, limits[joint], "/s"
-        )
-        raise WaypointsError(message, waypoints.rows[row], robot.joint_names[joint], value, float(limits[joint]))
+        name, limit = robot.joint_names[joint], float(limits[joint])
+        message = _too_fast(waypoints.place(row), name, "a velocity", unit, value, limit, "/s")
+        raise WaypointsError(message, waypoints.rows[row], name, value, limit)
 
 
 def _too_fast(place: str, joint: str, what: str, unit: Unit, value: float, limit: float, per: str) -> str:
@@ -416,12 +391,9 @@ def _check_limits(trajectory: Trajectory, waypoints: Waypoints, robot: RobotMode
     excess = range_excess(sampled.positions, robot)
     for sample, joint in np.argwhere(excess > 0.0)[:1].tolist():
         row, where = place(sample)
-        value, joint_name = float(excess[sample, joint]), robot.joint_names[joint]
-        found = (
-            f"{where}: {joint_name} overshoots its range by {waypoints.units[joint].text(value)}; give more waypoints or "
-            "more time there"
-        )
-        raise WaypointTimesError(found, waypoints.rows[row], joint_name, value, 0.0)
+        value, name = float(excess[sample, joint]), robot.joint_names[joint]
+        found = f"{where}: {name} overshoots its range by {waypoints.units[joint].text(value)}; give it more time there"
+        raise WaypointTimesError(found, waypoints.rows[row], name, value, 0.0)
     for name, article, per in (("velocity", "a", "/s"), ("acceleration", "an", "/s^2"), ("jerk", "a", "/s^3")):
         fractions, limits = getattr(sampled, name), getattr(robot, name)
         for sample, joint in np.argwhere(fractions > 1.0 + ROUNDING)[:1].tolist():

@@ -136,29 +136,23 @@ def _check_segment(item: WorkSegment) -> None:
     _check_once("its switched outputs", [switch.output for switch in item.switches])
     if item.switches and not item.engaged:
         outputs = ", ".join(switch.output for switch in item.switches)
-        raise PlanningError(
-            f"it switches {outputs} at its end and is not engaged; the tool is switched only while engaged"
-        )
+        raise PlanningError(f"it switches {outputs} at its end and is not engaged; expected an engaged segment")
     for switch in item.switches:
         _check_name("an output", switch.output)
         _check_signals(f"what confirms {switch.output}", switch.confirm)
         if not 0.0 < switch.timeout <= LONGEST_TIMEOUT:
-            raise PlanningError(
-                f"{switch.output} has {switch.timeout} s to be confirmed; expected above 0, at most "
-                f"{LONGEST_TIMEOUT:g} s"
-            )
+            expected = f"expected above 0, at most {LONGEST_TIMEOUT:g} s"
+            raise PlanningError(f"{switch.output} has {switch.timeout} s to be confirmed; {expected}")
         if set(switch.confirm) <= set(item.requires):
             raise PlanningError(
-                f"what confirms {switch.output} is required before it is switched already, so nothing would "
-                "be confirmed; expected an input that must change"
+                f"what confirms {switch.output} is required before it; expected an input that must change"
             )
 
 
 def _check_name(what: str, name: str) -> None:
     if not name.strip() or len(name) > LONGEST_NAME or not name.isprintable():
-        raise PlanningError(
-            f"the name of {what} is {name[:LONGEST_NAME]!r}; expected 1 to {LONGEST_NAME} characters in one line"
-        )
+        expected = f"expected 1 to {LONGEST_NAME} characters in one line"
+        raise PlanningError(f"the name of {what} is {name[:LONGEST_NAME]!r}; {expected}")
 
 
 def _check_signals(what: str, signals: Sequence[Signal]) -> None:
@@ -233,12 +227,7 @@ def _check_begin(missing: np.ndarray, robot: RobotModel, at_present: bool) -> No
 
 
 def joined(parts: Sequence[Trajectory]) -> tuple[Trajectory, list[float]]:
-    """Join trajectories of which each begins where the one before ends.
-
-    Returns:
-        trajectory
-        ends: Time of each one's end in it [s].
-    """
+    """Join trajectories of which each begins where the one before ends; return it, and the time of each one's end in it [s]."""
     # whole nanoseconds are added, so that no end depends on how sums of seconds are rounded
     spans = [np.round(part.times * NANOSECONDS).astype(np.int64) for part in parts]
     begins = np.concatenate(([0], np.cumsum([span[-1] for span in spans])))
@@ -296,15 +285,12 @@ def _check_carried(part: Trajectory, before: CollisionWorld, after: CollisionWor
                 break
         else:
             if not same_shape:
-                raise PlanningError(
-                    f"{item.name!r} has another shape or size once it hangs on another link; expected the same"
-                )
-            found = (
-                f"{item.name!r} would be {Quantity(moved, 'm')} and {Quantity(turned, 'rad')} away from where "
-                f"it was once {item.link or 'nothing'} carries it; expected it within "
-                f"{Quantity(CARRIED_DISTANCE, 'm')} and {Quantity(CARRIED_ANGLE, 'rad')} of there"
+                raise PlanningError(f"{item.name!r} has another shape or size once another link carries it")
+            away, most = (Quantity(moved, "m"), Quantity(turned, "rad")), (CARRIED_DISTANCE, CARRIED_ANGLE)
+            raise PlanningError(
+                f"{item.name!r} would be {away[0]} and {away[1]} from where it was once {item.link or 'nothing'} carries it; "
+                f"expected at most {Quantity(most[0], 'm')} and {Quantity(most[1], 'rad')}"
             )
-            raise PlanningError(found)
 
 
 def _merged(reports: Sequence[PlanReport], ends: Sequence[float], whole: LimitUsage) -> PlanReport:

@@ -40,8 +40,8 @@ class Verdict:
 
     Attributes:
         verdict: ``approved``, ``rejected``, ``refused`` (an approval that could not be taken) or ``withdrawn`` (by the executor).
-        plan_id, plan_hash: As the reviewer named them; the hash may be empty in a refusal.
-        reviewer, reason: The reviewer's words; of a refusal, why it was refused.
+        plan_hash: As the reviewer named it; in a refusal it may be empty.
+        reason: The reviewer's words; of a refusal, why it was refused.
         rehearsal: What its rehearsal had found; None: there was none, and none was required.
     """
 
@@ -63,12 +63,11 @@ class Verdict:
         """What its reviewer is told, once it was carried out."""
         if self.plan is None or not self.approved:
             return Sentence("plan {plan} rejected by {reviewer}", plan=self.plan_id, reviewer=self.reviewer)
-        seconds = self.plan.trajectory.duration
         return Sentence(
             "plan {plan} approved by {reviewer}; it takes {seconds:.3f} s",
             plan=self.plan_id,
-            seconds=seconds,
             reviewer=self.reviewer,
+            seconds=self.plan.trajectory.duration,
         )
 
 
@@ -84,9 +83,8 @@ class Ending:
 def prove_hash(plan: Plan) -> None:
     """Raise ReviewError when a plan's trajectory is not what its hash says. Too slow for the cycle's lock."""
     if content_hash(plan.trajectory, plan.task, plan.segments) != plan.hash:
-        raise ReviewError(
-            Sentence("plan {plan} is no longer what its hash {hash} says; plan again", plan=plan.id, hash=plan.hash)
-        )
+        values = {"plan": plan.id, "hash": plan.hash}
+        raise ReviewError(Sentence("plan {plan} is no longer what its hash {hash} says; plan again", **values))
 
 
 def _check_rests(plan: Plan) -> None:
@@ -94,25 +92,10 @@ def _check_rests(plan: Plan) -> None:
     trajectory = plan.trajectory
     for segment in plan.segments:
         row = int(trajectory.times.searchsorted(segment.end))
-        if row == len(trajectory.times) or trajectory.times[row] != segment.end:
-            raise ReviewError(
-                Sentence(
-                    "plan {plan} does not rest at the end of segment {segment}, {time} s, where it has no "
-                    "waypoint; plan again",
-                    plan=plan.id,
-                    segment=repr(segment.name),
-                    time=str(segment.end),
-                )
-            )
-        if trajectory.velocities[row].any() or trajectory.accelerations[row].any():
-            raise ReviewError(
-                Sentence(
-                    "plan {plan} does not rest at the end of segment {segment}, {time} s; plan again",
-                    plan=plan.id,
-                    segment=repr(segment.name),
-                    time=str(segment.end),
-                )
-            )
+        has_waypoint = row < len(trajectory.times) and trajectory.times[row] == segment.end
+        if not has_waypoint or trajectory.velocities[row].any() or trajectory.accelerations[row].any():
+            values = {"plan": plan.id, "segment": repr(segment.name), "time": str(segment.end)}
+            raise ReviewError(Sentence("plan {plan} does not rest at the end of segment {segment}, {time} s", **values))
 
 
 class PlanUnderReview:
@@ -135,9 +118,8 @@ class PlanUnderReview:
     def offer(self, plan: Plan) -> Plan | None:
         """Put a plan under review, unless it was decided already; return the plan that it replaces.
 
-        Raises:
-            ReviewError: When it, or one of its segments, does not start and end at rest, or was asked for before it was last
-                voided. (That a plan's hash is that of its content is the Plan's own matter.)
+        ReviewError when it, or one of its segments, does not start and end at rest, or was asked for before it was last voided.
+        (That a plan's hash is that of its content is the Plan's own matter.)
         """
         trajectory = plan.trajectory
         if any(rows[end].any() for rows in (trajectory.velocities, trajectory.accelerations) for end in (0, -1)):
@@ -147,10 +129,7 @@ class PlanUnderReview:
             return None
         if plan.asked.at < self._void_before:
             raise ReviewError(
-                Sentence(
-                    "plan {plan} was asked for before the last stop, pause or reset and is void; plan again",
-                    plan=plan.id,
-                )
+                Sentence("plan {plan} was asked for before the last stop, pause or reset; plan again", plan=plan.id)
             )
         replaced = self.clear()
         self.plan = plan
@@ -178,44 +157,28 @@ class PlanUnderReview:
         return plan
 
     def decide(self, plan_id: str, plan_hash: str, reviewer: str) -> Plan:
-        """Take the named plan out of review to carry out a verdict on it.
-
-        Args:
-            plan_hash: Hash of the plan that was looked at; "" when the reviewer did not compare.
-            reviewer: Must not be empty.
-
-        Raises ReviewError.
-        """
+        """Take the named plan out of review to carry out a verdict on it; arguments and errors are those of `check`."""
         plan = self.check(plan_id, plan_hash, reviewer)
         self.clear()
         return plan
 
     def check(self, plan_id: str, plan_hash: str, reviewer: str) -> Plan:
-        """Return the named plan; raise ReviewError when a verdict on it by this reviewer cannot be taken."""
+        """Return the named plan; raise ReviewError when a verdict on it by this reviewer, who must have a name, cannot be taken.
+
+        `plan_hash` is that of the plan that was looked at; "" when the reviewer did not compare.
+        """
         if not reviewer.strip():
             raise ReviewError(Sentence("a verdict needs the reviewer's name"))
         if plan_id in self._decided:
-            raise ReviewError(
-                Sentence(
-                    "plan {plan} was decided already or withdrawn; an approval covers one execution, plan again",
-                    plan=plan_id,
-                )
-            )
+            raise ReviewError(Sentence("plan {plan} was decided already or withdrawn; plan again", plan=plan_id))
         if self.plan is None:
             raise ReviewError(Sentence("plan {plan} is not under review; no plan is", plan=plan_id))
         if self.plan.id != plan_id:
-            raise ReviewError(
-                Sentence("plan {plan} is not under review; plan {present} is", plan=plan_id, present=self.plan.id)
-            )
+            plans = {"plan": plan_id, "present": self.plan.id}
+            raise ReviewError(Sentence("plan {plan} is not under review; plan {present} is", **plans))
         if plan_hash and plan_hash != self.plan.hash:
-            raise ReviewError(
-                Sentence(
-                    "plan {plan} has hash {hash}, not {seen}; look at it again",
-                    plan=plan_id,
-                    hash=self.plan.hash,
-                    seen=plan_hash,
-                )
-            )
+            values = {"plan": plan_id, "hash": self.plan.hash, "seen": plan_hash}
+            raise ReviewError(Sentence("plan {plan} has hash {hash}, not {seen}; look at it again", **values))
         return self.plan
 
     def check_scene(self) -> None:
@@ -225,25 +188,14 @@ class PlanUnderReview:
             raise ReviewError(Sentence("no plan is under review"))
         if not self.scene:
             raise ReviewError(
-                Sentence(
-                    "plan {plan} cannot be approved: no scene is known yet; check that the scene node runs",
-                    plan=plan.id,
-                )
+                Sentence("plan {plan} cannot be approved: no scene is known yet; does its node run?", plan=plan.id)
             )
         if not self.scene_alive:
             raise ReviewError(
-                Sentence(
-                    "plan {plan} cannot be approved: the scene is not published any more; check that the scene "
-                    "node runs",
-                    plan=plan.id,
-                )
+                Sentence("plan {plan} cannot be approved: the scene is not published any more", plan=plan.id)
             )
         if plan.scene != self.scene:
+            values = {"plan": plan.id, "scene": plan.scene[:12], "present": self.scene[:12]}
             raise ReviewError(
-                Sentence(
-                    "plan {plan} was made for scene {scene}, the present one is {present}; plan again",
-                    plan=plan.id,
-                    scene=plan.scene[:12],
-                    present=self.scene[:12],
-                )
+                Sentence("plan {plan} was made for scene {scene}, the present one is {present}; plan again", **values)
             )

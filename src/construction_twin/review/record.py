@@ -10,7 +10,7 @@ from pathlib import Path
 from construction_twin.core.append_only import AppendOnlyFile, read_lines
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RecordError
 from construction_twin.core.reports import SessionRequest, SpeedChange
-from construction_twin.review.plan_under_review import APPROVED, Ending, Rehearsed, Verdict
+from construction_twin.review.plan_under_review import APPROVED, Ending, Verdict
 from construction_twin.robot.plan import Plan
 
 
@@ -25,11 +25,7 @@ class Responsibility:
 
 @dataclass(frozen=True)
 class Release:
-    """A person has freed an arm that was engaged, and says how.
-
-    Attributes:
-        refused: Why it stays engaged after all; empty: it does not.
-    """
+    """A person has freed an arm that was engaged, and says how; `refused`: why it stays engaged after all."""
 
     person: str
     reason: str
@@ -62,9 +58,7 @@ class Fate:
 def read_fate(path: str | Path, plan_id: str, source: str = "") -> Fate:
     """Return what a review file, which another process may be writing, says of a plan.
 
-    Args:
-        plan_id: Empty: the plan is known by its source alone.
-        source: Part of the plan's source; empty: its id must fit.
+    It is known by its id, or by a part of its source; either may be empty.
     """
     try:
         found = Fate(plan_id, False)
@@ -91,9 +85,7 @@ class ReviewLog:
 
     def __init__(self, path: str | Path, clock: Callable[[], int]):
         if not str(path).strip():
-            raise ConfigurationError(
-                "review file", str(path), "the path of a file: nothing is approved without a record"
-            )
+            raise ConfigurationError("review file", str(path), "a path: nothing is approved without a record")
         self._clock = clock
         self.responsibility: Responsibility | None = None
         self.file = AppendOnlyFile(path, RecordError, "executor")
@@ -114,19 +106,11 @@ class ReviewLog:
         self.file.defer(self._clock(), _fields(record, self.responsibility))
 
     def flush(self) -> None:
-        """Write what was deferred.
-
-        Raises:
-            RecordError: When it cannot be; what is not written stays deferred.
-        """
+        """Write what was deferred, or raise RecordError: what is not written stays deferred."""
         self.file.flush()
 
     def append(self, record: Record) -> None:
-        """Write one record, behind those that were deferred; when this returns it is on the disk.
-
-        Raises:
-            RecordError: When it is not. What could be written of it is taken back.
-        """
+        """Write one record, behind those that were deferred: it is on the disk, or RecordError, and nothing of it is left."""
         self.file.append(self._clock(), _fields(record, self.responsibility))
 
     def close(self) -> None:
@@ -137,14 +121,14 @@ class ReviewLog:
         """Record the end of an execution whose executor ended first: a restarted one never goes on with it."""
         last = _execution_without_end(read_lines(self.file.path))
         if last is not None:
-            reason = "the executor ended before the execution did"
             fields = {
                 "record": "execution",
                 "outcome": "dropped",
                 "plan": last["plan"],
                 "trajectory": last["trajectory"],
             }
-            self.file.append(self._clock(), fields | {"scene": last["scene"], "reason": reason})
+            fields |= {"scene": last["scene"], "reason": "the executor ended before the execution did"}
+            self.file.append(self._clock(), fields)
 
 
 # -- records
@@ -161,24 +145,15 @@ def _fields(record: Record, responsibility: Responsibility | None) -> dict:
     if isinstance(record, Release):
         return {"record": "release"} | asdict(record)
     if isinstance(record, Ending):
-        named = {
-            "record": "execution",
-            "outcome": record.outcome,
-            "plan": record.plan.id,
-            "trajectory": record.plan.hash,
-        }
-        return named | _task_fields(record.plan) | {"scene": record.plan.scene, "reason": record.reason}
+        plan = record.plan
+        named = {"record": "execution", "outcome": record.outcome, "plan": plan.id, "trajectory": plan.hash}
+        return named | _task_fields(plan) | {"scene": plan.scene, "reason": record.reason}
     trajectory = record.plan_hash if record.plan is None else record.plan.hash
     named = {"record": "verdict", "verdict": record.verdict, "plan": record.plan_id, "trajectory": trajectory}
     named |= {"reviewer": record.reviewer, "reason": record.reason}
-    return (
-        named | _rehearsal_fields(record.rehearsal) | _responsibility_fields(responsibility) | _plan_fields(record.plan)
-    )
-
-
-def _rehearsal_fields(rehearsal: Rehearsed | None) -> dict:
-    """Return what was known of the plan's rehearsal; nothing where there was none, and none was required."""
-    return {} if rehearsal is None else {"rehearsal": asdict(rehearsal)}
+    # of a rehearsal nothing where there was none, and none was required
+    named |= {} if record.rehearsal is None else {"rehearsal": asdict(record.rehearsal)}
+    return named | _responsibility_fields(responsibility) | _plan_fields(record.plan)
 
 
 def _responsibility_fields(responsibility: Responsibility | None) -> dict:
@@ -205,10 +180,7 @@ def _plan_fields(plan: Plan | None) -> dict:
 
 
 def _task_fields(plan: Plan) -> dict:
-    """Return the task of a work plan and its segments by name; nothing of any other plan.
-
-    The approved hash, under ``trajectory``, covers both, with the segments' switches and scenes.
-    """
+    """Return the task of a work plan and its segments by name; nothing of any other plan."""
     if not (plan.task or plan.segments):
         return {}
     return {"task": plan.task, "segments": [segment.name for segment in plan.segments]}

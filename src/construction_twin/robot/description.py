@@ -340,10 +340,8 @@ def _check_home(robot: RobotModel) -> None:
 def find_other_joints(model: URDF, chain: Collection[str], given: Mapping[str, float]) -> tuple[OtherJoint, ...]:
     """Return the movable joints outside of the chain, in the URDF's order.
 
-    Args:
-        chain: The joints of the chain, fixed ones need not be among them.
-        given: Where they stand [rad], [m], by name: ``other_joints`` of the robot YAML. Others stand at zero, or, where their range
-            does not hold it, in its middle; mimic joints follow.
+    They stand where ``other_joints`` of the robot YAML, `given`, says [rad], [m]; others at zero, or, where their range does not
+    hold it, in its middle; mimic joints follow.
     """
     others = {joint.name: joint for joint in model.joints if joint.joint_type != "fixed" and joint.name not in chain}
     settable = [name for name, joint in others.items() if joint.mimic is None and joint.joint_type in _UNITS]

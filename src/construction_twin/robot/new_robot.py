@@ -38,11 +38,9 @@ def robot_name(urdf: str) -> str:
 
 
 def find_ends(urdf: str, base_link: str = "", tip_link: str = "") -> tuple[str, str]:
-    """Return the ends of an arm's chain.
+    """Return the ends of an arm's chain, where none is given ``tool0``, and ``base_link`` if the tip descends from it.
 
-    Args:
-        base_link: Not given: ``base_link``, if the tip descends from it, else the URDF's root (after a root called ``world``).
-        tip_link: Not given: ``tool0``.
+    Else it begins at the URDF's root (after a root called ``world``).
     """
     model = parse_urdf(urdf)
     tip_link = tip_link or "tool0"

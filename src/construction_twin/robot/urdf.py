@@ -31,8 +31,7 @@ _AMENT = "ament_index_python.packages"
 def xacro_arguments(text: str) -> dict[str, str]:
     """Return the arguments of a xacro file from one text, as the launch argument ``robot_xacro_args`` has it.
 
-    Args:
-        text: Words ``name=value`` (or ``name:=value``, which roslaunch does not take on its command line), quoted as in a shell.
+    That is words ``name=value`` (or ``name:=value``, which roslaunch does not take on its command line), quoted as in a shell.
     """
     try:
         words = shlex.split(text)

@@ -91,7 +91,10 @@ def load_ethernet_xml(path: str | Path) -> EthernetXml:
 def read_ethernet_xml(text: str, where: str) -> EthernetXml:
     """Read the text of an Ethernet XML as the controller would."""
     root = _document(text, where)
-    config = _section(root, "CONFIG", where)
+    sections = root.findall("CONFIG")
+    if len(sections) != 1:
+        raise EthernetXmlError(where, "CONFIG", f"{len(sections)} of them", "one")
+    config = sections[0]
     protocol = config.findtext("PROTOCOL")
     if protocol is not None and protocol.strip().upper() != "UDP":
         raise EthernetXmlError(where, "CONFIG/PROTOCOL", protocol, "UDP or no such element: a KR C4 talks UDP only")
@@ -241,13 +244,6 @@ def _document(text: str, where: str) -> ElementTree.Element:
     if root.tag != "ROOT":
         raise EthernetXmlError(where, "file", root.tag[:64], "the root element ROOT")
     return root
-
-
-def _section(root: ElementTree.Element, name: str, where: str) -> ElementTree.Element:
-    found = root.findall(name)
-    if len(found) != 1:
-        raise EthernetXmlError(where, name, f"{len(found)} of them", "one")
-    return found[0]
 
 
 def _text(config: ElementTree.Element, name: str, where: str) -> str:

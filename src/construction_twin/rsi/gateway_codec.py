@@ -48,13 +48,7 @@ _END = re.compile(rb"([^\"]*<IPOC>)[0-9]+(</IPOC></[A-Za-z]+>\s*)").fullmatch
 
 
 class TelegramShape:
-    """One telegram's shape; made by `of`. The next telegram of it needs no XML parser: it differs in its numbers alone.
-
-    Args:
-        texts: What stands before each value.
-        end: What stands before and behind the number in IPOC, which is the last element.
-        places: Which values are read, in order.
-    """
+    """One telegram's shape; made by `of`. The next telegram of it needs no XML parser: it differs in its numbers alone."""
 
     def __init__(self, texts: list[bytes], end: tuple[bytes, bytes], places: list[int]):
         self._texts = texts
@@ -63,14 +57,10 @@ class TelegramShape:
 
     @classmethod
     def of(cls, data: bytes, wanted: Sequence[tuple[str, str]]) -> TelegramShape | None:
-        """Return the shape of a telegram that was read as XML without complaint.
+        """Return the shape of a telegram that was read as XML without complaint; wanted are values by element and attribute.
 
-        Args:
-            wanted: Element and attribute of each value to be read.
-
-        Returns:
-            None where the text does not show at once what its values stand for: a wanted one is missing or there twice, IPOC is not
-            the last element, or something else stands in quotation marks or apostrophes.
+        None where the text does not show at once what its values stand for: a wanted one is missing or there twice, IPOC is not the
+        last element, or something else stands in quotation marks or apostrophes.
         """
         if b"'" in data:
             return None

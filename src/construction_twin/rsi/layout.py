@@ -55,11 +55,6 @@ class RsiLayout:
         send = ("RIst", "RSol", "AIPos", "ASPos", *external, "Delay")
         return cls("ImFree", 49152, False, send, receive, (True,) * len(receive))
 
-    @classmethod
-    def of_document(cls, document: dict[str, Any]) -> RsiLayout:
-        """Return the layout that `document` was made from; TypeError when it is none."""
-        return cls(**document)
-
     def document(self) -> dict[str, Any]:
         """Return what file and hash hold: of an arm without a tool, what they held before there were tools."""
         document = asdict(self)

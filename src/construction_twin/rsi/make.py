@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 from construction_twin.controller.last_resort import BareProtocol, LastResort
 from construction_twin.controller.port import (
@@ -58,13 +59,9 @@ def send_channels(outputs: Sequence[str], inputs: Sequence[str]) -> list[str]:
 def ethernet_xml_text(
     axes: Sequence[str], receives: bool = True, holdon: Mapping[str, bool] | None = None, inputs: Sequence[str] = ()
 ) -> str:
-    """Return the text of an Ethernet XML.
+    """Return the text of an Ethernet XML; each of the RSI axes gets a correction channel, unless the controller only sends.
 
-    Args:
-        axes: RSI axes of the arm, e.g. ``A1``; each gets a correction channel, in the order of RSI.
-        receives: False: the controller sends only and takes no corrections.
-        holdon: Outputs of the tool; True: it keeps its value when a reply is missed.
-        inputs: Of the tool.
+    `holdon` are the tool's outputs, and whether each keeps its value when a reply is missed; `inputs` are the tool's.
     """
     ordered = sorted(axes)
     external = ["EIPos", "ESPos"] if any(axis in EXTERNAL_AXES for axis in ordered) else []
@@ -235,7 +232,8 @@ def last_resort(setup: Setup[RsiLayout]) -> LastResort:
     if not setup.layout.answered:
         return LastResort(setup.limits, None, setup.cycle)
     copied = encoder(setup)
-    bare = BareProtocol(_ipoc, _delay, _filling(copied.order), (copied.template(None), copied.template(True)))
+    counts = partial(_count, _find_ipoc), partial(_count, _find_delay)
+    bare = BareProtocol(*counts, _filling(copied.order), (copied.template(None), copied.template(True)))
     return LastResort(setup.limits, bare, setup.cycle)
 
 
@@ -292,13 +290,8 @@ def controller_side(config: MockSetup[RsiLayout]) -> ControllerSide:
     return ControllerSide(encode, decode, tuple(holds), holdon.get(STOP, False), status_of)
 
 
-def _ipoc(data: bytes) -> int | None:
-    found = _find_ipoc(data)
-    return int(found[1]) if found else None
-
-
-def _delay(data: bytes) -> int | None:
-    found = _find_delay(data)
+def _count(find: Callable[[bytes], re.Match[bytes] | None], data: bytes) -> int | None:
+    found = find(data)
     return int(found[1]) if found else None
 
 
@@ -328,7 +321,7 @@ MAKE = Make(
     ),
     no_status=RsiStatus(),
     plain=RsiLayout.plain,
-    read_layout=RsiLayout.of_document,
+    read_layout=lambda document: RsiLayout(**document),
     check=check,
     reader=reader,
     encoder=encoder,

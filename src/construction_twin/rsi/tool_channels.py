@@ -81,11 +81,9 @@ class ToolReader:
 
 
 def set_element(switched: Sequence[str], values: Sequence[bool]) -> str:
-    """Return the element of a reply that sets a tool's outputs; "" where there are none.
+    """Return the element of a reply that sets a tool's outputs, `RsiLayout.switched`; "" where there are none.
 
-    Args:
-        switched: Names behind ``Set.``, see `RsiLayout.switched`.
-        values: One per name; none at all: every channel 0, which leaves the outputs alone.
+    Without values every channel is 0, which leaves the outputs alone.
     """
     values = values or (False,) * len(switched)
     if len(values) != len(switched):

@@ -87,11 +87,7 @@ class ServoModel:
 
 
 class ServoState:
-    """Where the model has the arm, one target per cycle.
-
-    Args:
-        q: Shape (n,). Where it stands at rest.
-    """
+    """Where the model has the arm, from rest at `q`; one target per cycle."""
 
     def __init__(self, model: ServoModel, q: Sequence[float]):
         self._joints = [_Joint(servo, model.period, start) for servo, start in zip(model.servos, q)]

@@ -113,9 +113,6 @@ class MirrorTwin:
 
     A pose that the limits allow is met exactly. Another one is approached inside the limits, cycle by cycle, as the gateway
     follows its targets: the twin may stand elsewhere when mirroring begins, and poses may be lost.
-
-    Args:
-        pose: Shape (n,). Where the twin stands [rad], [m].
     """
 
     def __init__(self, limits: MotionLimits, pose: tuple[float, ...]):

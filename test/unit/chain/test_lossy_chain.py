@@ -13,7 +13,7 @@ from servo_chain import NOMINAL, poses, servo_chain, sweep
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.gateway.states import State
 from construction_twin.mock.faults import Fault
-from construction_twin.monitor import round_trip
+from construction_twin.monitor import comparison
 from construction_twin.monitor.states import SyncState
 from construction_twin.mqtt.messages import Control
 
@@ -85,7 +85,7 @@ def test_a_stall_is_found_while_datagrams_are_lost(share, servos):
 
 @pytest.mark.parametrize("servos", [NOMINAL, None], ids=["servos known", "not known"])
 def test_an_arm_that_its_gateway_keeps_still_is_waited_for_longer_than_setpoints_are_remembered(monkeypatch, servos):
-    monkeypatch.setattr(round_trip, "KEPT", 1024)
+    monkeypatch.setattr(comparison, "KEPT", 1024)
     chain = servo_chain(servos)
     plan, fastest, _ = sweep(chain, 0)
     chain.transitions.clear()

@@ -144,7 +144,7 @@ class TestEngaged:
         stopped_in(bench, 2)
         other = make_plan("other", reach(bench.twin, ROBOT.home), LATER[0], bench.stamp)
         with pytest.raises(
-            ReviewError, match="left in engaged segment 'lift' of plan w .* plan_way_back, or free it by hand"
+            ReviewError, match="left in engaged segment 'lift' of plan w .* plan_way_back, or free the arm by hand"
         ):
             bench.executor.offer(other)
 
@@ -220,7 +220,7 @@ class TestEngaged:
         bench.record = lambda record: (
             bench.records.append(record) or bench.executor.engagement.leave_inside(replace(left))
         )
-        with pytest.raises(ExecutionError, match="left inside another engaged segment meanwhile"):
+        with pytest.raises(ExecutionError, match="left in another engaged segment meanwhile"):
             bench.approval.release("Ada", "by hand")
         assert [record.refused == "" for record in bench.records[-2:]] == [True, False]
 
@@ -283,7 +283,7 @@ class TestWayBack:
         assert left.holding == ((GRIPPED, LATER[0]),)
         motion = motion_back(left.path, left.path.end)
         refused = self.refused(plan_back(motion, GRIPPED, SCENE), left)
-        assert f"the scene must become {LATER[0]} first" in refused and "release_engagement" in refused
+        assert f"it must become {LATER[0]} first" in refused and "release_engagement" in refused
         check_way_back(plan_back(motion, GRIPPED, LATER[0]), left)
 
     def test_each_alternative_only_in_its_scene(self, bench):
@@ -295,7 +295,7 @@ class TestWayBack:
         motion = motion_back(left.path, left.path.end)
         for requires, scene, other in ((FREE, SCENE, LATER[0]), (GRIPPED, LATER[0], SCENE)):
             check_way_back(plan_back(motion, requires, scene), left)
-            assert "the scene must become" in self.refused(plan_back(motion, requires, other), left)
+            assert "it must become" in self.refused(plan_back(motion, requires, other), left)
 
     def test_a_switch_that_fired_unconfirmed_leaves_nothing_that_always_holds(self, bench):
         bench.tool.works = False
@@ -374,7 +374,7 @@ class TestWayBack:
         side -= way * (side @ way) / max(way @ way, 1e-12)
         positions[middle] += bump * 2.0 * WAY_BACK_TOLERANCE * side / np.abs(side).max()
         bent = type(motion)(motion.joint_names, motion.times, positions, motion.velocities, motion.accelerations)
-        with pytest.raises(ReviewError, match="leaves the executed path .* after its start; the arm is engaged"):
+        with pytest.raises(ReviewError, match="leaves the executed path .* after its start: call plan_way_back"):
             check_way_back(plan_back(bent), left)
 
 
@@ -464,7 +464,7 @@ class TestFile:
 
     def refuses(self, file, content: bytes) -> None:
         file.write_bytes(content)
-        with pytest.raises(ConfigurationError, match="look at the arm, free it"):
+        with pytest.raises(ConfigurationError, match="free the arm, and only then"):
             read_engagement(file, ROBOT.joint_names)
 
 

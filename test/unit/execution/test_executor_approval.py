@@ -562,7 +562,7 @@ class TestAutoApproveSources:
         assert bench.state is ExecutorState.PLAYING and bench.records == [verdict]
         assert (verdict.reviewer, verdict.reason) == (
             AUTO_APPROVE,
-            f"the launch argument auto_approve_sources names {named}, and the plan is of {source!r}",
+            f"auto_approve_sources names {named}, and the plan is of {source!r}",
         )
 
     @pytest.mark.parametrize(

@@ -181,7 +181,7 @@ class TestHeld:
     def test_a_setpoint_that_is_not_of_this_plan_ends_it_as_without_the_policy(self, bench, stamp):
         bench.play(make_plan(), 50)
         bench.executor.on_sync(SyncState.HOLDING, False, "resume", stamp)
-        assert (bench.state, bench.executor.outcome) == (IDLE, "held") and "not known" in bench.executor.reason
+        assert (bench.state, bench.executor.outcome) == (IDLE, "held") and "none of plan p" in bench.executor.reason
 
     def test_a_setpoint_too_long_ago_ends_it(self, bench):
         bench.play(make_plan(), 20)

@@ -290,7 +290,7 @@ class TestBoundary:
         bench.run_into(1)
         bench.tool.inputs = {"gripped": True}
         bench.run_until_idle()
-        assert "reads so before it was switched" in bench.executor.reason
+        assert "reads so already" in bench.executor.reason
         assert bench.tool.fired == [] and bench.executor.outcome == "stopped"
 
     def test_several_switches_fire_together(self, bench):

@@ -195,7 +195,7 @@ class TestToTheGoal:
         for other in range(VERDICTS - 1):
             desk.rejects(plan=f"other-{other}")
         end = desk.planned().end()
-        assert end.code is ResultCode.INVALID_GOAL and end.sentence.values["reviewer"] == "Anna"
+        assert end.code is ResultCode.INVALID_GOAL and "rejected by Anna" in end.sentence
         desk = Desk().send(goal()).rejects()
         for other in range(VERDICTS):
             desk.rejects(plan=f"other-{other}")
@@ -320,7 +320,7 @@ class TestCancel:
         assert (first.goal_id, first.ending) == ("a", Ending.CANCELED)
         assert first.sentence == both(CANCELLED, UNKNOWN_REST, "as approved")
         assert (waiting.goal_id, waiting.ending) == ("b", Ending.CANCELED)
-        assert waiting.sentence.startswith(f"not planned: 10 s after the stop {UNKNOWN_REST};")
+        assert waiting.sentence.startswith(f"not planned: {UNKNOWN_REST};")
         assert desk.state is GoalState.FREE and desk.after(1.0, at_rest=True).effects() == []
 
     def test_of_a_goal_that_has_ended_changes_nothing(self, desk):
@@ -395,7 +395,7 @@ class TestAnotherGoal:
     def test_while_a_plan_of_somebody_else_is_played_is_rejected(self, desk):
         end = desk.executes(ExecutorState.PLAYING, plan="by-hand").send(goal()).end()
         assert end.code is ResultCode.INVALID_GOAL
-        assert end.sentence == "the arm follows plan by-hand, which is of no goal of this action; wait for its end"
+        assert end.sentence == "the arm follows plan by-hand, of no goal of this action; wait for its end"
         assert desk.executes(ExecutorState.IDLE, "finished", plan="by-hand").send(goal()).effects() == [Ask(goal())]
 
 

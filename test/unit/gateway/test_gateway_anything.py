@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from construction_twin.core.units import CYCLE, CYCLE_NS, format_allowance
 from construction_twin.gateway.gateway import State
-from construction_twin.mqtt.interventions import STOP, Intervention
+from construction_twin.mqtt.messages import Intervention
 
 # -- MQTT 3.1.1: the string alone ------------------------------------------------------------------------------------
 
@@ -233,7 +233,7 @@ class Pilot:
     def _person(self, value, cycles):
         """Somebody presses stop, as often as they like."""
         for number in range(cycles):
-            self.cell.gateway.on_stop(Intervention(STOP, f"ada{cycles % 3}", str(number)), self.cell.now)
+            self.cell.gateway.on_stop(Intervention(f"ada{cycles % 3}", str(number)), self.cell.now)
         self.cycle()
 
     def _recover(self, value, cycles):

@@ -8,13 +8,12 @@ from gateway_cell import Cell, following
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.gateway import State
-from construction_twin.mqtt.interventions import STOP, Intervention
-from construction_twin.mqtt.messages import Control
+from construction_twin.mqtt.messages import Control, Intervention
 from construction_twin.mqtt.requests import ANSWERS
 
 
 def press(cell: Cell, account: str = "arm-stopper-bob", id_: str = "1"):
-    return cell.gateway.on_stop(Intervention(STOP, account, id_), cell.now)
+    return cell.gateway.on_stop(Intervention(account, id_), cell.now)
 
 
 def test_it_says_who_it_was():

@@ -15,7 +15,7 @@ from construction_twin.gateway.gateway import Gateway, State
 from construction_twin.gateway.ownership import Ownership
 from construction_twin.gateway.player import Player
 from construction_twin.gateway.stop_report import StopReport
-from construction_twin.mqtt.interventions import STOP, Intervention
+from construction_twin.mqtt.messages import Intervention
 
 WAYS = ("control", "account")
 
@@ -28,7 +28,7 @@ def stop(gateway_cell: Cell, way: str) -> tuple[bool, str]:
     """Have the arm stopped; return whether it was, and the answer's words."""
     if way == "control":
         return gateway_cell.control("stop")
-    answer = gateway_cell.gateway.on_stop(Intervention(STOP, "arm-stopper-bob", "1"), gateway_cell.now)
+    answer = gateway_cell.gateway.on_stop(Intervention("arm-stopper-bob", "1"), gateway_cell.now)
     return answer.ok, answer.reason
 
 

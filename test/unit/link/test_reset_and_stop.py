@@ -156,9 +156,7 @@ class TestNumbers:
         old = bench.gateway.status()
         bench.stop_by_account()
         bench.run(1.0)
-        assert bench.supervisor.inputs.on_status(old, bench.now).startswith(
-            "an old status: it tells of stop 0, and stop 1"
-        )
+        assert bench.supervisor.inputs.on_status(old, bench.now).startswith("an old status, of stop 0 after stop 1")
         bench.supervisor.poll(bench.now)
         assert bench.link is LinkState.NEEDS_RESET and bench.supervisor.status["fault"]
 

@@ -133,7 +133,7 @@ def test_who_set_it_and_whose_was_replaced_is_known():
     assert limits.people == SpeedChange("dora", 0.3, 1.0, "", NANOSECONDS)
     sentence = set_(limits, 0.6, 3.0, person="bob", seen=2.9)
     assert limits.people == SpeedChange("bob", 0.6, 0.3, "dora", 3 * NANOSECONDS)
-    assert isinstance(sentence, Sentence) and sentence.values["whose"] == "dora"
+    assert isinstance(sentence, Sentence) and "(dora)" in sentence
     report = limits.report(START)
     assert (report.person, report.since, report.replaced, report.replaced_person) == ("bob", 3 * 10**9, 0.3, "dora")
 
@@ -148,7 +148,7 @@ def test_the_same_limit_again_changes_nothing_and_needs_nothing():
 @pytest.mark.parametrize("limit", [0.0, 0.049, 1.01, float("nan"), float("inf"), -1.0])
 def test_what_is_no_limit_is_refused(limit):
     limits = made()
-    with pytest.raises(PayloadError, match="a fraction of the planned speed, 0.05 to 1$") as caught:
+    with pytest.raises(PayloadError, match="0.05 to 1, of the planned speed$") as caught:
         limits.set(limit, "dora", str(at(1.0)), at(1.0), 1)
     assert caught.value.reason == "values" and limits.people == NOBODY
 

@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.monitor.settings import Behaviour
+from construction_twin.monitor.monitor import Behaviour
 
 FILE = Path(__file__).resolve().parents[3] / "config/pca_monitor.yaml"
 BEHAVIOUR = Behaviour.model_validate(

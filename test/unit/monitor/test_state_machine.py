@@ -22,7 +22,7 @@ from construction_twin.core.errors import ConfigurationError, ConstructionTwinEr
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.executor import ExecutorState
-from construction_twin.monitor.gate import POLICIES, Gate, GateSettings
+from construction_twin.monitor.gate import REPLAN, RESUME, STOP, Gate, GateSettings
 from construction_twin.monitor.states import HELD_STATES, ROWS, SyncEvent, SyncState
 from construction_twin.mqtt.joint_string import JointStringCodec
 
@@ -43,7 +43,7 @@ class Cell(RuleBasedStateMachine):
     #: What the sequences have reached, over all of them.
     seen: Counter = Counter()
 
-    @initialize(policy=st.sampled_from(POLICIES))
+    @initialize(policy=st.sampled_from((REPLAN, RESUME, STOP)))
     def build(self, policy):
         self.gate = Gate(LIMITS, CODEC, GateSettings(policy=policy, **BRISK), 1000 * CYCLE_NS)
         bench = Bench()
@@ -184,7 +184,7 @@ class Cell(RuleBasedStateMachine):
         for _ in range(12):
             self.cycle()
 
-    @rule(policy=st.sampled_from(POLICIES), threshold=st.sampled_from([0.002, 0.01, 0.1]))
+    @rule(policy=st.sampled_from((REPLAN, RESUME, STOP)), threshold=st.sampled_from([0.002, 0.01, 0.1]))
     def reconfigure(self, policy, threshold):
         before, reason = self.gate.settings, self.gate.reason
         rests = self.gate.rests(self.stamp)

@@ -12,7 +12,7 @@ from site_broker import ROBOTS, Listener, SiteBroker
 from construction_twin.broker.access import PLC, PROGRAMS, RIGHTS, Site, access_rules
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.mqtt.messages import Topics
-from construction_twin.mqtt.requests import REQUESTS
+from construction_twin.mqtt.requests import NAMELESS_REVIEW, NAMELESS_TRAJECTORY, REQUESTS
 
 #: What people write in the name of their account, by right: `mqtt.requests` and docs/reference/mqtt.md once more.
 ACTS = {
@@ -106,6 +106,7 @@ def test_the_table_knows_every_account_right_and_topic():
     topics = Topics("twin", "one")
     names = [name for name, value in vars(Topics).items() if isinstance(value, property)]
     listed = {getattr(topics, name) for name in names}
+    listed |= {topics.of(NAMELESS_REVIEW), topics.of(NAMELESS_TRAJECTORY)}
     for kind in OF_ACCOUNTS:
         listed |= {topics.of(kind, name) for name in PEOPLE} | {topics.ack_of(kind, "olaf")}
     assert listed == {f"twin/one/{topic}" for topic in TOPICS}

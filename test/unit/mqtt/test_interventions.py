@@ -11,13 +11,12 @@ from hypothesis import strategies as st
 from construction_twin.core.errors import PayloadError
 from construction_twin.link.requests import Pressed, PressedAsSeen, read, read_document
 from construction_twin.mqtt import requests
-from construction_twin.mqtt.interventions import STOP, Intervention, parse_intervention
-from construction_twin.mqtt.messages import account_of
+from construction_twin.mqtt.messages import Intervention, account_of, parse_intervention
 
 
-def refusal(verb: str, payload: bytes, retained: bool = False) -> str:
+def refusal(payload: bytes, retained: bool = False) -> str:
     with pytest.raises(PayloadError) as caught:
-        parse_intervention(verb, "ada", payload, retained)
+        parse_intervention("ada", payload, retained)
     assert len(str(caught.value)) < 300
     return caught.value.reason
 
@@ -28,8 +27,8 @@ MOMENT = "c0ffee00-5000"
 @pytest.mark.parametrize("moment", [{}, {"moment": MOMENT}, {"moment": "of an old screen"}, {"moment": None}])
 def test_a_stop_needs_an_id_alone_and_is_never_too_old(moment):
     document = {"id": "a-1"} | moment
-    assert parse_intervention(STOP, "ada", json.dumps(document).encode(), False) == Intervention(STOP, "ada", "a-1")
-    assert read(Pressed, document, STOP).moment == ""
+    assert parse_intervention("ada", json.dumps(document).encode(), False) == Intervention("ada", "a-1")
+    assert read(Pressed, document, "stop").moment == ""
 
 
 def test_what_starts_something_repeats_what_its_screen_had_shown():
@@ -49,26 +48,26 @@ def test_what_starts_something_repeats_what_its_screen_had_shown():
     ],
 )  # fmt: skip
 def test_anything_else_is_refused_by_the_gateway_and_by_the_bridge_s_side(payload):
-    assert refusal(STOP, payload) == STOP
+    assert refusal(payload) == "stop"
     with pytest.raises(PayloadError):
-        read(Pressed, read_document(payload, False, STOP, requests.STOP.limit), STOP)
+        read(Pressed, read_document(payload, False, "stop", requests.STOP.limit), "stop")
 
 
 def test_a_retained_one_is_refused_because_its_age_is_unknown():
-    assert refusal(STOP, b'{"id": "1"}', retained=True) == "retained"
+    assert refusal(b'{"id": "1"}', retained=True) == "retained"
 
 
 @given(st.binary(max_size=requests.STOP.limit + 10))
 def test_no_bytes_do_more_than_be_refused(payload):
-    assert refusal(STOP, payload) == STOP
+    assert refusal(payload) == "stop"
 
 
 @given(st.dictionaries(st.sampled_from(["id", "session"]), st.none() | st.integers() | st.text(max_size=70)))
 def test_what_is_taken_is_one_short_line(document):
     try:
-        taken = parse_intervention(STOP, "ada", json.dumps(document).encode(), False)
+        taken = parse_intervention("ada", json.dumps(document).encode(), False)
     except PayloadError as error:
-        assert error.reason == STOP
+        assert error.reason == "stop"
     else:
         assert document == {"id": taken.id} and taken.id.isprintable() and 0 < len(taken.id) <= 64
 

@@ -20,6 +20,7 @@ from construction_twin.mqtt.messages import (
     read_command_properties,
     read_state_properties,
 )
+from construction_twin.mqtt.requests import NAMELESS_REVIEW
 
 COMMAND = [("session", "a1"), ("seq", "7"), ("stamp", "1700000000000000000")]
 STATE = [("seq", "7"), ("stamp", "0"), ("command_stamp", "1700000000000000000")]
@@ -38,7 +39,7 @@ def test_topics_are_those_of_the_design():
     )
     assert topics.bridge_status == "twin/kr120/bridge/status"
     assert (topics.control, topics.control_ack) == ("twin/kr120/control", "twin/kr120/control/ack")
-    assert (topics.plan, topics.review, topics.review_ack) == (
+    assert (topics.plan, topics.of(NAMELESS_REVIEW), topics.ack_of(NAMELESS_REVIEW)) == (
         "twin/kr120/plan",
         "twin/kr120/review",
         "twin/kr120/review/ack",

@@ -130,7 +130,7 @@ def test_a_program_that_is_no_broker_is_no_protocol_error(kind, answer):
     with Answering(answer) as server, kind(Broker(port=server.port)) as attempt:
         wait_until(lambda: attempt.said, what="a sentence")
     assert attempt.said[0].startswith(
-        f"broker 127.0.0.1:{server.port} closed the connection without an answer: is the port right, and is MQTT 5 without TLS "
-        "spoken there; a broker that does not know MQTT 5 may do so (RabbitMQ before 3.13): start with protocol:=3.1.1 ("
+        f"broker 127.0.0.1:{server.port} closed the connection without an answer: does the port speak MQTT 5 without TLS"
+        "; one without MQTT 5 may do so (RabbitMQ before 3.13): start with protocol:=3.1.1 ("
     )
     assert "rotocol error" not in attempt.said[0]

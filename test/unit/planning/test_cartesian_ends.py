@@ -138,7 +138,7 @@ def test_what_is_asked_in_millimetres_is_refused_in_millimetres():
         (
             {},
             [away(0.1, blend=0.06), away(0.1, 0.05)],
-            "the segment to waypoint 1 is 50 mm long; the blends at its ends need 60 mm, choose smaller ones",
+            "the segment to waypoint 1 is 50 mm long; its blends need 60 mm, choose smaller ones",
         ),
     ]
     for options, waypoints, sentence in refused:

@@ -170,5 +170,5 @@ def test_any_plan_in_the_cell_is_free_and_within_the_limits(problem, seed):
 
 
 def test_few_waypoints_that_leave_the_path_are_said():
-    with pytest.raises(PlanningError, match="waypoints leaves the path"):
+    with pytest.raises(PlanningError, match="waypoints leave the path"):
         planner().plan_to_joints(RIGHT, LEFT, PlanRequest("p1", 0, waypoints=2), WALLED)

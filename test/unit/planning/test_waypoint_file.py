@@ -77,7 +77,7 @@ def test_velocities():
         (
             NUMBERS,
             1,
-            "line 1: 6 numbers; expected joint_a1_deg.*writematrix.*needs its columns told: --columns time_s,joints_rad",
+            "line 1: 6 numbers; expected joint_a1_deg.*needs its columns told: --columns time_s,joints_rad",
         ),
         (GOOD.replace("\n", ",joint_a1_deg_s\n", 1), 1, "velocities need a column for every joint"),
         (GOOD.replace(",80,20", ",80"), 3, "line 3: 5 values; expected 6"),
@@ -160,7 +160,7 @@ def test_a_prismatic_joint_of_a_matrix_is_in_m_with_rad_and_in_mm_with_deg(colum
 @pytest.mark.parametrize(
     ("text", "columns", "message"),
     [
-        (GOOD, "joints_deg", "line 1 begins with 'joint_a1_deg', but columns were told"),
+        (GOOD, "joints_deg", "line 1 begins with 'joint_a1_deg'; expected numbers alone"),
         (NUMBERS, "joints", "columns: unknown column 'joints'"),
         (NUMBERS, "joints_deg,joints_rad", "columns: columns 'joint_a1_deg' and 'joint_a1_rad' are the same"),
         (NUMBERS, "time_s", "columns: no column for joint_a1"),

@@ -218,7 +218,7 @@ def test_a_single_point_is_the_goal_of_a_motion_from_the_present_pose():
     ("values", "message"),
     [
         ({"times": [0.1]}, "point 0 (on the path to it, 0.028 s after the start): joint_a1 has a velocity of "),
-        ({"times": [-1.0]}, "point 0: its time -1 s is not after the 0 s of the one before; times must increase"),
+        ({"times": [-1.0]}, "point 0: its time -1 s is not after 0 s; times must increase"),
         (
             {"times": [3.0], "velocities": [[0.1] * 6]},
             "point 0: joint_a1 moves there (0.1 rad/s); the motion must begin",
@@ -373,9 +373,7 @@ def test_times_for_another_arm_are_refused_also_where_the_ends_would_be_timed_an
 
 def test_a_first_point_elsewhere_and_later_is_refused_with_what_to_do():
     error = refused([HOME + 0.2, HOME + 0.3], times=[2.5, 4.0])
-    assert str(error).endswith(
-        "put the arm's pose before it, at 0 s, and the motion to it in 2.5 s is part of the plan, or plan a motion to it first"
-    )
+    assert str(error).endswith("put the arm's pose before it, at 0 s, or plan a motion to it first")
     with_start = from_points(ROBOT, NAMES, [HOME, HOME + 0.2, HOME + 0.3], times=[0.0, 2.5, 4.0])
     assert plan_waypoints(with_start, HOME, ROBOT).duration == 4.0
 

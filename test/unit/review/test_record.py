@@ -151,5 +151,5 @@ class TestContinuation:
 
     @pytest.mark.parametrize("empty", ["", "  "])
     def test_no_file_is_refused(self, empty):
-        with pytest.raises(ConfigurationError, match="the path of a file: nothing is approved without"):
+        with pytest.raises(ConfigurationError, match="a path: nothing is approved without"):
             ReviewLog(empty, lambda: NOW)

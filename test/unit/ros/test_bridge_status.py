@@ -279,7 +279,7 @@ def test_a_reset_that_fails_because_strings_are_refused_says_that(bench):
     answer = bench.ask("reset")
     assert not answer.success
     assert answer.message.startswith(
-        "cannot reset: the arm's pose is unknown, because its strings are refused (30 of them): 16 bytes b'+005.730,-057.29'; "
+        "cannot reset: the arm's pose is unknown: 30 of its strings are refused: 16 bytes b'+005.730,-057.29'; "
     )
 
 

@@ -22,13 +22,6 @@ def test_a_goal_that_a_plan_led_to_is_told_from_another():
     assert goal.pose is None
 
 
-def test_a_dropped_goal_is_none():
-    goal = MarkerGoal()
-    goal.drag(Pose(np.zeros(3), np.eye(3)))
-    goal.drop()
-    assert goal.pose is None
-
-
 def test_moved_is_position_or_rotation():
     origin = Pose(np.zeros(3), np.eye(3))
     assert not moved(origin, Pose(np.full(3, 0.9 * REACHED), np.eye(3)), REACHED)

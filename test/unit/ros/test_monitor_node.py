@@ -17,7 +17,7 @@ from unplugged import ask
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.monitor.gate import Gate
-from construction_twin.monitor.settings import Behaviour
+from construction_twin.monitor.monitor import Behaviour
 from construction_twin.monitor.states import SyncEvent, SyncState
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.ros.nodes import pca_monitor as module

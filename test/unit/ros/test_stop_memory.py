@@ -7,6 +7,7 @@ import xmlrpc.client
 from pathlib import Path
 from xml.etree import ElementTree
 
+import pytest
 from processes import wait_until
 
 from construction_twin.core.sentences import Sentence
@@ -19,7 +20,7 @@ class Server:
 
     def __init__(self):
         self.written: list[str] = []
-        self.away = False
+        self.away: Exception | None = None
         self.go_on = threading.Event()
         self.go_on.set()
 
@@ -27,7 +28,7 @@ class Server:
         """Take a session."""
         self.go_on.wait(10.0)
         if self.away:
-            raise ConnectionRefusedError("nobody there")
+            raise self.away
         xmlrpc.client.dumps((session,))  # what cannot travel is refused as the master's proxy does
         self.written.append(session)
 
@@ -76,13 +77,14 @@ def test_a_slow_master_holds_nobody_up_and_the_newest_is_written_in_the_end():
     assert server.written == ["s1", "s2"]
 
 
-def test_says_that_it_could_not_be_kept_and_tries_again_after_a_while():
+@pytest.mark.parametrize("error", [ConnectionRefusedError("nobody there"), KeyError("nobody there")])
+def test_says_that_it_could_not_be_kept_and_tries_again_after_a_while(error):
     server = Server()
-    server.away = True
+    server.away = error
     memory = StopMemory("", server.write)
     keep(memory, "s1", 0)
     assert "nobody there" in memory.problem
-    server.away = False
+    server.away = None
     keep(memory, "s1", NANOSECONDS // 2)
     assert server.written == []
     keep(memory, "s1", NANOSECONDS)

@@ -47,17 +47,14 @@ class World:
         patch(cycle, "time", SimpleNamespace(monotonic_ns=lambda: self.steady, sleep=self.sleep))
         patch(rospy, "is_shutdown", self.is_over)
         patch(rospy, "loginfo", lambda *_: None)
-        self.node = self.made(node(lambda *_: None, **{"twin/joint_states": self.publish}))
+        self.restarted = SimpleNamespace(clear=self.clear, set=self.wake, wait=self.wait)
+        self.node = node(lambda *_: None, **{"twin/joint_states": self.publish})
+        self.node._restarted = self.restarted
         self._woken = False
         # the grid that stamps the commands: nothing disturbs it
         self.offset = self.wall - self.steady
         self.node.on_link(Link(session="s1", state=Link.ARMED))
         self.node.on_physical(self.wall, HOME)
-
-    def made(self, made: module.VirtualRobotNode) -> module.VirtualRobotNode:
-        """Return a node that waits by these clocks."""
-        made._restarted = SimpleNamespace(clear=self.clear, set=self.wake, wait=self.wait)
-        return made
 
     def publish(self, stamp: int, q) -> None:
         """Take a pose of the twin."""
@@ -286,18 +283,13 @@ def test_the_simulation_goes_on_while_no_commands_come(world, monkeypatch):
     """By the clock, with the stamps of now: the world's node, with an arm that falls."""
     live, commanded = Falling(), []
     simulates(monkeypatch, live)
-    world.node = world.made(
-        node(
-            lambda *_: None,
-            arm="none",
-            twin="mujoco",
-            **{
-                "twin/joint_states": lambda stamp, q: world.published.append((world.steady, stamp)),
-                "twin/commanded": lambda _stamp, q: commanded.append(q),
-                "twin/effort": lambda _: None,
-            },
-        )
-    )
+    publish = {
+        "twin/joint_states": lambda stamp, q: world.published.append((world.steady, stamp)),
+        "twin/commanded": lambda _stamp, q: commanded.append(q),
+        "twin/effort": lambda _: None,
+    }
+    world.node = node(lambda *_: None, "none", "mujoco", **publish)
+    world.node._restarted = world.restarted
     began = world.play(NANOSECONDS, [(0, 100)])
     silent = world.between(began + 400 * MS, began + NANOSECONDS)
     assert len(silent) >= 148 and live.fallen == len(world.published)

@@ -55,7 +55,7 @@ class TestSupervisor:
     def test_is_refused_while_the_stream_moves(self, armed):
         armed.command = moved(1e-5)
         armed.poll()
-        with pytest.raises(ReviewError, match="command stream still moves"):
+        with pytest.raises(ReviewError, match="command stream moves"):
             armed.supervisor.begin_mirror(armed.now)
 
     def test_is_refused_without_an_arm(self, bench):

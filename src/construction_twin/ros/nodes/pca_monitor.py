@@ -21,8 +21,7 @@ from construction_twin.core.limits import MotionLimits
 from construction_twin.core.reports import HoldReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.monitor.gate import Cause, Gate
-from construction_twin.monitor.monitor import SYNC_RATE, Monitor, Replan, TransitionLog
-from construction_twin.monitor.settings import Behaviour
+from construction_twin.monitor.monitor import SYNC_RATE, Behaviour, Monitor, Replan, TransitionLog
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.robot.description import RobotModel

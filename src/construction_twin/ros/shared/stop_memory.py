@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import http.client
 import threading
-import xmlrpc.client
 from collections.abc import Callable
 from typing import Any
-
-import rospy
 
 from construction_twin.core.units import NANOSECONDS
 
@@ -57,7 +53,7 @@ class StopMemory:
         try:
             # XML-RPC takes a plain text only: a sentence has its key in the console and in logs, not here
             self._write(str(value) if isinstance(value, str) else value)
-        except (OSError, rospy.ROSException, xmlrpc.client.Error, http.client.HTTPException) as error:
+        except Exception as error:  # noqa: BLE001 (sockets, HTTP and XML-RPC raise kinds of their own; each is told and tried again)
             self.problem = f"{self._name} was not written, and what it says would not outlast this node ({error})"
             return
         self._written, self.problem = value, ""
