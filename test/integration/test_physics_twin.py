@@ -108,7 +108,7 @@ class PhysicsTwinTest(RobotTest):
             print(f"{closing.reason}: a reply came too late just before, which the model does not judge", flush=True)
             return
         self.assertIn(f"{JOINT} is ", closing.reason)
-        self.assertIn("from where its servo should have it, threshold 0.010000 rad", closing.reason)
+        self.assertIn("from where its servo should have it, 0.573 deg allowed", closing.reason)
         joint = list(closing.name).index(JOINT)
         print(f"{closing.reason}; twin {closing.error[joint]:.4f} of {closing.threshold[joint]:.4f} rad", flush=True)
         self.assertLess(closing.error[joint], closing.threshold[joint])

@@ -309,13 +309,21 @@ class Gate:
         return watch.on_pose(q, seq, command_stamp, in_sync)
 
     def _servo_sentence(self, difference: ServoDifference) -> Sentence:
-        unit = "m" if self._limits.linear[difference.joint] else "rad"
+        joint, shown, allowed = self._for_people(difference.joint, difference.residual, difference.threshold)
         return Sentence(
-            "{joint} is {difference:.6q} from where its servo should have it, threshold {threshold:.6q}",
-            joint=self._limits.names[difference.joint],
-            difference=Quantity(difference.residual, unit),
-            threshold=Quantity(difference.threshold, unit),
+            "{joint} is {difference:.3} from where its servo should have it, {threshold:.3} allowed",
+            joint=joint,
+            difference=shown,
+            threshold=allowed,
         )
+
+    def _for_people(self, joint: int, difference: float, threshold: float) -> tuple[str, Quantity, Quantity]:
+        """Return the axis' name, and a difference that reads as more than its threshold with three decimals of deg or mm."""
+        unit = "m" if self._limits.linear[joint] else "rad"
+        (shown, _), (allowed, people) = to_people(difference, unit), to_people(threshold, unit)
+        if round(shown, 3) <= round(allowed, 3):
+            difference, _ = from_people(round(allowed, 3) + 0.001, people)
+        return axis_name(self._limits.names[joint]), Quantity(difference, unit), Quantity(threshold, unit)
 
     def _note_agreement(self, comparison: Comparison, now: int) -> None:
         if not comparison.agrees_within(self.settings.agree_share):
@@ -397,14 +405,13 @@ class Gate:
         closes = self._machine.row(SyncEvent.POSE_DIFFERS, SyncOccasion(now=now)) is not None
         if self._difference is not None and not closes:
             return
-        joint = comparison.worst()
-        unit = "m" if self._limits.linear[joint] else "rad"
-        threshold = Quantity(comparison.threshold[joint], unit)
+        worst = comparison.worst()
+        joint, difference, allowed = self._for_people(worst, comparison.error[worst], comparison.threshold[worst])
         sentence = Sentence(
             "{joint} differs by {difference:.3}, {threshold:.3} allowed",
-            joint=axis_name(self._limits.names[joint]),
-            difference=_shown_above(threshold, Quantity(comparison.error[joint], unit)),
-            threshold=threshold,
+            joint=joint,
+            difference=difference,
+            threshold=allowed,
         )
         self._close_for(sentence, now)
 
@@ -488,11 +495,3 @@ class Gate:
     def _fire(self, event: SyncEvent, reason: str, now: int) -> bool:
         self._obstacle = ""
         return not self._machine.on(event, SyncOccasion(reason, now, self.comparison.last, self.held_stamp))
-
-
-def _shown_above(threshold: Quantity, difference: Quantity) -> Quantity:
-    """Return a difference that reads as more than its threshold with three decimals of deg or mm."""
-    (shown, unit), (allowed, _) = (to_people(each.value, each.unit) for each in (difference, threshold))
-    if round(shown, 3) > round(allowed, 3):
-        return difference
-    return Quantity(*from_people(round(allowed, 3) + 0.001, unit))

@@ -80,7 +80,7 @@ def test_a_stall_is_found_while_datagrams_are_lost(share, servos):
     chain.run_for(0.5 * fastest)
     chain.faults.inject(Fault("stall", chain.robot.axes[0].name))
     assert chain.run_until(lambda: chain.gate.state is not SyncState.IN_SYNC, 2.0)
-    assert "A1 differs" in chain.gate.reason
+    assert chain.gate.reason.startswith("A1 ")
 
 
 @pytest.mark.parametrize("servos", [NOMINAL, None], ids=["servos known", "not known"])
