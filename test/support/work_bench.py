@@ -65,7 +65,7 @@ def prepared() -> Prepared:
     """Return a model of one element, which one task places."""
     goal, stock = (product(_CHAIN.forward(q), HELD) for q in (AT_GOAL, AT_STOCK))
     facts = ElementFacts("stud", (BODY,), goal, np.zeros((1, 3, 3)))
-    schedule = Schedule((Job(TASK, TASK, "Place stud", ELEMENT, (), ()),), (), (), False)
+    schedule = Schedule((Job(TASK, TASK, "Place stud", ELEMENT, (), ()),), (), False)
     slots = StockPlan({ELEMENT: Slot(ELEMENT, "rack", 1, 0, stock, "")})
     tool = work_samples.tool().tool
     return Prepared("panel.ifc", "a" * 64, "/cell.yaml", schedule, "s" * 64, {ELEMENT: facts}, slots, tool, (POST,))

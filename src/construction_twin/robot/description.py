@@ -15,14 +15,13 @@ from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 import pydantic
-import yaml
 from urdf_parser_py.urdf import URDF, Joint
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.core.units import radians
 from construction_twin.core.validation import configuration_error
-from construction_twin.robot.urdf import chain_joints, expand_xacro, parse_urdf, read_text, xacro_arguments
+from construction_twin.robot.urdf import chain_joints, expand_xacro, parse_urdf, read_yaml, xacro_arguments
 
 #: A joint vector, shape (n,), as callers may pass it; functions that calculate with it convert it.
 JointValues = Sequence[float] | np.ndarray
@@ -245,10 +244,7 @@ def read_robot_files(urdf_path: str | Path, yaml_path: str | Path, xacro_args: s
 
 
 def _read_description(yaml_path: str | Path) -> dict:
-    try:
-        description = yaml.safe_load(read_text(yaml_path))
-    except yaml.YAMLError as error:
-        raise ConfigurationError(str(yaml_path), " ".join(str(error).split()), "a YAML file") from error
+    description = read_yaml(yaml_path)
     if not isinstance(description, dict):
         raise ConfigurationError(str(yaml_path), description, "a mapping of the robot's keys")
     return description

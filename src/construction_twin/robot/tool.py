@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import pydantic
-import yaml
 
 from construction_twin.core.errors import ConfigurationError, problem_of
 from construction_twin.core.validation import configuration_error
 from construction_twin.robot.segments import Signal, Switch
+from construction_twin.robot.urdf import read_yaml
 
 _Name = Annotated[str, pydantic.Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=24)]
 _Finite = Annotated[float, pydantic.Field(allow_inf_nan=False, ge=-1e4, le=1e4)]
@@ -161,11 +161,7 @@ class ToolFile:
 
 def read_tool(path: str | Path) -> ToolFile:
     """Read a tool file."""
-    try:
-        description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigurationError(str(path), problem_of(error), "a YAML file of a tool") from error
-    return ToolFile(tool_of(description, str(path)), Path(path).resolve().parent)
+    return ToolFile(tool_of(read_yaml(path, " of a tool"), str(path)), Path(path).resolve().parent)
 
 
 def tool_hash(path: str | Path) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -25,17 +26,17 @@ class _Place(pydantic.BaseModel):
     rpy_deg: tuple[_Degrees, _Degrees, _Degrees]
 
 
+@dataclass(frozen=True)
 class Cell:
     """Robots and where they stand: ``world_T_root`` of each one's URDF, by the robot's name."""
 
-    def __init__(self, places: Mapping[str, Pose]):
-        self._places = dict(places)
+    places: Mapping[str, Pose]
 
     def world_T_root(self, robot: str) -> Pose:  # noqa: N802 (a transform's name)
         """Return where a robot stands."""
-        if robot not in self._places:
-            raise ConfigurationError("the cell's robots", sorted(self._places), f"one named {robot!r}")
-        return self._places[robot]
+        if robot not in self.places:
+            raise ConfigurationError("the cell's robots", sorted(self.places), f"one named {robot!r}")
+        return self.places[robot]
 
     def root_T_root(self, robot: str, other: str) -> Pose:  # noqa: N802 (a transform's name)
         """Return where another robot stands, seen from a robot; raises like `world_T_root`."""

@@ -86,7 +86,6 @@ class Schedule:
         jobs: In an order in which they can be done one after the other: as the tasks are scheduled if all say when, else as in the
             file.
         notes: One sentence, with ids, for each thing that was understood in a way the user should know.
-        unmade: GlobalIds of the workpieces that no job makes.
         proposed: It is not the planner's but a proposal from the geometry, which a person must accept; or a part of it is.
         removals: Elements that people take down; what each waits for is in `after`.
         remarks: Notes by the id of the job or removal that they are about.
@@ -97,12 +96,11 @@ class Schedule:
         self,
         jobs: tuple[Job, ...],
         notes: tuple[str, ...],
-        unmade: tuple[str, ...],
         proposed: bool = False,
         removals: tuple[Job, ...] = (),
         remarks: Mapping[str, tuple[str, ...]] = MappingProxyType({}),
     ):
-        self.jobs, self.notes, self.unmade, self.proposed = jobs, notes, unmade, proposed
+        self.jobs, self.notes, self.proposed = jobs, notes, proposed
         self.removals, self.remarks = removals, dict(remarks)
         self._by_id = {job.id: job for job in (*jobs, *removals)}
         self.placing = {job.element: job.id for job in jobs if job.moves}
@@ -114,7 +112,7 @@ class Schedule:
         """Return the schedule of a model."""
         reading = _Reading(model, process)
         everything = reading.jobs()
-        unmade = reading.unmade(everything)
+        reading.note_unmade(everything)
         ordered = _in_order(everything, model.tasks)
         reading.notes += _order_notes(everything, model.tasks, proposed)
         said = model.remarks
@@ -123,7 +121,7 @@ class Schedule:
             tuple(job for job in ordered if (job.id in reading.removals) is down) for down in (False, True)
         )
         remarks = {name: each for name, each in remarks.items() if each}
-        return cls(jobs, tuple(reading.notes), unmade, proposed or reading.guessed, removals, remarks)
+        return cls(jobs, tuple(reading.notes), proposed or reading.guessed, removals, remarks)
 
     def job(self, identifier: str) -> Job:
         """Return the job of that id."""
@@ -217,14 +215,13 @@ class _Reading:
             found.append(replace(job, name=f"{job.name}: {element}") if more else job)
         return found
 
-    def unmade(self, jobs: tuple[Job, ...]) -> tuple[str, ...]:
-        """Return the workpieces that neither a job makes nor stand, and note them."""
+    def note_unmade(self, jobs: tuple[Job, ...]) -> None:
+        """Note the workpieces that neither a job makes nor stand."""
         made = {job.element for job in jobs} | self._standing
         left = tuple(identifier for identifier in workpieces(self._model) if identifier not in made)
         if left:
             said = f"No task makes {len(left)} of the elements: {self._called(left)}"
             self.notes.append(f"{said}; the arm leaves them alone.")
-        return left
 
     def _called(self, ids: Iterable[str]) -> str:
         """Return elements or tasks by name and id, the first few."""

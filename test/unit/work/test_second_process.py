@@ -116,7 +116,7 @@ def test_whoever_checks_it_for_review_takes_it(plan, work):
 
 
 def test_the_check_before_the_work_plans_it_too(work):
-    schedule = Schedule((Job("T1", "T1", "Probe brick", "brick0", (), (), "touch"),), (), ())
+    schedule = Schedule((Job("T1", "T1", "Probe brick", "brick0", (), (), "touch"),), ())
     found = Checker(robot(), planner(work.site.recipes), work, schedule, {}, lambda: 0.0).check(0)
     assert found.possible and found.grip == "point 50 0 71 mm" and found.track is not None and found.path
 
@@ -128,7 +128,7 @@ def prepared() -> Prepared:
     """Return the bench's model, whose one element is touched where it stands."""
     made = work_bench.prepared()
     touched = replace(made.schedule.job(work_bench.TASK), process="touch")
-    return replace(made, stock=StockPlan({}), schedule=Schedule((touched,), (), ()))
+    return replace(made, stock=StockPlan({}), schedule=Schedule((touched,), ()))
 
 
 def segments():

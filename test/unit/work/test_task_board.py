@@ -62,7 +62,7 @@ def prepared(proposed: bool = False) -> Prepared:
         # the third lies in the slot of the second, when that has been taken
         slots[job.element] = Slot(job.element, "rack", min(number, 2), int(number == 3), at(number, -1.0), "")
     tool = (SceneObject("tool/post", "box", (0.1, 0.1, 0.1), link="tool0"),)
-    schedule = Schedule(JOBS, (), (), proposed)
+    schedule = Schedule(JOBS, (), proposed)
     return Prepared("panel.ifc", "a" * 64, "/cell.yaml", schedule, "s" * 64, elements, StockPlan(slots), TOOL, tool)
 
 
@@ -363,7 +363,7 @@ def with_removal(tmp_path: Path, clock: Clock) -> TaskBoard:
     facts = ElementFacts("wall", (), at(0.0), np.zeros((1, 3, 3)))
     ready = replace(
         ready,
-        schedule=Schedule(jobs, (), (), False, (down,), remarks),
+        schedule=Schedule(jobs, (), False, (down,), remarks),
         elements={**ready.elements, "W1": facts},
         standing=(wall, SceneObject("W2/0", "box", (1.0, 0.1, 1.0), fixed=True)),
     )
@@ -411,7 +411,7 @@ def test_what_the_arm_placed_stands_as_built_when_the_model_calls_it_completed(t
     one.ledger.close()
     later = replace(
         one.prepared,
-        schedule=Schedule(JOBS[1:2], (), ()),
+        schedule=Schedule(JOBS[1:2], ()),
         digest="b" * 64,
         elements={"E2": one.prepared.elements["E2"]},
         standing=(SceneObject("E1/0", "box", (0.1, 0.1, 0.1), (1.0, 1.0, 0.0), fixed=True),),

@@ -226,7 +226,7 @@ def prepared():
     """Return the bench's model, with a second task that touches its element."""
     made = work_bench.prepared()
     touch = Job(TOUCH, TOUCH, "Touch stud", ELEMENT, (), (Wait(PLACE, True, 0.0),), "touch")
-    return replace(made, schedule=Schedule((*made.schedule.jobs, touch), (), ()))
+    return replace(made, schedule=Schedule((*made.schedule.jobs, touch), ()))
 
 
 def done(one: TaskBoard, task: str, until: str = "finished") -> None:
@@ -285,7 +285,7 @@ def test_what_a_former_task_placed_is_touched_there_and_only_what_moves_it_is_as
     one.ledger.close()
     ready = prepared()
     alone = replace(ready.schedule.job(TOUCH), after=())
-    ready = replace(ready, schedule=Schedule((alone,), (), ()), digest="b" * 64)
+    ready = replace(ready, schedule=Schedule((alone,), ()), digest="b" * 64)
     ledger = Ledger(tmp_path / "l", ready.after, ready.digest, lambda: 1, "", {}, ready.standing_elements)
     again = TaskBoard(ready, ledger, "kr120", "tool0")
     assert again.next(NOW) == TOUCH and again.wanted_scene()[0][f"{ELEMENT}/0"] == stands
@@ -298,7 +298,7 @@ def test_what_was_taken_down_is_not_worked_on(tmp_path):
     ready = prepared()
     removal = Job("D", "D", "Take down", ELEMENT, (), ())
     touch = replace(ready.schedule.job(TOUCH), after=())
-    ready = replace(ready, schedule=Schedule((touch,), (), (), False, (removal,)))
+    ready = replace(ready, schedule=Schedule((touch,), (), False, (removal,)))
     one = TaskBoard(ready, Ledger(tmp_path / "l", ready.after, ready.digest, lambda: 1), "kr120", "tool0")
     assert one.next(NOW) == TOUCH and f"{ELEMENT}/0" in one.wanted_scene()[0]
     one.removed("D", "eva", "")

@@ -47,7 +47,7 @@ def model(ids: str, *names: str, digest: str = "a", shifted: float = 0.0, folder
         elements[element] = ElementFacts(name, (body,), goal, np.zeros((1, 3, 3)), ifc_class="IfcBeam")
         slots[element] = Slot(element, "rack", number, 0, at(-5.0 - number), "")
         jobs.append(Job(f"T{element}", f"T{element}", f"Place {name}", element, (), ()))
-    schedule = Schedule(tuple(jobs), (), ())
+    schedule = Schedule(tuple(jobs), ())
     return Prepared("deck.ifc", digest * 64, "/deck.yaml", schedule, "s" * 64, elements, StockPlan(slots), TOOL, ())
 
 
@@ -204,7 +204,7 @@ def test_an_answer_counts_for_later_versions_that_say_the_same_and_for_no_other(
 def test_the_same_element_with_a_new_task_is_not_asked_about_and_not_placed_twice(two_placed):
     ready = model("old", "A", "B", "C", digest="b")
     jobs = tuple(replace(job, id=f"N{job.id}", task=f"N{job.task}") for job in ready.schedule.jobs)
-    board = opened(two_placed, replace(ready, schedule=Schedule(jobs, (), ())))
+    board = opened(two_placed, replace(ready, schedule=Schedule(jobs, ())))
     assert board.book.asking == () and board.book.former == {} and board.next(NOW) == "NToldC"
     of_b(board)
     assert board.deviation("NToldB").distance == pytest.approx(0.001)
@@ -244,7 +244,7 @@ def test_a_task_that_has_another_element_now_does_not_take_over_what_it_has_plac
     jobs = tuple(
         replace(job, id="ToldB", task="ToldB") if job.element == "oldX" else job for job in ready.schedule.jobs
     )
-    ready = replace(ready, schedule=Schedule(jobs, (), ()))
+    ready = replace(ready, schedule=Schedule(jobs, ()))
     board = opened(two_placed, ready)
     of_b(board)
     assert board.book.asking == ("oldB",) and row(board, "B").answers == ("stands", "taken_away")
@@ -260,7 +260,7 @@ def test_tasks_that_have_changed_their_elements_leave_them_where_they_stand(two_
     ready = model("old", "A", "B", "C", "D", digest="b")
     other = {"oldA": "ToldB", "oldB": "ToldA"}
     jobs = tuple(replace(job, id=other.get(job.element, job.id)) for job in ready.schedule.jobs)
-    board = opened(two_placed, replace(ready, schedule=Schedule(jobs, (), ())))
+    board = opened(two_placed, replace(ready, schedule=Schedule(jobs, ())))
     of_b(board)
     assert stands(board, "oldA").position[0] == 0.0 and set(board.book.standing) == {"ToldA", "ToldB"}
     assert board.element_of("ToldA") == "oldB" == board.book.tasks["ToldA"].element
@@ -273,7 +273,7 @@ def test_what_a_removal_has_taken_down_says_nothing_of_its_next_element(tmp_path
         body = SceneObject(f"{element}/0", "box", SIZE, (3.0, 1.0, 0.6))
         facts = ElementFacts(element, (), at(3.0), np.zeros((1, 3, 3)))
         return replace(
-            ready, schedule=Schedule(ready.schedule.jobs, (), (), removals=(removal,)), standing=(body,),
+            ready, schedule=Schedule(ready.schedule.jobs, (), removals=(removal,)), standing=(body,),
             elements={**ready.elements, element: facts},
         )  # fmt: skip
 
