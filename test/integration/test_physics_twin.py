@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 from test_bringup import Rate
 from twin_client import HOME, LEFT, RehearsedClient, RobotTest, Stream, node_pid, wait
 
-from construction_twin.core.units import CYCLE_NS, NANOSECONDS, radians
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS, axis_name, radians
 from construction_twin.physics.report import PASSED
 from construction_twin.servo.model import STEADY, keeps_pace
 
@@ -104,10 +104,10 @@ class PhysicsTwinTest(RobotTest):
         After a reply that came too late the model judges nothing for a while, and the comparison with the twin it is.
         """
         self.assertEqual((closing.event, closing.from_text), ("pose_differs", "IN_SYNC"))
-        if f"{JOINT} is " not in closing.reason and self.disturbed(feedback, closing.header.stamp):
+        if f"{axis_name(JOINT)} is " not in closing.reason and self.disturbed(feedback, closing.header.stamp):
             print(f"{closing.reason}: a reply came too late just before, which the model does not judge", flush=True)
             return
-        self.assertIn(f"{JOINT} is ", closing.reason)
+        self.assertIn(f"{axis_name(JOINT)} is ", closing.reason)
         self.assertIn("from where its servo should have it, 0.573 deg allowed", closing.reason)
         joint = list(closing.name).index(JOINT)
         print(f"{closing.reason}; twin {closing.error[joint]:.4f} of {closing.threshold[joint]:.4f} rad", flush=True)
