@@ -85,6 +85,8 @@ def test_a_console_that_is_restarted_is_found_again_and_nothing_of_before_is_sen
         expect(page.lost).to_contain_text("NOT CONNECTED")
         page.intervene("stop")
         expect(page.stop_result).to_contain_text("did NOT go out")
+        # white on red
+        expect(page.stop_result).to_have_css("background-color", "rgb(195, 17, 31)")
         assert page.page.locator(".verdict-approve:enabled").count() == 0
         second = robot.show_plan(goal=robot.twin + 0.2)
     finally:
