@@ -46,7 +46,7 @@ def test_lowering_goes_out_at_once_and_raising_is_held(page_of, site, robot):
     wait_until(lambda: robot.speed_limits.people.limit == 0.4, PATIENCE_S, "the lower limit")
     assert all(not moment for _, moment in limits(robot))
     expect(page.locator(".speed-now")).to_contain_text("dora has limited the speed to 40%")
-    expect(page.locator(".speed-result")).to_contain_text("done")
+    expect(page.locator(".speed-result")).to_contain_text("carried out")
     count = len(limits(robot))
     drag(page, 80)
     confirm = page.locator(".speed-raise")
