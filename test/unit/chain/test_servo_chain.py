@@ -36,7 +36,7 @@ def axis(joint: int) -> str:
 @pytest.mark.parametrize("joint", JOINTS, ids=axis)
 def test_a_joint_that_stalls_at_full_speed_is_found_within_three_poses(joint):
     samples, reason = fault_in_motion(NOMINAL, joint, Fault("stall", axis(joint)))
-    assert samples <= 3 and ROBOT.joint_names[joint] in reason and "servo" in reason
+    assert samples <= 3 and reason.startswith(f"A{joint + 1} ") and "servo" in reason
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 1.0])
@@ -44,7 +44,7 @@ def test_a_joint_that_stalls_at_full_speed_is_found_within_three_poses(joint):
 def test_a_slip_of_three_quarters_of_a_degree_is_found_at_any_speed(joint, share):
     for angle in (0.75, -0.75):
         samples, reason = fault_in_motion(NOMINAL, joint, slip(joint, angle), share)
-        assert samples == 2 and ROBOT.joint_names[joint] in reason
+        assert samples == 2 and reason.startswith(f"A{joint + 1} ")
 
 
 def test_without_a_model_the_gate_does_what_it_did():
@@ -126,7 +126,7 @@ def test_a_collision_that_the_drives_cannot_hold_against_is_found():
     chain.run_for(fastest)
     chain.faults.inject(Fault("collision", "A3", (12000.0,)))
     assert chain.run_until(lambda: chain.gate.state is SyncState.HOLDING, 0.1)
-    assert "joint_a3" in chain.transitions[-1].reason
+    assert "A3 " in chain.transitions[-1].reason
 
 
 def test_an_arm_of_another_class_is_held_to_the_threshold_by_what_was_identified():
