@@ -113,13 +113,11 @@ class Replan:
     """A plan to ask for: from the held pose to the goal of the plan that was interrupted.
 
     Attributes:
-        state: That the gate has closed to.
         violation: Which hold it is of: an answer may come late, in another one.
     """
 
     held: tuple[float, ...]
     wanted: ReplanGoal
-    state: str
     violation: int
 
 
@@ -234,7 +232,7 @@ class Monitor:
         asked = Sentence("a path to the goal of plan {plan} was asked for, no faster than that", plan=wanted.plan_id)
         asks = self.gate.on_replan(asked, first.at)
         changes += self.gate.take_transitions()
-        replan = Replan(self.gate.held, wanted, first.target.name, self.gate.violations)
+        replan = Replan(self.gate.held, wanted, self.gate.violations)
         return changes, replan if asks else None
 
     def on_replan_failed(self, replan: Replan, problem: str, now: int) -> None:

@@ -335,6 +335,13 @@ class TestAge:
         again = world.resume_from_screen(world.shown(0.1))
         assert not again.success and not again.expired and "nothing to resume" in again.message
 
+    @pytest.mark.parametrize("act, state", [("stop", ExecutorState.STOPPING), ("pause", ExecutorState.PAUSING)])
+    def test_a_stop_and_a_pause_are_never_too_old_and_can_be_said_in_another_language(self, world, act, state):
+        world.playing()
+        answer = world.ask("~act_as_seen", ActAsSeenRequest(act, "ada", ""))
+        assert answer.success and answer.message in json.loads(answer.said)
+        assert world.executor.state is state
+
     @pytest.mark.parametrize("before", ["PLAYING", "PAUSING", "PAUSED"])
     def test_a_resume_that_is_older_than_a_pause_does_not_undo_it(self, world, before):
         world.playing()

@@ -60,7 +60,7 @@ class Services:
 
     Attributes:
         approve, reject: The executor's `review_plan`; a rejection may come twice, and asks no master.
-        pressed: By verb. One that starts something is an `ActAsSeen`; others may be called twice.
+        pressed: An `ActAsSeen` by verb; one that starts nothing may be called twice.
         decide: The work's, which takes what a person decides.
         limit_speed: Takes a person's speed limit, and may be called twice.
     """
@@ -135,7 +135,8 @@ class Acts:
         return Outcome.of(call(self._services.pressed[kind.name], _PROGRAMS[kind.by], **fields))
 
     def _brake(self, _wanted: Pressed, request: Incoming) -> Outcome:
-        return Outcome.of(call_twice(self._services.pressed[request.kind.name], _PROGRAMS[request.kind.by]))
+        kind, fields = request.kind, {"act": request.kind.name, "person": request.account}
+        return Outcome.of(call_twice(self._services.pressed[kind.name], _PROGRAMS[kind.by], **fields))
 
     def _give_answer(self, asked: AnswerRequest, request: Incoming) -> Outcome:
         fields = {"task": asked.task, "question": asked.question, "answer": asked.answer, "person": request.account}

@@ -15,7 +15,6 @@ from typing import Any
 
 import pydantic
 import rospy
-from std_srvs.srv import Trigger
 
 from construction_twin import msg, srv
 from construction_twin.link.remote_view import ViewWriter
@@ -198,11 +197,9 @@ class ConsoleNode:
 def _services() -> Services:
     """Return the services of what people do; what starts nothing is connected to for good, and may be called twice."""
     pressed = {
-        kind.name: rospy.ServiceProxy(
+        kind.name: (rospy.ServiceProxy if kind.starts else PersistentService)(
             f"{'mqtt_bridge' if kind.by == BRIDGE else 'executor'}/act_as_seen", srv.ActAsSeen
         )
-        if kind.starts
-        else PersistentService(kind.name, Trigger)
         for kind in PRESSED
     }
     return Services(

@@ -1,6 +1,6 @@
 """executor: plays the approved plan as `next/joint_states` at 250 Hz; serves `review_plan`, the stops, `pause`, `resume`.
 
-`~act_as_seen` resumes for people at screens elsewhere. Of a work plan also `tool_command`, from what `tool` says; `engagement`, and
+`~act_as_seen` stops, pauses and resumes for people at screens elsewhere. Of a work plan also `tool_command`, from what `tool` says; `engagement`, and
 the service `release_engagement`. What decides is in `execution`.
 """
 
@@ -273,10 +273,14 @@ class ExecutorNode:
         return self._answered("resume", self._approval.resume())
 
     def on_act_as_seen(self, request: srv.ActAsSeenRequest) -> str:
-        """Go on after a pause, unless what the person's screen had shown is too old, or older than a pause or stop."""
-        if request.act != "resume":
-            raise PayloadError("act", f"{request.act!r} is nothing that is done here")
-        return self._answered("resume", self._approval.resume(parse_moment(request.moment)))
+        """Stop or pause; or go on, unless what the person's screen had shown is too old, or older than a pause or stop."""
+        if request.act == "stop":
+            return self.on_stop(request)
+        if request.act == "pause":
+            return self.on_pause(request)
+        if request.act == "resume":
+            return self._answered("resume", self._approval.resume(parse_moment(request.moment)))
+        raise PayloadError("act", f"{request.act!r} is nothing that is done here")
 
     def on_release(self, request: srv.ReleaseEngagementRequest) -> str:
         """Take a person's word that the arm was freed."""
@@ -436,7 +440,7 @@ INTERFACE = Interface(
         Served("release_engagement", srv.ReleaseEngagement, ExecutorNode.on_release, "release_engagement"),
         Served("pause", Trigger, ExecutorNode.on_pause, "pause"),
         Served("resume", Trigger, ExecutorNode.on_resume, "resume"),
-        Served("~act_as_seen", srv.ActAsSeen, ExecutorNode.on_act_as_seen, "resume"),
+        Served("~act_as_seen", srv.ActAsSeen, ExecutorNode.on_act_as_seen, "act"),
     ),
     every=(Every(lambda _settings: BACKGROUND_PERIOD, ExecutorNode.do_background_work),),
 )  # fmt: skip

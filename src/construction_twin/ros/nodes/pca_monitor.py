@@ -204,7 +204,7 @@ class PcaMonitorNode:
                 start=replan.held,
                 speed_scale=wanted.speed_scale,
                 acceleration_scale=wanted.acceleration_scale,
-                source=Sentence("re-plan after {state}", state=replan.state),
+                source=Sentence("re-plan after a hold"),
                 # not now: a person may have called `stop` since then, which this node has not heard of
                 asked=wanted.seen,
             )
