@@ -21,6 +21,7 @@ from construction_twin.core.freshness import parse_moment, staleness
 from construction_twin.core.units import from_wire
 from construction_twin.kinematics.chain import Chain
 from construction_twin.link.remote_view import COMPATIBLE, VERSION
+from construction_twin.mqtt import requests
 from construction_twin.mqtt.messages import Topics
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.ros.shared.robot_clock import present
@@ -33,10 +34,10 @@ HEARD = {
     "screen": TOPICS.screen,
     "scene": TOPICS.scene,
     "plan": TOPICS.plan,
-    "review_ack": TOPICS.review_ack,
+    "review_ack": TOPICS.ack_of(requests.REVIEW),
     "stop_ack": TOPICS.stop_ack,
-    "plan_request_ack": TOPICS.plan_request_ack,
-    "ik_ack": TOPICS.ik_ack(ACCOUNT),
+    "plan_request_ack": TOPICS.ack_of(requests.PLAN_REQUEST),
+    "ik_ack": TOPICS.ack_of(requests.IK, ACCOUNT),
 }
 
 
@@ -107,7 +108,7 @@ class Console:
         count = len(self.heard["review_ack"])
         document = {"plan_id": plan["id"], "plan_hash": plan["hash"], "verdict": verdict, "reviewer": "Ada"}
         document["moment"] = moment or self.moment
-        self.send(TOPICS.review_by(ACCOUNT), document)
+        self.send(TOPICS.of(requests.REVIEW, ACCOUNT), document)
         wait(lambda: len(self.heard["review_ack"]) > count, "an answer on review/ack")
         return self.heard["review_ack"][count]
 
@@ -169,7 +170,7 @@ class ConsoleTest(RobotTest):
         self.begin()
         console = self.console
         goal = {"kind": "joints", "joints": self.joints(LEFT), "speed_scale": 0.5}
-        plan = self.plan(console.ask(TOPICS.plan_request(ACCOUNT), "plan_request_ack", goal))
+        plan = self.plan(console.ask(TOPICS.of(requests.PLAN_REQUEST, ACCOUNT), "plan_request_ack", goal))
         self.assertEqual(plan["source"], "MQTT, on the topic of console")
         wait(lambda: console.newest("view")["plan"] == plan["id"], "the plan in the view")
         wait(lambda: console.line("execution").get("who") == "reviewer", "the reviewer on the status line")
@@ -178,7 +179,7 @@ class ConsoleTest(RobotTest):
         late = console.verdict(plan, "approved", shown)
         self.assertEqual((late["ok"], late["expired"]), (False, True), late)
         self.assertIn("look again", late["reason"])
-        late = console.ask(TOPICS.plan_request(ACCOUNT), "plan_request_ack", goal | {"moment": shown})
+        late = console.ask(TOPICS.of(requests.PLAN_REQUEST, ACCOUNT), "plan_request_ack", goal | {"moment": shown})
         self.assertEqual((late["ok"], late["expired"]), (False, True), late)
         self.assertEqual(console.newest("view")["plan"], plan["id"], "it is still under review")
         self.assertEqual(self.client.execution.state, Execution.IDLE)
@@ -190,7 +191,7 @@ class ConsoleTest(RobotTest):
         self.assertFalse(again["ok"], "a plan is executed once")
         self.client.wait_until_ready()
         home = goal | {"joints": dict(zip(self.client.robot.joint_names, self.client.robot.home)), "speed_scale": 0.2}
-        back = self.plan(console.ask(TOPICS.plan_request(ACCOUNT), "plan_request_ack", home))
+        back = self.plan(console.ask(TOPICS.of(requests.PLAN_REQUEST, ACCOUNT), "plan_request_ack", home))
         with Stream("mock_rsi/joint_states") as arm:
             self.assertTrue(console.verdict(back, "approved")["ok"])
             wait(lambda: arm.moved(2.0), "the arm to move")
@@ -213,15 +214,17 @@ class ConsoleTest(RobotTest):
         orientation = [float(value) for value in rotation_to_quaternion(pose.rotation)]
         position[2] += 0.1
         asked = {"position": position, "orientation": orientation}
-        answer = console.ask(TOPICS.ik(ACCOUNT), "ik_ack", asked)
+        answer = console.ask(TOPICS.of(requests.IK, ACCOUNT), "ik_ack", asked)
         self.assertEqual((answer["reach"], answer["between"]), ("free", []), answer)
         reached = chain.forward([answer["joints"][name] for name in self.client.robot.joint_names])
         self.assertLess(max(abs(a - b) for a, b in zip(reached.position, position)), 1e-5)
-        far = console.ask(TOPICS.ik(ACCOUNT), "ik_ack", asked | {"position": [9.0, 0.0, 1.0]})
+        far = console.ask(TOPICS.of(requests.IK, ACCOUNT), "ik_ack", asked | {"position": [9.0, 0.0, 1.0]})
         self.assertEqual((far["reach"], far["joints"]), ("out", None))
         self.assertIn("out of reach by", far["sentence"])
         for kind in ("pose", "line"):
-            plan = self.plan(console.ask(TOPICS.plan_request(ACCOUNT), "plan_request_ack", asked | {"kind": kind}))
+            plan = self.plan(
+                console.ask(TOPICS.of(requests.PLAN_REQUEST, ACCOUNT), "plan_request_ack", asked | {"kind": kind})
+            )
             self.assertLess(max(abs(a - b) for a, b in zip(plan["tool_path"][-1], position)), 1e-3)
             self.assertTrue(console.verdict(plan, "rejected")["ok"])
 

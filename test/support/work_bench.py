@@ -324,7 +324,7 @@ class Bench:
         if self.planner_dies == "after":
             raise session.NoAnswer("the planner does not answer")
         plan = self.plan
-        return PlanWorkResponse(True, "planned", plan.id, plan.hash, plan.trajectory.duration)
+        return PlanWorkResponse(True, "planned", plan.id, plan.hash, plan.trajectory.duration, "")
 
     def _plan_way_back(self, _) -> TriggerResponse:
         motion, here = reach(AT_STOCK, HOME, 1.0, 9), self.scene.hash

@@ -92,7 +92,8 @@ function checkPath({times, tool_path: points}) {
  *
  * @param {() => number} [options.now] milliseconds of a monotonic clock
  * @param {(plan: object) => Promise<object>} [options.check] checks a plan's hash; see plan_hash.js
- * @param {(message: object) => void} [options.hear] gets each message that was checked, before anybody is told of it
+ * @param {(source: string, message: object) => void} [options.hear] gets each message that was checked, before anybody is told of it, with
+ *   robot, kind and, of an answer, who carries it out
  * @param {(error: Error) => void} [options.report] where exceptions of the page's parts go: the browser's console
  */
 export function makeStore({
@@ -286,7 +287,7 @@ export function makeStore({
           if (kind === "view") checkView(value);
           else check(SCHEMAS[kind], value, kind);
           if (kind === "path") checkPath(value);
-          hear(value);
+          hear(`${name} ${kind} ${value.by ?? ""}`, value);
         }
         if (kind === "view") takeView(robot, value);
         else if (kind === "plan") await takePlan(robot, value);

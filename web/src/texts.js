@@ -1,7 +1,5 @@
 /** The page's words in the person's language: English stands where it is said, and web/locale/de.po has its German. */
 
-/** Most sentences of robots whose templates are kept. */
-const MOST_HEARD = 2000;
 /** A place in a template; how a number is written in it is for who wrote it. */
 const PLACE = /\{(\w+)(?::[^}]*)?\}/g;
 /** The unit of angles behind a number. */
@@ -35,6 +33,13 @@ export function withoutLanguage(search) {
   return asked.toString();
 }
 
+/** Return whether a template and its values make a robot's text: what does not is not its sentence. */
+function makes(text, sentence) {
+  const {template, values} = sentence ?? {};
+  const isWhole = typeof template === "string" && Object.values(values ?? {}).every((each) => typeof each === "string");
+  return isWhole && fill(template, values ?? {}) === text;
+}
+
 /** Return a template with its places filled in; a place without a value stays. */
 const fill = (template, values) => template.replace(PLACE, (place, name) => (Object.hasOwn(values, name) ? String(values[name]) : place));
 
@@ -44,6 +49,7 @@ const fill = (template, values) => template.replace(PLACE, (place, name) => (Obj
  * @param {object} table words of the language by English template; none for English
  */
 export function makeTexts(language, table = {}) {
+  // by robot and kind of message: `said` of the newest
   const heard = new Map();
   const words = (template) => (Object.hasOwn(table, template) ? table[template] : undefined);
   const texts = (template, values = {}) => fill(words(template) ?? template, values);
@@ -51,21 +57,14 @@ export function makeTexts(language, table = {}) {
   /** Return what a table of templates has for a program's word; the word itself where it has nothing. */
   texts.word = (templates, word) => (Object.hasOwn(templates, word) ? texts(templates[word]) : word);
   /** Keep the templates of the sentences in what a robot has sent: `said` of a document, or of each line or message of a list. */
-  texts.hear = (document) => {
-    for (const each of [document].flat()) {
-      for (const [text, sentence] of Object.entries({...each.said, ...each.line?.said})) {
-        heard.delete(text);
-        heard.set(text, sentence);
-      }
-    }
-    for (const text of heard.keys()) {
-      if (heard.size <= MOST_HEARD) break;
-      heard.delete(text);
-    }
+  texts.hear = (source, document) => {
+    const said = [document].flat().flatMap((each) => Object.entries({...each?.said, ...each?.line?.said}));
+    heard.set(source, new Map(said.filter(([text, sentence]) => makes(text, sentence))));
   };
+  const sentenceOf = (text) => [...heard.values()].find((said) => said.has(text))?.get(text) ?? {template: text, values: {}};
   /** Return an English sentence of a robot in the page's language; where it has no words, as it came. */
   texts.reason = (text) => {
-    const {template = text, values = {}} = heard.get(text) ?? {};
+    const {template, values} = sentenceOf(text);
     const found = words(template);
     if (found === undefined) return text;
     const value = (each, place) => {
@@ -74,7 +73,7 @@ export function makeTexts(language, table = {}) {
       // a value is a part of its sentence: who sends another one gets no circle
       return each.length < text.length ? texts.reason(each).replace(DEGREES, texts("deg")) : each;
     };
-    return fill(found, Object.fromEntries(Object.entries(values ?? {}).map(([place, each]) => [place, value(String(each), place)])));
+    return fill(found, Object.fromEntries(Object.entries(values ?? {}).map(([place, each]) => [place, value(each, place)])));
   };
   return texts;
 }

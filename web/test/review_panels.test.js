@@ -504,7 +504,7 @@ test("the worst line comes first and large, with whom it waits for and what to d
 test("in another language the robot's sentences are in the page's words, with the reason as the robot says it", async () => {
   const it = await page([status], {language: "de"});
   await it.hear("kr120", "view", view());
-  const sentence = "The link says so: the arm waits for 3 deg";
+  const sentence = "Waits for: the arm waits for 3 deg";
   const line = {...LINE, topic: "link", state: "NEEDS_RESET", level: 2, sentence, waits_for: "a reset", who: "operator", todo: "remove the cause",
     said: {[sentence]: {template: "Waits for: {what}", values: {what: "the arm waits for 3 deg"}}}};
   await it.hear("kr120", "screen", [line]);

@@ -44,7 +44,7 @@ const german = () => makeTexts("de", TABLE);
 test("what a robot has said is said by its template, with the sentences and units in it", () => {
   const de = german();
   const [differs, holds] = ["joint_a3 differs by 0.707 deg", "it holds: joint_a3 differs by 0.707 deg"];
-  de.hear({reason: holds, said: {
+  de.hear("kr120 view", {reason: holds, said: {
     [differs]: {template: "{joint} differs by {error:.3}", values: {joint: "joint_a3", error: "0.707 deg"}},
     [holds]: {template: "it holds: {reason}", values: {reason: differs}},
   }});
@@ -57,30 +57,38 @@ test("a sentence without values is its own template, and what has no words comes
   const de = german();
   assert.equal(de.reason("no pose"), "keine Stellung");
   for (const text of ["", "no poses", "{joint}", "constructor", undefined]) assert.equal(de.reason(text), text);
-  de.hear({said: {"x 1": {template: "x {n}", values: {n: "1"}}}});
+  de.hear("kr120 view", {said: {"x 1": {template: "x {n}", values: {n: "1"}}}});
   assert.equal(de.reason("x 1"), "x 1");
 });
 
 test("a state is what a person calls it, and a name that is such a word stays", () => {
   const de = german();
   const text = "gateway was stopped and is HOLDING: by stopped";
-  de.hear({said: {[text]: {template: "gateway was stopped and is {state}: by {who}", values: {state: "HOLDING", who: "stopped"}}}});
+  de.hear("kr120 view", {said: {[text]: {template: "gateway was stopped and is {state}: by {who}", values: {state: "HOLDING", who: "stopped"}}}});
   assert.equal(de.reason(text), "das Gateway wurde von stopped angehalten und ist wartend");
 });
 
-test("lines and messages have their own, and the oldest of too many are forgotten", () => {
+test("lines and messages have their own, and a newer message of a kind takes the place of the one before", () => {
   const de = german();
   const said = (text) => ({[text]: {template: "it holds: {reason}", values: {reason: text.slice(10)}}});
-  de.hear([{said: said("it holds: 1")}, {line: {said: said("it holds: 2")}}, {line: {}}, {}]);
+  de.hear("kr120 messages", [{said: said("it holds: 1")}, {line: {said: said("it holds: 2")}}, {line: {}}, {}]);
+  de.hear("kr120 view", {said: said("it holds: 3")});
   assert.equal(de.reason("it holds: 1"), "er hält: 1");
   assert.equal(de.reason("it holds: 2"), "er hält: 2");
-  for (let k = 3; k < 2002; k += 1) de.hear({said: said(`it holds: ${k}`)});
-  assert.equal(de.reason("it holds: 1"), "it holds: 1");
-  assert.equal(de.reason("it holds: 2"), "er hält: 2");
+  de.hear("kr120 view", {});
+  assert.deepEqual([de.reason("it holds: 2"), de.reason("it holds: 3")], ["er hält: 2", "it holds: 3"]);
+});
+
+test("what does not make its text is not its sentence", () => {
+  const de = german();
+  for (const sentence of [{template: "no pose", values: {}}, {template: "it holds: {reason}"}, {template: "it holds: {reason}", values: {reason: 5}}, {}, null, 5]) {
+    de.hear("kr120 view", {said: {"it holds: 5": sentence}});
+    assert.equal(de.reason("it holds: 5"), "it holds: 5");
+  }
 });
 
 test("a sentence that has itself as a value ends", () => {
   const de = german();
-  de.hear({said: {a: {template: "{a}", values: {a: "a"}}}});
+  de.hear("kr120 view", {said: {a: {template: "{a}", values: {a: "a"}}}});
   assert.equal(de.reason("a"), "<a>");
 });

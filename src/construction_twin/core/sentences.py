@@ -6,7 +6,7 @@ templates (web/locale). Standard library only.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from functools import reduce
 from string import Formatter
@@ -67,10 +67,8 @@ def both(*sentences: str) -> str:
 
 def replaced(text: str, part: str, other: str) -> str:
     """Return a sentence with another one in the place of the part that it has as a value."""
-    if text == part:
-        return other
-    if not isinstance(text, Sentence):
-        return text
+    if text == part or not isinstance(text, Sentence):
+        return other if text == part else text
     values = text.values.items()
     return Sentence.of(
         text.replace(part, other),
@@ -81,39 +79,41 @@ def replaced(text: str, part: str, other: str) -> str:
 
 def told(*parts: object) -> Told:
     """Return what another language needs of all sentences in records, lists and texts. One without values is its own template."""
-    return {
-        str(sentence): {"template": sentence.template, "values": _written(sentence)}
-        for sentence in _sentences(parts)
-        if sentence.values
-    }
+    found: dict[str, Mapping[str, Any]] = {}
+    _tell(parts, found)
+    return found
 
 
-def _sentences(part: object) -> Iterator[Sentence]:
+def _tell(part: object, found: dict[str, Mapping[str, Any]]) -> None:
     if isinstance(part, Sentence):
-        yield part
-        part = part.values
+        if part.values and part not in found:
+            found[str(part)] = {"template": part.template, "values": _written(part)}
+            _tell(part.values, found)
+        return
     if is_dataclass(part):
         part = [getattr(part, each.name) for each in fields(part)]
     for each in part.values() if isinstance(part, Mapping) else part if isinstance(part, (tuple, list)) else ():
-        yield from _sentences(each)
-
-
-def places(template: str) -> dict[str, str]:
-    """Return the formats of a template's values by their names; ValueError: it is none."""
-    return {name: form or "" for _, name, form, _ in Formatter().parse(template) if name is not None}
+        _tell(each, found)
 
 
 def _written(sentence: Sentence) -> dict[str, str]:
     # of a sentence that came in a message the values are texts already
-    values = ((name, form, sentence.values[name]) for name, form in places(sentence.template).items())
+    places = ((name, form or "") for _, name, form, _ in Formatter().parse(sentence.template) if name is not None)
+    values = ((name, form, sentence.values[name]) for name, form in places)
     return {name: str(value) if isinstance(value, str) else format(value, form) for name, form, value in values}
 
 
-def heard(told_of: Told) -> dict[str, Sentence]:
-    """Return the sentences that a message has told of, by their texts."""
+def heard(told_of: Any) -> dict[str, Sentence]:
+    """Return the sentences that a message has told of, by their texts; what does not make its text is left out."""
     known: dict[str, Sentence] = {}
-    for text in sorted(told_of, key=len):
-        # a sentence among the values of another one is the shorter one
-        values = {name: known.get(value, value) for name, value in told_of[text]["values"].items()}
-        known[text] = Sentence.of(text, told_of[text]["template"], values)
+    for text in sorted(told_of, key=len) if isinstance(told_of, dict) else ():
+        try:
+            template, parts = told_of[text]["template"], [*Formatter().parse(told_of[text]["template"])]
+            values = {name: told_of[text]["values"][name] for _, name, *_ in parts if name is not None}
+            made = "".join(own + values.get(name or "", "") for own, name, *_ in parts)
+        except (KeyError, TypeError, ValueError):
+            continue
+        if made == text:
+            # a sentence among the values of another one is the shorter one
+            known[text] = Sentence.of(text, template, {name: known.get(value, value) for name, value in values.items()})
     return known

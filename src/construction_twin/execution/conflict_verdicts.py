@@ -29,12 +29,7 @@ class ConflictVerdicts:
         if not self.name:
             return ""
         if self._plan_id != plan_id:
-            return Sentence(
-                "its path was not checked against {name} yet; does the node `neighbour` run?", name=self.name
-            )
-        age = (self.now - self._at) / NANOSECONDS
+            return Sentence("its path was not checked against {name} yet; does `neighbour` run?", name=self.name)
         if self.now - self._at > VERDICT_TIMEOUT:
-            return Sentence(
-                "its path was checked against {name} {age:.1f} s ago; runs `neighbour`?", name=self.name, age=age
-            )
+            return Sentence("its path is not checked against {name} any more; does `neighbour` run?", name=self.name)
         return self._problem

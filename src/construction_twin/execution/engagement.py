@@ -232,7 +232,7 @@ def check_way_back(plan: Plan, engagement: Engagement) -> None:
                 plan=plan.id,
                 distance=float(entry.distance),
                 most=LARGEST_ENTRY,
-                remedy=REMEDY,
+                remedy=_BY_HAND,
             )
         )
     line = np.linspace(0.0, 1.0, 2 + math.ceil(entry.distance / WAY_BACK_TOLERANCE))[:-1, None]

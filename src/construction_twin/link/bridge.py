@@ -16,7 +16,13 @@ from construction_twin.core.travel_time import StateCheck
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.bare_supervisor import BareSupervisor
-from construction_twin.link.gateway_status import clock_sentence, controller_sentence, status_values, without_counts
+from construction_twin.link.gateway_status import (
+    clock_sentence,
+    controller_sentence,
+    cut,
+    status_values,
+    without_counts,
+)
 from construction_twin.link.observations import SeenStops
 from construction_twin.link.speed_limits import SpeedForwarder
 from construction_twin.link.states import LinkState
@@ -38,7 +44,9 @@ WITHDRAWAL = NANOSECONDS
 #: Between two reports of an unchanged link [ns].
 _REPEAT = NANOSECONDS
 #: What `halt` comes to with a bare PLC.
-PLC_HALTED = Sentence("no more strings are sent to the PLC, which brakes on silence; a person arms again, by name")
+PLC_HALTED = Sentence(
+    "no more strings are sent to the PLC, and the plan is dropped: a lawful PLC brakes on silence; a person arms again, by name"
+)
 _NO_PROPERTIES = StateProperties(0, 0, 0)
 
 
@@ -207,7 +215,7 @@ class Bridge:
         self.supervisor.on_answer(answer, now)
         self._tool.on_answer(answer)
         if answer.get("verb") == "speed_limit" and not answer.get("ok"):
-            reason = answer.get("reason", "")
+            reason = cut(answer.get("reason", ""))
             raise PayloadError("speed_limit", Sentence("gateway refused the speed limit: {reason}", reason=reason))
 
     # -- the tool
@@ -264,7 +272,7 @@ class Bridge:
                 raise ExpiredError(Sentence("this is {problem}", problem=problem))
             if not self._stops.was_seen(seen):
                 raise ExpiredError(
-                    Sentence("this is void: the arm was stopped since the screen had shown it; ask anew")
+                    Sentence("this is void: the arm was stopped after what the screen had shown; ask anew")
                 )
         asked = Asked(self.supervisor, now, self._timeout)
         if verb == "reset":

@@ -6,16 +6,16 @@ import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, FailFast, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, FailFast, Field, ValidationError
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
-from construction_twin.core.sentences import Sentence, heard, places
+from construction_twin.core.sentences import Sentence, heard
 from construction_twin.gateway.tool_switches import MOST_REPORTED
 from construction_twin.mqtt.messages import FIRST_PROTOCOL, OFFLINE, PLC, READY, RSI, is_short_text, parse_object
 
-#: Longest text that is told, longest reason, and longest status [bytes].
-_LONGEST, _LONGEST_REASON, _MOST_BYTES = 300, 2000, 1 << 20
+#: Longest text that is told, and longest status [bytes].
+_LONGEST, _MOST_BYTES = 300, 1 << 20
 #: Objects of the status whose values are shown, each under its own name and theirs.
 _GROUPS = ("controller", "cycle", "playout", "speed_limit", "stop", "intruder")
 _SINGLE = ("mode", "fault_number", "last_refusal", "later_refusal", "last_ipoc_jump_ms")
@@ -52,17 +52,6 @@ class _Part(BaseModel):
     model_config = ConfigDict(strict=True)
 
 
-class _Sentence(_Part):
-    template: str
-    values: dict[str, str]
-
-    @model_validator(mode="after")
-    def _has_its_values(self) -> _Sentence:
-        if places(self.template).keys() != self.values.keys():
-            raise ValueError("a sentence has other values than places")
-        return self
-
-
 class _Histogram(_Part):
     bins: _Counts = []
     counts: _Counts = []
@@ -87,8 +76,7 @@ class _Status(_Part):
     """What is read of a status; it may hold more."""
 
     state: str = ""
-    reason: Annotated[str, Field(max_length=_LONGEST_REASON)] = ""
-    said: Annotated[dict[str, _Sentence], Field(max_length=64)] = {}
+    reason: str = ""
     run: Annotated[str, AfterValidator(_short)] = ""
     fault: bool = False
     fault_number: _Count = 0
@@ -118,12 +106,14 @@ def parse_status(payload: bytes) -> dict:
         raise PayloadError(
             "status", Sentence("status message whose {name} is not what the interface says", name=place)
         ) from None
-    return _with_sentences(status, heard(status.pop("said", {})))
+    return _with_sentences(status, heard(status.pop("said", None)))
 
 
 def _with_sentences(value: Any, known: Mapping[str, Sentence]) -> Any:
     if isinstance(value, dict):
         return {name: _with_sentences(each, known) for name, each in value.items()}
+    if isinstance(value, list):
+        return [_with_sentences(each, known) for each in value]
     return known.get(value, value) if isinstance(value, str) else value
 
 
@@ -168,10 +158,11 @@ def clock_sentence(status: Mapping[str, Any]) -> str:
 def _text(value: Any) -> str:
     if isinstance(value, list):
         return " ".join(map(_text, value))
-    return "" if value is None else _told(value) if isinstance(value, str) else f"{value:.9g}"
+    return "" if value is None else cut(value) if isinstance(value, str) else f"{value:.9g}"
 
 
-def _told(text: str) -> str:
+def cut(text: str) -> str:
+    """Return a text, or its beginning where it is too long to be told."""
     return text if len(text) <= _LONGEST else text[:_LONGEST]
 
 
@@ -182,8 +173,8 @@ def tool_report(status: Mapping[str, Any]) -> ToolReport:
     tool = status["tool"]
     states = {state.word: state for state in SwitchState}
     switches = {
-        each["id"][:_LONGEST]: SwitchReport(states[each["state"]], _told(each["reason"]))
+        each["id"][:_LONGEST]: SwitchReport(states[each["state"]], cut(each["reason"]))
         for each in tool.get("switches", [])
     }
-    name, reason = tool["name"][:_LONGEST], _told(tool["reason"])
+    name, reason = tool["name"][:_LONGEST], cut(tool["reason"])
     return ToolReport(tool["known"], name, tool["outputs"], tool["inputs"], switches, reason)

@@ -13,7 +13,7 @@ from dataclasses import replace
 from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.gateway.tool_switches import MOST_REPORTED
-from construction_twin.link.gateway_status import tool_report
+from construction_twin.link.gateway_status import cut, tool_report
 from construction_twin.mqtt.messages import Control
 
 
@@ -72,7 +72,7 @@ class ToolLink:
         if id is None or answer.get("verb") != "switch":
             return
         del self._by_control[str(answer.get("id"))]
-        reason, accepted = answer.get("reason", ""), answer.get("ok") is True
+        reason, accepted = cut(answer.get("reason", "")), answer.get("ok") is True
         if accepted:
             self._refused = ""
         self._report(id, SwitchState.ARMED if accepted else SwitchState.REFUSED, reason)

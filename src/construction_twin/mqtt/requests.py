@@ -131,7 +131,7 @@ RESUME = RequestKind("resume", "approve", "resume/{}", "pause/ack", _PRESSED, li
 #: Lifts a stop or fault and starts over from the arm's pose; begins a session where nothing needs to move for it.
 RESET = RequestKind("reset", "reset", "reset/{}", "reset/ack", _PRESSED, limit=256, starts=True, by=BRIDGE)
 ARM = RequestKind("arm", "reset", "arm/{}", "arm/ack", _PRESSED, limit=256, starts=True, by=BRIDGE)
-#: What is pressed, which a service of the same name carries out.
+#: What is pressed; `act_as_seen` of who carries it out takes it.
 PRESSED = (STOP, PAUSE, RESUME, RESET, ARM)
 #: Answers a question of the work; takes note of a message.
 ANSWER = RequestKind("answer", "operate", "answer/{}", "answer/ack", _ANSWERED, expires=True)

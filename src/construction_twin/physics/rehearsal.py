@@ -260,12 +260,16 @@ class _Run:
         self._standing, self._fixed = standing, frozenset({*standing.restless, *near[MOST:]})
         if standing.restless:
             most = f"{max(standing.restless.values()) * 1e3:.1f} mm: {listed(standing.restless)}"
-            self._remarks.append(f"fixed in this rehearsal, as they would move without any plan, by up to {most}")
+            self._remarks.append(
+                f"fixed in this rehearsal, nothing tips them over; they would move without any plan, by up to {most}"
+            )
         if near[MOST:]:
             more = f"{len(near) - MOST} elements further from the path than the nearest {MOST}"
-            self._remarks.append(f"fixed in this rehearsal: {more}")
+            self._remarks.append(f"fixed in this rehearsal, nothing tips them over: {more}")
         if of.unweighed:
-            self._remarks.append(f"fixed in this rehearsal, as nobody says what they weigh: {listed(of.unweighed)}")
+            self._remarks.append(
+                f"fixed in this rehearsal, nothing tips them over, as nobody says what they weigh: {listed(of.unweighed)}"
+            )
         return True
 
     def _arm(self, scene: Scene, pose: np.ndarray, before: SimulatedArm | None, begin: float) -> SimulatedArm:

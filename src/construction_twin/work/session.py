@@ -316,15 +316,15 @@ class WorkSession:
         return replace(answer, message=sentence)
 
     def _plan_way_back(self, asked: str) -> UnderReview:
-        heard, said = self._heard, ""
+        heard = self._heard
         problem = self._make_for_way_back()
         before = heard.plan.plan.id if heard.plan is not None else ""
-        try:
-            said = said if problem else self._calls.plan_way_back()
-        except ConstructionTwinError as error:
-            problem = str(error)
         if problem:
             raise WorkRefused(_only_way_back(problem))
+        try:
+            said = self._calls.plan_way_back()
+        except ConstructionTwinError as error:
+            raise WorkRefused(_only_way_back(str(error))) from error
         heard.wait_for(lambda: heard.plan is not None and heard.plan.plan.id != before, SCENE_TIME)
         known = heard.plan
         if known is None or known.plan.id == before:

@@ -155,7 +155,7 @@ TABLE: tuple[Row, ...] = (
 )
 
 ROWS = state_table.by_cause(TABLE)
-#: What a person can answer: what it means are the sentences ``work.answer.<answer>``; the question adds which are possible.
+#: What a person can answer; the question adds which are possible.
 ANSWERS = ("in_stock", "in_grip", "placed", "gone")
 #: The same of a task whose process does not move the element.
 ANSWERS_OF_STAYING = ("done", "not_done")

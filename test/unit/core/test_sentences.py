@@ -62,8 +62,8 @@ def test_what_is_heard_can_be_told_again(one, other, number):
 
 
 def test_a_sentence_that_is_said_to_hold_itself_is_heard_once():
-    sent = {"a": {"template": "{x}", "values": {"x": "b"}}, "b": {"template": "{x}", "values": {"x": "a"}}}
-    assert heard(sent)["a"] == "a" and heard(sent)["b"].values == {"x": "a"}
+    known = heard({"a": {"template": "{x}", "values": {"x": "a"}}, "b": {"template": "{x}", "values": {"x": "a"}}})
+    assert set(known) == {"a"} and type(known["a"].values["x"]) is str
 
 
 def test_a_part_that_has_changed_is_said_in_its_place():

@@ -9,7 +9,7 @@ from gateway_cell import following
 from tool_cell import ToolCell
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.sentences import Sentence
+from construction_twin.core.sentences import Sentence, told
 from construction_twin.link.gateway_status import controller_sentence, parse_presence, parse_status, status_values
 
 TOOL = {
@@ -59,14 +59,6 @@ def test_status_and_answer_are_read_and_an_older_gateway_s_says_nothing():
         {"stop": {"moved_deg": ["x"]}}, {"stop": {"moved_deg": [0.0] * 13}},
         *({"tool": tool} for tool in (None, 5, [], {})),
         *(
-            {"said": {"the text": sentence}}
-            for sentence in (
-                5, {"template": "x"}, {"template": "{x}", "values": {}}, {"template": "x", "values": {"x": "1"}},
-                {"template": "{", "values": {}}, {"template": "{x}", "values": {"x": 1}},
-            )
-        ),
-        {"said": {str(n): {"template": "x", "values": {}} for n in range(65)}},
-        *(
             {"tool": TOOL | tool}
             for tool in (
                 {"known": 1}, {"outputs": {"vacuum": 1}}, {"name": 3}, {"inputs": []}, {"switches": [{}]}, {"switches": [5]},
@@ -98,14 +90,38 @@ def test_long_texts_are_cut():
 def test_what_it_says_can_be_said_in_another_language():
     said = {"gateway is braking": {"template": "gateway is {state}", "values": {"state": "braking"}}}
     read = parsed(
-        STATUS | {"reason": "gateway is braking", "controller": {"sentence": "gateway is braking"}, "said": said}
+        STATUS
+        | {"reason": "gateway is braking", "controller": {"sentence": "gateway is braking"}, "said": said}
+        | {"tool": TOOL | {"switches": [{"id": "a", "state": "armed", "reason": "gateway is braking"}]}}
     )
-    for text in (read["reason"], controller_sentence(read)):
+    for text in (read["reason"], controller_sentence(read), read["tool"]["switches"][0]["reason"]):
         assert isinstance(text, Sentence) and (text.template, text.values) == (
             "gateway is {state}",
             {"state": "braking"},
         )
     assert "said" not in read
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        None, 5, [], "x",
+        *(
+            {"the text": sentence}
+            for sentence in (
+                None, 5, [], {"template": "{x}", "values": {}}, {"template": "{", "values": {}},
+                {"template": "{x}", "values": {"x": 1}}, {"template": "{x.real}", "values": {"x.real": "another text"}},
+                {"template": "{x}{x}", "values": {"x": "the text"}}, {"template": "{x}", "values": ["x"]},
+            )
+        ),
+        # each would hold the one before twice
+        {"a" * k: {"template": "{x}{y}", "values": {"x": "a" * (k - 1), "y": "a" * (k - 1)}} for k in range(2, 200)},
+    ],
+)  # fmt: skip
+def test_a_text_that_its_template_does_not_make_is_a_text_alone(said):
+    for reason in ("the text", "a" * 199):
+        read = parsed(STATUS | {"reason": reason, "said": said})
+        assert read == STATUS | {"reason": reason} and type(read["reason"]) is str and told(read) == {}
 
 
 def test_a_bare_plc_s_words_are_told_from_a_gateway_s_status():

@@ -157,7 +157,7 @@ def test_reports_and_requests_find_their_parts_and_an_end_takes_away_what_was_sh
     bench.acts.deliver("review", VERDICT)
     bench.line.deliver("trajectory/from/ada", MOTION | {"id": "7"})
     wait_until(lambda: len(bench.asked) == 3, what="what was asked for")
-    assert {name for name, _ in bench.asked} == {"stop", "review_plan", "plan_trajectory"}
+    assert {name for name, _ in bench.asked} == {"executor/act_as_seen", "review_plan", "plan_trajectory"}
     wait_until(lambda: bench.line.said("trajectory/ack") and bench.acts.said("stop/ack"), what="the answers")
     assert bench.node.report().values["stop taken"] == 1
     bench.hear("review", Review(plan_id="p1"))

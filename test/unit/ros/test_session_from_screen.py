@@ -79,7 +79,7 @@ def test_a_stop_that_the_screen_had_not_shown_is_not_lifted(stopped):
     stopped.step()
     stopped.bridge.on_halt(None)
     answer = reset(stopped, seen)
-    assert not answer.success and answer.expired and "stopped since" in answer.message
+    assert not answer.success and answer.expired and "stopped after" in answer.message
     assert stopped.bridge.link is LinkState.NEEDS_RESET and stopped.refused["too_old"] == 1 and not stopped.asked
     for _ in range(50):
         stopped.step()

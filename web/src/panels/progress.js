@@ -25,7 +25,7 @@ export function make(parent, store, connection, texts, {every} = browser) {
     const known = names.get(robot)?.get(id);
     const task = known?.task ? store.robot(robot).tasks?.tasks.find((each) => each.id === known.task)?.name || known.task : "";
     const title = known === undefined ? `Plan ${id.slice(0, 8)}`
-      : task ? texts("Plan of the task {task}", {task}) : texts("Plan by {source}", {source: known.source});
+      : task ? texts("Plan of the task {task}", {task}) : texts("Plan by {source}", {source: texts.reason(known.source)});
     return segment === null ? title : texts("{title}, segment {number}: {name}", {title, number: segment.number + 1, name: segment.name});
   };
 

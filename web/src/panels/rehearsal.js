@@ -16,7 +16,7 @@ const REASONS = [
   mark("the rehearsal does not work at the moment"),
 ];
 
-/** What a person at the arm calls a joint, as core/axis_name.py says it in sentences: A3 for joint_a3. */
+/** What a person at the arm calls a joint, as core/units.py says it in sentences: A3 for joint_a3. */
 const axisName = (joint) => /^joint_([ae][1-9])$/.exec(joint)?.[1].toUpperCase() ?? joint;
 const percentOf = (fraction) => (100 * fraction).toFixed(0);
 const usage = ({peak, limit}) => (limit > 0 ? peak / limit : 0);

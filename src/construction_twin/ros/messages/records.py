@@ -32,7 +32,7 @@ def from_msg(kind: type[_Record], message: genpy.Message) -> _Record:
         ValueError: For the number of an enumeration that there is not.
         Exception: What the record itself raises for values that it refuses.
     """
-    return _record(kind, message, sentences_of(message))
+    return _record(kind, message, _sentences_of(message))
 
 
 def to_msg(record: Any, kind: type[genpy.Message]) -> Any:
@@ -48,8 +48,12 @@ def with_sentences(message: Any, *parts: object) -> Any:
     return message
 
 
-def sentences_of(message: genpy.Message) -> Mapping[str, Sentence]:
-    """Return the sentences that a message has told of, by their texts."""
+def sentence_of(message: genpy.Message, text: str) -> str:
+    """Return a text of a message, as the sentence that the message has told of where it is one."""
+    return _sentences_of(message).get(text, text)
+
+
+def _sentences_of(message: genpy.Message) -> Mapping[str, Sentence]:
     return _heard(getattr(message, "said", ""))
 
 

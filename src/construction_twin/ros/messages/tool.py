@@ -11,7 +11,7 @@ from construction_twin.execution.engagement import Engagement
 from construction_twin.msg import Engagement as EngagementMsg
 from construction_twin.msg import Signal, ToolCommand, ToolState
 from construction_twin.ros.messages.convert import trajectory_to_msg
-from construction_twin.ros.messages.records import sentences_of, to_msg, with_sentences
+from construction_twin.ros.messages.records import sentence_of, to_msg, with_sentences
 from construction_twin.ros.transport.joint_stream import to_time
 
 
@@ -34,14 +34,15 @@ def tool_report_from_msg(msg: ToolState) -> ToolReport:
         states = [SwitchState(state) for state in msg.switch_states]
     except ValueError as error:
         raise PayloadError("tool", f"{error}; expected the state of a switch as in ToolState.msg") from error
-    known = sentences_of(msg)
     return ToolReport(
         known=msg.known,
         tool=msg.tool,
         outputs=dict(zip(msg.outputs, map(bool, msg.output_values))),
         inputs=dict(zip(msg.inputs, map(bool, msg.input_values))),
-        switches=dict(zip(msg.switch_ids, map(SwitchReport, states, msg.switch_reasons))),
-        reason=known.get(msg.reason, msg.reason),
+        switches=dict(
+            zip(msg.switch_ids, map(SwitchReport, states, (sentence_of(msg, why) for why in msg.switch_reasons)))
+        ),
+        reason=sentence_of(msg, msg.reason),
     )
 
 

@@ -1,7 +1,7 @@
 """executor: plays the approved plan as `next/joint_states` at 250 Hz; serves `review_plan`, the stops, `pause`, `resume`.
 
-`~act_as_seen` stops, pauses and resumes for people at screens elsewhere. Of a work plan also `tool_command`, from what `tool` says; `engagement`, and
-the service `release_engagement`. What decides is in `execution`.
+`~act_as_seen` stops, pauses and resumes for people at screens elsewhere. Of a work plan also `tool_command`, from what `tool` says;
+`engagement`, and the service `release_engagement`. What decides is in `execution`.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from construction_twin.review.record import Responsibility, ReviewLog
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.tool import tool_hash
 from construction_twin.ros.messages.convert import plan_from_msg
-from construction_twin.ros.messages.records import from_msg, to_msg
+from construction_twin.ros.messages.records import from_msg, sentence_of, to_msg
 from construction_twin.ros.messages.tool import engagement_to_msg, order_to_msg, tool_report_from_msg
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
@@ -166,7 +166,9 @@ class ExecutorNode:
     def on_limit(self, message: msg.SpeedLimitInForce) -> None:
         """Take the speed limit in force."""
         with self._lock:
-            self._limit.accept(message.limit, caller_of(message), time.monotonic_ns(), sentence=message.reason)
+            self._limit.accept(
+                message.limit, caller_of(message), time.monotonic_ns(), sentence=sentence_of(message, message.reason)
+            )
 
     def on_scene(self, message: msg.Scene) -> None:
         """Take the scene for which plans may be approved."""
@@ -175,7 +177,7 @@ class ExecutorNode:
 
     def on_conflict(self, message: msg.Conflict) -> None:
         """Take a verdict on the other arm."""
-        problem = message.reason if message.conflict else ""
+        problem = sentence_of(message, message.reason) if message.conflict else ""
         with self._lock:
             self.executor.on_conflict(message.plan_id, problem, time.monotonic_ns())
 
@@ -202,7 +204,7 @@ class ExecutorNode:
 
     def on_link(self, message: msg.Link) -> None:
         """Take the link's state, and who is responsible for what is not checked."""
-        reason = Sentence("{state}: {reason}", state=message.text, reason=message.reason)
+        reason = Sentence("{state}: {reason}", state=message.text, reason=sentence_of(message, message.reason))
         with self._lock:
             self.executor.on_link(message.state == msg.Link.ARMED, reason, message.session, self._now())
         who, unchecked = message.responsible, tuple(message.not_checked)
@@ -440,7 +442,7 @@ INTERFACE = Interface(
         Served("release_engagement", srv.ReleaseEngagement, ExecutorNode.on_release, "release_engagement"),
         Served("pause", Trigger, ExecutorNode.on_pause, "pause"),
         Served("resume", Trigger, ExecutorNode.on_resume, "resume"),
-        Served("~act_as_seen", srv.ActAsSeen, ExecutorNode.on_act_as_seen, "act"),
+        Served("~act_as_seen", srv.ActAsSeen, ExecutorNode.on_act_as_seen, lambda asked: asked.act),
     ),
     every=(Every(lambda _settings: BACKGROUND_PERIOD, ExecutorNode.do_background_work),),
 )  # fmt: skip

@@ -14,6 +14,7 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.msg import Conflict as ConflictMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
+from construction_twin.ros.messages.records import with_sentences
 from construction_twin.ros.shared.arm_listener import (
     ARM_POSES,
     ARM_TOPICS,
@@ -110,7 +111,8 @@ class NeighbourNode:
             (rospy.logwarn if problem else rospy.loginfo)("plan %s: %s", plan.id, sentence)
 
     def _publish(self, plan: Plan, problem: str) -> None:
-        self._publisher.publish(ConflictMsg(plan_id=plan.id, conflict=bool(problem), reason=problem))
+        message = ConflictMsg(plan_id=plan.id, conflict=bool(problem), reason=problem)
+        self._publisher.publish(with_sentences(message, problem))
 
     def _problem(self, plan: Plan, own: Claim | None) -> str:
         """Return why a plan must not start, or not go on; empty: nothing is against it.

@@ -208,7 +208,7 @@ class WorkNode:
         except (rospy.ROSException, rospy.ServiceException) as error:
             raise NoAnswer(f"{service} does not answer: {error}") from error
         if not answer.success:
-            raise RequestRefused(answer.message)
+            raise RequestRefused(Outcome.of(answer).message)
         return answer
 
     # -- services

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from construction_twin.ros.messages.records import sentences_of, with_sentences
+from construction_twin.ros.messages.records import sentence_of, with_sentences
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,9 @@ class Outcome:
     @classmethod
     def of(cls, answer: Any) -> Outcome:
         """Return what became of a request by a service's answer; what it has no field for stays as it is without."""
-        known, sentences = {name: getattr(answer, name) for name in answer.__slots__}, sentences_of(answer)
-        message, _ = known.pop("message"), known.pop("said", "")
-        return cls(known.pop("success"), sentences.get(message, message), known.pop("expired", False), known)
+        known = {name: getattr(answer, name) for name in answer.__slots__ if name != "said"}
+        message = sentence_of(answer, known.pop("message"))
+        return cls(known.pop("success"), message, known.pop("expired", False), known)
 
     def response(self, kind: Any) -> Any:
         """Return the response of a kind of service; what it has no field for is left out."""

@@ -160,14 +160,14 @@ class Served:
     Attributes:
         handler: Takes node and request; returns what became of it, or only the sentence where it was done. A typed error that it
             raises is a refusal.
-        reason: As what a refusal is counted that has no reason of its own; "": as its type.
+        reason: As what a refusal is counted that has no reason of its own, or what returns that of a request; "": as its type.
         refused: Takes node and request; returns further fields of a refusal.
     """
 
     name: str
     kind: type
     handler: Callable[[Any, Any], Outcome | str]
-    reason: str = ""
+    reason: str | Callable[[Any], str] = ""
     refused: Callable[[Any, Any], Mapping[str, object]] = lambda _node, _request: {}
 
     def answer(self, node: Any, refuse: Refuse, request: Any) -> Any:
@@ -176,7 +176,8 @@ class Served:
             done = self.handler(node, request)
         except ConstructionTwinError as error:
             expired, own = isinstance(error, ExpiredError), error.reason if isinstance(error, ProtocolError) else ""
-            refuse(TOO_OLD if expired else own or self.reason or type(error).__name__, str(error))
+            given = self.reason if isinstance(self.reason, str) else self.reason(request)
+            refuse(TOO_OLD if expired else own or given or type(error).__name__, str(error))
             done = Outcome(False, str(error), expired, self.refused(node, request))
         return (Outcome(True, done) if isinstance(done, str) else done).response(self.kind)
 

@@ -51,7 +51,7 @@ class StopMemory:
 
     def _put(self, value: object) -> None:
         try:
-            # XML-RPC takes a plain text only: a sentence has its key in the console and in logs, not here
+            # XML-RPC takes a plain text only
             self._write(str(value) if isinstance(value, str) else value)
         except Exception as error:  # noqa: BLE001 (sockets, HTTP and XML-RPC raise kinds of their own; each is told and tried again)
             self.problem = f"{self._name} was not written, and what it says would not outlast this node ({error})"
