@@ -50,6 +50,8 @@ const KINDS = {
 };
 /** Topics below `<prefix>/+/` that the page reads, with their quality of service. `ik/ack/<account>` comes on top. */
 export const TOPICS = Object.keys(KINDS).map((topic) => ({topic, qos: topic === "view" ? 0 : 1}));
+/** Who may answer what is pressed: a stop has an answer of two. */
+const BY = ["gateway", "executor", "bridge"];
 /** Kinds whose newest value is kept. An answer is told once. */
 const FROM_BROKER = ["view", "screen", "scene", "plan", "rehearsal", "path", "tasks", "messages"];
 const KEPT = [...FROM_BROKER, "playback", "goal", "handle", "picked", "drawn", "said", "model"];
@@ -287,7 +289,7 @@ export function makeStore({
           if (kind === "view") checkView(value);
           else check(SCHEMAS[kind], value, kind);
           if (kind === "path") checkPath(value);
-          hear(`${name} ${kind} ${value.by ?? ""}`, value);
+          hear(`${name} ${kind} ${BY.includes(value.by) ? value.by : ""}`, value);
         }
         if (kind === "view") takeView(robot, value);
         else if (kind === "plan") await takePlan(robot, value);

@@ -1,5 +1,7 @@
 /** The page's words in the person's language: English stands where it is said, and web/locale/de.po has its German. */
 
+/** Longest sentence that is heard. */
+const LONGEST = 2000;
 /** A place in a template; how a number is written in it is for who wrote it. */
 const PLACE = /\{(\w+)(?::[^}]*)?\}/g;
 /** The unit of angles behind a number. */
@@ -36,8 +38,12 @@ export function withoutLanguage(search) {
 /** Return whether a template and its values make a robot's text: what does not is not its sentence. */
 function makes(text, sentence) {
   const {template, values} = sentence ?? {};
-  const isWhole = typeof template === "string" && Object.values(values ?? {}).every((each) => typeof each === "string");
-  return isWhole && fill(template, values ?? {}) === text;
+  if (typeof template !== "string" || template.length > LONGEST || text.length > LONGEST) return false;
+  const given = Object.entries(values ?? {});
+  if (!given.every(([name, each]) => typeof each === "string" && template.includes(`{${name}`))) return false;
+  const places = [...template.matchAll(PLACE)];
+  const length = places.reduce((sum, [place, name]) => sum - place.length + (values?.[name]?.length ?? LONGEST), template.length);
+  return length === text.length && fill(template, values ?? {}) === text;
 }
 
 /** Return a template with its places filled in; a place without a value stays. */

@@ -81,7 +81,8 @@ test("lines and messages have their own, and a newer message of a kind takes the
 
 test("what does not make its text is not its sentence", () => {
   const de = german();
-  for (const sentence of [{template: "no pose", values: {}}, {template: "it holds: {reason}"}, {template: "it holds: {reason}", values: {reason: 5}}, {}, null, 5]) {
+  for (const sentence of [{template: "no pose", values: {}}, {template: "it holds: {reason}"}, {template: "it holds: {reason}", values: {reason: 5}}, {}, null, 5,
+    {template: "it holds: {reason}", values: {reason: "5", other: "it holds: 4"}}, {template: "{a}".repeat(9e5), values: {a: "a".repeat(9e5)}}]) {
     de.hear("kr120 view", {said: {"it holds: 5": sentence}});
     assert.equal(de.reason("it holds: 5"), "it holds: 5");
   }

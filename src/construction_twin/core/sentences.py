@@ -31,12 +31,14 @@ class Quantity:
 
 
 Value = str | int | float | Quantity
+#: Longest sentence that is heard, and how deep one may stand in others: a message may come from anybody.
+LONGEST, DEEPEST = 2000, 20
 #: Of each sentence that has values, by its text: `template`, and its `values` as they are written in it.
 Told = Mapping[str, Mapping[str, Any]]
 
 
 class Sentence(str):
-    """A sentence in English, which knows its template and values: ``Sentence("the gate holds ({state})", state="STALE")``.
+    """A sentence in English, which knows its template and values.
 
     What is made of it with other text is a plain text; to be said in another language too, it is a value of another sentence.
     """
@@ -69,12 +71,9 @@ def replaced(text: str, part: str, other: str) -> str:
     """Return a sentence with another one in the place of the part that it has as a value."""
     if text == part or not isinstance(text, Sentence):
         return other if text == part else text
-    values = text.values.items()
-    return Sentence.of(
-        text.replace(part, other),
-        text.template,
-        {name: replaced(each, part, other) if isinstance(each, str) else each for name, each in values},
-    )
+    items = text.values.items()
+    values = {name: replaced(each, part, other) if isinstance(each, str) else each for name, each in items}
+    return Sentence.of(text.replace(part, other), text.template, values)
 
 
 def told(*parts: object) -> Told:
@@ -105,15 +104,17 @@ def _written(sentence: Sentence) -> dict[str, str]:
 
 def heard(told_of: Any) -> dict[str, Sentence]:
     """Return the sentences that a message has told of, by their texts; what does not make its text is left out."""
-    known: dict[str, Sentence] = {}
+    known, levels = dict[str, Sentence](), dict[str, int]()
     for text in sorted(told_of, key=len) if isinstance(told_of, dict) else ():
         try:
             template, parts = told_of[text]["template"], [*Formatter().parse(told_of[text]["template"])]
             values = {name: told_of[text]["values"][name] for _, name, *_ in parts if name is not None}
-            made = "".join(own + values.get(name or "", "") for own, name, *_ in parts)
+            pieces = [piece for own, name, *_ in parts for piece in (own, values.get(name or "", ""))]
+            is_made = sum(map(len, pieces)) == len(text) and "".join(pieces) == text
         except (KeyError, TypeError, ValueError):
             continue
-        if made == text:
+        levels[text] = 1 + max((levels.get(value, 0) for value in values.values()), default=0)
+        if is_made and max(len(text), len(template)) <= LONGEST and levels[text] <= DEEPEST:
             # a sentence among the values of another one is the shorter one
             known[text] = Sentence.of(text, template, {name: known.get(value, value) for name, value in values.items()})
     return known

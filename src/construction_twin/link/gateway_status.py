@@ -10,12 +10,14 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, FailFast, Field, Val
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
-from construction_twin.core.sentences import Sentence, heard
+from construction_twin.core.sentences import LONGEST, Sentence, heard
 from construction_twin.gateway.tool_switches import MOST_REPORTED
 from construction_twin.mqtt.messages import FIRST_PROTOCOL, OFFLINE, PLC, READY, RSI, is_short_text, parse_object
 
 #: Longest text that is told, and longest status [bytes].
 _LONGEST, _MOST_BYTES = 300, 1 << 20
+#: Most sentences that are told of, and how deep they stand: in a switch of the tool.
+_MOST_SAID, _LEVELS = 256, 4
 #: Objects of the status whose values are shown, each under its own name and theirs.
 _GROUPS = ("controller", "cycle", "playout", "speed_limit", "stop", "intruder")
 _SINGLE = ("mode", "fault_number", "last_refusal", "later_refusal", "last_ipoc_jump_ms")
@@ -106,14 +108,17 @@ def parse_status(payload: bytes) -> dict:
         raise PayloadError(
             "status", Sentence("status message whose {name} is not what the interface says", name=place)
         ) from None
-    return _with_sentences(status, heard(status.pop("said", None)))
+    said = status.pop("said", None)
+    if "reason" in status:
+        status["reason"] = status["reason"][:LONGEST]
+    return _with_sentences(status, heard(said) if isinstance(said, dict) and len(said) <= _MOST_SAID else {}, _LEVELS)
 
 
-def _with_sentences(value: Any, known: Mapping[str, Sentence]) -> Any:
-    if isinstance(value, dict):
-        return {name: _with_sentences(each, known) for name, each in value.items()}
-    if isinstance(value, list):
-        return [_with_sentences(each, known) for each in value]
+def _with_sentences(value: Any, known: Mapping[str, Sentence], levels: int) -> Any:
+    if isinstance(value, dict) and levels:
+        return {name: _with_sentences(each, known, levels - 1) for name, each in value.items()}
+    if isinstance(value, list) and levels:
+        return [_with_sentences(each, known, levels - 1) for each in value]
     return known.get(value, value) if isinstance(value, str) else value
 
 

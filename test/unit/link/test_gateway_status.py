@@ -115,6 +115,8 @@ def test_what_it_says_can_be_said_in_another_language():
             )
         ),
         # each would hold the one before twice
+        {"the text": {"template": "{x}" * 100_000, "values": {"x": "a" * 500_000}}},
+        {"the text": {"template": "{x:" + "f" * 900_000 + "}", "values": {"x": "the text"}}},
         {"a" * k: {"template": "{x}{y}", "values": {"x": "a" * (k - 1), "y": "a" * (k - 1)}} for k in range(2, 200)},
     ],
 )  # fmt: skip
@@ -122,6 +124,14 @@ def test_a_text_that_its_template_does_not_make_is_a_text_alone(said):
     for reason in ("the text", "a" * 199):
         read = parsed(STATUS | {"reason": reason, "said": said})
         assert read == STATUS | {"reason": reason} and type(read["reason"]) is str and told(read) == {}
+
+
+def test_sentences_in_each_other_and_lists_in_lists_are_read_without_end():
+    said = {"a" * k: {"template": "a{x}", "values": {"x": "a" * (k - 1)}} for k in range(2, 250)}
+    deep = json.loads("[" * 700 + "]" * 700)
+    read = parsed({"state": "ready", "reason": "a" * 249, "said": said, "other": deep})
+    assert read["reason"] == "a" * 249 and len(told(read)) <= 20
+    assert len(parsed({"reason": "x" * 100_000})["reason"]) == 2000
 
 
 def test_a_bare_plc_s_words_are_told_from_a_gateway_s_status():

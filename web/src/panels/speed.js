@@ -37,7 +37,7 @@ export function saying(view, texts, clockOf = (seconds) => new Date(1000 * secon
   if (limit === null) return [texts("The speed limit in force is not known.")];
   const percent = speed.percentOf(limit).toString();
   const lines = [said === null ? texts("Speed limit in force: {percent} % of the planned speed.", {percent})
-    : texts(IN_FORCE[said.by] ?? IN_FORCE.nobody, {percent, reason: texts.reason(said.reason)})];
+    : texts(IN_FORCE[said.by === "" ? "nobody" : said.by === "people" ? "people" : "program"], {percent, reason: texts.reason(said.reason)})];
   if (said !== null && said.person) {
     const values = {
       person: said.person, time: clockOf(said.since), people: speed.percentOf(said.people).toString(),

@@ -29,6 +29,7 @@ from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
 from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import NodeSettings, robot_file, ros_home
 from construction_twin.ros.shared.ports import (
     Every,
@@ -214,7 +215,7 @@ class PcaMonitorNode:
             if answer.success:
                 rospy.logwarn("re-planned from the held pose: %s", answer.message)
                 return
-            problem = answer.message
+            problem = Outcome.of(answer).message
         rospy.logerr("re-plan failed: %s", problem)
         now = time.monotonic_ns()
         with self._lock:

@@ -192,7 +192,7 @@ class WorkNode:
     def _plan_work(self, task: str, source: str, segments: Sequence[WorkSegment]) -> UnderReview:
         messages = [work_segment_to_msg(segment) for segment in segments]
         answer = self._call("plan_work", srv.PlanWork, task=task, source=source, segments=messages)
-        return UnderReview(answer.message, task, answer.plan_id, answer.plan_hash, answer.duration)
+        return UnderReview(Outcome.of(answer).message, task, answer.plan_id, answer.plan_hash, answer.duration)
 
     def _edit_scene(self, before: str, change: SceneChange, after: str) -> str:
         put = list(map(object_to_msg, change.put))
