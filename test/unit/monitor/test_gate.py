@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from construction_twin.core.limits import MotionCheck
+from construction_twin.core.sentences import told
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.monitor.gate import Gate, GateSettings
 from construction_twin.monitor.states import SyncState
@@ -154,7 +155,7 @@ class TestHolding:
         assert bench.state is SyncState.IN_SYNC
         bench.gate.watch(bench.stamp + timeout + 1)
         assert (bench.state, bench.gate.violations, bench.gate.held) == (SyncState.STALE, 1, START)
-        assert bench.gate.reason.startswith("last comparable feedback is ")
+        assert bench.gate.reason.startswith("last comparable feedback is ") and told(bench.gate.reason)
 
     def test_closes_without_a_setpoint_when_a_joint_differs_and_counts_once(self):
         bench = Bench().opened()
