@@ -52,10 +52,6 @@ class Figures:
         """Fraction of the poses that were solved."""
         return float(np.isfinite(self.distances).mean())
 
-    def percentile_us(self, percent: float) -> float:
-        """Return a percentile of the times [us]."""
-        return float(np.percentile(self.times, percent)) * 1e6
-
 
 def problems(chain: Chain, count: int, seed: int) -> list[Problem]:
     """Return reachable targets, the same for the same seed."""

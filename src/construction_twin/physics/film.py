@@ -128,8 +128,7 @@ def open_context():
         try:
             context = importlib.import_module(f"mujoco.{way}").GLContext(WIDTH, HEIGHT)
             context.make_current()
-        # drivers fail in ways of their own: a missing library, no device, a call that is not there
-        except Exception as error:  # noqa: BLE001
+        except Exception as error:  # noqa: BLE001 (drivers fail in ways of their own: no library, no device, no such call)
             problems.append(f"{way}: {' '.join(str(error).split())}")
             # PyOpenGL keeps the first way for good otherwise
             os.environ.pop("PYOPENGL_PLATFORM", None)

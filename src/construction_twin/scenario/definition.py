@@ -5,13 +5,10 @@ Values are SI but for keys that end in ``_deg`` and ``_mm``. docs/scenarios.md e
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, Literal
 
 import pydantic
-import yaml
 
 from construction_twin.core.errors import ScenarioError
 from construction_twin.core.units import radians
@@ -142,15 +139,3 @@ def make_scenario(name: str, content: object) -> Scenario:
         return Scenario.model_validate({"name": name, **content})
     except pydantic.ValidationError as error:
         raise ScenarioError(f"{name}: {wrong_value(error, Scenario.model_json_schema())}") from error
-
-
-def read_scenario(path: Path) -> Scenario:
-    """Read a scenario file."""
-    try:
-        content = yaml.safe_load(path.read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        reason = getattr(error, "strerror", None) or " ".join(str(error).split())
-        raise ScenarioError(f"{path}: cannot be read as YAML: {reason}") from error
-    if not isinstance(content, Mapping) or "scenario" not in content:
-        raise ScenarioError(f"{path}: expected the key `scenario`, as config/scenarios/stall_replan.yaml has it")
-    return make_scenario(re.sub(r"[^a-z0-9_]", "_", path.stem.lower()), content["scenario"])

@@ -19,7 +19,7 @@ from construction_twin.robot.description import load_robot
 from construction_twin.robot.tool import read_tool
 from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.commands.experiment import ExperimentSettings
-from construction_twin.scenario.definition import read_scenario
+from construction_twin.scenario.definition import make_scenario
 from construction_twin.scene.cell import load_cell
 from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.scene.self_collision import read_self_collision
@@ -80,7 +80,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "work/brick_wall.yaml": lambda path: read_site(str(path)),
     "work/recipes.yaml": lambda path: read_recipes(str(path)),
     "experiment.yaml": experiment,
-    "scenarios/stall_replan.yaml": read_scenario,
+    "scenarios/stall_replan.yaml": lambda path: make_scenario("test", yaml.safe_load(path.read_text()).get("scenario")),
 }
 
 

@@ -12,13 +12,17 @@ from construction_twin.core.errors import ScenarioError
 from construction_twin.core.units import from_wire
 from construction_twin.mock.faults import KINDS, Fault, FaultBoard
 from construction_twin.robot.description import read_robot_files
-from construction_twin.scenario.definition import make_scenario, read_scenario
+from construction_twin.scenario.definition import Scenario, make_scenario
 
 ROOT = Path(__file__).resolve().parents[3]
 FILES = sorted((ROOT / "config/scenarios").glob("*.yaml"))
 ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
 MOVE = {"move": {"goal_deg": [0, -90, 90, 0, 90, 0]}}
 EXPECT = {"sync": ["IN_SYNC"], "final": {"sync": "IN_SYNC"}, "ends": "goal"}
+
+
+def read_scenario(path: Path) -> Scenario:
+    return make_scenario(path.stem, yaml.safe_load(path.read_text())["scenario"])
 
 
 def scenario(**changes):
@@ -49,12 +53,10 @@ def test_what_makes_no_sense_is_refused_with_its_place(changes, place):
         scenario(**changes)
 
 
-@pytest.mark.parametrize("text", ["- 1", "title: x", "scenario: 3", "scenario: [", ""])
-def test_a_file_that_is_none_is_refused(tmp_path, text):
-    path = tmp_path / "broken.yaml"
-    path.write_text(text)
-    with pytest.raises(ScenarioError, match="broken"):
-        read_scenario(path)
+@pytest.mark.parametrize("content", [3, ["steps"], None, ""])
+def test_what_holds_no_keys_is_refused(content):
+    with pytest.raises(ScenarioError, match="^broken: "):
+        make_scenario("broken", content)
 
 
 def test_faulted_joints_are_those_that_do_not_do_what_they_are_told():

@@ -150,13 +150,15 @@ class Experiment:
         while True:
             now = self._execution
             if now.plan_id != plan_id or now.state in (Execution.WAITING, Execution.IDLE):
+                if now.outcome == "finished":
+                    self._say(f"{title}: 100 %")
                 return now
             played = rospy.get_time() - now.plan_start.to_sec()
             if played > now.duration + self._settings.timeout:
                 raise ConstructionTwinError(
                     f"the plan lasts {now.duration:g} s but plays for {played:.0f} s; is the executor alive?"
                 )
-            if (tenth := min(10, int(10.0 * played / now.duration))) > said:
+            if (tenth := min(9, int(10.0 * played / now.duration))) > said:
                 said = tenth
                 self._say(f"{title}: {10 * tenth} %")
             self._pause()
