@@ -13,8 +13,8 @@ import pytest
 from octave import MATLAB, octave, parse_errors
 from scene_samples import kr120, track7
 
+from construction_twin.extensions.planners.waypoint_file import format_waypoints, parse_waypoints
 from construction_twin.planning.timing import time_path
-from construction_twin.planning.waypoint_file import format_waypoints, parse_waypoints
 from construction_twin.planning.waypoints import plan_waypoints
 
 ROBOT = kr120()

@@ -212,7 +212,9 @@ class Falling:
 
 def simulates(monkeypatch, live: Falling) -> None:
     """Have the next node simulate by this."""
-    monkeypatch.setitem(sys.modules, "construction_twin.physics.live_twin", SimpleNamespace(LiveTwin=lambda: live))
+    monkeypatch.setitem(
+        sys.modules, "construction_twin.extensions.physics.live_twin", SimpleNamespace(LiveTwin=lambda: live)
+    )
 
 
 class Massive:

@@ -11,6 +11,7 @@ import os
 import shlex
 import sys
 from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 import rosgraph
@@ -19,11 +20,12 @@ from roslaunch.config import ROSLaunchConfig, load_config_default
 from roslaunch.core import Node
 from rosmaster.paramserver import ParamDictionary
 
+import construction_twin
 from construction_twin.broker import start as broker
-from construction_twin.console import program as console
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.extensions import extension
 from construction_twin.core.share import share_folder
-from construction_twin.ros.commands import build, experiment, scenario
+from construction_twin.ros.commands import experiment, scenario
 from construction_twin.ros.nodes import rsi_gateway
 from construction_twin.ros.nodes.startup import expect_known
 from construction_twin.ros.shared.master import expect_wall_clock, running
@@ -62,14 +64,21 @@ def _broker(words: list[str], _parameters: LaunchParameters) -> None:
 #: What a program that is no `NodeShell`'s is checked by, by its name; takes its words and parameters.
 PROGRAMS: dict[str, Callable[[list[str], LaunchParameters], object]] = {
     "broker": _broker,
-    "console": lambda words, _parameters: console.check(words),
+    "console": lambda words, _parameters: extension("console.program").check(words),
     "rsi_gateway": rsi_gateway.checked,
     "experiment": lambda _words, parameters: experiment.checked(parameters),
     "scenario": lambda _words, parameters: scenario.checked(parameters),
-    "build": lambda _words, parameters: build.checked(parameters),
+    "build": lambda _words, parameters: extension("work.commands.build").checked(parameters),
 }
 #: Programs that only show something, and the example of a PLC.
 _UNCHECKED = ("view", "plc")
+
+
+def module_of(node: str) -> str:
+    """Return the name of the module of a node: in `ros`, or in the extension that has it."""
+    package = Path(construction_twin.__file__).parent
+    path = next(package.glob(f"**/nodes/{node}.py"), package / "ros" / "nodes" / f"{node}.py")
+    return ".".join(("construction_twin", *path.relative_to(package).with_suffix("").parts))
 
 
 def check_node(node: Node, values: Mapping[str, Any]) -> None:
@@ -78,7 +87,7 @@ def check_node(node: Node, values: Mapping[str, Any]) -> None:
     if node.type in PROGRAMS:
         PROGRAMS[node.type](shlex.split(node.args), parameters)
         return
-    module = f"construction_twin.ros.nodes.{node.type}"
+    module = module_of(node.type)
     if node.type == "separation":
         sys.path.append(str(share_folder() / "examples" / "separation"))
         module = "separation_node"
