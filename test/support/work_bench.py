@@ -135,7 +135,7 @@ class Bench:
             folder="work", arm="mock", service_timeout=1.0, listen_time=0.02, retry_time=0.01,
         ).model_copy(update=files)  # fmt: skip
         made = worker or SimpleNamespace(ask_first=lambda *_, **__: prepared(), ask=self._planned, close=None)
-        self._patch(module, "Worker", lambda: made)
+        self._patch(module, "Worker", lambda _program: made)
         poses = {"twin": lambda *_: HOME, "physical": lambda *_: self.arm_pose()}
         takers = {"tasks": lambda message: self.tasks.append(over_the_wire(message)), "markers": lambda _: None}
         ports = SimpleNamespace(

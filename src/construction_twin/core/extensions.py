@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+from pathlib import Path
 from types import ModuleType
 
 from construction_twin.core.errors import ConfigurationError
 
-NAMES = ("work", "physics", "console", "planners")
 #: What setup/requirements-<group>.txt installs, by group: the names that Python imports.
 PACKAGES = {"console": ("aiohttp",), "work": ("ifcopenshell", "isodate", "shapely"), "physics": ("mujoco",)}
 
@@ -27,6 +27,13 @@ def extension(module: str) -> ModuleType:
             raise
         name = module.partition(".")[0]
         raise ConfigurationError(path, None, f"the extension {name}, which this installation is without") from error
+
+
+def node_modules() -> dict[str, str]:
+    """Return the module of each node of core and extensions, by the node's name."""
+    package = Path(__file__).parent.parent
+    paths = [path.relative_to(package.parent).with_suffix("") for path in package.glob("**/nodes/*.py")]
+    return {path.name: ".".join(path.parts) for path in paths if path.name != "__init__"}
 
 
 def check_extras(group: str) -> None:

@@ -14,8 +14,7 @@ from construction_twin.extensions.work.prepared import WORKER
 PROGRAM = """
     import sys, threading, types
     from construction_twin.core.errors import ConfigurationError
-    from construction_twin.extensions.work.prepared import WORKER
-from construction_twin.core.worker import serve_parent
+    from construction_twin.core.worker import serve_parent
 
     told = []
 

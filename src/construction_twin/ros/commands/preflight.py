@@ -11,7 +11,6 @@ import os
 import shlex
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from pathlib import Path
 from typing import Any
 
 import rosgraph
@@ -20,10 +19,9 @@ from roslaunch.config import ROSLaunchConfig, load_config_default
 from roslaunch.core import Node
 from rosmaster.paramserver import ParamDictionary
 
-import construction_twin
 from construction_twin.broker import start as broker
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.core.extensions import extension
+from construction_twin.core.extensions import extension, node_modules
 from construction_twin.core.share import share_folder
 from construction_twin.ros.commands import experiment, scenario
 from construction_twin.ros.nodes import rsi_gateway
@@ -74,20 +72,13 @@ PROGRAMS: dict[str, Callable[[list[str], LaunchParameters], object]] = {
 _UNCHECKED = ("view", "plc")
 
 
-def module_of(node: str) -> str:
-    """Return the name of the module of a node: in `ros`, or in the extension that has it."""
-    package = Path(construction_twin.__file__).parent
-    path = next(package.glob(f"**/nodes/{node}.py"), package / "ros" / "nodes" / f"{node}.py")
-    return ".".join(("construction_twin", *path.relative_to(package).with_suffix("").parts))
-
-
 def check_node(node: Node, values: Mapping[str, Any]) -> None:
     """Raise the ConstructionTwinError that a node of this package would be refused for with a launch's parameters."""
     parameters = LaunchParameters(values, f"{node.namespace}{node.name}")
     if node.type in PROGRAMS:
         PROGRAMS[node.type](shlex.split(node.args), parameters)
         return
-    module = module_of(node.type)
+    module = node_modules().get(node.type, "")
     if node.type == "separation":
         sys.path.append(str(share_folder() / "examples" / "separation"))
         module = "separation_node"

@@ -22,8 +22,8 @@ from rich.text import Text
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-import construction_twin
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, ScenarioError, spoken
+from construction_twin.core.extensions import node_modules
 from construction_twin.core.files import check_writable
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import from_wire
@@ -302,8 +302,7 @@ def checked(parameters: Parameters = rospy) -> tuple[ScenarioSettings, dict]:
     given = {name: content.pop(name) for name in ScenarioSettings.model_fields if name in content}
     settings = settings_of(ScenarioSettings, given, parameters.get_name())
     make_scenario(settings.name, content)
-    known = {path.stem for path in Path(construction_twin.__file__).parent.glob("**/nodes/*.py")}
-    known |= {"scenario", "gateway", "separation"}
+    known = {*node_modules(), "scenario", "gateway", "separation"}
     for name in yaml.safe_load(Path(settings.file).read_text(encoding="utf-8")):
         if name not in known:
             near = "".join(f"; did you mean {each}?" for each in difflib.get_close_matches(name, known, n=1))

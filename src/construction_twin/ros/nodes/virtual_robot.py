@@ -80,12 +80,13 @@ class VirtualRobotNode:
         self._publishers, self._twin = ports.publishers, ports.publishers["twin/joint_states"]
         self._commanded = ports.publishers.get("twin/commanded")
         self._gazebo = GazeboTwin() if is_in_gazebo(settings) else None
+        self._backend: TwinBackend = self._gazebo or KinematicBackend()
         #: The twin with mass, of the extension physics.
         self._simulated: Any = None
         if is_simulated_here(settings):
             simulated = extension("physics.nodes.simulated_twin")
             self._simulated = simulated.SimulatedTwin(settings, robot, ports.diagnostics.refuse)
-        self._backend: TwinBackend = self._simulated or self._gazebo or KinematicBackend()
+            self._backend = self._simulated.twin
         self._effort_at = 0
         self._lock = threading.Lock()
         self._cycles, self._clock = Cycles(), TwinClock()

@@ -19,17 +19,18 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 
 
-class SimulatedTwin(LiveTwin):
+class SimulatedTwin:
     """A LiveTwin whose models are built for each scene, in a process of their own.
 
     Attributes:
+        twin: The backend.
         scene: Hash of the scene that is simulated.
         scene_problem: Why the newest scene is not simulated; empty: it is.
     """
 
     def __init__(self, settings, robot: RobotModel, refuse: Callable[[str, str], None]):
         """`settings`: those of `virtual_robot`; `refuse`: its diagnostics'."""
-        super().__init__()
+        self.twin = LiveTwin()
         arm = {"robot": robot, "payload": tuple(settings.payload)}
         arm |= {name: getattr(settings, name) for name in ("self_collision", "drives")}
         #: Takes `scene`, and `masses` of bodies that the arm carries; returns the arm in it, and may take its time.
@@ -54,7 +55,7 @@ class SimulatedTwin(LiveTwin):
             self.scene_problem = str(error)
             self._refuse("scene", str(error))
             return
-        self.take_model(model)
+        self.twin.take_model(model)
         self.scene, self.scene_problem = scene.hash, ""
         rospy.loginfo("simulates scene %s", scene.hash[:12])
         for remark in model.remarks:
