@@ -18,11 +18,6 @@ hypothesis.settings.register_profile("random", deadline=None)
 hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put what ends rospy in its process behind everything else that runs in it: rospy cannot be begun again."""
-    items.sort(key=lambda item: item.get_closest_marker("ends_rospy") is not None)
-
-
 _prefixes = (f"test{number}" for number in itertools.count())
 
 

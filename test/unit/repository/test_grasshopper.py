@@ -44,7 +44,7 @@ ROBOT = read_robot_files(XACRO, ROOT / "config/kr120.yaml")
 REQUIREMENTS = ROOT / "setup/requirements-grasshopper.txt"
 VENV = ROOT / ".ws/grasshopper"
 COMPONENTS = sorted((ROOT / "examples/grasshopper").glob("*.py"))
-SESSION = ROOT / "test/support/grasshopper_session.py"
+SESSION = ROOT / "test/unit/repository/grasshopper_session.py"
 
 
 @pytest.fixture(scope="module")

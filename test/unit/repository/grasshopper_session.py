@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
-FOLDER = Path(__file__).resolve().parents[2] / "examples" / "grasshopper"
+FOLDER = Path(__file__).resolve().parents[3] / "examples" / "grasshopper"
 sys.path.append(str(FOLDER))
 
 import jsonschema  # noqa: E402
