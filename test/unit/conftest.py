@@ -8,6 +8,7 @@ import os
 import hypothesis
 import pytest
 from processes import BrokerProcess
+from realtime import pytest_runtest_protocol  # noqa: F401
 
 from construction_twin.mqtt.messages import Topics
 
