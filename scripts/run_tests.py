@@ -72,7 +72,7 @@ TOUCHES = {
     "urdf": "unit track",
     "setup": "unit",
     "pyproject.toml": "unit",
-    "test/unit/conftest.py": "unit",
+    "test/support/unit_fixtures.py": "unit",
     "test/browser": "browser",
     "web": "browser",
 }

@@ -1,46 +1,6 @@
-"""Fixtures that several tests share."""
+"""The fixtures and hooks of all unit tests."""
 
-from __future__ import annotations
+from realtime import pytest_runtest_protocol
+from unit_fixtures import broker, broker_process, topics
 
-import itertools
-import os
-
-import hypothesis
-import pytest
-from processes import BrokerProcess
-from realtime import pytest_runtest_protocol  # noqa: F401
-
-from construction_twin.mqtt.messages import Topics
-
-# how long an example takes is the machine's affair, not the product's; and a red run is red again until it is mended, a green one
-# stays green: new examples are looked for by `make properties`
-hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=True)
-hypothesis.settings.register_profile("random", deadline=None)
-hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
-
-
-_prefixes = (f"test{number}" for number in itertools.count())
-
-
-@pytest.fixture
-def broker_process():
-    """A started BrokerProcess that the test may kill and start again."""
-    process = BrokerProcess()
-    process.start()
-    yield process
-    process.kill()
-
-
-@pytest.fixture(scope="module")
-def broker():
-    """Port of a broker that a module's tests share; use a topic prefix of your own."""
-    process = BrokerProcess()
-    process.start()
-    yield process.port
-    process.kill()
-
-
-@pytest.fixture
-def topics():
-    """MQTT topics that no other test uses."""
-    return Topics(next(_prefixes), "arm")
+__all__ = ["broker", "broker_process", "pytest_runtest_protocol", "topics"]
