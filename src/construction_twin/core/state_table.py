@@ -192,14 +192,6 @@ def _condition(refusal: str, holds: Callable[[Occ], bool]) -> Callable[[Occ], st
     return lambda occasion: "" if holds(occasion) else refusal
 
 
-def cells(table: tuple[Row, ...]) -> list[tuple[str, str, str, str, str]]:
-    """Return a table in words, for the documentation: state, event, guard, action, next state ("" where it stays)."""
-    return [
-        (_name(row.state), row.event.value, row.guard.value, row.action.value, _name(row.target) if row.target else "")
-        for row in table
-    ]
-
-
 def _name(state: Enum) -> str:
     # where messages hold a number, people read the name
     return state.value if isinstance(state.value, str) else state.name

@@ -22,7 +22,7 @@ from rich.text import Text
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, ScenarioError, spoken
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, spoken
 from construction_twin.core.extensions import node_modules
 from construction_twin.core.files import check_writable
 from construction_twin.core.limits import MotionLimits
@@ -40,7 +40,7 @@ from construction_twin.ros.shared.params import Parameters, PrivateSettings, rob
 from construction_twin.ros.shared.refusal_log import warn_of_refusals
 from construction_twin.ros.transport.persistent_service import PersistentService
 from construction_twin.ros.transport.subscriber import Subscriber
-from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, Step, make_scenario
+from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, ScenarioError, Step, make_scenario
 from construction_twin.scenario.judge import Judgement, judge
 from construction_twin.scenario.timeline import Change
 from construction_twin.srv import InjectFault, PlanToJoints, ReviewPlan
