@@ -9,7 +9,7 @@ from construction_twin.core.follower import Follower
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.playout import Playout, PlayoutBounds
-from construction_twin.gateway.speed_governor import Governor
+from construction_twin.gateway.playout_rate import PlayoutRate
 from construction_twin.gateway.stop_report import Braking
 
 
@@ -28,8 +28,8 @@ class Player:
     def __init__(self, config: GatewayConfig, counters: Counter[str]):
         self._config = config
         self._counters = counters
-        governor = Governor(config.limits, config.decimals, config.cycle_ns)
-        self._playout = Playout(PlayoutBounds.of(config), governor, config.cycle_ns)
+        rate = PlayoutRate(config.limits, config.decimals, config.cycle_ns)
+        self._playout = Playout(PlayoutBounds.of(config), rate)
         self._longest_hole = round(config.silence * NANOSECONDS)
         self._stalled: _Stall | None = None
         #: Fraction of the velocity limits at which the arm may move.
@@ -57,7 +57,7 @@ class Player:
     def limit(self, fraction: float) -> None:
         """Play so slowly that every joint keeps to this fraction of its velocity limit, 0 to 1."""
         self.fraction = fraction
-        self._playout.limit(fraction)
+        self._playout.rate.limit(fraction)
         if self.follower is not None:
             self.follower.limit(fraction)
 
