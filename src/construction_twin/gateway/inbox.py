@@ -68,7 +68,7 @@ class TelegramInbox:
                 continue
             self._gateway.clock.note(telegram.controller_ms, arrived)
             if self._status is not None:
-                self._gateway.note_status(*self._status(data))
+                self._gateway.controller.note_status(*self._status(data))
             if newest is not None:
                 behind = stamp_step(telegram.controller_ms, newest.telegram.controller_ms, self._timeout_ms)
                 if source == newest.source and 0 <= behind <= self._timeout_ms:
@@ -86,7 +86,7 @@ class TelegramInbox:
             why = f"datagrams from {source[0]} are not read, because --controller is {self._controller}"
             refusals.telegram("address", why)
             return None
-        if not self._gateway.accepts(source, self._clock()):
+        if not self._gateway.controller.accepts(source, self._clock()):
             why = f"a datagram from {source[0]}:{source[1]} while another sender's session is alive"
             refusals.telegram("source", why)
             return None

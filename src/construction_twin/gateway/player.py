@@ -1,8 +1,13 @@
-"""From buffered commands to positions: playout and follower of one gateway. Standard library only; rad and ns."""
+"""From buffered commands to positions: playout and follower of one gateway, and how the arm comes to rest.
+
+Standard library only; rad, m, and ns.
+"""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from construction_twin.core.follower import Follower
@@ -10,7 +15,131 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.playout import Playout, PlayoutBounds
 from construction_twin.gateway.playout_rate import PlayoutRate
-from construction_twin.gateway.stop_report import Braking
+
+
+class Braking:
+    """Braking of a follower from its present step on, as the arm will carry it out.
+
+    Args:
+        measured: Shape (n,). Where the arm is, behind the follower by what its servos trail [rad], [m]; empty when it does not do
+            what the follower does, or is not known: then the distance is the follower's.
+    """
+
+    def __init__(self, follower: Follower, measured: tuple[float, ...]):
+        distances, cycles = follower.braking()
+        #: Where the arm was when it began [rad], [m].
+        self.start = measured or follower.position
+        #: Distance of each axis to rest, including the lag behind the correction [rad], [m].
+        self.distance = tuple(
+            [distance + abs(q - at) for distance, q, at in zip(distances, follower.position, self.start)]
+        )
+        #: Time until the corrections rest [s].
+        self.time = cycles * follower.cycle
+        #: What it has taken so far [ns].
+        self.elapsed = 0
+
+
+class StopReport:
+    """The last stop of one gateway."""
+
+    def __init__(self, linear: tuple[bool, ...]):
+        self._linear = linear
+        #: What the gateway braked for: ``silence``, ``refused``, ``stop``, ``speed_limit``, ``drift``; "" before the first stop.
+        self.cause = ""
+        #: Account whose stop it was, "" for every other cause and way.
+        self.by = ""
+        #: Distance of each axis and time to rest, as stated when braking began [rad], [m]; [s].
+        self.distance: tuple[float, ...] = ()
+        self.time = 0.0
+        #: The same as it was in the end, from where the arm was to where it is told to rest; empty and None until then.
+        self.moved: tuple[float, ...] = ()
+        self.took: float | None = None
+        self._braking: Braking | None = None
+
+    def begin(
+        self,
+        cause: str,
+        follower: Follower,
+        measured: tuple[float, ...],
+        under_way: Braking | None = None,
+        by: str = "",
+    ) -> None:
+        """State the distance to rest; call it when braking begins, or with the braking that was `under_way` before."""
+        braking = under_way or Braking(follower, measured)
+        self.cause, self.by, self._braking = cause, by, braking
+        self.distance, self.time = braking.distance, braking.time
+        self.moved, self.took = (), None
+        if under_way and follower.at_rest:
+            self._end(braking, follower)
+
+    def advance(self, follower: Follower, elapsed: int) -> None:
+        """Take note of a step of braking that took `elapsed` [ns] of the controller's time."""
+        braking = self._braking
+        if self.took is not None or braking is None:
+            return
+        braking.elapsed += elapsed
+        if follower.at_rest:
+            self._end(braking, follower)
+
+    def _end(self, braking: Braking, follower: Follower) -> None:
+        self.moved = tuple([abs(end - start) for start, end in zip(braking.start, follower.position)])
+        self.took = braking.elapsed / NANOSECONDS
+
+    def report(self) -> dict:
+        """Return what the status says: deg, mm for linear axes, and s."""
+        return {
+            "cause": self.cause,
+            "by": self.by,
+            "distance_deg": self._for_people(self.distance),
+            "time_s": self.time,
+            "moved_deg": self._for_people(self.moved),
+            "took_s": self.took,
+        }
+
+    def _for_people(self, distances: tuple[float, ...]) -> list[float]:
+        # rounded up: what is stated is never less than what it stands for
+        return [
+            math.ceil(1e6 * (1e3 * distance if linear else math.degrees(distance))) / 1e6
+            for distance, linear in zip(distances, self._linear)
+        ]
+
+
+class SubCycleInterpolator:
+    """Spreads the steps of whole cycles over the telegrams within them.
+
+    A controller that is switched to a shorter cycle is noticed after some telegrams only, and an arm that is braked then is still
+    moving. A whole step of the longer cycle in each of them would be several times the speed, and many times the braking.
+    """
+
+    def __init__(self, cycle_ns: int):
+        self._cycle = cycle_ns
+        #: Controller time interpolated so far in the present step [ns]; 0: all of it.
+        self.interpolated = 0
+        self._before: tuple[float, ...] = ()
+
+    def restart(self) -> None:
+        """Begin with a whole step."""
+        self.interpolated = 0
+
+    def position(
+        self, elapsed: int, now: tuple[float, ...], step: Callable[[], tuple[float, ...]]
+    ) -> tuple[float, ...]:
+        """Return where to be after `elapsed` more controller time [ns].
+
+        The present step ends at `now`, shape (n,); `step` takes that of one cycle and returns where it ends.
+        """
+        begun = self.interpolated > 0
+        self.interpolated += elapsed
+        if not begun:
+            self._before, now = now, step()
+        while self.interpolated > self._cycle:
+            self._before, now = now, step()
+            self.interpolated -= self._cycle
+        part = self.interpolated / self._cycle
+        if self.interpolated == self._cycle:
+            self.interpolated = 0
+            return now
+        return tuple([start + part * (end - start) for start, end in zip(self._before, now)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +159,8 @@ class Player:
         self._counters = counters
         rate = PlayoutRate(config.limits, config.decimals, config.cycle_ns)
         self._playout = Playout(PlayoutBounds.of(config), rate)
+        #: For telegrams that come faster than one a cycle.
+        self.parts = SubCycleInterpolator(config.cycle_ns)
         self._longest_hole = round(config.silence * NANOSECONDS)
         self._stalled: _Stall | None = None
         #: Fraction of the velocity limits at which the arm may move.

@@ -85,10 +85,8 @@ class GatewayService:
         measures: bool = True,
         stops: StopFile | None = None,
     ):
-        self.gateway = Gateway(config, run, commissioning, measures)
+        self.gateway = Gateway(config, run, commissioning, measures, stops.found if stops is not None else "")
         self._stops = stops
-        if stops is not None and stops.found:
-            self.gateway.recall(stops.found)
         self.reply_time = Histogram.of_microseconds()
         #: What failed, in one sentence; "" while nothing has.
         self.failure = ""
@@ -292,7 +290,7 @@ class GatewayService:
 
     def _log_change(self) -> None:
         gateway = self.gateway
-        limit_silent, clock_off = gateway.speed.source == "silence", bool(gateway.clock.off_sentence)
+        limit_silent, clock_off = gateway.commands.speed.source == "silence", bool(gateway.clock.off_sentence)
         state, reason, was_silent, was_off = self._logged
         self._logged = gateway.state, gateway.reason, limit_silent, clock_off
         if (gateway.state, gateway.reason) != (state, reason):
@@ -306,7 +304,7 @@ class GatewayService:
             level = logging.WARNING if clock_off else logging.INFO
             self._log(level, "controller's clock", gateway.clock.off_sentence or "nothing is wrong with it any more")
         if limit_silent and not was_silent:
-            text = f"its source is silent; {gateway.speed.given:g} of the limits until it speaks"
+            text = f"its source is silent; {gateway.commands.speed.given:g} of the limits until it speaks"
             self._log(logging.WARNING, "speed limit", text)
 
     def _log(self, level: int, kind: str, text: str) -> None:
@@ -332,7 +330,9 @@ class GatewayService:
             stop = True if self.gateway.ends else None
             switched = self._switched(self._encoder) if self.gateway.tool is not None else ()
             self._answer(self._encoder.encode(carried, telegram.controller_ms, stop, switched), source)
-            self._last_resort.sent(telegram.controller_ms, source, carried, self.gateway.kept, telegram.missed)
+            self._last_resort.sent(
+                telegram.controller_ms, source, carried, self.gateway.controller.kept, telegram.missed
+            )
             self.reply_time.add((time.time_ns() - newest.arrived) / 1e3)
         self._publish_state()
         return True

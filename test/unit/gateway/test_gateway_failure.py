@@ -41,8 +41,8 @@ def broken_once(original):
 PARTS = {
     "inbox": lambda service: (service._inbox, "newest"),
     "telegram decoder": lambda service: (service._inbox, "_parse"),
-    "controller session": lambda service: (service.gateway._controller, "take"),
-    "playout": lambda service: (service.gateway._player._playout, "advance"),
+    "controller session": lambda service: (service.gateway.controller, "take"),
+    "playout": lambda service: (service.gateway.player._playout, "advance"),
     # the class: a reply that did not arrive places another follower, at rest where the arm stands
     "follower": lambda service: (Follower, "follow"),
     "reply's encoder": lambda service: (service._encoder, "encode"),
@@ -55,7 +55,7 @@ PARTS = {
     "histogram": lambda service: (service.reply_time, "add"),
     "poll": lambda service: (service.gateway, "poll"),
     "command callback": lambda service: (service.gateway, "on_command"),
-    "command's codec": lambda service: (service.gateway._intake.stream, "read"),
+    "command's codec": lambda service: (service.gateway.commands.intake.stream, "read"),
     "MQTT connection": lambda service: (service._mqtt, "service"),
     "MQTT reading": lambda service: (service._mqtt, "read"),
     "MQTT library": lambda service: (service._mqtt.client, "loop_read"),
@@ -128,7 +128,7 @@ def test_a_slow_disk_and_a_broken_state_machine_hold_no_reply_up(broker, topics,
         stream(client, controller, (motion(k) for k in range(80)))
         begin = len(controller.replies)
         service.gateway.fail = broken
-        service.gateway._player._playout.advance = broken
+        service.gateway.player._playout.advance = broken
         assert_it_brakes_and_holds(controller, begin)
         assert "injected" in service.failure and service.gateway.counters["failures"] >= 2
         assert client.wait_for_status(state="failed")

@@ -43,7 +43,12 @@ def test_commissioning_takes_the_stream_computes_and_sends_zeros():
     assert set(cell.replies) == {(0.0, 0.0)} and cell.measured == START
     assert cell.state is State.FOLLOWING and cell.count("commands_received") == 200
     # what it would have sent is what it sends without the mode
-    assert cell.gateway.correction == normal.gateway.correction == normal.replies[-1] != (0.0, 0.0)
+    assert (
+        cell.gateway.controller.replies.correction
+        == normal.gateway.controller.replies.correction
+        == normal.replies[-1]
+        != (0.0, 0.0)
+    )
     assert cell.gateway.status()["correction"] == list(normal.replies[-1])
 
 
@@ -61,14 +66,14 @@ def test_after_a_stop_in_commissioning_the_next_stream_begins_where_the_arm_stan
     cell.stream(slow(k) for k in range(200))
     cell.control("stop")
     cell.cycle(300)
-    assert cell.state is State.HOLDING and cell.gateway.correction[0] != 0.0
+    assert cell.state is State.HOLDING and cell.gateway.controller.replies.correction[0] != 0.0
     assert cell.control("reset")[0]
     assert cell.arm("s2")[0]
     cell.stamp += 10 * NANOSECONDS
     cell.send(START, session="s2")
     cell.cycle()
     assert cell.state is State.FOLLOWING and cell.count("refused_start") == 0
-    assert cell.gateway.correction == pytest.approx((0.0, 0.0), abs=1e-12)
+    assert cell.gateway.controller.replies.correction == pytest.approx((0.0, 0.0), abs=1e-12)
 
 
 # -- read-only ---------------------------------------------------------------------------------------------------------

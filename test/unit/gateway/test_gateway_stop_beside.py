@@ -11,10 +11,9 @@ from processes import wait_until
 from service_cell import PATIENT, assert_still, cell, motion, stream
 
 from construction_twin.core.rate_limit import LineLimiter, SenderLimits
+from construction_twin.gateway.control import Ownership
 from construction_twin.gateway.gateway import Gateway, State
-from construction_twin.gateway.ownership import Ownership
-from construction_twin.gateway.player import Player
-from construction_twin.gateway.stop_report import StopReport
+from construction_twin.gateway.player import Player, StopReport
 from construction_twin.mqtt.messages import Intervention
 
 WAYS = ("control", "account")

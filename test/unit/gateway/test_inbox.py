@@ -10,8 +10,8 @@ from gateway_cell import CONFIG, RUN, START
 
 from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.inbox import DRAIN_LIMIT, TelegramInbox
-from construction_twin.gateway.refusals import LONGEST_REFUSAL
 from construction_twin.gateway.states import State
+from construction_twin.gateway.status import LONGEST_REFUSAL
 from construction_twin.rsi.controller_codec import RobotEncoder
 
 HERE, THERE = ("192.168.1.20", 49152), ("192.168.1.20", 49153)
