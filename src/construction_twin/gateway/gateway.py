@@ -32,9 +32,6 @@ from construction_twin.mqtt.messages import PROTOCOL, StateProperties
 
 #: States in which nothing is commanded, and the held pose follows what a program of the controller does.
 HELD = (State.MEASURING, State.OTHER_CYCLE, State.READY, State.ARMED)
-#: States in which no telegram is answered.
-UNANSWERED = (State.JOINED, State.READ_ONLY, State.FAILED)
-MOVING = (State.FOLLOWING, State.BRAKING)
 
 
 def _not_reset(reason: str) -> str:
@@ -151,7 +148,8 @@ class Gateway:
         """
         machine, controller, player, counters = self.machine, self.controller, self.player, self.counters
         # session: what does the telegram mean, does another session begin, may it be answered?
-        taken = controller.take(telegram, source, now, machine.state in MOVING)
+        state = machine.state
+        taken = controller.take(telegram, source, now, state is State.FOLLOWING or state is State.BRAKING)
         if taken is None:
             counters["telegrams_repeated"] += 1
             return None
@@ -164,7 +162,7 @@ class Gateway:
             joined = state is State.JOINED
             why = Sentence("this session is not answered: {reason}", reason=machine.reason) if joined else ""
             self.tool.hear(why, taken.missed)
-        if state in UNANSWERED:
+        if state is State.JOINED or state is State.READ_ONLY or state is State.FAILED:
             counters["telegrams_unanswered"] += 1
             return None
         if not controller.origin:
@@ -187,7 +185,7 @@ class Gateway:
         # playout with its one rate, or braking, and the limits of every joint
         if elapsed == self._cycle and not player.parts.interpolated:
             position = self._move(follower, elapsed)
-        elif machine.state in MOVING:
+        elif machine.state is State.FOLLOWING or machine.state is State.BRAKING:
             # until the change of the cycle is noticed, and while it brakes
             step = partial(self._move, follower, self._cycle)
             position = player.parts.position(elapsed, follower.position, step)

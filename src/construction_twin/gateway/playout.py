@@ -303,7 +303,10 @@ class Playout:
         self._clock += elapsed
         if self._arrivals.note_telegram(self._newest - self._clock, self._clock):
             self._choose_delay(before + elapsed)
-        self._now += rate.advance(elapsed, commands, before >= commands[0][0], self._rests, self._ahead)
+        if rate.steady and elapsed == rate.cycle_ns:
+            self._now += elapsed
+        else:
+            self._now += rate.advance(elapsed, commands, before >= commands[0][0], self._rests, self._ahead)
         stamp, target = self._at(self._now)
         rate.note(target)
         return stamp, target

@@ -60,7 +60,7 @@ class PlayoutRate:
     """
 
     def __init__(self, limits: MotionLimits, decimals: int, cycle_ns: int = CYCLE_NS):
-        self._cycle_ns = cycle_ns
+        self.cycle_ns = cycle_ns
         self._cycle = cycle_ns / NANOSECONDS
         self._velocity, self._acceleration = limits.velocity, limits.acceleration
         self._digit = limits.last_digits(decimals)
@@ -92,9 +92,14 @@ class PlayoutRate:
         self._starting = False
 
     @property
+    def steady(self) -> bool:
+        """Whether playout time runs as the controller's: nothing is to be moved, and there is no speed limit."""
+        return not (self.remaining or self.shift or self._limits)
+
+    @property
     def percent(self) -> float:
         """Present deviation from 1 [%], without a speed limit's."""
-        return 100.0 * (self.shift / self._cycle_ns)
+        return 100.0 * (self.shift / self.cycle_ns)
 
     def note(self, target: Pose) -> None:
         """Remember the target of a cycle, one cycle after the one before it."""
@@ -138,12 +143,10 @@ class PlayoutRate:
             rests: They are all one pose, and so is what was played last.
             target: From an advance [ns] to the pose there.
         """
-        if elapsed != self._cycle_ns:
+        if elapsed != self.cycle_ns:
             # what comes after missed telegrams cannot be compared with what was before them
             self._before = self._last = None
         before, advance = self.shift, elapsed
-        if not (before or self.remaining or self._limits):
-            return advance
         if rests:
             # every stamp has the same pose: time can be set at once
             advance += self.remaining
@@ -189,7 +192,7 @@ class PlayoutRate:
         step = round(rate * elapsed)
         if self._last is not None and self._fraction < 1.0:
             # as far as this very cycle's poses ask for it
-            cycles, excess = elapsed / self._cycle_ns, 1.0
+            cycles, excess = elapsed / self.cycle_ns, 1.0
             for new, old, allowed, digit in zip(target(step), self._last, self._steps, self._digit):
                 allowed = (allowed + min(digit, ROUNDING_FRACTION * allowed)) * cycles
                 if allowed and abs(new - old) > excess * allowed:
