@@ -1,18 +1,20 @@
 """The command side of the gateway: who may command, and what each message does, or why it is refused.
 
-Nothing here answers a telegram. Standard library only; stamps and `now` in ns, poses in rad.
+Nothing here answers a telegram. stamps and `now` in ns, poses in rad.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from construction_twin.core import speed_limit
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.command_intake import CommandIntake, StreamBroken
-from construction_twin.gateway.speed_limit import EnforcedSpeedLimit
+from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.states import Event, Mode, Occasion, Row, State
 from construction_twin.gateway.tool_switches import stamp_of
 from construction_twin.mqtt.messages import (
@@ -21,6 +23,7 @@ from construction_twin.mqtt.messages import (
     Control,
     Intervention,
     is_session,
+    message_number,
     other_protocol,
     protocol_of,
 )
@@ -33,6 +36,8 @@ if TYPE_CHECKING:
 DISPLACED = 2.0
 #: Ended sessions and answered control messages that are remembered.
 MEMORY = 1000
+#: Limits that are remembered inside the grace; with more of them the oldest, which are the higher ones, count no longer.
+REMEMBERED = 64
 #: Verbs that act again when their message comes again: a stop always acts, and the other two count for themselves.
 _AGAIN = ("stop", "speed_limit", "void")
 #: Why no switch is armed, and armed ones are void.
@@ -88,6 +93,107 @@ def _remember(known: dict[object, None], thing: object) -> None:
     known.setdefault(thing)
     if len(known) > MEMORY:
         del known[next(iter(known))]
+
+
+@dataclass(frozen=True, slots=True)
+class _Given:
+    """A fraction of the velocity limits, and since when it was given [ns]."""
+
+    since: int
+    fraction: float
+
+
+class EnforcedSpeedLimit:
+    """The fraction of the velocity limits at which the arm may move.
+
+    It is optional. Once one was given, silence for longer than the deadline counts as the fraction for silence, or as the
+    last limit where that was lower, because a lost source must not speed the arm up. Both outlive command sessions, otherwise
+    arming anew would lift the limit.
+
+    A lowered limit is enforced a grace after it came, a raised one at once: in force is the highest of those that were given within
+    the grace. A sender that obeys has slowed down by then.
+
+    The messages of a session are numbered, and an old one does nothing: with a recording of a high limit among those of today the
+    low one would never come into force.
+    """
+
+    def __init__(self, config: GatewayConfig):
+        self._source = speed_limit.SpeedLimit(config.speed_limit_deadline, config.speed_limit_silent)
+        self._grace = round(config.speed_limit_grace * NANOSECONDS)
+        #: The fraction given last, that for silence included; 1 before the first one.
+        self.given = 1.0
+        #: Who gave it: "none", a session id, or "silence".
+        self.source = "none"
+        #: The fraction in force.
+        self.fraction = 1.0
+        # session and number of the last message that was taken
+        self._numbered: tuple[str, int] = ("", -1)
+        # fractions fall from left to right, so the first is the highest
+        self._recent: deque[_Given] = deque(maxlen=REMEMBERED)
+
+    @staticmethod
+    def refusal(control: Control, session: str) -> str:
+        """Return why a `speed_limit` message does not count while `session` is armed; "" when it does."""
+        fraction = control.value
+        # bool is a number to Python; a number as large as JSON allows is none that a float holds
+        if isinstance(fraction, bool) or not isinstance(fraction, (int, float)) or not 0 <= fraction <= 1:
+            return f"speed limit {str(fraction)[:32]!r}: expected a number from 0 to 1"
+        if not session or control.session != session:
+            return f"session {control.session!r} is not armed" + f", {session!r} is" * bool(session)
+        if message_number(control.id) is None:
+            return (
+                f"speed limit with the id {control.id!r}: expected a whole number, higher than that of the one before"
+            )
+        return ""
+
+    def is_repeated(self, control: Control) -> bool:
+        """Return whether this message (one without a `refusal`) or a later one of its session came before: a copy, a recording."""
+        number = message_number(control.id)
+        session, last = self._numbered
+        if number is None or (control.session == session and number <= last):
+            return True
+        self._numbered = control.session, number
+        return False
+
+    def give(self, fraction: float, session: str, now: int) -> bool:
+        """Take a limit, 0 to 1, from a session; return whether it, or who gave it, is another than before."""
+        self._source.hear(fraction, session, now)
+        news = (fraction, session) != (self.given, self.source)
+        self.source = session
+        self._take(fraction, now)
+        return news
+
+    def poll(self, now: int) -> bool:
+        """Notice silence, and what has come into force; return whether the source has just fallen silent."""
+        recent = self._recent
+        if not recent:
+            return False
+        silent = self.source != "silence" and self._source.is_silent(now)
+        if silent:
+            self.source = "silence"
+            self._take(self._source.fraction_when_silent, now)
+        while len(recent) > 1 and now - recent[1].since >= self._grace:
+            recent.popleft()
+        self.fraction = recent[0].fraction
+        return silent
+
+    def _take(self, fraction: float, now: int) -> None:
+        self.given = fraction
+        recent = self._recent
+        if not recent:
+            # before the first one there was none
+            recent.append(_Given(now, 1.0))
+        if fraction == recent[-1].fraction:
+            return
+        since = now
+        while recent and recent[-1].fraction <= fraction:
+            # what was lower is no higher than this: the grace began there
+            since = recent.pop().since
+        recent.append(_Given(since, fraction))
+
+    def report(self) -> dict:
+        """Return what the status says: the fraction in force, the one given last, and by whom."""
+        return {"share": self.fraction, "given": self.given, "source": self.source}
 
 
 class CommandSide:
@@ -268,7 +374,7 @@ class CommandSide:
         if gateway.tool is None:
             return self._refuse(control.verb, Sentence("tool: the configuration has none: no switch is possible"))
         stamp, waited = stamp_of(control.value), now - gateway.controller.heard_at
-        lead = None if stamp is None else gateway.player.lead(stamp) - waited / NANOSECONDS
+        lead = None if stamp is None else (gateway.player.playout.lead(stamp) - waited) / NANOSECONDS
         refusal = gateway.tool.arm(control.value, lead, self._obstacle_of_switch(control.session))
         return self._answer(control, refusal, Sentence("armed"))
 

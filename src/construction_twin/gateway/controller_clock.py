@@ -3,7 +3,7 @@
 Motion is played, limited and braked per cycle, so a controller with another cycle must be named before it is commanded: limits and
 watchdogs would mean something else. Only medians are judged: lost telegrams, stalls of either machine and jitter shift single steps
 and times by any amount, but not half of them. A clock that is off by less than that refuses nothing, but is named with its figure
-after half a minute, because it changes every speed by as much (docs/rsi.md, section 1). Standard library only; stamps in ms, times
+after half a minute, because it changes every speed by as much (docs/rsi.md, section 1). stamps in ms, times
 of arrival in ns.
 """
 

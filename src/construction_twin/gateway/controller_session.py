@@ -1,6 +1,6 @@
 """The controller's side of the gateway: which telegrams count, when a session begins, where its corrections stand, its answers.
 
-Standard library only; rad and ns.
+rad and ns.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The controller's socket: from the datagrams that wait in it to the one telegram that is answered, and back to the reply.
 
-After a failure of the gateway the last resort answers from here. Standard library only; ns.
+After a failure of the gateway the last resort answers from here. ns.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 It knows no socket and no clock: `now` is an argument, in ns on the gateway's monotonic clock. Every telegram is answered from what
 is already here (docs/architecture.md, law 1), in one function from top to bottom: `Gateway.on_telegram`. What may follow what is
-the table in `states`; here is what its actions do to the arm, and in `control` who may command it. Standard library only; rad and
+the table in `states`; here is what its actions do to the arm, and in `control` who may command it. rad and
 ns.
 """
 
@@ -25,7 +25,7 @@ from construction_twin.gateway.controller_clock import ControllerClock
 from construction_twin.gateway.controller_session import ControllerSession, moved
 from construction_twin.gateway.player import Player, StopReport
 from construction_twin.gateway.states import CAUSES, ROWS, Action, Event, Guard, Mode, Occasion, Row, State
-from construction_twin.gateway.status import Refusals, StateReport, Status
+from construction_twin.gateway.status import Refusals, StateReport
 from construction_twin.gateway.tool_switches import ToolSwitches
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import PROTOCOL, StateProperties
@@ -246,7 +246,7 @@ class Gateway:
             # in commissioning mode the arm does not do what the player does
             measured = self.controller.measured if self.mode is Mode.NORMAL else ()
             position = player.play(follower, elapsed, measured)
-            overdue = player.overdue
+            overdue = player.playout.overdue
             if overdue > self._silence:
                 player.give_up(self.session, self.controller.heard_at)
                 why = Sentence("no command for {seconds:.3f} s beyond the newest one", seconds=overdue / NANOSECONDS)
@@ -421,33 +421,32 @@ class Gateway:
         return self.tool.take_change() or changed if self.tool is not None else changed
 
     def status(self) -> dict:
-        """Return the content of the `status` topic."""
+        """Return the content of the `status` topic; each key is explained in docs/reference/mqtt.md."""
         config, owners, controller = self.config, self.commands.owners, self.controller
-        failure = self.reason if self.state is State.FAILED else ""
-        return document(
-            Status(
-                tool=self.tool.report(failure) if self.tool is not None else None,
-                state=self.state.value,
-                reason=self.reason,
-                session=self.session,
-                fault=self.fault,
-                fault_number=self.fault_number,
-                mode=self.mode.value,
-                correction=controller.replies.correction,
-                controller=controller.status.report(),
-                last_ipoc_jump_ms=controller.jump_ms,
-                cycle=self.clock.report(),
-                run=self.run,
-                protocol=PROTOCOL,
-                hash=config.hash,
-                decimals=config.decimals,
-                properties=config.properties,
-                playout=self.player.report(),
-                speed_limit=self.commands.speed.report(),
-                stop=self._stopping.report(),
-                intruder={"session": owners.intruder, "count": owners.intrusions},
-                last_refusal=self.refusals.last,
-                later_refusal=self.refusals.later,
-                counters=dict(self.counters) | self.side_effects.counts("failed_beside"),
-            )
-        )
+        status = {
+            "state": self.state.value,
+            "reason": self.reason,
+            "session": self.session,
+            "fault": self.fault,
+            "fault_number": self.fault_number,
+            "mode": self.mode.value,
+            "correction": controller.replies.correction,
+            "controller": controller.status.report(),
+            "last_ipoc_jump_ms": controller.jump_ms,
+            "cycle": self.clock.report(),
+            "run": self.run,
+            "protocol": PROTOCOL,
+            "hash": config.hash,
+            "decimals": config.decimals,
+            "properties": config.properties,
+            "playout": self.player.playout.report(),
+            "speed_limit": self.commands.speed.report(),
+            "stop": self._stopping.report(),
+            "intruder": {"session": owners.intruder, "count": owners.intrusions},
+            "last_refusal": self.refusals.last,
+            "later_refusal": self.refusals.later,
+            "counters": dict(self.counters) | self.side_effects.counts("failed_beside"),
+        }
+        if self.tool is not None:
+            status["tool"] = self.tool.report(self.reason if self.state is State.FAILED else "")
+        return document(status)

@@ -1,6 +1,6 @@
 """From buffered commands to positions: playout and follower of one gateway, and how the arm comes to rest.
 
-Standard library only; rad, m, and ns.
+rad, m, and ns.
 """
 
 from __future__ import annotations
@@ -158,10 +158,9 @@ class Player:
         self._config = config
         self._counters = counters
         rate = PlayoutRate(config.limits, config.decimals, config.cycle_ns)
-        self._playout = Playout(PlayoutBounds.of(config), rate)
+        self.playout = Playout(PlayoutBounds.of(config), rate)
         #: For telegrams that come faster than one a cycle.
         self.parts = SubCycleInterpolator(config.cycle_ns)
-        self._longest_hole = round(config.silence * NANOSECONDS)
         self._stalled: _Stall | None = None
         #: Fraction of the velocity limits at which the arm may move.
         self.fraction = 1.0
@@ -175,20 +174,10 @@ class Player:
         #: Braking since the stream ran dry; None while it has not.
         self.braking: Braking | None = None
 
-    @property
-    def overdue(self) -> int:
-        """How long the next command is overdue [ns]; 0 while there is one. A speed limit does not make it later."""
-        return self._playout.overdue
-
-    @property
-    def backlog(self) -> float:
-        """How much motion a speed limit, or replies that did not arrive, have put off [s], in the sender's time."""
-        return self._playout.backlog / NANOSECONDS
-
     def limit(self, fraction: float) -> None:
         """Play so slowly that every joint keeps to this fraction of its velocity limit, 0 to 1."""
         self.fraction = fraction
-        self._playout.rate.limit(fraction)
+        self.playout.rate.limit(fraction)
         if self.follower is not None:
             self.follower.limit(fraction)
 
@@ -205,25 +194,13 @@ class Player:
 
     def clear(self) -> None:
         """Forget the stream; what was learned about the link stays."""
-        self._playout.clear()
+        self.playout.clear()
         self.stamp = self._stamp_before = self.stood = 0
         self.braking = None
 
-    def lead(self, stamp: int) -> float:
-        """Return how far `stamp` [ns] lies ahead of playout time [s]."""
-        return self._playout.lead(stamp) / NANOSECONDS
-
-    def hole(self, stamp: int) -> float:
-        """Return how much of the stream is missing before `stamp` [ns], if that is too much to bridge; else 0 [s].
-
-        How much that is does not depend on the delay: a playout that has run dry meanwhile knows no more of what is missing.
-        """
-        hole = stamp - self._playout.newest
-        return hole / NANOSECONDS if hole > self._longest_hole else 0.0
-
     def push(self, stamp: int, q: tuple[float, ...], waited: int) -> None:
         """Take a command that passed every check: stamp [ns], pose [rad], time since the last telegram [ns]."""
-        if not self._playout.push(stamp, q, waited):
+        if not self.playout.push(stamp, q, waited):
             self._counters["commands_late"] += 1
 
     def play(self, follower: Follower, elapsed: int, measured: tuple[float, ...]) -> tuple[float, ...]:
@@ -232,8 +209,8 @@ class Player:
         `measured` is where the arm is [rad]; () when it is not known.
         """
         self._stamp_before = self.stamp
-        self.stamp, target = self._playout.advance(elapsed)
-        if self._playout.silence:
+        self.stamp, target = self.playout.advance(elapsed)
+        if self.playout.silence:
             # the rest of the motion is unknown
             self._counters["cycles_without_command"] += 1
             return self._brake(follower, elapsed, measured)
@@ -245,10 +222,10 @@ class Player:
 
     def stand(self, pause: int, taken_back: bool) -> None:
         """Go on from where HOLDON keeps the arm, while a stream is followed, after a pause without a reply; see `Playout.stand`."""
-        self._playout.stand(pause, taken_back)
+        self.playout.stand(pause, taken_back)
         if taken_back:
             self.stamp = self._stamp_before
-        self.stood = self.stood + 1 if self._playout.backlog else 0
+        self.stood = self.stood + 1 if self.playout.backlog else 0
 
     def _brake(self, follower: Follower, elapsed: int, measured: tuple[float, ...]) -> tuple[float, ...]:
         if self.braking is None:
@@ -259,7 +236,7 @@ class Player:
 
     def give_up(self, session: str, now: int) -> None:
         """Note that the stream of `session` is given up because of its silence; call it before `clear`."""
-        self._stalled = _Stall(session, self._playout.shortfall, now)
+        self._stalled = _Stall(session, self.playout.shortfall, now)
 
     def learn_from_stall(self, session: str | None, now: int) -> None:
         """Take note of a command that comes after its stream was given up: the stream did not end, it was held up.
@@ -269,9 +246,5 @@ class Player:
         stall = self._stalled
         if stall is None or session not in (None, stall.session):
             return
-        self._playout.learn(stall.shortfall + now - stall.since)
+        self.playout.learn(stall.shortfall + now - stall.since)
         self._stalled = None
-
-    def report(self) -> dict:
-        """Return what `status` says about the playout."""
-        return self._playout.report()

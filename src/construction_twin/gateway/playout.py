@@ -16,7 +16,7 @@ Playout time, now, advances with the controller's stamps, never with packet arri
 behind the newest command. The delay is what the link's jitter asks for, within bounds, and is changed by whole cycles of 4 ms: a
 stream on that grid is then played exactly on its stamps, except while the delay is being changed. So it is by a controller whose
 cycle is 12 ms, which plays every third of them. Clock drift shows as a delay that grows or shrinks, and is corrected in the same
-way. Standard library only; stamps in ns, angles in rad.
+way. stamps in ns, angles in rad.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Time is moved for all joints together, never for a joint by itself, so the path stays what it is. Played at a rate 1 + r, a
 motion's velocity is multiplied by 1 + r and its acceleration by (1 + r)^2, and a change of r adds velocity times dr/dt: the rate
-changes only as far as the joints' limits leave room for. Standard library only; stamps in ns, positions in rad (m for prismatic
+changes only as far as the joints' limits leave room for. stamps in ns, positions in rad (m for prismatic
 joints).
 """
 

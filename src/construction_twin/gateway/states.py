@@ -1,7 +1,7 @@
 """The gateway's states and modes, and its state machine: one table of state, event, guard, action and next state.
 
 The table says what may follow what. What a guard asks and what an action does is the gateway's (`gateway.Gateway`), which gives the
-machine a function for each. Standard library only.
+machine a function for each.
 """
 
 from __future__ import annotations

@@ -1,17 +1,14 @@
-"""What the gateway tells on MQTT: the content of `status`, what it refuses, when it is due, and the messages of `state`.
+"""What the gateway tells on MQTT: what it refuses, when its `status` is due, and the messages of `state`.
 
-It takes values and knows nothing of the gateway. Standard library only; rad and ns.
+It takes values and knows nothing of the gateway. rad and ns.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.records import left_out
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.mqtt.joint_string import JointStringCodec
@@ -92,35 +89,6 @@ class Refusals:
             self.later = said
         else:
             self.last = said
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Status:
-    """The content of the `status` topic, key by key; each is explained in docs/reference/mqtt.md."""
-
-    tool: dict | None = left_out()
-    state: str
-    reason: str
-    session: str
-    fault: bool
-    fault_number: int
-    mode: str
-    correction: Sequence[float]
-    controller: dict
-    last_ipoc_jump_ms: int
-    cycle: dict
-    run: str
-    protocol: int
-    hash: str
-    decimals: int
-    properties: bool
-    playout: dict
-    speed_limit: dict
-    stop: dict
-    intruder: dict
-    last_refusal: str
-    later_refusal: str
-    counters: dict[str, int]
 
 
 class StateReport:

@@ -42,7 +42,7 @@ PARTS = {
     "inbox": lambda service: (service.controller.inbox, "newest"),
     "telegram decoder": lambda service: (service.controller.inbox, "parse"),
     "controller session": lambda service: (service.gateway.controller, "take"),
-    "playout": lambda service: (service.gateway.player._playout, "advance"),
+    "playout": lambda service: (service.gateway.player.playout, "advance"),
     # the class: a reply that did not arrive places another follower, at rest where the arm stands
     "follower": lambda service: (Follower, "follow"),
     "reply's encoder": lambda service: (service.controller.encoder, "encode"),
@@ -128,7 +128,7 @@ def test_a_slow_disk_and_a_broken_state_machine_hold_no_reply_up(broker, topics,
         stream(client, controller, (motion(k) for k in range(80)))
         begin = len(controller.replies)
         service.gateway.fail = broken
-        service.gateway.player._playout.advance = broken
+        service.gateway.player.playout.advance = broken
         assert_it_brakes_and_holds(controller, begin)
         assert "injected" in service.failure and service.gateway.counters["failures"] >= 2
         assert client.wait_for_status(state="failed")

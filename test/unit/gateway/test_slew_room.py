@@ -66,7 +66,7 @@ def play(rows, decimals: int, changes=(), limits=()) -> tuple[np.ndarray, Counte
     due, limited, sent = at_cycles(changes), at_cycles(limits), []
     for cycle, (number, row) in enumerate(ahead):
         player.push(T0 + number * CYCLE_NS, row, 0)
-        playout = player._playout
+        playout = player.playout
         # the delay is the test's to move
         playout._choose_delay = lambda now: None
         for shift, pace in due.get(cycle - 2 * AHEAD - REST, ()):

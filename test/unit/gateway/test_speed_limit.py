@@ -23,8 +23,8 @@ from speed_limit_cell import (
 )
 
 from construction_twin.core.units import CYCLE, CYCLE_NS
+from construction_twin.gateway.control import EnforcedSpeedLimit
 from construction_twin.gateway.gateway import State
-from construction_twin.gateway.speed_limit import EnforcedSpeedLimit
 
 
 class TestWhoAndWhat:
