@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from construction_twin.core import speed_limit
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.gateway.command_intake import CommandIntake, StreamBroken
+from construction_twin.gateway.arm_side import ArmSide
+from construction_twin.gateway.command_intake import StreamBroken
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.states import Event, Mode, Occasion, Row, State
 from construction_twin.gateway.tool_switches import stamp_of
@@ -28,9 +28,6 @@ from construction_twin.mqtt.messages import (
     protocol_of,
 )
 from construction_twin.mqtt.requests import answer_limits
-
-if TYPE_CHECKING:
-    from construction_twin.gateway.gateway import Gateway
 
 #: An arm may begin a session this many start tolerances away from the held pose: its first command may be one away from either.
 DISPLACED = 2.0
@@ -199,10 +196,9 @@ class EnforcedSpeedLimit:
 class CommandSide:
     """Takes commands, control messages and people's stops for one `Gateway`."""
 
-    def __init__(self, gateway: Gateway):
+    def __init__(self, gateway: ArmSide):
         self._gateway = gateway
         self.owners = Ownership()
-        self.intake = CommandIntake(gateway.config, gateway.codec, gateway.player)
         #: How fast the arm may move, as the source of `speed_limit` asks.
         self.speed = EnforcedSpeedLimit(gateway.config)
         self._stop_pace = answer_limits()
@@ -216,11 +212,6 @@ class CommandSide:
             "speed_limit": self._limit_speed,
         }
 
-    @property
-    def sentence(self) -> Sentence:
-        """The gateway's state and reason, as a refusal says them."""
-        return Sentence("gateway is {state}: {reason}", state=self._gateway.state.value, reason=self._gateway.reason)
-
     # -- commands
 
     def on_command(self, payload: bytes, properties: CommandProperties | PayloadError | None, now: int) -> None:
@@ -230,7 +221,7 @@ class CommandSide:
         try:
             if state is not State.FOLLOWING and state is not State.ARMED:
                 raise PayloadError("not_armed", f"gateway is {state.value}")
-            stamp, q, lost = self.intake.stream.read(payload, properties, now)
+            stamp, q, lost = self._gateway.intake.stream.read(payload, properties, now)
         except PayloadError as error:
             gateway.refusals.message(error.reason, error, follows=error.reason == "not_armed")
             if error.reason in ("session", "not_armed"):
@@ -243,7 +234,7 @@ class CommandSide:
             else:
                 if lost:
                     gateway.counters["commands_lost"] += lost
-                self.intake.take(stamp, q, now - gateway.controller.heard_at)
+                self._gateway.intake.take(stamp, q, now - gateway.controller.heard_at)
             gateway.counters["commands_received"] += 1
         except MotionRefused as refusal:
             gateway.refusals.message(refusal.reason, refusal)
@@ -265,7 +256,7 @@ class CommandSide:
         gateway, now = self._gateway, occasion.now
         assert gateway.player.follower is not None  # an armed gateway has one
         held = gateway.player.follower.position
-        self.intake.start(held, occasion.stamp, occasion.q, now - gateway.controller.heard_at, now)
+        self._gateway.intake.start(held, occasion.stamp, occasion.q, now - gateway.controller.heard_at, now)
 
     # -- control
 
@@ -343,7 +334,7 @@ class CommandSide:
         if refusal := self._refusal_of_session(occasion.session):
             return refusal
         if gateway.player.follower is None:
-            return self.sentence
+            return gateway.sentence
         if gateway.clock.changed:
             return gateway.clock.changed
         measured, follower = gateway.controller.measured, gateway.player.follower
@@ -366,7 +357,7 @@ class CommandSide:
     def on_armed(self, row: Row, occasion: Occasion) -> None:
         """Let a session command."""
         self.owners.begin(occasion.session)
-        self.intake.stream.begin(occasion.session)
+        self._gateway.intake.stream.begin(occasion.session)
         self._gateway.refusals.forgive()
 
     def _switch(self, control: Control, now: int) -> Answer:
@@ -382,7 +373,7 @@ class CommandSide:
         """Return why nothing may be switched now; "" for nothing."""
         gateway = self._gateway
         if gateway.state is not State.FOLLOWING:
-            return Sentence("no stream is followed, {present}", present=self.sentence)
+            return Sentence("no stream is followed, {present}", present=gateway.sentence)
         if session != gateway.session:
             return f"session {session} does not command, session {gateway.session} does"
         if gateway.mode is Mode.COMMISSIONING:
@@ -399,7 +390,7 @@ class CommandSide:
         if not gateway.config.layout.stop:
             return self._refuse(control.verb, words.no_stop)
         if gateway.player.follower is None or gateway.state is State.FAILED:
-            return self._refuse(control.verb, self.sentence)
+            return self._refuse(control.verb, gateway.sentence)
         gateway.end(Sentence("end {asked}", asked=_asked(control)))
         return Answer(True, words.ends)
 
@@ -413,7 +404,7 @@ class CommandSide:
         gateway, value = self._gateway, occasion.value
         follower = gateway.player.follower
         if follower is None:
-            return self.sentence
+            return gateway.sentence
         if refusal := other_protocol(PROTOCOL, protocol_of(value)):
             return refusal
         if not isinstance(value, dict) or set(value) != {"run", "fault_number", "protocol"}:

@@ -2,32 +2,25 @@
 
 It knows no socket and no clock: `now` is an argument, in ns on the gateway's monotonic clock. Every telegram is answered from what
 is already here (docs/architecture.md, law 1), in one function from top to bottom: `Gateway.on_telegram`. What may follow what is
-the table in `states`; here is what its actions do to the arm, and in `control` who may command it. rad and
-ns.
+the table in `states`; `arm_side` stops the arm, `control` says who may command it. rad and ns.
 """
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable
 from functools import partial
 
 from construction_twin.controller.telegram import Telegram
 from construction_twin.core.follower import Follower
 from construction_twin.core.records import document
 from construction_twin.core.sentences import Sentence, both
-from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.state_table import Machine
 from construction_twin.core.units import NANOSECONDS
+from construction_twin.gateway.arm_side import ArmSide
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.control import CommandSide
-from construction_twin.gateway.controller_clock import ControllerClock
-from construction_twin.gateway.controller_session import ControllerSession, moved
-from construction_twin.gateway.player import Player, StopReport
-from construction_twin.gateway.states import CAUSES, ROWS, Action, Event, Guard, Mode, Occasion, Row, State
-from construction_twin.gateway.status import Refusals, StateReport
-from construction_twin.gateway.tool_switches import ToolSwitches
-from construction_twin.mqtt.joint_string import JointStringCodec
+from construction_twin.gateway.controller_session import moved
+from construction_twin.gateway.states import ROWS, Action, Event, Guard, Mode, Occasion, Row, State
+from construction_twin.gateway.status import StateReport
 from construction_twin.mqtt.messages import PROTOCOL, StateProperties
 
 #: States in which nothing is commanded, and the held pose follows what a program of the controller does.
@@ -38,16 +31,8 @@ def _not_reset(reason: str) -> str:
     return Sentence("stopped before, and not reset ({reason})", reason=reason) if reason else ""
 
 
-class Gateway:
-    """One robot's gateway between the command stream and the controller session.
-
-    Args:
-        run: An id that no other run of the gateway has had; an `arm` must name it.
-        commissioning: True: everything runs and is reported as usual, but every correction that leaves is zero.
-        measures: Whether a session can be commanded only after its controller's cycle was measured, from what `clock` is told of
-            arrivals. False: telegrams come on a simulated clock.
-        stopped: Why the run before this one was stopped, where nobody has reset that; so is this one, then.
-    """
+class Gateway(ArmSide):
+    """One robot's gateway between the command stream and the controller session; see `ArmSide` for its arguments."""
 
     def __init__(
         self,
@@ -57,43 +42,15 @@ class Gateway:
         measures: bool = False,
         stopped: str = "",
     ):
-        self.config = config
-        self.run = run
-        self.mode = Mode.of(config, commissioning)
-        self.codec = JointStringCodec.of_config(config)
-        self.counters: Counter[str] = Counter()
-        #: What was refused, and why; inbox and service, which stand before the gateway, count here too.
-        self.refusals = Refusals(self.counters)
-        #: True after any stop but one by silence, until a `reset`; outlives the controller session.
-        self.fault = False
-        #: Number of the last stop or fault of this run, but of one by silence; 0 before the first. A `reset` must name it.
-        self.fault_number = 0
-        #: Why it was stopped, "" once somebody has reset that; the end of the program is no stop.
-        self.stopped = stopped
-        #: What tells of a stop, and cannot fail it.
-        self.side_effects = SideEffects()
-        #: Called with every answered telegram: its stamp, number of the session, state, stamp of the target [ns] (0: none),
-        #: position [rad], which is origin plus correction, whether the reply before this one did not arrive. None costs nothing.
-        self.trace: Callable[[int, int, State, int, tuple[float, ...], bool], None] | None = None
-        #: Is told of every telegram that is read, by what reads them.
-        self.clock = ControllerClock(config.make, config.cycle, measures)
-        self.controller = ControllerSession(config, self.counters, zero=self.mode is not Mode.NORMAL)
-        self.player = Player(config, self.counters)
-        #: The tool's outputs; None without a tool.
-        self.tool = ToolSwitches(config.tool, config.layout, config.cycle_ns, self.counters) if config.tool else None
+        super().__init__(config, run, commissioning, measures, stopped)
         self.commands = commands = CommandSide(self)
         self.on_command, self.on_control = commands.on_command, commands.on_control
         self.on_stop, self.refuse_stop = commands.on_stop, commands.refuse_stop
-        #: Returns a sentence with what the mode means for the arm, so that one at rest is not taken for a fault.
-        self.noted = partial(self.mode.noted, words=config.make.words)
         self._cycle = config.cycle_ns
         self._absolute = config.make.absolute
         self._began = ""
-        self._stopping = StopReport(config.limits.linear)
         self._states = StateReport(self.codec, self.counters, config.properties)
         self._silence = round(config.silence * NANOSECONDS)
-        self._command_stamp = 0
-        self._ending = False
         self.machine = Machine(
             ROWS,
             State.NO_CONTROLLER,
@@ -101,7 +58,7 @@ class Gateway:
             {
                 Guard.ANSWERS: lambda occasion: "read-only" if self.mode is Mode.READ_ONLY else "",
                 Guard.READS_ONLY: lambda occasion: "" if self.mode is Mode.READ_ONLY else "answered",
-                Guard.HAS_ORIGIN: lambda occasion: commands.sentence if self.player.follower is None else "",
+                Guard.HAS_ORIGIN: lambda occasion: self.sentence if self.player.follower is None else "",
                 Guard.MAY_ARM: commands.refusal_of_arm,
                 Guard.SAME_SESSION: commands.refusal_of_second_session,
                 Guard.MAY_RESET: commands.refusal_of_reset,
@@ -112,31 +69,16 @@ class Gateway:
                 Action.END_SESSION: self._on_session_ended,
                 Action.OWN: commands.on_armed,
                 Action.START_STREAM: commands.on_stream_began,
-                Action.BRAKE: self._on_brake,
-                Action.BRAKE_TO_FAULT: self._on_brake,
-                Action.FAULT: self._on_fault,
-                Action.RESET: self._on_reset,
-                Action.LAST_RESORT: self._on_fault,
+                Action.BRAKE: self.on_brake,
+                Action.BRAKE_TO_FAULT: self.on_brake,
+                Action.FAULT: self.on_fault,
+                Action.RESET: self.on_reset,
+                Action.LAST_RESORT: self.on_fault,
             },
-            refusal=lambda: commands.sentence,
+            refusal=lambda: self.sentence,
         )
         if stopped:
             self.stop(_not_reset(stopped))
-
-    @property
-    def state(self) -> State:
-        """What the gateway is doing."""
-        return self.machine.state
-
-    @property
-    def reason(self) -> str:
-        """Why, in one sentence."""
-        return self.machine.reason
-
-    @property
-    def session(self) -> str:
-        """Id of the session that may command; "" for none."""
-        return "" if self.machine.state is State.FAILED else self.commands.intake.stream.session
 
     # -- a telegram
 
@@ -181,7 +123,7 @@ class Gateway:
         if taken.lost or elapsed > self._cycle:
             follower, elapsed = self._stand(follower, elapsed, taken.lost)
         # where nothing has arrived for so long, nothing is played: the gate is to compare with the present
-        self._command_stamp = player.stamp if controller.replies.lost_for <= self._silence else 0
+        self.command_stamp = player.stamp if controller.replies.lost_for <= self._silence else 0
         # playout with its one rate, or braking, and the limits of every joint
         if elapsed == self._cycle and not player.parts.interpolated:
             position = self._move(follower, elapsed)
@@ -254,7 +196,7 @@ class Gateway:
             return position
         if machine.state is State.BRAKING:
             position = follower.brake()
-            self.side_effects.run("the way to rest", self._stopping.advance, follower, elapsed)
+            self.side_effects.run("the way to rest", self.stopping.advance, follower, elapsed)
             if follower.at_rest:
                 machine.on(Event.AT_REST, Occasion(machine.reason))
             return position
@@ -267,7 +209,7 @@ class Gateway:
         """
         controller = self.controller
         controller.take_measured(telegram)
-        self._command_stamp = 0
+        self.command_stamp = 0
         if self.trace is not None:
             position = target if self._absolute else moved(controller.origin, target)
             self.trace(telegram.controller_ms, self.counters["rsi_sessions"], self.state, 0, position, lost)
@@ -326,8 +268,8 @@ class Gateway:
         self.player.remove()
         if self.tool is not None:
             self.tool.begin_session()
-        self._disarm(occasion.reason)
-        self._ending = False
+        self.disarm(occasion.reason)
+        self.ending = False
         self.controller.replies.begin()
         self.clock.restart()
         self.player.parts.restart()
@@ -339,81 +281,13 @@ class Gateway:
         self.player.remove()
         if self.tool is not None:
             self.tool.end_session(occasion.reason)
-        self._disarm(occasion.reason)
-
-    def _on_brake(self, row: Row, occasion: Occasion) -> None:
-        cause, state, follower = CAUSES[row.event], row.state, self.player.follower
-        if row.action is Action.BRAKE_TO_FAULT:
-            self._on_fault(row, occasion)
-        self.counters[f"stops_{cause}"] += 1
-        if state is not State.BRAKING and follower is not None:
-            # a second stop while braking keeps the first report; after a silent stream, braking began in the first cycle without a
-            # command
-            begun = self.player.braking if cause == "silence" else None
-            follows = self.mode is Mode.NORMAL and state is State.FOLLOWING and cause != "drift"
-            measured = self.controller.measured if follows else ()
-            report = self._stopping.begin, cause, follower, measured, begun, occasion.account
-            self.side_effects.run("the way to rest", *report)
-        self._disarm(occasion.reason)
-
-    def _on_fault(self, row: Row, occasion: Occasion) -> None:
-        self.fault = self.machine.changed = True
-        if not occasion.ending:
-            self.fault_number += 1
-            self.stopped = self.stopped or occasion.reason
-
-    def _on_reset(self, row: Row, occasion: Occasion) -> None:
-        self._disarm(Sentence("reset"))
-        self.fault, self.stopped, self._ending = False, "", False
-        self.refusals.forgive()
-        if self.mode is Mode.COMMISSIONING or not any(self.controller.replies.correction):
-            # the arm stands at its origin, or where a program of the controller took it: the next stream begins there
-            self.controller.renew_origin()
-            self.player.place(self.controller.origin)
-
-    def _disarm(self, why: str) -> None:
-        if self.tool is not None:
-            self.tool.void(why)
-        self.commands.intake.stream.begin("")
-        self._command_stamp = 0
-        self.player.clear()
-
-    # -- stops
-
-    def brake(self, event: Event, reason: str, account: str = "", ending: bool = False) -> None:
-        """Take an event of `states.CAUSES`, for a `reason`."""
-        why = Sentence("{cause}: {reason}", cause=CAUSES[event], reason=reason)
-        self.machine.on(event, Occasion(why, account=account, ending=ending))
-
-    def stop(self, reason: str, account: str = "", ending: bool = False) -> None:
-        """Brake, whatever the state, and stay stopped until a `reset`: also a stop of an arm at rest must not be forgotten."""
-        self.brake(Event.STOP, reason, account, ending)
-
-    def end(self, reason: str, program: bool = False) -> None:
-        """Brake as in `stop`, and once at rest end the controller's program where a reply can.
-
-        Where this `program` ends, and asks for it itself, that is no stop of anybody's, and gets no number.
-        """
-        self.stop(reason, ending=program)
-        self._ending = self.config.layout.stop
-
-    @property
-    def ends(self) -> bool:
-        """True when replies must end the controller's program: the end was asked for, and the arm is at rest."""
-        return self._ending and self.state in (State.HOLDING, State.MEASURING, State.OTHER_CYCLE)
-
-    def fail(self, reason: str) -> None:
-        """Take note of an unexpected exception; from now on the last resort answers (`last_resort`), for good.
-
-        Touches nothing but state and fault: what else is here may be what has failed.
-        """
-        self.machine.on(Event.FAILURE, Occasion(reason))
+        self.disarm(occasion.reason)
 
     # -- what it tells
 
     def state_message(self, stamp: int) -> tuple[bytes, StateProperties] | None:
         """Return the joint string of the measured pose and its properties, None without one; `stamp` is the gateway's own [ns]."""
-        return self._states.message(self.controller.measured, self._command_stamp, stamp)
+        return self._states.message(self.controller.measured, self.command_stamp, stamp)
 
     def take_change(self) -> bool:
         """Return whether the state changed since the last call."""
@@ -441,7 +315,7 @@ class Gateway:
             "properties": config.properties,
             "playout": self.player.playout.report(),
             "speed_limit": self.commands.speed.report(),
-            "stop": self._stopping.report(),
+            "stop": self.stopping.report(),
             "intruder": {"session": owners.intruder, "count": owners.intrusions},
             "last_refusal": self.refusals.last,
             "later_refusal": self.refusals.later,
