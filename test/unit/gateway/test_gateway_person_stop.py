@@ -16,15 +16,6 @@ def press(cell: Cell, account: str = "arm-stopper-bob", id_: str = "1"):
     return cell.gateway.on_stop(Intervention(account, id_), cell.now)
 
 
-def test_it_says_who_it_was():
-    cell = following()
-    press(cell)
-    status = cell.gateway.status()
-    assert status["reason"] == "stop: asked for by account arm-stopper-bob"
-    assert (status["stop"]["cause"], status["stop"]["by"]) == ("stop", "arm-stopper-bob")
-    assert (status["fault"], status["session"], status["counters"]["stops_stop"]) == (True, "", 1)
-
-
 def test_it_brakes_exactly_as_the_verb_does():
     pressed, told = following(), following()
     press(pressed)
