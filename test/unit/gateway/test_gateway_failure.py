@@ -55,7 +55,7 @@ PARTS = {
     "histogram": lambda service: (service.controller.reply_time, "add"),
     "poll": lambda service: (service.gateway, "poll"),
     "command callback": lambda service: (service.gateway, "on_command"),
-    "command's codec": lambda service: (service.gateway.commands.intake.stream, "read"),
+    "command's codec": lambda service: (service.gateway.intake.stream, "read"),
     "MQTT connection": lambda service: (service.mqtt.polled, "service"),
     "MQTT reading": lambda service: (service.mqtt.polled, "read"),
     "MQTT library": lambda service: (service.mqtt.polled.client, "loop_read"),
