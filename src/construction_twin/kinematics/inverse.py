@@ -11,7 +11,7 @@ from construction_twin.core.clock import MONOTONIC, Clock
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.closed_form import ClosedFormInverse
 from construction_twin.kinematics.numeric import NumericInverse
-from construction_twin.kinematics.opw import NotOpw, OpwModel, find_opw
+from construction_twin.kinematics.opw import OpwModel, find_opw
 from construction_twin.kinematics.rail import RailInverse, find_rail
 from construction_twin.kinematics.solution import Configuration, IkSettings, IkSolution, InverseKinematics
 from construction_twin.kinematics.subproblems import ClosedForm, SubproblemInverse, find_closed_form
@@ -42,6 +42,6 @@ def inverse_kinematics(
             return SubproblemInverse(chain, form, NumericInverse(chain, settings, rng, clock))
         return NumericInverse(chain, settings, rng, clock, form)
     rail = find_rail(chain)
-    if not isinstance(rail, NotOpw):
+    if not isinstance(rail, str):
         return RailInverse(chain, *rail, NumericInverse(chain, settings, rng, clock))
-    return NumericInverse(chain, settings, rng, clock, rail.reason)
+    return NumericInverse(chain, settings, rng, clock, rail)
