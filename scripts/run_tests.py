@@ -67,7 +67,7 @@ ALONE = (
     "test_mock_udp",
 )
 #: A change of one of these touches every unit test.
-EVERYTHING = re.compile(r"pyproject\.toml|setup/|test/unit/conftest\.py|CMakeLists\.txt|package\.xml|msg/|srv/")
+EVERYTHING = re.compile(r"pyproject\.toml|setup/|test/support/unit_fixtures\.py|CMakeLists\.txt|package\.xml|msg/|srv/")
 
 
 @dataclass(frozen=True)
@@ -248,7 +248,7 @@ def touched(since: str) -> set[Path]:
         file
         for file in files
         if {file.name, *leads[file]} & names
-        or (everything and "unit" in file.parts)
+        or (everything and ({"unit", "extensions"} & set(file.parts)))
         or (page and "browser" in file.parts)
     }
 
@@ -276,7 +276,8 @@ def main(words: list[str]) -> int:
     def took(file: Path) -> float:
         return known.get(file.relative_to(ROOT).as_posix(), SHORT)
 
-    unit = sorted((ROOT / "test" / "unit").rglob("test_*.py"), key=lambda file: (-took(file), file))
+    unit = [file for folder in ("unit", "extensions") for file in (ROOT / "test" / folder).rglob("test_*.py")]
+    unit.sort(key=lambda file: (-took(file), file))
     browser = sorted((ROOT / "test" / "browser").glob("test_*.py"))
     rostests = sorted((ROOT / "test" / "integration").glob("*.test"))
     tools = not words or "lint" in words

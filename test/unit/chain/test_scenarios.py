@@ -27,20 +27,20 @@ from construction_twin.core.units import NANOSECONDS, from_wire, to_wire
 from construction_twin.evaluation.recording import PlayedPlan
 from construction_twin.execution.approval import Approval
 from construction_twin.execution.rehearsal_check import RehearsalCheck
+from construction_twin.extensions.physics.process import prepared
+from construction_twin.extensions.physics.rehearsal import Rehearsal
 from construction_twin.gateway.states import State
 from construction_twin.gateway.trace import TraceEntry
 from construction_twin.mock.faults import KINDS, Fault
 from construction_twin.mock.program import MockSettings, axis_angles, build_controller, joint_angles
 from construction_twin.monitor.monitor import Behaviour
 from construction_twin.mqtt.messages import Control
-from construction_twin.physics.rehearsal import Rehearsal
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.plan import Plan
 from construction_twin.ros.commands.experiment import RestDetector
 from construction_twin.ros.commands.scenario import print_verdict
 from construction_twin.ros.nodes.executor import BACKGROUND_PERIOD
 from construction_twin.ros.shared.gateway_config import gateway_config
-from construction_twin.ros.shared.physics_process import prepared
 from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, Step, make_scenario
 from construction_twin.scenario.judge import Judgement, judge
 from construction_twin.scenario.timeline import Change, GatewayStop, Run, SyncMoment

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from scene_samples import kr120, track7
 
+from construction_twin.extensions.planners.waypoint_file import format_waypoints, parse_waypoints
 from construction_twin.planning.timing import time_path
-from construction_twin.planning.waypoint_file import format_waypoints, parse_waypoints
 from construction_twin.planning.waypoints import plan_waypoints
 
 ROOT = Path(__file__).resolve().parents[3]
