@@ -55,7 +55,8 @@ class LinkSupervisor:
         self._hash = config.hash
         self._new_id = new_id
         self.inputs = self._observations(config)
-        self.state, self.reason = LinkState.DISCONNECTED, Sentence("not connected to the broker yet")
+        self.state = LinkState.DISCONNECTED
+        self.reason: str = Sentence("not connected to the broker yet")
         self.session = new_id() if mirrors else ""
         self.responsible = ""
         self.mirrors = mirrors
