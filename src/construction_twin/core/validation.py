@@ -33,7 +33,17 @@ PATTERNS = {
 #: How pydantic begins to say what it expected.
 _SHOULD = re.compile(r"^(Input|String|List|Tuple|Dictionary|Value) should (be )?(have )?")
 #: How it ends, of what the value beside it says already.
-_TOO_MUCH = re.compile(r"( after validation|, unable to parse|, got ).*")
+_TOO_MUCH = re.compile(r"( after validation|, unable to|, got | or instance of ).*")
+#: Python's kinds, in the words of who writes a file.
+_KINDS = {
+    "a valid tuple": "a list",
+    "a valid list": "a list",
+    "a valid dictionary": "a mapping",
+    "a valid string": "a text",
+    "a valid number": "a number",
+    "a valid integer": "a whole number",
+    "a valid boolean": "true or false",
+}
 
 
 @dataclass(frozen=True)
@@ -115,4 +125,5 @@ def _expected(problem: Mapping[str, Any], known: set[str]) -> str:
         return str(problem.get("ctx", {}).get("error", said)).removeprefix("expected ")
     if kind == "string_pattern_mismatch":
         return PATTERNS.get(problem["ctx"]["pattern"], said)
-    return _TOO_MUCH.sub("", _SHOULD.sub("", said))
+    expected = _TOO_MUCH.sub("", _SHOULD.sub("", said))
+    return _KINDS.get(expected, expected)

@@ -181,7 +181,7 @@ def test_an_action_without_its_messages_is_refused_with_what_to_do(monkeypatch):
         ("planner", {"planner": "RTRConnect"}, "planner: found 'RTRConnect', expected one of "),
         ("gateway", {"silence": -1.0}, "silence"),
         ("gateway", {"silense": 0.1}, "silense"),
-        ("mqtt_bridge", {"reset_timeout": "soon"}, "reset_timeout: found 'soon', expected a valid number"),
+        ("mqtt_bridge", {"reset_timeout": "soon"}, "reset_timeout: found 'soon', expected a number"),
         ("mock_rsi", {"start_pose_deg": [0.0, -90.0, 999.0, 0.0, 0.0, 0.0]}, "A3 is 999 deg, outside its range"),
         ("separation", {"table": [[1.0, 0.5], [0.5, 1.0]]}, "table"),
         ("separation", {"rate": 0}, "rate: found 0, expected greater than or equal to 1"),
