@@ -1,23 +1,79 @@
-"""Texts for people: plans, states and joint values, in deg and mm."""
+"""A robot's state at one moment, and texts for people: plans, states and joint values, in deg and mm. Pure."""
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
-from construction_twin.core.reports import ExecutionReport
+from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SyncReport
+from construction_twin.core.sentences import Sentence
+from construction_twin.core.units import NANOSECONDS
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.segments import Segment
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.views.hold_cause import hold_cause
-from construction_twin.views.snapshot import Snapshot
 
 #: Counters of the gateway that mean something was late or lost.
 LATE = ("late_replies", "commands_late", "commands_lost", "cycles_without_command", "states_lost")
 #: Longest name of a segment, an object or a signal in a table or picture; most segments of a work plan that a picture lists.
 LONGEST_WORD, MOST_ROWS = 28, 12
+#: States in which a plan could be approved.
+READY = {"link": "ARMED", "sync": "IN_SYNC", "execution": "IDLE"}
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """One robot at one moment.
+
+    Attributes:
+        robot: Namespace, without slashes.
+        now: ROS time [s].
+        joints: Length n
+        linear: Length n
+        hold: Why the gate is closed; None: nothing is known of it.
+        plan: Under review.
+        silent: How long ``link``, ``sync``, ``execution`` have been silent [s], if too long.
+    """
+
+    robot: str
+    now: float
+    joints: tuple[str, ...]
+    linear: tuple[bool, ...]
+    link: LinkReport | None = None
+    sync: SyncReport | None = None
+    execution: ExecutionReport | None = None
+    hold: HoldReport | None = None
+    plan: Plan | None = None
+    silent: Mapping[str, float] = field(default_factory=dict)
+
+    def not_ready(self) -> list[str]:
+        """Return why no plan could be approved now, one sentence per reason; empty when one could.
+
+        A system without an arm (`arm:=none`) has no link, and needs none.
+        """
+        lacking: list[str] = []
+        for name, wanted in READY.items():
+            facts = getattr(self, name)
+            if facts is None:
+                if name != "link":
+                    lacking.append(f"{name} is silent; expected {wanted}")
+            elif name in self.silent:
+                seconds = self.silent[name]
+                lacking.append(f"{name} has been silent for {seconds:.0f} s; expected {wanted}")
+            elif facts.text != wanted:
+                lacking.append(f"{name} is {facts.text}, expected {wanted}: {facts.reason}")
+        return lacking
+
+
+def hold_cause(hold: HoldReport | None) -> str:
+    """Return what keeps the gate closed, and since when, by this machine's time of day; "" while nothing does."""
+    if hold is None or not hold.cause:
+        return ""
+    since = time.strftime("%H:%M:%S", time.localtime(hold.since / NANOSECONDS))
+    return Sentence("{reason}, since {since}", reason=hold.cause, since=since)
 
 
 def joint_value(value: float, linear: bool, decimals: int = 3) -> str:

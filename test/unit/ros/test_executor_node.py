@@ -33,8 +33,7 @@ from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.robot.segments import Switch
 from construction_twin.ros.nodes import executor as module
-from construction_twin.ros.shared.deferred_log import KEPT, DeferredLog
-from construction_twin.ros.shared.diagnostics import ERROR
+from construction_twin.ros.shared.diagnostics import ERROR, KEPT, DeferredLog
 
 
 @pytest.fixture

@@ -5,8 +5,7 @@ from __future__ import annotations
 from scene_samples import kr120
 
 from construction_twin.core.reports import LinkReport, SyncReport
-from construction_twin.views.snapshot import Snapshot
-from construction_twin.views.texts import watch_lines
+from construction_twin.views.texts import Snapshot, watch_lines
 
 
 def shown(**changes) -> str:

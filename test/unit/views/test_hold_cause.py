@@ -9,7 +9,7 @@ import pytest
 from construction_twin.core.reports import HoldReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import axis_name
-from construction_twin.views.hold_cause import hold_cause
+from construction_twin.views.texts import hold_cause
 
 SINCE = 1_795_369_597_396_012_345
 

@@ -39,12 +39,10 @@ from construction_twin.ros.messages.display_markers import (
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import tf_frame
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
-from construction_twin.ros.shared.node_shell import NodeShell
-from construction_twin.ros.shared.params import PrivateSettings
-from construction_twin.ros.shared.plan_display import PlanDisplay
-from construction_twin.ros.shared.ports import (
+from construction_twin.ros.shared.node_shell import (
     Every,
     Interface,
+    NodeShell,
     Ports,
     PosePublication,
     PoseSubscription,
@@ -55,10 +53,12 @@ from construction_twin.ros.shared.ports import (
     Subscription,
     has_arm,
 )
+from construction_twin.ros.shared.params import PrivateSettings
+from construction_twin.ros.shared.plan_display import PlanDisplay
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
 from construction_twin.scene.cell import load_cell
 from construction_twin.srv import PreviewPlan
-from construction_twin.views.hold_cause import hold_cause
+from construction_twin.views.texts import hold_cause
 
 #: Between two messages with velocities, which are means over it, and between two poses that people look at [s].
 PERIOD, FRAME_PERIOD = 0.02, 0.04

@@ -27,8 +27,7 @@ from construction_twin.ros.shared.arm_listener import (
     plan_rows,
 )
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
-from construction_twin.ros.shared.node_shell import NodeShell
-from construction_twin.ros.shared.ports import Interface, Ports, Publication
+from construction_twin.ros.shared.node_shell import Interface, NodeShell, Ports, Publication
 from construction_twin.ros.transport.publisher import Sink
 from construction_twin.scene.collision_world import CollisionWorld, Contact
 from construction_twin.scene.neighbour import Obstacle, key_rows

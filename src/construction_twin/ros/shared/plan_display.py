@@ -26,7 +26,7 @@ from construction_twin.ros.messages.display_markers import (
 )
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
-from construction_twin.ros.shared.ports import Ports
+from construction_twin.ros.shared.node_shell import Ports
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
