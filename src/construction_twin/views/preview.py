@@ -28,7 +28,6 @@ class Playing:
     Attributes:
         began: [s]
         speed: 1: as fast as the plan.
-        loop: Play again and again.
     """
 
     plan: Plan
@@ -99,7 +98,6 @@ class Preview:
 
         Args:
             speed: 1: as fast as the plan; 0 ends the preview.
-            loop: Play it again and again.
             now: [s]
 
         Raises:

@@ -29,12 +29,8 @@ class Snapshot:
     """One robot at one moment.
 
     Attributes:
-        robot: Namespace, without slashes.
         now: ROS time [s].
-        joints: Length n
-        linear: Length n
         hold: Why the gate is closed; None: nothing is known of it.
-        plan: Under review.
         silent: How long ``link``, ``sync``, ``execution`` have been silent [s], if too long.
     """
 

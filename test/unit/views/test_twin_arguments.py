@@ -1,4 +1,4 @@
-"""The command line's words, goals and texts."""
+"""The command line's words and goals."""
 
 from __future__ import annotations
 
@@ -12,27 +12,15 @@ from hypothesis import strategies as st
 from scene_samples import kr120, track7
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
 from construction_twin.robot.frames import rotation_to_abc
 from construction_twin.views.arguments import Exit, check, parser
 from construction_twin.views.goals import joint_goal, pose_goal
-from construction_twin.views.texts import Snapshot
 
 ANGLES = st.floats(-89.0, 89.0)
 
 
 def parsed(text: str):
     return parser("kr120").parse_args(shlex.split(text))
-
-
-def snapshot(**changes) -> Snapshot:
-    robot = kr120()
-    facts = {
-        "link": LinkReport("ARMED", "commands flow"),
-        "sync": SyncReport("IN_SYNC", "the poses agree"),
-        "execution": ExecutionReport("IDLE", "twin and arm agree"),
-    }
-    return Snapshot("kr120", 100.0, robot.joint_names, robot.linear, **(facts | changes))
 
 
 # -- words
@@ -104,30 +92,6 @@ def test_a_pose_inside_of_the_robot_s_foot_is_refused_as_probably_metres_and_nev
     said = str(caught.value)
     assert said.startswith("--pose: found '1.3 -0.3 1.4', expected X, Y, Z in mm")
     assert said.endswith("probably in metres. If so, give 1300 -300 1400")
-
-
-# -- texts
-
-
-def test_ready_only_when_a_plan_could_be_approved():
-    assert snapshot().not_ready() == []
-    assert snapshot(link=None).not_ready() == []
-    assert snapshot(sync=None).not_ready() == ["sync is silent; expected IN_SYNC"]
-    (why,) = snapshot(link=LinkReport("NEEDS_RESET", "it braked")).not_ready()
-    assert why == "link is NEEDS_RESET, expected ARMED: it braked"
-
-
-def test_not_ready_when_the_monitor_fell_silent():
-    facts = {
-        "link": LinkReport("ARMED", ""),
-        "sync": SyncReport("IN_SYNC", ""),
-        "execution": ExecutionReport("IDLE", ""),
-    }
-    robot = kr120()
-    snapshot = Snapshot("kr120", 0.0, robot.joint_names, robot.linear, **facts)
-    assert snapshot.not_ready() == []
-    silent = Snapshot("kr120", 0.0, robot.joint_names, robot.linear, **facts, silent={"sync": 3.0})
-    assert silent.not_ready() == ["sync has been silent for 3 s; expected IN_SYNC"]
 
 
 def test_a_comma_is_refused_and_not_taken_for_two_values(capsys):

@@ -85,11 +85,7 @@ class Experiment:
         self._listener = RobotListener(rospy.get_namespace(), robot)
 
     def run(self) -> Report:
-        """Run everything; see the module.
-
-        Raises:
-            ConstructionTwinError: If the system does not get ready, the task is not finished, or recording or evaluation fails.
-        """
+        """Run everything; see the module."""
         results = Path(self._settings.results_dir).expanduser()
         directory = _new_directory(results)
         self._wait(self._not_ready, "the system did not get ready")

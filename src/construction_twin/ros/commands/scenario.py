@@ -127,11 +127,7 @@ class ScenarioDriver:
         self._stop = PersistentService("stop", Trigger)
 
     def wait_until_ready(self) -> None:
-        """Wait until a plan could be started.
-
-        Raises:
-            ScenarioError: If that takes too long.
-        """
+        """Wait until a plan could be started."""
         ready = {"link": "ARMED", "sync": "IN_SYNC", "execution": "IDLE"}
         self._wait(lambda: all(self.now(t) == s for t, s in ready.items()), f"{ready}", time.monotonic() + _READY)
         for service in ("plan_to_joints", "mock_rsi/inject"):
@@ -291,11 +287,7 @@ class ScenarioDriver:
 
 
 def run_scenario(settings: ScenarioSettings, content: dict, console: Console) -> Judgement:
-    """Run, record and judge; see the module.
-
-    Raises:
-        ConstructionTwinError: If the scenario makes no sense, the system does not get ready, or the recording cannot be judged.
-    """
+    """Run, record and judge; see the module."""
     scenario, robot = make_scenario(settings.name, content), robot_from_parameters()
     folder = Path(settings.results_dir).expanduser() / scenario.name
     check_writable(folder)
@@ -335,9 +327,6 @@ def read_run(folder: Path, namespace: str | None = None) -> Run:
     Args:
         folder: Holds the bag and the driver's notes.
         namespace: The robot's; default: that of the only robot in the bag.
-
-    Raises:
-        ConstructionTwinError: If something is missing.
     """
     path = folder / BAG
     recording = read_recording(path, namespace)

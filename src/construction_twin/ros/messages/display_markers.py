@@ -86,11 +86,7 @@ def all_gone(namespace: str) -> Marker:
 
 
 def visual_markers(urdf: str) -> list[Marker]:
-    """Return a robot's visual shapes, in the order of the URDF: each with its link, without prefix, as its frame.
-
-    Raises:
-        ConfigurationError: If the text is not a URDF.
-    """
+    """Return a robot's visual shapes, in the order of the URDF: each with its link, without prefix, as its frame."""
     visuals = [(link.name, visual) for link in parse_urdf(urdf).links for visual in link.visuals]
     return [_visual(number, *each) for number, each in enumerate(visuals)]
 
@@ -258,9 +254,6 @@ def rehearsal_markers(
         link_pose: Returns a link's pose in the base_link, for joint values of shape (n,).
         arm_length: Of the stretched arm [m]: what the columns are measured by.
         carried: What the arm carries at `worst_time`, each in its link.
-
-    Raises:
-        SceneError: If a shape or an object names a link that the robot does not have.
     """
     markers = _ghost(report, shapes, link_pose, carried[:MOST_BODIES], frame) if report.worst_pose else []
     top, aside = HEIGHT * arm_length, 0.0

@@ -107,14 +107,7 @@ class ShownPoses(Generic[Shown]):
         self._left_out: Shown | None = None
 
     def take(self, now: float, names: Sequence[str], q: Sequence[float], shown: Shown) -> Shown | None:
-        """Return what is shown now: the pose, at the end of a rest the one before, or None.
-
-        Args:
-            now: On the monotonic clock [s].
-            names: Of the joints.
-            q: Their positions [rad], [m], of the same length.
-            shown: The pose, as the caller shows it.
-        """
+        """Return what is shown now: the pose, at the end of a rest the one before, or None."""
         same_joints = tuple(names) == self._names
         moved = not same_joints or any(abs(value - before) > STILL for value, before in zip(q, self._q))
         if not moved and now - self._at < REST_PERIOD:
@@ -145,10 +138,6 @@ class JointVelocities:
 
         0 for the first pose, for a stamp that is not newer, and for a pose that no joint could have moved to since: the twin took
         the arm's pose over.
-
-        Args:
-            stamp: Of the pose [ns].
-            q: Shape (n,). [rad], [m]
         """
         before, self._last = self._last, (stamp, q)
         if before is None or stamp <= before[0]:
@@ -198,11 +187,7 @@ class RobotFrames:
         return [*self.of_the_twin(prefix, stamp), *(_below(prefix, *frame, stamp) for frame in self._still)]
 
     def moving(self, prefix: str, stamp: genpy.Time, q: Sequence[float]) -> list[TransformStamped]:
-        """Return the frames of a copy that move with the chain.
-
-        Args:
-            q: Joint values of the chain, length n [rad], [m].
-        """
+        """Return the frames of a copy that move with the chain."""
         return [
             _below(prefix, parent, child, segment.pose(following.factor * q[leader] + following.offset), stamp)
             for parent, child, segment, leader, following in self._moving

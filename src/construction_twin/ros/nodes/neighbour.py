@@ -62,12 +62,7 @@ def first_meeting(
 
 
 class NeighbourNode:
-    """Two arms' topics in, verdicts on a plan of ours out.
-
-    Args:
-        world: Of our arm, in any scene.
-        padding: As of `first_meeting`.
-    """
+    """Two arms' topics in, verdicts on a plan of ours out."""
 
     def __init__(self, own: ArmListener, other: OtherArm, world: CollisionWorld, padding: float, conflict: Sink):
         self._own = own

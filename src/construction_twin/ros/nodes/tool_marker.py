@@ -153,14 +153,7 @@ def tool_marker(frame: str, pose: PoseMsg, scale: float) -> InteractiveMarker:
 
 
 def verdict_markers(frame: str, pose: PoseMsg, scale: float, reach: Reach | None, lines: list[str]) -> MarkerArray:
-    """Return the coloured sphere and the text.
-
-    Args:
-        pose: Of the interactive marker, in that frame.
-        scale: Of the interactive marker [m].
-        reach: None: not known.
-        lines: Wrapped where they are long.
-    """
+    """Return the coloured sphere and the text."""
     sphere = Marker(ns="verdict", id=0, type=Marker.SPHERE, pose=pose, color=ColorRGBA(*COLOURS[reach]))
     sphere.scale = Vector3(*[_SPHERE * scale] * 3)
     text = _text("\n".join(textwrap.fill(line, _WIDTH) for line in lines if line), pose.position, scale)

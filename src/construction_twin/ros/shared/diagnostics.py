@@ -88,12 +88,7 @@ def warn_of_refusals() -> Callable[[str, str], None]:
 
 @dataclass(frozen=True)
 class Report:
-    """A node's state.
-
-    Attributes:
-        level: A DiagnosticStatus level: `OK`, `WARN` or `ERROR`.
-        values: Further values by name.
-    """
+    """A node's state."""
 
     level: int
     sentence: str
@@ -104,10 +99,6 @@ class NodeDiagnostics:
     """Counts refusals and reports them with a node's state; for use from several threads.
 
     Who refuses may hold the lock of a cycle, or be the thread in which the next stop comes: it never waits for the log.
-
-    Args:
-        hardware_id: Name of the robot.
-        report: Returns the node's Report.
     """
 
     def __init__(self, hardware_id: str, report: Callable[[], Report]):

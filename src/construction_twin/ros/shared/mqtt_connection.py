@@ -72,14 +72,7 @@ def connect(
     on_disconnect: Callable[..., None],
     on_message: Mapping[str, Callable[[MQTTMessage], None]],
 ) -> None:
-    """Connect to the broker, and serve the connection in a thread of its own, which makes all the calls.
-
-    Args:
-        client: Not connected yet.
-        report: Told of connections that fail.
-        on_connect, on_disconnect: As paho calls them.
-        on_message: For each topic what takes its messages.
-    """
+    """Connect to the broker, and serve the connection in a thread of its own, which makes all the calls."""
     report.watch(client)
     client.on_connect = on_connect
     client.on_disconnect = on_disconnect

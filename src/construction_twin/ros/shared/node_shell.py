@@ -298,14 +298,10 @@ class NodeShell(Generic[Settings]):
     """One robot's node, as its process starts it and as `preflight` checks it before anything starts.
 
     Attributes:
-        name: Default node name.
-        settings: Model of its private parameters.
         start: Makes the node of these, its robot and what is open by then; a result with a `run` method is run in the main thread.
-        interface: All that it has to do with ROS.
         check: Takes parameters, robot and the shared parameters of the interface; raises a ConstructionTwinError where the node
             cannot work with them, or must not. Changes nothing.
         fast: It is on the 250 Hz path: its threads take turns every millisecond.
-        refused: As of `run_node`.
     """
 
     name: str

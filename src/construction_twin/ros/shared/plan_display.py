@@ -35,17 +35,13 @@ from construction_twin.views.preview import Preview, WorkStates, work_states
 
 #: How long a preview waits for the plan that was made just before [s].
 PLAN_TIMEOUT = 1.0
-#: Rehearsals that are remembered: of the plan under review, and of those that come before it is offered.
-REHEARSALS_KEPT = 4
 
 
 class PlanDisplay:
     """ROS around a Preview.
 
     Args:
-        shapes: What is drawn of the arm.
         tf_prefix: Of the ghost's frames.
-        ports: With `plan_markers` and `rehearsal_markers`.
     """
 
     def __init__(self, robot: RobotModel, shapes: list[Marker], tf_prefix: str, ports: Ports):
@@ -59,7 +55,8 @@ class PlanDisplay:
         self._states: WorkStates | None = None
         self._gripped: tuple[SceneObject, ...] = ()
         self._still: list[Marker] = []
-        self._rehearsals: dict[str, RehearsalReport] = {}
+        #: The newest: it may come before its plan, and never after the next plan's.
+        self._report: RehearsalReport | None = None
         #: Made when the first rehearsal comes: where there is none, nobody pays for them.
         self._bodies: RobotBodies | None = None
         self._rehearsal_drawn: tuple[str, str, bool] | None = None
@@ -111,11 +108,7 @@ class PlanDisplay:
             self._refuse("rehearsal", f"the rehearsal of plan {report.plan_id!r} is not what its hash says")
             return
         with self._news:
-            # it may come before its plan
-            self._rehearsals.pop(report.plan_id, None)
-            self._rehearsals[report.plan_id] = report
-            while len(self._rehearsals) > REHEARSALS_KEPT:
-                del self._rehearsals[next(iter(self._rehearsals))]
+            self._report = report
             self._draw_rehearsal()
 
     def on_review(self, message: Review) -> None:
@@ -176,9 +169,9 @@ class PlanDisplay:
 
     def _draw_rehearsal(self) -> None:
         """Publish the markers of the rehearsal of the plan under review, or their removal."""
-        plan = self._preview.under_review
-        report = None if plan is None else self._rehearsals.get(plan.id)
-        if plan is None or report is None or (report.plan_hash, report.scene) != (plan.hash, plan.scene):
+        plan, report = self._preview.under_review, self._report
+        rehearsed = report and (report.plan_id, report.plan_hash, report.scene)
+        if plan is None or report is None or rehearsed != (plan.id, plan.hash, plan.scene):
             if self._rehearsal_drawn is not None:
                 self._rehearsal_drawn = None
                 self._rehearsal.publish(MarkerArray(markers=[all_gone("rehearsal")]))
