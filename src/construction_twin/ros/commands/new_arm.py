@@ -20,7 +20,7 @@ import yaml
 from construction_twin.controller.makes import DEFAULT, MODULES, make_of
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, spoken
 from construction_twin.core.files import check_writable
-from construction_twin.core.share import share_file
+from construction_twin.core.share import share_file, share_folder
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import inverse_kinematics
 from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot, other_joints_text, read_robot_files
@@ -44,7 +44,7 @@ from construction_twin.scene.self_collision_command import progress, propose_hul
 
 def launch_text(values: Mapping[str, str]) -> str:
     """Return a launch file that starts everything for one arm; every other argument of bringup.launch can be given to it."""
-    bringup = ElementTree.parse(share_file("launch/bringup.launch"))
+    bringup = ElementTree.parse(share_folder() / "launch" / "bringup.launch")
     told = {arg.get("name"): arg.get("doc", "") for arg in bringup.iter("arg")}
     lines = [
         "<launch>",
