@@ -33,7 +33,7 @@ from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.robot.segments import Switch
 from construction_twin.ros.nodes import executor as module
-from construction_twin.ros.shared.diagnostics import ERROR, DeferredLog
+from construction_twin.ros.shared.diagnostics import ERROR, LINES_KEPT, DeferredLog
 
 
 @pytest.fixture
