@@ -123,6 +123,8 @@ def _expected(problem: Mapping[str, Any], known: set[str]) -> str:
     if kind in ("value_error", "assertion_error"):
         # of our own validators
         return str(problem.get("ctx", {}).get("error", said)).removeprefix("expected ")
+    if kind == "literal_error":
+        return re.sub(r"'([^']+)'", r"\1", problem["ctx"]["expected"])
     if kind == "string_pattern_mismatch":
         return PATTERNS.get(problem["ctx"]["pattern"], said)
     expected = _TOO_MUCH.sub("", _SHOULD.sub("", said))

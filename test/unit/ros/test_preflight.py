@@ -118,7 +118,7 @@ def test_a_broker_that_lets_in_everybody_is_refused_though_there_are_accounts(tm
         ("self_collision", "ignored: []", "expected "),
         ("ethernet_xml", "<ROOT><CONFIG>\n", "expected well-formed XML"),
         ("scene", "objects: {wall: {shape: ", "expected "),
-        ("scene", "padding: -1", "padding"),
+        ("scene", "padding: -1\nobjects: {}", "padding"),
         ("scene", "{padding: 0.0, objects: {tool: {shape: box, size: [1, 1, 1], link: tool_0}}}", "tool_0"),
         ("cell", "kr120: {xyz: [0, 0]}", "xyz"),
         ("cell", "another: {xyz: [0.0, 0.0, 0.0], rpy_deg: [0.0, 0.0, 0.0]}", "kr120"),
