@@ -122,6 +122,7 @@ class CollisionWorld:
         reached, reached_pairs = self._neighbour_pairs(own, self._obstacles)
         bodies = own + tuple(Body(item.owner, "", 0, item.placement, item.geometry) for item in reached)
         only = checked_pairs(own, self.scene.padding, self.self_collision) if self._only is None else self._only
+        few = bool(reached) or len(bodies) <= MANY_BODIES
         return PairChecks(self._robot_bodies, bodies, only + reached_pairs, few)
 
     def _beside(self, qs: np.ndarray, gap: float) -> CollisionWorld:
@@ -139,7 +140,6 @@ class CollisionWorld:
         paddings = [body.item.padding for body in self._near if body.item is not None]
         around = gap + self.scene.padding + max(paddings, default=0.0)
         own = tuple(self._near[index] for index in self._boxes.near(self._rows(qs), around))
-        few = bool(reached) or len(bodies) <= MANY_BODIES
         only = checked_pairs(own, self.scene.padding, self.self_collision)
         world = object.__new__(CollisionWorld)
         world._build(self._robot_bodies, self.scene, self.self_collision, own, self._obstacles, only)
