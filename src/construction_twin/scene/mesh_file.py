@@ -43,6 +43,10 @@ def parse_mesh(
             raise ValueError("vertices without three numbers")
     except Exception as error:  # whatever the reader meets in a file
         raise SceneError(where, path, f"a well-formed STL or OBJ file ({error})") from error
+    if kind == "stl":
+        # it repeats the corners of each triangle
+        vertices, merged = np.unique(vertices, axis=0, return_inverse=True)
+        triangles = merged.reshape(-1)[triangles]
     if not 0 < len(triangles) <= MOST_TRIANGLES:
         found = f"{path} with {len(triangles)} triangles"
         raise SceneError(where, found, f"1 to {MOST_TRIANGLES} triangles; simplify or repair the mesh")
