@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from construction_twin.core.errors import ExpiredError, PayloadError
 from construction_twin.core.freshness import Moment, parse_moment, staleness
 from construction_twin.core.records import SPACED, dumped
-from construction_twin.core.reports import LinkReport
+from construction_twin.core.reports import LinkReport, ToolReport
 from construction_twin.core.sentences import Sentence, both
 from construction_twin.core.travel_time import StateCheck
 from construction_twin.core.units import NANOSECONDS
@@ -165,8 +165,11 @@ class Bridge:
     ):
         kind = BareSupervisor if bare else LinkSupervisor
         self.supervisor: LinkSupervisor = kind(config, new_id, mirrors, waits)
+        #: Id of the plan that the executor plays, or has played last: only its switches are armed.
+        self.played = ""
         self._strings, self._timeout, self._new_id = strings, timeout, new_id
-        self.tool = ToolLink(self.supervisor, new_id)
+        self._tool = ToolLink(new_id)
+        self._tool_told: ToolReport | None = None
         self._stops = SeenStops()
         #: Why only a person leads on, for the process after this one; "": nobody is waited for.
         self.waits = waits
@@ -192,17 +195,21 @@ class Bridge:
     def on_speed_limit(self, limit: float, now: int) -> Control | None:
         """Return the message for the speed limit in force; None where it was sent lately. Its silence is silence at the gateway."""
         wanted = self.supervisor.session, limit
-        if not self.supervisor.takes_control or (wanted == self._limit and now - self._limit_at < LIMIT_PERIOD):
+        if not self._takes_control or (wanted == self._limit and now - self._limit_at < LIMIT_PERIOD):
             return None
         # numbered, because the gateway takes none that is not newer than all before
         self._limit, self._limit_at, self._limits = wanted, now, self._limits + 1
         return Control(str(self._limits), self.supervisor.session, "speed_limit", limit)
 
+    @property
+    def _takes_control(self) -> bool:
+        return self.supervisor.state is LinkState.ARMED and self.supervisor.sends_control
+
     def on_status(self, status: dict, now: int) -> None:
         """Take the gateway's status, or a bare PLC's word, as `parse_presence` has it; PayloadError where it is not believed."""
         if problem := self.supervisor.inputs.on_status(status, now):
             raise PayloadError("status", problem)
-        self.tool.on_status(status)
+        self._tool.on_status(status)
         self._values = status_values(status)
         if status.get("state") == "offline":
             self._strings.restart()
@@ -210,10 +217,43 @@ class Bridge:
     def on_answer(self, answer: dict, now: int) -> None:
         """Take the gateway's answer to a control message; PayloadError where it has refused a speed limit."""
         self.supervisor.on_answer(answer, now)
-        self.tool.on_answer(answer)
+        self._tool.on_answer(answer)
         if answer.get("verb") == "speed_limit" and not answer.get("ok"):
             reason = cut(answer.get("reason", ""))
             raise PayloadError("speed_limit", Sentence("gateway refused the speed limit: {reason}", reason=reason))
+
+    # -- the tool
+
+    def void_switches(self) -> Control | None:
+        """Return the message that makes every armed switch void."""
+        return self._tool.void(self.supervisor.session) if self.supervisor.sends_control else None
+
+    def switch(self, plan: str, id: str, output: str, value: bool, stamp: int) -> Control | None:
+        """Return the message for a switch of a plan at a stamp [ns]; None where it is refused here."""
+        obstacle = "" if self._takes_control else self._link_sentence
+        if not obstacle and (not plan or plan != self.played):
+            plans = {"plan": repr(plan), "present": repr(self.played)}
+            obstacle = Sentence("switch of plan {plan}, but the executor plays {present}", **plans)
+        return self._tool.switch(id, output, value, stamp, self.supervisor.session, obstacle)
+
+    def on_gate(self, is_open: bool) -> Control | None:
+        """Return the message that voids what is armed where the gate has closed, whatever the executor does."""
+        return self._tool.on_gate(is_open, self.supervisor.session) if self.supervisor.sends_control else None
+
+    def tool_news(self) -> ToolReport | None:
+        """Return what is known of the tool, where it has changed."""
+        obstacle = ""
+        if not self.supervisor.sends_control:
+            obstacle = Sentence("a bare PLC has no tool here: no switch is possible")
+        elif self.supervisor.state in (LinkState.DISCONNECTED, LinkState.GATEWAY_OFFLINE, LinkState.MISMATCH):
+            obstacle = self._link_sentence
+        before, self._tool_told = self._tool_told, self._tool.report(obstacle)
+        return None if self._tool_told == before else self._tool_told
+
+    @property
+    def _link_sentence(self) -> Sentence:
+        supervisor = self.supervisor
+        return Sentence("the link is {state}: {reason}", state=supervisor.state.name, reason=supervisor.reason)
 
     # -- what a person asks for
 

@@ -89,16 +89,6 @@ class LinkSupervisor:
         return Sentence("{state}, {reason}", state=self.state.name, reason=self.reason)
 
     @property
-    def full_sentence(self) -> Sentence:
-        """The same as a whole."""
-        return Sentence("the link is {state}: {reason}", state=self.state.name, reason=self.reason)
-
-    @property
-    def takes_control(self) -> bool:
-        """Whether the gateway takes what goes to an armed session."""
-        return self.state is LinkState.ARMED and self.sends_control
-
-    @property
     def waits_for(self) -> str:
         """Why only a person leads on, in a sentence for the process after this one; "" when nothing stands against arming.
 

@@ -15,58 +15,42 @@ from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.gateway.tool_switches import MOST_REPORTED
 from construction_twin.link.gateway_status import cut
-from construction_twin.link.observations import LinkState
-from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.messages import Control
 
 
 class ToolLink:
-    """The tool behind one gateway.
+    """The tool behind one gateway."""
 
-    Attributes:
-        played: Id of the plan that the executor plays, or has played last: only its switches are armed.
-    """
-
-    def __init__(self, link: LinkSupervisor, new_id: Callable[[], str]):
-        self._link, self._new_id = link, new_id
-        self.played = ""
+    def __init__(self, new_id: Callable[[], str]):
+        self._new_id = new_id
         self._switches: OrderedDict[str, SwitchReport] = OrderedDict()
         self._by_control: OrderedDict[str, str] = OrderedDict()
         self._run = self._session = ""
         self._status = ToolReport(reason=Sentence("no status of the gateway yet"))
         self._refused = ""
-        self._told: ToolReport | None = None
         #: Switches for which a gate that closed has sent `void`.
         self._voided: frozenset[str] = frozenset()
 
     # -- from the executor
 
-    def switch(self, plan: str, id: str, output: str, value: bool, stamp: int) -> Control | None:
-        """Take a switch of a plan at a stamp [ns]; return the message for the gateway, None where it is refused here."""
+    def switch(self, id: str, output: str, value: bool, stamp: int, session: str, obstacle: str) -> Control | None:
+        """Take a switch at a stamp [ns]; return the message for the gateway, None when it is refused here, as for an `obstacle`."""
         if id in self._switches or id in self._by_control.values():
             self._refused = Sentence("tool: switch {id} was asked for before", id=repr(id))
             return None
-        if obstacle := self._why_not(plan):
+        if obstacle:
             self._report(id, SwitchState.REFUSED, Sentence("tool: {why}", why=obstacle))
             return None
         asked = {"id": id, "output": output, "value": value, "stamp": stamp}
-        control = Control(self._new_id(), self._link.session, "switch", asked)
+        control = Control(self._new_id(), session, "switch", asked)
         self._by_control[control.id] = id
         while len(self._by_control) > MOST_REPORTED:
             self._by_control.popitem(last=False)
         return control
 
-    def _why_not(self, plan: str) -> str:
-        if not self._link.takes_control:
-            return self._link.full_sentence
-        if not plan or plan != self.played:
-            plans = {"plan": repr(plan), "present": repr(self.played)}
-            return Sentence("switch of plan {plan}, but the executor plays {present}", **plans)
-        return ""
-
-    def void(self) -> Control | None:
+    def void(self, session: str) -> Control:
         """Return the message that makes every armed switch void: also without a session, as a stop."""
-        return Control(self._new_id(), self._link.session, "void") if self._link.sends_control else None
+        return Control(self._new_id(), session, "void")
 
     @property
     def waiting(self) -> frozenset[str]:
@@ -74,12 +58,12 @@ class ToolLink:
         armed = [id for id, switch in self._switches.items() if switch.state is SwitchState.ARMED]
         return frozenset((*armed, *self._by_control.values()))
 
-    def on_gate(self, is_open: bool) -> Control | None:
-        """Return the message that voids what waits where the gate has closed, once, whatever the executor does."""
+    def on_gate(self, is_open: bool, session: str) -> Control | None:
+        """Take what the monitor says of its gate; return the message that voids what waits, once; None for nothing."""
         if is_open or self.waiting <= self._voided:
             return None
         self._voided = self.waiting
-        return self.void()
+        return self.void(session)
 
     # -- from the gateway
 
@@ -127,22 +111,13 @@ class ToolLink:
 
     # -- to ROS
 
-    def news(self) -> ToolReport | None:
-        """Return what `tool` tells, where it has changed."""
-        before, self._told = self._told, self.report()
-        return None if self._told == before else self._told
-
-    def report(self) -> ToolReport:
-        """Return what `tool` tells."""
-        status, switches, link = self._status, dict(self._switches), self._link
-        if not link.sends_control:
-            reason = Sentence("a bare PLC has no tool here: no switch is possible")
-        elif link.state in (LinkState.DISCONNECTED, LinkState.GATEWAY_OFFLINE, LinkState.MISMATCH):
-            # the status says nothing of the present
-            reason = link.full_sentence
-        else:
-            return replace(status, switches=switches, reason=status.reason or self._refused)
-        return replace(status, known=False, switches=switches, reason=reason)
+    def report(self, obstacle: str) -> ToolReport:
+        """Return what `tool` tells; `obstacle`: why the gateway's status says nothing of the present."""
+        status = self._status
+        switches = dict(self._switches)
+        if obstacle:
+            return replace(status, known=False, switches=switches, reason=obstacle)
+        return replace(status, switches=switches, reason=status.reason or self._refused)
 
 
 def tool_report(status: Mapping[str, Any]) -> ToolReport:

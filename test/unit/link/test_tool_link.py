@@ -5,31 +5,24 @@ from __future__ import annotations
 import itertools
 
 import pytest
-from supervisor_bench import CONFIG
 from tool_cell import ToolCell
 
 from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
-from construction_twin.link.observations import LinkState
-from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.link.tool_link import ToolLink, tool_report
 
 _, ARMED, FIRED, VOID, REFUSED = SwitchState
 
 
 def link():
-    supervisor = LinkSupervisor(CONFIG, str)
-    supervisor.state, supervisor.reason, supervisor.session = LinkState.ARMED, "why", "s1"
-    tool = ToolLink(supervisor, map(str, itertools.count(1)).__next__)
-    tool.played = "p"
-    return tool
+    return ToolLink(map(str, itertools.count(1)).__next__)
 
 
-def switch(tool, id="a"):
-    return tool.switch("p", id, "vacuum", True, 5)
+def switch(tool, id="a", obstacle=""):
+    return tool.switch(id, "vacuum", True, 5, "s1", obstacle)
 
 
-def told(tool):
-    return {id: switch.state for id, switch in tool.report().switches.items()}
+def told(tool, obstacle=""):
+    return {id: switch.state for id, switch in tool.report(obstacle).switches.items()}
 
 
 def status(state="armed", run="r1", **changes):
@@ -65,16 +58,15 @@ def test_a_refusal_is_told_with_its_sentence():
     tool = link()
     tool.on_status(status(switches=[]))
     tool.on_answer(answer(switch(tool), False, "tool: the outputs are not known"))
-    report = tool.report()
+    report = tool.report("")
     assert report.switches == {"a": SwitchReport(REFUSED, "tool: the outputs are not known")}
     assert report.reason == "tool: the outputs are not known" and report.known
 
 
 def test_without_an_armed_link_nothing_is_sent():
     tool = link()
-    tool._link.state = LinkState.RESYNC
-    assert switch(tool) is None
-    assert tool.report().switches == {
+    assert switch(tool, obstacle="the link is RESYNC: why") is None
+    assert tool.report("").switches == {
         "a": SwitchReport(
             REFUSED,
             "tool: the link is RESYNC: why",
@@ -89,7 +81,7 @@ def test_an_id_is_used_once():
     assert switch(tool) is None
     tool.on_answer(answer(control))
     assert switch(tool) is None and told(tool) == {"a": ARMED}
-    assert "asked for before" in tool.report().reason
+    assert "asked for before" in tool.report("").reason
 
 
 @pytest.mark.parametrize("final", ["fired", "void", "refused"])
@@ -109,12 +101,12 @@ def test_a_gateway_that_was_started_again_has_no_armed_switches():
     tool.on_status(status("armed"))
     tool.on_status(status(run="r2", switches=[]))
     why = "the gateway was started again: whether it fired is not known"
-    assert tool.report().switches == {"a": SwitchReport(REFUSED, why)}
+    assert tool.report("").switches == {"a": SwitchReport(REFUSED, why)}
     waiting = switch(tool, "b")
     tool.on_status(status(run="r3", switches=[]))
     tool.on_answer(answer(waiting))
     assert (
-        tool.report().switches == {"a": SwitchReport(REFUSED, why), "b": SwitchReport(REFUSED, why)}
+        tool.report("").switches == {"a": SwitchReport(REFUSED, why), "b": SwitchReport(REFUSED, why)}
         and not tool.waiting
     )
 
@@ -122,41 +114,40 @@ def test_a_gateway_that_was_started_again_has_no_armed_switches():
 def test_the_last_refusal_is_told_until_a_switch_is_accepted_or_another_session_begins():
     tool = link()
     tool.on_status(status(switches=[]) | {"session": "s1"})
-    assert tool.report().reason == ""
+    assert tool.report("").reason == ""
     for number, end in enumerate((lambda: tool.on_answer(answer(switch(tool, "ok"))), lambda: tool.on_status(NEXT))):
         tool.on_answer(answer(switch(tool, f"no{number}"), False, "tool: no"))
         tool.on_status(status(switches=[]) | {"session": "s1"})
-        assert tool.report().reason == "tool: no"
+        assert tool.report("").reason == "tool: no"
         end()
-        assert tool.report().reason == ""
+        assert tool.report("").reason == ""
 
 
 def test_a_gate_that_closes_voids_what_is_armed_or_not_answered_yet_and_nothing_else():
     tool = link()
-    assert tool.on_gate(False) is None
+    assert tool.on_gate(False, "s1") is None
     control = switch(tool)
-    assert tool.on_gate(True) is None
-    void = tool.on_gate(False)
+    assert tool.on_gate(True, "s1") is None
+    void = tool.on_gate(False, "s1")
     assert (void.verb, void.session) == ("void", "s1")
     tool.on_answer(answer(control))
-    assert tool.on_gate(False) is None
+    assert tool.on_gate(False, "s1") is None
     tool.on_status(status("void"))
     switch(tool, "b")
-    assert tool.on_gate(False).verb == "void" and tool.on_gate(False) is None
+    assert tool.on_gate(False, "s1").verb == "void" and tool.on_gate(False, "s1") is None
 
 
 def test_while_the_gateway_is_not_there_nothing_is_known_but_what_was_told():
     tool = link()
-    assert tool.report().reason == "no status of the gateway yet"
+    assert tool.report("").reason == "no status of the gateway yet"
     tool.on_status(status("fired"))
-    tool._link.state = LinkState.DISCONNECTED
-    report = tool.report()
+    report = tool.report("the link is DISCONNECTED: why")
     assert (report.known, report.reason, report.tool) == (
         False,
         "the link is DISCONNECTED: why",
         "frame",
     )
-    assert told(tool) == {"a": FIRED}
+    assert told(tool, "x") == {"a": FIRED}
 
 
 def test_of_many_switches_the_last_16_are_told():

@@ -189,10 +189,10 @@ class MqttBridge:
     def on_tool_command(self, message: ToolCommand) -> None:
         """Take a switch, or the request that none of those that are armed fires."""
         if message.verb == ToolCommand.VOID:
-            self._decide(self._bridge.tool.void)
+            self._decide(self._bridge.void_switches)
         elif message.verb == ToolCommand.ARM:
             switch = message.plan_id, message.id, message.output, bool(message.value), message.stamp.to_nsec()
-            self._decide(self._bridge.tool.switch, *switch)
+            self._decide(self._bridge.switch, *switch)
         else:
             self._diagnostics.refuse("tool_command", f"tool_command with verb {message.verb}; expected ARM or VOID")
         self._publish_tool()
@@ -200,11 +200,11 @@ class MqttBridge:
     def on_execution(self, message: Execution) -> None:
         """Take which plan is played."""
         with self._lock:
-            self._bridge.tool.played = message.plan_id
+            self._bridge.played = message.plan_id
 
     def on_sync(self, message: Sync) -> None:
         """Take what the monitor says of its gate."""
-        self._decide(self._bridge.tool.on_gate, message.state == Sync.IN_SYNC)
+        self._decide(self._bridge.on_gate, message.state == Sync.IN_SYNC)
 
     # -- MQTT to ROS
 
@@ -332,7 +332,7 @@ class MqttBridge:
     def _publish_tool(self) -> None:
         with self._tool_lock:
             with self._lock:
-                report = self._bridge.tool.news()
+                report = self._bridge.tool_news()
             if report is not None:
                 self._publishers["tool"].publish(tool_report_to_msg(report, rospy.Time.now()))
 
