@@ -22,7 +22,7 @@ from typing import Any, TypeAlias
 import rospy
 from paho.mqtt.client import MQTTMessage
 
-from construction_twin.core.errors import PayloadError, ServiceSilentError
+from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import TOO_OLD, present, staleness
 from construction_twin.core.rate_limit import Pace, SenderLimits
 from construction_twin.core.sentences import Sentence
@@ -35,6 +35,7 @@ from construction_twin.mqtt.requests import RequestKind, answer_limits
 from construction_twin.ros.shared.diagnostics import DeferredLog
 from construction_twin.ros.shared.mqtt_connection import connect, report_of
 from construction_twin.ros.shared.outcome import Outcome
+from construction_twin.ros.transport.persistent_service import ServiceSilentError
 
 Reader: TypeAlias = "type[Request] | Callable[[dict[str, Any]], Any]"
 Handler: TypeAlias = "Callable[[Any, Incoming], Outcome]"
