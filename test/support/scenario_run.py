@@ -91,7 +91,6 @@ class ScenarioRun:
         #: What rehearses each plan; None: nothing does.
         self._rehearsal: Rehearsal | None = None
         if content.get("executor", {}).get("rehearsal") == "require":
-            self.chain.executor.rehearsal = RehearsalCheck(required=True)
             files = str(ROOT / "config/kr120_self_collision.yaml"), DRIVES
             self._rehearsal = prepared(ROBOT, *files, payload=tuple(content["rehearsal"]["payload"]))
         #: What the gateway sent.
@@ -102,6 +101,8 @@ class ScenarioRun:
         self._approval = Approval(
             chain.executor, chain.verdicts.append, nullcontext(), lambda: Moment("c0ffee00", chain.now)
         )
+        if self._rehearsal is not None:
+            self._approval.rehearsal = RehearsalCheck(required=True)
         self._ids = map(str, itertools.count(1))
         self._seen: list[Change] = []
         self._actions: list[Change] = []
@@ -199,7 +200,7 @@ class ScenarioRun:
     def _offer(self, trajectory) -> None:
         plan = self._plan(trajectory)
         if self._rehearsal is not None:
-            self.chain.executor.rehearsal.on_report(self._rehearsal.of_plan(plan, {SCENE: Scene()}, lambda: 0.0))
+            self._approval.rehearsal.on_report(self._rehearsal.of_plan(plan, {SCENE: Scene()}, lambda: 0.0))
         self.chain.executor.offer(plan)
 
     def _plan(self, trajectory) -> Plan:

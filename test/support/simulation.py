@@ -23,8 +23,8 @@ from construction_twin.core.travel_time import StateCheck
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.evaluation.recording import FeedbackStream, PlayedPlan, Recording, Stream
 from construction_twin.execution.approval import Approval
-from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.executor import Executor, ExecutorState
+from construction_twin.execution.segment_run import ToolOrder
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.gateway import Gateway
 from construction_twin.link.states import LinkState
@@ -218,7 +218,7 @@ class SimulatedChain:
         self.executor.on_sync(gate.state, gate.agreed(stamp), gate.policy, gate.held_stamp)
         last = gate.comparison.last
         if last is not None:
-            self.executor.trail(last.round_trip, last.servo_lag)
+            self.executor.limit.trail(last.round_trip, last.servo_lag)
         # a disk that takes everything at once
         self.executor.engagement.written = self.executor.engagement.present
         theta_next = self.executor.step(stamp, stamp)

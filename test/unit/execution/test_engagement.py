@@ -163,11 +163,11 @@ class TestEngaged:
 
     def test_a_required_rehearsal_never_blocks_it(self, bench):
         stopped_in(bench, 2)
-        bench.executor.rehearsal = RehearsalCheck(required=True)
+        bench.approval.rehearsal = RehearsalCheck(required=True)
         plan = way_back(bench)
         offer_back(bench, plan)
-        bench.executor.look_for_obstacle()
-        assert bench.executor.approval_obstacle == ""
+        bench.approval.look_for_obstacle()
+        assert bench.approval.obstacle == ""
         bench.review(plan.id, plan.hash, True, "Ada")
         bench.run_until_idle()
         assert bench.executor.outcome == "finished" and not bench.executor.engagement.engaged

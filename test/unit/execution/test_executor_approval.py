@@ -12,7 +12,8 @@ from executor_bench import GOAL, ROBOT, SCENE, Bench, between, make_plan, make_w
 from construction_twin.core.errors import ExpiredError, RecordError, ReviewError
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.approval import AUTO_APPROVE, SCENE_DELAY, Approval, WithoutPerson
-from construction_twin.execution.executor import START_TOLERANCE, ExecutorState
+from construction_twin.execution.executor import ExecutorState
+from construction_twin.execution.playback import START_TOLERANCE
 from construction_twin.monitor.gate import SyncState
 from construction_twin.robot.trajectory import Trajectory
 
@@ -84,15 +85,15 @@ class TestApproval:
     @pytest.mark.parametrize("sync", [state for state in SyncState if state is not SyncState.IN_SYNC])
     def test_only_in_sync(self, bench, sync):
         bench.executor.on_sync(sync, True)
-        bench.executor.look_for_obstacle()
-        assert bench.executor.approval_obstacle == "", "no plan waits"
+        bench.approval.look_for_obstacle()
+        assert bench.approval.obstacle == "", "no plan waits"
         with pytest.raises(ReviewError, match=rf"twin and physical arm are not in sync \({sync.name}\)") as refused:
             bench.approve(make_plan())
-        bench.executor.look_for_obstacle()
-        assert bench.executor.approval_obstacle == str(refused.value)
+        bench.approval.look_for_obstacle()
+        assert bench.approval.obstacle == str(refused.value)
         bench.executor.on_sync(SyncState.IN_SYNC, True)
-        bench.executor.look_for_obstacle()
-        assert bench.executor.approval_obstacle == ""
+        bench.approval.look_for_obstacle()
+        assert bench.approval.obstacle == ""
         bench.review("p", "", True, "Ada")
         assert bench.state is ExecutorState.PLAYING
 
@@ -338,7 +339,7 @@ class TestAge:
     @pytest.mark.parametrize("work", [False, True])
     def test_what_an_arm_that_trails_kept_from_beginning_never_begins_by_itself(self, bench, work):
         bench.with_tool()
-        bench.executor.trail(2.0)
+        bench.executor.limit.trail(2.0)
         bench.play(make_work_plan() if work else make_plan(), SECOND * 34 // 10)
         assert bench.state is ExecutorState.IDLE and bench.executor.outcome == "stopped"
         assert "not begun, waits on the path until the arm has caught up" in bench.executor.reason
@@ -348,7 +349,7 @@ class TestAge:
     def test_what_a_speed_limit_kept_from_moving_never_begins_by_itself(self, bench, work, limit):
         plan = make_work_plan() if work else make_plan()
         bench.with_tool()
-        bench.executor.limit_rate(limit, "speed limit 0 by /scanner: somebody is near")
+        bench.executor.limit.take(limit, "speed limit 0 by /scanner: somebody is near")
         bench.play(plan, SECOND * 29 // 10)
         assert bench.state is ExecutorState.PLAYING
         bench.run(SECOND // 2)
@@ -356,16 +357,16 @@ class TestAge:
         assert "not begun, speed limit 0 by /scanner: somebody is near: an approval is void after 3 s" in (
             bench.executor.reason
         )
-        bench.executor.limit_rate(1.0)
+        bench.executor.limit.take(1.0)
         bench.run(SECOND)
         assert np.abs(np.array(bench.outputs[3:]) - ROBOT.home).max() < START_TOLERANCE
 
     @pytest.mark.parametrize("limit", [0.005, 0.02])
     def test_what_moves_slowly_goes_on(self, bench, limit):
-        bench.executor.limit_rate(limit, "somebody is near")
+        bench.executor.limit.take(limit, "somebody is near")
         bench.play(make_plan(), 4 * SECOND)
         assert bench.state is ExecutorState.PLAYING
-        bench.executor.limit_rate(1.0)
+        bench.executor.limit.take(1.0)
         bench.run_until_idle()
         assert bench.executor.outcome == "finished"
 
@@ -394,14 +395,14 @@ class TestAge:
         assert bench.state is ExecutorState.PLAYING
 
     def test_what_has_begun_to_move_within_its_time_goes_on_after_it(self, bench):
-        bench.executor.limit_rate(0.0, "somebody is near")
+        bench.executor.limit.take(0.0, "somebody is near")
         bench.play(make_plan(), SECOND * 29 // 10)
-        bench.executor.limit_rate(1.0)
+        bench.executor.limit.take(1.0)
         bench.run(10)
-        bench.executor.limit_rate(0.0, "somebody is near")
+        bench.executor.limit.take(0.0, "somebody is near")
         bench.run(5 * SECOND)
         assert bench.state is ExecutorState.PLAYING and bench.executor.limit.standing
-        bench.executor.limit_rate(1.0)
+        bench.executor.limit.take(1.0)
         bench.run_until_idle()
         assert bench.executor.outcome == "finished"
 

@@ -29,8 +29,8 @@ from executor_world import GIVEN, World, records
 
 from construction_twin.core.freshness import Moment
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
-from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.executor import ExecutorState
+from construction_twin.execution.segment_run import ToolOrder
 from construction_twin.robot.segments import Switch
 from construction_twin.ros.nodes import executor as module
 from construction_twin.ros.shared.deferred_log import KEPT, DeferredLog
