@@ -50,7 +50,7 @@ bench:
 	@bash -c 'source .ws/env.bash && python scripts/bench.py $(ARGS)'
 
 properties: setup
-	@bash -c 'source .ws/env.bash && HYPOTHESIS_PROFILE=random exec python -m pytest -q -p no:cacheprovider $$(grep -rl "^from hypothesis" test/unit --include="test_*.py") $(ARGS)'
+	@bash -c 'source .ws/env.bash && HYPOTHESIS_PROFILE=random exec python -m pytest -q -p no:cacheprovider $$(grep -rl "^from hypothesis" test/unit test/extensions --include="test_*.py") $(ARGS)'
 
 fuzz: setup
 	@bash -c 'source .ws/env.bash && FUZZ_COUNT=$${1:-1000000} FUZZ_SEED=$${2:-1} exec python -m pytest -q -s test/unit/gateway/test_fuzz.py' fuzz $(ARGS)

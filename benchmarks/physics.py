@@ -27,11 +27,11 @@ import pinocchio
 from link_world import environment
 
 from construction_twin.core.units import CYCLE
-from construction_twin.physics.arm import Servo, SimulatedArm
-from construction_twin.physics.drive import drives_of, read_drives
-from construction_twin.physics.mass import GRAVITY
-from construction_twin.physics.model import Load, build_model
-from construction_twin.physics.rehearsal import Rehearsal
+from construction_twin.extensions.physics.arm import Servo, SimulatedArm
+from construction_twin.extensions.physics.drive import drives_of, read_drives
+from construction_twin.extensions.physics.mass import GRAVITY
+from construction_twin.extensions.physics.model import Load, build_model
+from construction_twin.extensions.physics.rehearsal import Rehearsal
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
 from construction_twin.robot.trajectory import Trajectory

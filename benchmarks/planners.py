@@ -31,7 +31,7 @@ from link_world import environment, wait_for
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from construction_twin.ros.messages.joint_goals import OFFICIAL_MD5, control_messages
+from construction_twin.extensions.planners.nodes.joint_goals import OFFICIAL_MD5, control_messages
 from construction_twin.ros.shared.params import robot_from_parameters
 
 #: Numbers of points of a goal, and how often each is sent.

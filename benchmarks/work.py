@@ -24,11 +24,11 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from construction_twin.extensions.work.building import BuildingModel, Element, Task
+from construction_twin.extensions.work.commands.work_check import SEED, Checked, check_all
+from construction_twin.extensions.work.ifc.reading import read_building
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import read_robot_files
-from construction_twin.ros.commands.work_check import SEED, Checked, check_all
-from construction_twin.work.building import BuildingModel, Element, Task
-from construction_twin.work.ifc.reading import read_building
 
 ROOT = Path(__file__).resolve().parents[1]
 COUNTS = (10, 50, 200)

@@ -57,7 +57,7 @@ SHORT, FAST, LONGEST_FAST = 0.5, 240.0, 10.0
 HALT, AGAIN = 60.0, 3
 #: Period of the probe [ns], and the highest SCHED_FIFO priority of the nodes, above which it stands.
 PROBE_PERIOD, REALTIME = 2_000_000, 50
-#: Unit tests that run gateway, mock controller or bridge as processes in real time; the last a whole bringup, on every core.
+#: Unit tests that run gateway, mock controller or bridge as processes in real time.
 ALONE = (
     "test_faults_",
     "test_fuzz",
@@ -65,11 +65,9 @@ ALONE = (
     "test_gateway_service",
     "test_mock_node",
     "test_mock_udp",
-    "test_other_pc",
 )
-EVERY_CORE = ALONE[-1]
 #: A change of one of these touches every unit test.
-EVERYTHING = re.compile(r"pyproject\.toml|setup/|test/unit/conftest\.py|CMakeLists\.txt|package\.xml|msg/|srv/")
+EVERYTHING = re.compile(r"pyproject\.toml|setup/|test/support/unit_fixtures\.py|CMakeLists\.txt|package\.xml|msg/|srv/")
 
 
 @dataclass(frozen=True)
@@ -147,7 +145,7 @@ def run_beside(files: list[Path], browser: list[Path]) -> Result:
 
 
 def run_alone(files: list[Path]) -> Result:
-    """Run unit tests that start 250 Hz processes: each file on one core, or on every one, which has nothing else to do."""
+    """Run unit tests that start 250 Hz processes: each file on a core that has nothing else to do."""
     every = sorted(os.sched_getaffinity(0))
     free: queue.SimpleQueue[list[int]] = queue.SimpleQueue()
 
@@ -164,15 +162,10 @@ def run_alone(files: list[Path]) -> Result:
         finally:
             free.put(cores)
 
-    results: list[Result] = []
-    for whole, parts in ((False, [[core] for core in every]), (True, [every])):
-        for part in parts:
-            free.put(part)
-        with ThreadPoolExecutor(len(parts)) as threads:
-            results += threads.map(on_free, [file for file in files if (file.stem == EVERY_CORE) is whole])
-        for _ in parts:
-            free.get()
-    return sum(results, Result())
+    for core in every:
+        free.put([core])
+    with ThreadPoolExecutor(len(every)) as threads:
+        return sum(threads.map(on_free, files), Result())
 
 
 def undisturbed(name: str, run: Callable[[], Result], probe: MachineProbe) -> Result:
@@ -255,7 +248,7 @@ def touched(since: str) -> set[Path]:
         file
         for file in files
         if {file.name, *leads[file]} & names
-        or (everything and "unit" in file.parts)
+        or (everything and ({"unit", "extensions"} & set(file.parts)))
         or (page and "browser" in file.parts)
     }
 
@@ -283,7 +276,8 @@ def main(words: list[str]) -> int:
     def took(file: Path) -> float:
         return known.get(file.relative_to(ROOT).as_posix(), SHORT)
 
-    unit = sorted((ROOT / "test" / "unit").rglob("test_*.py"), key=lambda file: (-took(file), file))
+    unit = [file for folder in ("unit", "extensions") for file in (ROOT / "test" / folder).rglob("test_*.py")]
+    unit.sort(key=lambda file: (-took(file), file))
     browser = sorted((ROOT / "test" / "browser").glob("test_*.py"))
     rostests = sorted((ROOT / "test" / "integration").glob("*.test"))
     tools = not words or "lint" in words

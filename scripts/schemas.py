@@ -15,8 +15,10 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from construction_twin.core.reports import WorkReport
-from construction_twin.link.remote_review import PathView, PlanView
-from construction_twin.link.remote_view import VERSION, View
+from construction_twin.extensions.console.message_history import Message
+from construction_twin.extensions.console.remote_review import PathView, PlanView
+from construction_twin.extensions.console.remote_view import VERSION, View
+from construction_twin.extensions.console.scene_view import SceneView
 from construction_twin.mqtt.requests import (
     ACKNOWLEDGE,
     ANSWER,
@@ -28,9 +30,7 @@ from construction_twin.mqtt.requests import (
     Answer,
     RequestKind,
 )
-from construction_twin.physics.report import RehearsalReport
-from construction_twin.views.message_history import Message
-from construction_twin.views.scene_view import SceneView
+from construction_twin.review.rehearsal_report import RehearsalReport
 from construction_twin.views.status_line import Line
 
 #: What the page checks, by the name of the constant in web/src/schemas.js; of a kind of request its answer. `pause/ack` is as

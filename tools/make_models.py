@@ -19,8 +19,8 @@ import ifcopenshell
 import ifcopenshell.api.context
 import ifcopenshell.api.unit
 
-from construction_twin.work.building import Sequence, Task
-from construction_twin.work.proposed_schedule import global_id
+from construction_twin.extensions.work.building import Sequence, Task
+from construction_twin.extensions.work.proposed_schedule import global_id
 
 ROOT = Path(__file__).resolve().parents[1]
 CREATED = datetime(2026, 1, 5, 7, 0, 0, tzinfo=UTC)

@@ -37,7 +37,7 @@ from screenshot import VirtualDisplay, bare_view, extent, fraction  # noqa: E402
 from twin_client import Stream, TwinClient, wait  # noqa: E402
 
 from construction_twin.core.errors import ConstructionTwinError  # noqa: E402
-from construction_twin.physics.report import FAILED  # noqa: E402
+from construction_twin.review.rehearsal_report import FAILED  # noqa: E402
 
 IMAGES = ROOT / "docs" / "images"
 WORK = ROOT / "config" / "work"

@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import expect
 from processes import wait_until
 
-from construction_twin.physics.report import FAILED, AxisLoad, RehearsalReport
+from construction_twin.review.rehearsal_report import FAILED, AxisLoad, RehearsalReport
 
 #: Longest wait for what a robot shall have done [s]; the machine may be busy with other tests.
 PATIENCE_S = 60.0

@@ -11,9 +11,9 @@ from console_page import ConsolePage
 from playwright.sync_api import Locator, expect
 from scripted_robot import ScriptedRobot
 
+from construction_twin.extensions.work.glb import glb
+from construction_twin.extensions.work.prepared import ElementFacts
 from construction_twin.kinematics.chain import Pose
-from construction_twin.work.glb import glb
-from construction_twin.work.prepared import ElementFacts
 
 #: Of `view` [s]: software draws each.
 SLOW = 0.2

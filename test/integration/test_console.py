@@ -19,8 +19,8 @@ from twin_client import LEFT, RobotTest, Stream, TwinClient, wait
 
 from construction_twin.core.freshness import parse_moment, staleness
 from construction_twin.core.units import from_wire
+from construction_twin.extensions.console.remote_view import COMPATIBLE, VERSION
 from construction_twin.kinematics.chain import Chain
-from construction_twin.link.remote_view import COMPATIBLE, VERSION
 from construction_twin.mqtt import requests
 from construction_twin.mqtt.messages import Topics
 from construction_twin.robot.frames import rotation_to_quaternion

@@ -2,16 +2,21 @@
 """The action FollowJointTrajectory: planned, reviewed, executed, cancelled, rejected, replaced; clients that vanish."""
 
 import json
+import os
+import re
+import signal
 import subprocess
 import sys
+import tempfile
+import time
 from pathlib import Path
 
 import actionlib
 import numpy as np
 import rospy
 import rostest
-from actionlib_msgs.msg import GoalStatus
-from construction_twin.msg import Review
+from actionlib_msgs.msg import GoalID, GoalStatus
+from construction_twin.msg import Link, Review, Sync
 from control_msgs.msg import (
     FollowJointTrajectoryAction,
     FollowJointTrajectoryActionFeedback,
@@ -26,6 +31,9 @@ ACTION = "follow_joint_trajectory"
 WAY = (0.17, 0.05, -0.1, 0.2, -0.1, 0.2)
 DURATION = 1.5
 Result = FollowJointTrajectoryResult
+#: How far the clock of another PC is ahead [s], and where its planner goes [deg].
+AHEAD = 10.0
+NEAR, ASIDE = (12.0, -85.0, 85.0, 0.0, 80.0, 10.0), (-12.0, -85.0, 85.0, 0.0, 80.0, 10.0)
 
 
 class MoveItHandle:
@@ -277,6 +285,70 @@ class FollowJointTrajectoryTest(RobotTest):
         verdict = next(review for review in reversed(self.reviews) if review.approved)
         self.assertEqual(verdict.reviewer, "auto_approve")
         self.assertIn("auto_approve_sources names /kr120/trusted", verdict.reason)
+
+    # -- a planner on another PC, whose clock is ahead
+
+    def reaching(self, folder: str, goal_deg, duration: float) -> subprocess.Popen:
+        """Start matlab/reaching_task.py, what a person at MATLAB does, with a wall clock that is ahead."""
+        library = f"{folder}/wall_clock.so"
+        source = Path(__file__).with_name("wall_clock.c")
+        subprocess.run(["cc", "-O1", "-shared", "-fPIC", "-o", library, str(source)], check=True)
+        words = ["--namespace", "/kr120", "--duration", f"{duration}", "--count", f"{int(20 * duration)}"]
+        words += ["--output", folder, "--patience", "60", "--goal", *map(str, goal_deg)]
+        program = Path(__file__).parents[2] / "matlab" / "reaching_task.py"
+        process = subprocess.Popen(
+            [sys.executable, str(program), *words],
+            env=os.environ | {"LD_PRELOAD": library, "WALL_CLOCK_AHEAD": f"{AHEAD:g}"},
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        self.addCleanup(process.stdout.close)
+        self.addCleanup(process.wait)
+        self.addCleanup(process.kill)
+        return process
+
+    def test_9_a_planner_whose_clock_is_ahead_is_judged_by_its_content(self):
+        # somebody whose clock is an hour ahead cancelled all goals up to his time; actionlib would drop what comes until then
+        cancel = rospy.Publisher(f"{ACTION}/cancel", GoalID, queue_size=1)
+        wait(cancel.get_num_connections, "the action's server")
+        cancel.publish(GoalID(stamp=rospy.Time.now() + rospy.Duration(3600.0)))
+        count, began = len(self.client.plans), time.time()
+        with tempfile.TemporaryDirectory() as folder:
+            process = self.reaching(folder, NEAR, 4.0)
+            self.client.wait(lambda: len(self.client.plans) > count, "a plan", 40.0)
+            plan = self.client.plans[-1]
+            self.assertEqual((plan.source, plan.duration), (f"{ACTION} from /kr120/matlab", 4.0))
+            # the plan's stamp is this PC's; the times in it are from its start, as they were sent
+            self.assertTrue(began < plan.header.stamp.to_sec() < time.time())
+            motion = np.loadtxt(f"{folder}/motion.csv", delimiter=",")
+            points = plan.trajectory.points
+            np.testing.assert_array_equal([point.positions for point in points[1:]], motion[1:, 1:7])
+            np.testing.assert_allclose([point.time_from_start.to_sec() for point in points], motion[:, 0], atol=1e-9)
+            self.approve(plan)
+            output, _ = process.communicate(timeout=60.0)
+            self.assertEqual(process.returncode, 0, output)
+            sent = float(re.search(r"at (\S+) by this PC's clock", output)[1])
+            self.assertAlmostEqual(sent - AHEAD, plan.header.stamp.to_sec(), delta=3.0)
+            for name in ("virtual", "physical"):
+                table = np.loadtxt(f"{folder}/{name}.csv", delimiter=",")
+                # stamps are this PC's, and the arm really was where the plan says
+                self.assertTrue(began < table[-1, 0] < time.time())
+                np.testing.assert_allclose(table[-1, 1:], self.client.si(NEAR), atol=1e-4)
+
+    def test_9_b_a_planner_that_vanishes_in_the_middle_of_a_motion_changes_nothing(self):
+        count, syncs, links = len(self.client.plans), len(self.client.syncs), len(self.client.links)
+        with tempfile.TemporaryDirectory() as folder:
+            process = self.reaching(folder, ASIDE, 6.0)
+            self.client.wait(lambda: len(self.client.plans) > count, "a plan", 40.0)
+            plan = self.client.plans[-1]
+            self.approve(plan)
+            # as with a cut line: it reads nothing any more, and nobody is told
+            process.send_signal(signal.SIGSTOP)
+            self.client.wait_for_outcome(plan.id, "finished", 30.0)
+            process.kill()
+        self.client.wait_until_ready()
+        self.assertTrue(all(sync.state == Sync.IN_SYNC for sync in self.client.syncs[syncs:]), self.client.describe())
+        self.assertTrue(all(link.state == Link.ARMED for link in self.client.links[links:]), self.client.describe())
 
 
 if __name__ == "__main__":

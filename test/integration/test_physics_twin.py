@@ -21,7 +21,7 @@ from test_bringup import Rate
 from twin_client import HOME, LEFT, RehearsedClient, RobotTest, Stream, node_pid, wait
 
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS, axis_name, radians
-from construction_twin.physics.report import PASSED
+from construction_twin.review.rehearsal_report import PASSED
 from construction_twin.servo.model import STEADY, keeps_pace
 
 JOINT = "joint_a3"

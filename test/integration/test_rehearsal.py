@@ -12,7 +12,7 @@ from construction_twin.srv import AddObject, AttachObject, DetachObject, RemoveO
 from geometry_msgs.msg import Point, Pose, Quaternion
 from twin_client import HOME, RIGHT, RehearsedClient, RobotTest, wait
 
-from construction_twin.physics.report import FAILED, PASSED, finished
+from construction_twin.review.rehearsal_report import FAILED, PASSED, finished
 from construction_twin.ros.messages.records import to_msg
 
 #: Edges of a block of 240 kg at the density that an unknown material is given: twice what the arm is rated for [m].

@@ -24,7 +24,7 @@ from std_srvs.srv import Trigger, TriggerResponse
 
 from construction_twin.core.units import CYCLE, format_allowance, from_wire
 from construction_twin.gateway.trace import read_trace
-from construction_twin.physics.report import RehearsalReport
+from construction_twin.review.rehearsal_report import RehearsalReport
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.shared.gateway_config import config_of_link
 from construction_twin.ros.shared.params import robot_file, robot_from_parameters

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from construction_twin.extensions.work.building import Body, BuildingModel, Element
 from construction_twin.kinematics.chain import Pose
-from construction_twin.work.building import Body, BuildingModel, Element
 
 _CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
 _FACES = np.array(

@@ -13,7 +13,7 @@ from pathlib import Path
 import ifcopenshell
 import ifcopenshell.guid
 
-from construction_twin.work.building import BuildingModel
+from construction_twin.extensions.work.building import BuildingModel
 
 #: Metres per unit.
 UNITS = {"m": 1.0, "mm": 0.001, "foot": 0.3048, "inch": 0.0254}

@@ -5,8 +5,8 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from construction_twin.physics.arm import CREEPING
-from construction_twin.physics.model import PhysicsModel
+from construction_twin.extensions.physics.arm import CREEPING
+from construction_twin.extensions.physics.model import PhysicsModel
 from construction_twin.robot.description import JointValues
 
 

@@ -6,8 +6,8 @@ import functools
 
 from chain_samples import ROBOT, ROOT
 
-from construction_twin.physics.drive import read_drives
-from construction_twin.physics.model import PhysicsModel, build_model
+from construction_twin.extensions.physics.drive import read_drives
+from construction_twin.extensions.physics.model import PhysicsModel, build_model
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_yaml import read_scene

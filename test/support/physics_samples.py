@@ -12,10 +12,10 @@ import pinocchio
 from scene_samples import kr120, kr120_pairs, track7, track7_pairs, ur_like_pairs
 
 from construction_twin.core.freshness import Moment
-from construction_twin.physics.drive import ArmDrives, drives_of, read_drives
-from construction_twin.physics.model import Load, PhysicsModel, build_model
-from construction_twin.physics.rehearsal import Rehearsal
-from construction_twin.physics.report import RehearsalReport
+from construction_twin.extensions.physics.drive import ArmDrives, drives_of, read_drives
+from construction_twin.extensions.physics.model import Load, PhysicsModel, build_model
+from construction_twin.extensions.physics.rehearsal import Rehearsal
+from construction_twin.review.rehearsal_report import RehearsalReport
 from construction_twin.robot.description import RobotModel, load_robot, read_robot_files
 from construction_twin.robot.new_robot import new_description
 from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport, content_hash

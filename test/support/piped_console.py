@@ -15,7 +15,7 @@ import aiohttp
 import pytest
 from mqtt_packets import packet, text
 
-from construction_twin.console.server import ConsoleServer, ServerSettings
+from construction_twin.extensions.console.server import ConsoleServer, ServerSettings
 
 MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/bin")
 CONNACK_OK = b"\x20\x02\0\0"

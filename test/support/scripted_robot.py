@@ -24,21 +24,21 @@ from construction_twin.core.motion_errors import KinematicsError
 from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
 from construction_twin.core.speed_limit import SpeedLimit
-from construction_twin.kinematics.chain import Chain, Pose
-from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
-from construction_twin.link.remote_review import (
+from construction_twin.extensions.console.remote_review import (
     ClearanceView,
     PathView,
     PlanView,
     UseView,
 )
-from construction_twin.link.remote_view import (
+from construction_twin.extensions.console.remote_view import (
     ClosestView,
     PoseView,
     Seen,
     Shown,
     ViewWriter,
 )
+from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.link.requests import (
     IkRequest,
     Joints,
@@ -57,7 +57,7 @@ from construction_twin.mqtt import requests
 from construction_twin.mqtt.client import Broker, make_client, unique_id
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import EXECUTOR, GATEWAY, RequestKind
-from construction_twin.physics.report import RehearsalReport
+from construction_twin.review.rehearsal_report import RehearsalReport
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.frames import quaternion_to_rotation
 from construction_twin.robot.trajectory import Trajectory, whole_nanoseconds

@@ -16,19 +16,20 @@ from simulation import SimulatedChain
 
 from construction_twin.core.servo_lag import transition_matrix
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
+from construction_twin.extensions.physics.arm import Plant, bare_model
+from construction_twin.extensions.physics.commands.identify import drives_of
+from construction_twin.extensions.physics.drive import drives_of as urdf_drives
+from construction_twin.extensions.physics.drive import read_drives
+from construction_twin.extensions.physics.identification import Identified, identify
+from construction_twin.extensions.physics.mass import payload_of
+from construction_twin.extensions.physics.mock_servo import PhysicsServo
 from construction_twin.mock.faults import Fault
-from construction_twin.mock.program import MockSettings, PhysicsServo, axis_angles, build_controller, joint_angles
+from construction_twin.mock.program import MockSettings, axis_angles, build_controller, joint_angles
 from construction_twin.mock.servo import RealisticServo, Servo
 from construction_twin.monitor.states import SyncState, Transition
-from construction_twin.physics.arm import Plant, bare_model
-from construction_twin.physics.drive import drives_of as urdf_drives
-from construction_twin.physics.drive import read_drives
-from construction_twin.physics.mass import payload_of
 from construction_twin.robot.plan import Plan
-from construction_twin.ros.commands.identify import drives_of
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.scene.collision_bodies import RobotBodies
-from construction_twin.servo.identification import Identified, identify
 from construction_twin.servo.model import JointServo, ServoModel
 
 NAMES = ROBOT.joint_names

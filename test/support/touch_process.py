@@ -19,13 +19,13 @@ from work_samples import RECIPES
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.work_errors import TaskPlanningError
+from construction_twin.extensions.work import process
+from construction_twin.extensions.work.motions import Failed, PlanBuilder, Search
+from construction_twin.extensions.work.process import Process, TaskMotions
+from construction_twin.extensions.work.recipe import SHARED, Finite, Length, Override, Recipe, numbers
+from construction_twin.extensions.work.site import inverse, pose_of
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.objects import product
-from construction_twin.work import process
-from construction_twin.work.motions import Failed, PlanBuilder, Search
-from construction_twin.work.process import Process, TaskMotions
-from construction_twin.work.recipe import SHARED, Finite, Length, Override, Recipe, numbers
-from construction_twin.work.site import inverse, pose_of
 
 NAME = "touch"
 TO_POINT, TOUCH, BACK = "to point", "touch", "back"

@@ -28,6 +28,14 @@ from unplugged import ask, over_the_wire
 from construction_twin.core.errors import RequestRefused
 from construction_twin.core.freshness import Moment
 from construction_twin.core.motion_errors import SceneError
+from construction_twin.extensions.work import session
+from construction_twin.extensions.work.ledger import read_entries
+from construction_twin.extensions.work.nodes import work as module
+from construction_twin.extensions.work.prepared import ElementFacts, Prepared
+from construction_twin.extensions.work.schedule import Job, Schedule
+from construction_twin.extensions.work.site_scene import Slot, StockPlan
+from construction_twin.extensions.work.task_board import TaskBoard
+from construction_twin.extensions.work.task_memory import Entry
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.review.plan_under_review import Ending, Verdict
@@ -36,16 +44,8 @@ from construction_twin.robot.plan import Plan, content_hash
 from construction_twin.robot.segments import Segment, Signal, Switch
 from construction_twin.ros.messages.convert import plan_to_msg, work_segment_from_msg
 from construction_twin.ros.messages.scene_convert import object_from_msg, scene_to_msg
-from construction_twin.ros.nodes import work as module
 from construction_twin.scene.objects import Scene, SceneObject, product
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.work import session
-from construction_twin.work.ledger import read_entries
-from construction_twin.work.prepared import ElementFacts, Prepared
-from construction_twin.work.schedule import Job, Schedule
-from construction_twin.work.site_scene import Slot, StockPlan
-from construction_twin.work.task_board import TaskBoard
-from construction_twin.work.task_memory import Entry
 
 TASK, ELEMENT = "T1", "E1"
 _CHAIN = Chain(ROBOT)
@@ -135,7 +135,7 @@ class Bench:
             folder="work", arm="mock", service_timeout=1.0, listen_time=0.02, retry_time=0.01,
         ).model_copy(update=files)  # fmt: skip
         made = worker or SimpleNamespace(ask_first=lambda *_, **__: prepared(), ask=self._planned, close=None)
-        self._patch(module, "Worker", lambda: made)
+        self._patch(module, "Worker", lambda _program: made)
         poses = {"twin": lambda *_: HOME, "physical": lambda *_: self.arm_pose()}
         takers = {"tasks": lambda message: self.tasks.append(over_the_wire(message)), "markers": lambda _: None}
         ports = SimpleNamespace(

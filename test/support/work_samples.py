@@ -11,6 +11,13 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from construction_twin.extensions.work.building import Body, BuildingModel, Element
+from construction_twin.extensions.work.motions import TaskLimits, TaskPlanner
+from construction_twin.extensions.work.process import WorkJob
+from construction_twin.extensions.work.recipes import Recipes, read_recipes
+from construction_twin.extensions.work.schedule import Job
+from construction_twin.extensions.work.site import Site, read_site
+from construction_twin.extensions.work.site_scene import Layout
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, InverseKinematics, inverse_kinematics
 from construction_twin.planning.planner import PlannerSettings
@@ -18,13 +25,6 @@ from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.tool import ToolFile, read_tool
 from construction_twin.scene.objects import SceneObject
 from construction_twin.scene.self_collision import SelfCollision, read_self_collision
-from construction_twin.work.building import Body, BuildingModel, Element
-from construction_twin.work.motions import TaskLimits, TaskPlanner
-from construction_twin.work.process import WorkJob
-from construction_twin.work.recipes import Recipes, read_recipes
-from construction_twin.work.schedule import Job
-from construction_twin.work.site import Site, read_site
-from construction_twin.work.site_scene import Layout
 
 ROOT = Path(__file__).resolve().parents[2]
 TOOL = ROOT / "config/tools/vacuum_frame.yaml"

@@ -1,50 +1,5 @@
-"""Fixtures that several tests share."""
+"""The fixtures of all unit tests."""
 
-from __future__ import annotations
+from unit_fixtures import broker, broker_process, topics
 
-import itertools
-import os
-
-import hypothesis
-import pytest
-from processes import BrokerProcess
-
-from construction_twin.mqtt.messages import Topics
-
-# how long an example takes is the machine's affair, not the product's; and a red run is red again until it is mended, a green one
-# stays green: new examples are looked for by `make properties`
-hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=True)
-hypothesis.settings.register_profile("random", deadline=None)
-hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put what ends rospy in its process behind everything else that runs in it: rospy cannot be begun again."""
-    items.sort(key=lambda item: item.get_closest_marker("ends_rospy") is not None)
-
-
-_prefixes = (f"test{number}" for number in itertools.count())
-
-
-@pytest.fixture
-def broker_process():
-    """A started BrokerProcess that the test may kill and start again."""
-    process = BrokerProcess()
-    process.start()
-    yield process
-    process.kill()
-
-
-@pytest.fixture(scope="module")
-def broker():
-    """Port of a broker that a module's tests share; use a topic prefix of your own."""
-    process = BrokerProcess()
-    process.start()
-    yield process.port
-    process.kill()
-
-
-@pytest.fixture
-def topics():
-    """MQTT topics that no other test uses."""
-    return Topics(next(_prefixes), "arm")
+__all__ = ["broker", "broker_process", "topics"]

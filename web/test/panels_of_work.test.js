@@ -318,7 +318,7 @@ async function tasksPanel(value = work(), account = "kr120-planner-ada", languag
 }
 
 test("every state that the table of tasks has is in a group", () => {
-  const states = readFileSync(new URL("../../src/construction_twin/work/task_memory.py", import.meta.url), "utf8");
+  const states = readFileSync(new URL("../../src/construction_twin/extensions/work/task_memory.py", import.meta.url), "utf8");
   const table = states.slice(states.indexOf("class TaskState"), states.indexOf("class TaskEvent"));
   const words = [...table.matchAll(/= "(\w+)"/g)].map(([, word]) => word);
   assert.ok(words.length > 10);

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from construction_twin.core.sentences import Sentence
-from construction_twin.physics.report import FAILED, PASSED, RehearsalReport
 from construction_twin.review.plan_under_review import NOT_REHEARSED, Rehearsed
+from construction_twin.review.rehearsal_report import FAILED, PASSED, RehearsalReport
 from construction_twin.robot.plan import Plan
 
 #: Results that are kept: of the plan under review, and of those that come before it is offered.

@@ -13,11 +13,7 @@ from typing import NamedTuple, NoReturn
 
 import numpy as np
 
-from construction_twin.core.motion_errors import (
-    BranchError,
-    NotFoundError,
-    UnreachableError,
-)
+from construction_twin.core.motion_errors import NotFoundError, UnreachableError
 from construction_twin.kinematics.branches import BranchInverse
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.opw import OpwModel
@@ -328,11 +324,7 @@ class ClosedFormInverse(BranchInverse):
         """Raise the error that says why there is no solution."""
         check_pose(pose)
         if configuration is not None:
-            # raises the reason if no configuration reaches the pose
-            others = {str(solution.configuration) for solution in self.all(pose, seed)}
-            raise BranchError(
-                str(configuration), tuple(sorted(others)), "does not exist for this pose within the ranges"
-            )
+            self.refuse(configuration, pose, seed)
         flange = self.flange(pose)
         branches, _, extension = self.branches(flange)
         if extension[0] < 0.0:

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import NoReturn
 
 import numpy as np
 
@@ -221,6 +222,11 @@ class InverseKinematics(abc.ABC):
     @abc.abstractmethod
     def configuration(self, q: JointValues) -> Configuration | None:
         """Return in which configuration joint values are [rad]; None: the arm has no named configurations."""
+
+    def refuse(self, configuration: Configuration, pose: Pose, seed: JointValues) -> NoReturn:
+        """Raise the error that names the configurations that reach a pose, or the reason if none does."""
+        others = {str(solution.configuration) for solution in self.all(pose, seed)}
+        raise BranchError(str(configuration), tuple(sorted(others)), "does not exist for this pose within the ranges")
 
     def is_solved(self, error_m: float, error_rad: float) -> bool:
         """Return whether a residual is within the tolerances."""

@@ -12,80 +12,27 @@ import math
 import signal
 import sys
 import threading
-from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
-import numpy as np
 import pydantic
 
 from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.controller.makes import DEFAULT, MODULES, make_of
 from construction_twin.controller.port import Layout
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.core.extras import check_extras
+from construction_twin.core.extensions import check_extras, extension
 from construction_twin.core.realtime import request_realtime
 from construction_twin.core.share import share_file
-from construction_twin.core.units import CYCLE, from_wire, to_wire
+from construction_twin.core.units import from_wire, to_wire
 from construction_twin.core.validation import configuration_error
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.controller import ForwardKinematics, MockController
 from construction_twin.mock.gripper import Gripper
 from construction_twin.mock.network import MockRsi
-from construction_twin.mock.servo import IdealServo, RealisticServo, Servo, WithMass, read_encoder
+from construction_twin.mock.servo import IdealServo, RealisticServo, Servo
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.tool import read_tool, tool_of
-
-if TYPE_CHECKING:
-    from construction_twin.physics.arm import Plant
-
-
-class PhysicsServo(WithMass, Servo):
-    """Axes that a simulated arm moves; they answer as `RealisticServo`, as long as the drives have the torque for it.
-
-    A stalled axis is held where it is by a brake, whatever it takes. Signs are the senses of the axes, seen from their joints.
-    """
-
-    def __init__(
-        self,
-        plant: Plant,
-        axis_angles: Callable[[Sequence[float]], tuple[float, ...]],
-        joint_angles: Callable[[Sequence[float]], tuple[float, ...]],
-        signs: Sequence[int],
-        resolution: float,
-        period: float = CYCLE,
-    ):
-        super().__init__(period)
-        self._plant = plant
-        self._axis_angles, self._joint_angles = axis_angles, joint_angles
-        self._signs = tuple(signs)
-        self._cycles = round(period / CYCLE)
-        self._resolution = resolution
-
-    def push(self, joint: int, torque: float) -> None:
-        """Have something push on an axis with this torque [N m], in the axis' own sense, until it is 0 again."""
-        self._plant.push(joint, self._signs[joint] * torque)
-
-    def _start(self, q: tuple[float, ...]) -> None:
-        self._plant.place(self._joint_angles(q))
-
-    def _respond(self, reference: tuple[float, ...]) -> tuple[float, ...]:
-        self._plant.cycle(np.array(self._joint_angles(reference)), self._cycles)
-        for joint in self._stalled:
-            self._plant.hold(joint, self._joint_angles(reference)[joint])
-        moved = self._axis_angles(self._plant.q.tolist())
-        return tuple(
-            [
-                reference[joint] if joint in self._stalled else read_encoder(angle, self._resolution)
-                for joint, angle in enumerate(moved)
-            ]
-        )
-
-    def _freeze(self, joint: int, position: float) -> None:
-        pose = list(self._axis_angles(self._plant.q.tolist()))
-        pose[joint] = position
-        self._plant.hold(joint, self._joint_angles(pose)[joint])
-
 
 log = logging.getLogger(__name__)
 
@@ -96,7 +43,7 @@ _Numbers = list[Annotated[float, pydantic.Field(allow_inf_nan=False)]]
 #: servo ideal: cycles from the packet whose reply carries a setpoint to the packet that reports it as reached.
 SERVO_DELAY_CYCLES = 3
 #: servo realistic, physics: natural frequency [rad/s], damping ratio [1], encoder step [rad].
-SERVO_OMEGA, SERVO_ZETA, _RESOLUTION = 60.0, 0.8, math.radians(3e-5)
+SERVO_OMEGA, SERVO_ZETA, RESOLUTION = 60.0, 0.8, math.radians(3e-5)
 #: The simulated gripper: from its outputs to the inputs that confirm them [s].
 TOOL_TIME = 0.2
 
@@ -201,31 +148,11 @@ def build_servo(settings: MockSettings, robot: RobotModel) -> Servo:
     """Build the servo model that `settings.servo` names."""
     period = settings.cycle / 1000
     if settings.servo == "physics":
-        return _physics_servo(settings, robot, period)
+        check_extras("physics")
+        return extension("physics.mock_servo").physics_servo(settings, robot, period)
     if settings.servo == "ideal":
         return IdealServo(SERVO_DELAY_CYCLES, period)
-    return RealisticServo(SERVO_OMEGA, SERVO_ZETA, _RESOLUTION, period)
-
-
-def _physics_servo(settings: MockSettings, robot: RobotModel, period: float) -> Servo:
-    check_extras("physics")
-    # only here: what simulates is not everywhere
-    from construction_twin.physics.arm import Plant, bare_model
-    from construction_twin.physics.drive import drives_of, read_drives
-    from construction_twin.physics.mass import payload_of
-    from construction_twin.scene.collision_bodies import RobotBodies
-
-    bodies = RobotBodies(robot)
-    drives = read_drives(settings.drives, robot) if settings.drives else drives_of(robot)
-    model = bare_model(bodies, drives, payload_of(settings.payload, "payload"))
-    return PhysicsServo(
-        Plant(model, SERVO_OMEGA, SERVO_ZETA),
-        lambda q: axis_angles(robot, tuple(q)),
-        lambda angles: joint_angles(robot, tuple(angles)),
-        [axis.sign for axis in robot.axes],
-        _RESOLUTION,
-        period,
-    )
+    return RealisticServo(SERVO_OMEGA, SERVO_ZETA, RESOLUTION, period)
 
 
 def make_forward_kinematics(robot: RobotModel) -> ForwardKinematics:

@@ -19,11 +19,14 @@ import numpy as np
 from construction_twin.core.files import read_file
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Pose
-from construction_twin.robot.frames import quaternion_to_rotation, rotation_to_quaternion
+from construction_twin.robot.frames import quaternion_to_rotation, rotation_to_quaternion, rpy_to_quaternion
+from construction_twin.robot.tool import ToolFile
 
 #: A quaternion whose norm differs from 1 by more than the first value is refused, by more than the second it is normalised. A
 #: normalised one is not changed again, so that a scene sent as a message keeps its hash.
 _QUATERNION_REFUSED, _QUATERNION_EXACT = 1e-3, 1e-12
+#: Before the name of a shape of the tool.
+TOOL = "tool/"
 #: Largest coordinate, size and padding [m]: the distances of Coal overflow with numbers far beyond the size of a hall.
 _FARTHEST = 1e4
 #: Numbers in `SceneObject.size` for each shape, and what they are.
@@ -259,3 +262,15 @@ class Scene:
 
     def _with(self, changed: SceneObject) -> Scene:
         return replace(self, objects=tuple(changed if item.name == changed.name else item for item in self.objects))
+
+
+def tool_objects(tool: ToolFile, link: str) -> tuple[SceneObject, ...]:
+    """Return a tool's shapes as objects of the scene that a link carries, ``tool/<shape>``."""
+    found = []
+    for name, shape in tool.tool.shapes.items():
+        x, y, z, w = map(float, rpy_to_quaternion(shape.rpy_deg))
+        mesh = str((tool.folder / shape.mesh).resolve()) if shape.mesh else ""
+        found.append(SceneObject(
+            f"{TOOL}{name}", shape.shape, shape.size, shape.position, (x, y, z, w), mesh=mesh, link=link, touch=tool.tool.touch
+        ))  # fmt: skip
+    return tuple(found)

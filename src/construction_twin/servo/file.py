@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import pydantic
 import yaml
@@ -12,10 +12,6 @@ import yaml
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.validation import configuration_error
 from construction_twin.servo.model import JointServo, ServoModel
-
-if TYPE_CHECKING:
-    # the monitor reads files, and has no use for what finds servos
-    from construction_twin.servo.identification import IdentifiedJoint
 
 _Number = Annotated[float, pydantic.Field(allow_inf_nan=False)]
 
@@ -69,26 +65,3 @@ def read_servos(path: str | Path, names: Sequence[str]) -> ServoModel:
         tuple(JointServo(**{key: getattr(servo, key) for key in kept}) for servo in servos),
         file.cycle_ms * 1_000_000,
     )
-
-
-def servo_file(joints: Sequence[IdentifiedJoint], cycle_ns: int, source: str) -> str:
-    """Return the text of a file: the servos as they were identified, and by what residual; `source` names the recording."""
-    content = {
-        "cycle_ms": cycle_ns // 1_000_000,
-        "source": source,
-        "joints": {
-            joint.name: {key: _rounded(getattr(joint.servo, key)) for key in JointServo.__match_args__}
-            | {
-                "lag_error_ms": _rounded(1e3 * joint.lag_error),
-                "residual_rms": _rounded(joint.residual_rms),
-                "residual_max": _rounded(joint.residual_max),
-            }
-            for joint in joints
-        },
-    }
-    head = "# How the arm's servos answer: written by `identify`, read by the launch argument servo_model.\n"
-    return head + yaml.safe_dump(content, sort_keys=False)
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.9g}")

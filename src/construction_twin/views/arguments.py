@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import enum
 import math
 import re
 from collections.abc import Sequence
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.extensions import extension
 
 #: How long a service or a topic may stay silent before the command gives up [s].
 TIMEOUT = 5.0
@@ -76,7 +80,7 @@ def parser(robot: str) -> argparse.ArgumentParser:
     _add_export(command("export", "write the newest plan, whatever became of it, as a CSV file that plan --csv reads"))
     preview = command("preview", "let the ghost play the plan under review")
     preview.add_argument("--speed", type=_percent, default=1.0, metavar="PERCENT", help="of the plan's own speed [100]")
-    _add_approve(command("approve", "approve the plan under review: it starts"))
+    add_approve(command("approve", "approve the plan under review: it starts"))
     reject = command("reject", "reject the plan under review")
     _add_reviewer(reject)
     for name, text in TRIGGERS.items():
@@ -90,7 +94,9 @@ def parser(robot: str) -> argparse.ArgumentParser:
         "show what the simulated arm found when it carried out the newest plan; ends with 1 unless it passed",
     )
     _add_scene(command("scene", "list what the arm must not touch, or write it for another planner"))
-    _add_work(command("work", "work from a building model: its tasks, what comes next, what people say"), common)
+    with contextlib.suppress(ConfigurationError):  # an installation may be without it
+        steps = extension("work.twin_arguments").add_steps
+        steps(command("work", "work from a building model: its tasks, what comes next, what people say"), common)
     _add_watch(command("watch", "show states, joint errors and what was late until Ctrl-C"))
     return root
 
@@ -118,7 +124,7 @@ def split_lists(words: Sequence[str]) -> list[str]:
 
 
 def _fields(words: Sequence[str]) -> list[str]:
-    """Return the numbers of a list; a word with an empty field stays, for `_finite` to refuse it: all after it would be shifted."""
+    """Return the numbers of a list; a word with an empty field stays, for `finite` to refuse it: all after it would be shifted."""
     fields = words[0].removesuffix(",").split(",") if len(words) == 1 else []
     if fields and all(field.strip() for field in fields):
         return [number for field in fields for number in field.split()]
@@ -143,14 +149,14 @@ def _add_plan(plan: argparse.ArgumentParser) -> None:
     goal = plan.add_mutually_exclusive_group(required=True)
     goal.add_argument(
         "--joints",
-        type=_finite,
+        type=finite,
         nargs="+",
         metavar="VALUE",
         help="joint values, A1 first, with spaces or commas between them [deg; mm for a prismatic joint]",
     )
     goal.add_argument(
         "--pose",
-        type=_finite,
+        type=finite,
         nargs=6,
         metavar=("X", "Y", "Z", "A", "B", "C"),
         help="pose of tool0: position [mm] and KUKA's angles [deg]",
@@ -196,7 +202,8 @@ def _add_reviewer(command: argparse.ArgumentParser) -> None:
     command.add_argument("--reason", default="", metavar="TEXT", help="kept with the verdict")
 
 
-def _add_approve(approve: argparse.ArgumentParser) -> None:
+def add_approve(approve: argparse.ArgumentParser) -> None:
+    """Add the options of an approval."""
     _add_reviewer(approve)
     approve.add_argument("--yes", action="store_true", help="do not ask")
     approve.add_argument("--wait", action="store_true", help="wait until the motion has ended")
@@ -211,61 +218,6 @@ def _add_scene(scene: argparse.ArgumentParser) -> None:
     scene.add_argument(
         "--moveit", metavar="FILE", help="write what stands in it as a .scene file of MoveIt; - for the terminal"
     )
-
-
-def _add_work(work: argparse.ArgumentParser, common: argparse.ArgumentParser) -> None:
-    steps = work.add_subparsers(dest="step", required=True, metavar="STEP")
-
-    def step(name: str, text: str) -> argparse.ArgumentParser:
-        return steps.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.", parents=[common])
-
-    step("list", "list the tasks in their order, with states and deviations")
-    _add_task(step("next", "have the next task planned for review, or the one that is named; nothing moves"), "?")
-    _add_task(step("show", "show all that is known of a task"))
-    _add_approve(step("approve", "approve the plan of the task that is under review: it starts"))
-    for name, text in (
-        ("skip", "take a task out: what comes after it no longer waits for it"),
-        ("redo", "have a task done again: its element is back in its stock"),
-        ("removed", "say that what people were to take down, or what was placed, is gone: no obstacle any more"),
-    ):
-        told = step(name, text)
-        _add_task(told)
-        _add_person(told)
-    answer = step("answer", "answer what a task asks: where its element is")
-    _add_task(answer)
-    answer.add_argument(
-        "answer",
-        metavar="ANSWER",
-        help="in_stock, in_grip, placed, gone, done, not_done, same, stands or taken_away: one of those that `show` lists; "
-        "with `all` in place of TASK, which is all that was placed and asks: same, stands or placed",
-    )
-    _add_person(answer)
-    _add_person(step("accept", "accept the schedule that was proposed from the geometry"))
-    measured = step("measured", "report where a placed element really is")
-    measured.add_argument("element", metavar="ELEMENT", help="GlobalId of the element")
-    measured.add_argument(
-        "--pose",
-        type=_finite,
-        nargs=6,
-        required=True,
-        metavar=("X", "Y", "Z", "A", "B", "C"),
-        help="pose of the element's frame: position [mm] and KUKA's angles [deg]",
-    )
-    measured.add_argument(
-        "--frame", default="", metavar="FRAME", help="link of the robot or tf frame of the pose [its base]"
-    )
-    _add_person(measured)
-
-
-def _add_task(step: argparse.ArgumentParser, number: str | None = None) -> None:
-    step.add_argument(
-        "task", nargs=number, default="", metavar="ID", help="id or name of the task, or the beginning of one of them"
-    )
-
-
-def _add_person(step: argparse.ArgumentParser) -> None:
-    step.add_argument("--person", default="", metavar="NAME", help="who says so [the user's name]")
-    step.add_argument("--reason", default="", metavar="TEXT", help="kept with the record")
 
 
 def _add_watch(watch: argparse.ArgumentParser) -> None:
@@ -292,7 +244,8 @@ def check(options: argparse.Namespace) -> str:
     return ""
 
 
-def _finite(text: str) -> float:
+def finite(text: str) -> float:
+    """Return the number of an option; refuse nan and infinity."""
     if _has_empty_field(text):
         raise argparse.ArgumentTypeError(
             f"{text.strip()!r} has an empty field at a comma: give a number for each joint or axis"
@@ -311,7 +264,7 @@ def _finite(text: str) -> float:
 
 
 def _positive(text: str) -> float:
-    value = _finite(text)
+    value = finite(text)
     if value <= 0.0:
         raise argparse.ArgumentTypeError(f"{text!r} is not above 0")
     return value

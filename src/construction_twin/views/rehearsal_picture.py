@@ -13,7 +13,14 @@ import numpy as np
 
 from construction_twin.core.units import axis_name
 from construction_twin.kinematics.chain import Pose
-from construction_twin.physics.report import BROKEN, FAILED, PASSED, AxisLoad, RehearsalReport, RehearsedContact
+from construction_twin.review.rehearsal_report import (
+    BROKEN,
+    FAILED,
+    PASSED,
+    AxisLoad,
+    RehearsalReport,
+    RehearsedContact,
+)
 from construction_twin.robot.frames import quaternion_to_rotation
 from construction_twin.scene.objects import SceneObject, product
 from construction_twin.views.sync_picture import Shape

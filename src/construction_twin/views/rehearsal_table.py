@@ -9,7 +9,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from construction_twin.physics.report import PASSED, AxisLoad, RehearsalReport
+from construction_twin.review.rehearsal_report import PASSED, AxisLoad, RehearsalReport
 from construction_twin.views.rehearsal_picture import ESTIMATE
 
 _STYLES = {PASSED: "bold green"}

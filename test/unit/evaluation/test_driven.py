@@ -11,8 +11,8 @@ from chain_samples import REACH, ROBOT, make_chain, make_plan, play_to_the_end
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.units import CYCLE, CYCLE_NS
 from construction_twin.evaluation.recording import FeedbackStream, StateChange
-from construction_twin.ros.commands.identify import cycle_of, drives_of
-from construction_twin.servo.identification import identify
+from construction_twin.extensions.physics.commands.identify import cycle_of, drives_of
+from construction_twin.extensions.physics.identification import identify
 
 
 @pytest.fixture(scope="module")

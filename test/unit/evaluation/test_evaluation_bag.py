@@ -22,8 +22,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.evaluation.bag import read_recording
 from construction_twin.evaluation.summary import evaluate, summarise
+from construction_twin.extensions.planners.waypoint_file import parse_waypoints
 from construction_twin.planning.timing import time_path
-from construction_twin.planning.waypoint_file import parse_waypoints
 from construction_twin.planning.waypoints import plan_waypoints
 from construction_twin.ros.commands.evaluate import main
 from construction_twin.ros.messages.convert import plan_to_msg

@@ -28,7 +28,7 @@ SEARCH = dense_search(RAIL.chain)
 CARRIAGE, MODEL = find_rail(RAIL.chain)
 #: Of the first 1000 problems drawn from a number, those whose nearest solution lies where only a fine division finds it: in a wrist
 #: that turns over within millimetres, where a range ends twice within centimetres, or at an edge of the reach.
-HARD = ((1, (91, 240, 262, 290, 511, 658, 726, 754, 827)), (77, (231, 295, 968)))
+HARD = ((1, (91, 240, 262, 290, 511, 658, 726, 827)), (77, (231, 295, 968)))
 
 
 @pytest.mark.parametrize(("number", "rows"), HARD)

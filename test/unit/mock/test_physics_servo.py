@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from processes import ROOT
 
+from construction_twin.extensions.physics.mock_servo import PhysicsServo
 from construction_twin.mock.faults import Fault, FaultBoard
-from construction_twin.mock.program import MockSettings, PhysicsServo, build_controller, build_servo
+from construction_twin.mock.program import MockSettings, build_controller, build_servo
 from construction_twin.mock.servo import RealisticServo
 
 DRIVES = str(ROOT / "config/kr120_drives.yaml")

@@ -27,11 +27,11 @@ from construction_twin.core.motion_errors import (
     WaypointTimesError,
 )
 from construction_twin.core.share import share_file
+from construction_twin.extensions.planners.waypoint_file import read_waypoints
 from construction_twin.kinematics.chain import Pose
 from construction_twin.planning.pipeline import PlanningPipeline
 from construction_twin.planning.planner import PlannerSettings
 from construction_twin.planning.tool_path import ToolWaypoint
-from construction_twin.planning.waypoint_file import read_waypoints
 from construction_twin.planning.waypoints import from_points
 from construction_twin.ros.nodes import planner
 from construction_twin.ros.nodes.planner import plan_request, tool_waypoints, trajectory_waypoints

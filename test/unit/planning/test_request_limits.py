@@ -16,12 +16,12 @@ from construction_twin.core.motion_errors import (
     PlanningError,
     PlanSizeError,
 )
+from construction_twin.extensions.planners.waypoint_file import read_waypoints
 from construction_twin.kinematics.chain import Pose
 from construction_twin.planning.pipeline import PlanningPipeline
 from construction_twin.planning.planner import PlannerSettings
 from construction_twin.planning.timing import time_path
 from construction_twin.planning.tool_path import ToolWaypoint
-from construction_twin.planning.waypoint_file import read_waypoints
 from construction_twin.planning.waypoints import from_points
 from construction_twin.scene.objects import Scene
 

@@ -24,12 +24,12 @@ from construction_twin.core.motion_errors import (
     TrajectoryError,
 )
 from construction_twin.core.units import CYCLE
+from construction_twin.extensions.planners.waypoint_file import format_plan, parse_waypoints
 from construction_twin.planning.pipeline import PlanningPipeline
 from construction_twin.planning.planner import PlannerSettings
 from construction_twin.planning.recheck import recheck
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.timing import time_path
-from construction_twin.planning.waypoint_file import format_plan, parse_waypoints
 from construction_twin.planning.waypoints import START_TOLERANCE_RAD
 from construction_twin.planning.work_plan import plan_work
 from construction_twin.planning.work_segment import WorkSegment

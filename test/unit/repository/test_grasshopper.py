@@ -24,18 +24,18 @@ from processes import ROOT, wait_until
 from site_broker import SiteBroker
 
 from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.extensions.console.nodes import requests
+from construction_twin.extensions.console.nodes.endpoint import Connection
+from construction_twin.extensions.console.nodes.feed import ConsoleFeed, Others, Poses
+from construction_twin.extensions.console.nodes.requests import ConsoleRequests, RobotContext
+from construction_twin.extensions.console.remote_view import ViewWriter
 from construction_twin.kinematics.chain import Chain
-from construction_twin.link.remote_view import ViewWriter
 from construction_twin.link.requests import Joints
 from construction_twin.mqtt.client import make_client, unique_id
 from construction_twin.mqtt.messages import Topics
 from construction_twin.planning.waypoints import plan_waypoints
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.urdf import expand_xacro
-from construction_twin.ros.console import requests
-from construction_twin.ros.console.endpoint import Connection
-from construction_twin.ros.console.feed import ConsoleFeed, Others, Poses
-from construction_twin.ros.console.requests import ConsoleRequests, RobotContext
 from construction_twin.ros.nodes.planner import trajectory_waypoints
 from construction_twin.ros.transport.latest_pose import StampedPose
 
@@ -44,7 +44,7 @@ ROBOT = read_robot_files(XACRO, ROOT / "config/kr120.yaml")
 REQUIREMENTS = ROOT / "setup/requirements-grasshopper.txt"
 VENV = ROOT / ".ws/grasshopper"
 COMPONENTS = sorted((ROOT / "examples/grasshopper").glob("*.py"))
-SESSION = ROOT / "test/support/grasshopper_session.py"
+SESSION = ROOT / "test/unit/repository/grasshopper_session.py"
 
 
 @pytest.fixture(scope="module")

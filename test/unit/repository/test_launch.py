@@ -8,14 +8,13 @@ from __future__ import annotations
 import re
 from importlib import import_module
 from pathlib import Path
-from pkgutil import iter_modules
 from xml.etree import ElementTree
 
 import pytest
 from launch_files import Reader, node_arguments, node_names, parameters, read_launch, twin_in_tf
 from roslaunch import rlutil
 
-from construction_twin.ros import nodes
+from construction_twin.core.extensions import node_modules
 from construction_twin.ros.shared.frames import FRAMES
 from construction_twin.ros.shared.node_shell import NodeShell
 
@@ -26,7 +25,7 @@ LAUNCHES = sorted((ROOT / "launch").glob("*.launch"))
 
 def node_shells() -> list[NodeShell]:
     """Return the shell of every node of a robot, by name."""
-    modules = (import_module(f"{nodes.__name__}.{found.name}") for found in iter_modules(nodes.__path__))
+    modules = map(import_module, node_modules().values())
     return [module.NODE for module in modules if hasattr(module, "NODE")]
 
 

@@ -7,11 +7,11 @@ from xml.etree import ElementTree
 
 import construction_twin
 from construction_twin.core.share import share_file
+from construction_twin.extensions.work.ifc.reading import read_building
 from construction_twin.planning.pipeline import PlanningPipeline
 from construction_twin.robot.description import read_robot_files
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.self_collision import read_self_collision
-from construction_twin.work.ifc.reading import read_building
 
 ROOT = Path(__file__).resolve().parents[3]
 

@@ -8,12 +8,12 @@ import pytest
 import yaml
 from separation_node import Settings as SeparationSettings
 
+from construction_twin.extensions.console.nodes.console_node import Settings as ConsoleSettings
+from construction_twin.extensions.planners.nodes.follow_joint_trajectory import Settings as FollowSettings
 from construction_twin.mock.program import MockSettings
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.commands.experiment import ExperimentSettings
-from construction_twin.ros.nodes.console_node import Settings as ConsoleSettings
 from construction_twin.ros.nodes.executor import Settings as ExecutorSettings
-from construction_twin.ros.nodes.follow_joint_trajectory import Settings as FollowSettings
 from construction_twin.ros.nodes.mqtt_bridge import Settings as BridgeSettings
 from construction_twin.ros.nodes.pca_monitor import Settings as MonitorSettings
 from construction_twin.ros.nodes.planner import Settings as PlannerSettings

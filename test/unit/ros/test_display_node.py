@@ -18,8 +18,15 @@ from visualization_msgs.msg import Marker
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.kinematics.chain import Chain
 from construction_twin.monitor.states import SyncState
-from construction_twin.physics.report import FAILED, PASSED, AxisLoad, RehearsalReport, RehearsedContact, finished
 from construction_twin.planning.timing import time_path
+from construction_twin.review.rehearsal_report import (
+    FAILED,
+    PASSED,
+    AxisLoad,
+    RehearsalReport,
+    RehearsedContact,
+    finished,
+)
 from construction_twin.robot.plan import Plan
 from construction_twin.ros.messages.convert import plan_to_msg, pose_from_transform_msg
 from construction_twin.ros.messages.records import to_msg

@@ -9,11 +9,11 @@ import genpy
 import pytest
 from bridge_bench import Client
 
+from construction_twin.extensions.console.nodes import messages as module
+from construction_twin.extensions.console.nodes.endpoint import Connection
+from construction_twin.extensions.console.nodes.messages import MessageBoard
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
-from construction_twin.ros.console import messages as module
-from construction_twin.ros.console.endpoint import Connection
-from construction_twin.ros.console.messages import MessageBoard
 from construction_twin.views.startup import Word
 from construction_twin.views.status_line import ReportsNow, status_lines
 

@@ -15,6 +15,8 @@ from scene_samples import kr120
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.validation import configuration_error
+from construction_twin.extensions.work.recipes import read_recipes
+from construction_twin.extensions.work.site import read_site
 from construction_twin.robot.description import load_robot
 from construction_twin.robot.tool import read_tool
 from construction_twin.robot.urdf import expand_xacro
@@ -23,8 +25,6 @@ from construction_twin.scenario.definition import make_scenario
 from construction_twin.scene.cell import load_cell
 from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.scene.self_collision import read_self_collision
-from construction_twin.work.recipes import read_recipes
-from construction_twin.work.site import read_site
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
 #: Keys that are names which the writer gives: another name is another thing, not a mistake.

@@ -31,6 +31,8 @@ from std_srvs.srv import TriggerRequest
 from tf2_msgs.msg import TFMessage
 from unplugged import Subscriber, Unplugged, over_the_wire
 
+from construction_twin.extensions.console.nodes import endpoint, requests
+from construction_twin.extensions.console.nodes.endpoint import Connection
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.link.requests import Joints
 from construction_twin.mqtt.client import Broker
@@ -38,8 +40,6 @@ from construction_twin.mqtt.messages import Topics
 from construction_twin.planning import requests as plan_requests
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.frames import rotation_to_quaternion
-from construction_twin.ros.console import endpoint, requests
-from construction_twin.ros.console.endpoint import Connection
 from construction_twin.ros.messages import convert
 from construction_twin.ros.messages.scene_convert import object_to_msg, scene_to_msg
 from construction_twin.ros.nodes import planner as module

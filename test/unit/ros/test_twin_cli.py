@@ -18,7 +18,7 @@ from construction_twin.msg import Rehearsal
 from ros_master import ros_master
 
 from construction_twin.core.errors import ConfigurationError, SilenceError
-from construction_twin.physics.report import FAILED, RehearsalReport, finished
+from construction_twin.review.rehearsal_report import FAILED, RehearsalReport, finished
 from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.commands import twin as twin_cli
 from construction_twin.ros.messages.records import to_msg

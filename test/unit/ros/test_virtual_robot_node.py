@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 from types import SimpleNamespace
 
@@ -15,6 +14,7 @@ from unplugged import Unplugged
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.executor import TWIN_TIMEOUT
+from construction_twin.extensions.physics.nodes import simulated_twin
 from construction_twin.ros.nodes import virtual_robot as module
 from construction_twin.ros.transport import cycle
 from construction_twin.scene.objects import Scene
@@ -212,7 +212,7 @@ class Falling:
 
 def simulates(monkeypatch, live: Falling) -> None:
     """Have the next node simulate by this."""
-    monkeypatch.setitem(sys.modules, "construction_twin.physics.live_twin", SimpleNamespace(LiveTwin=lambda: live))
+    monkeypatch.setattr(simulated_twin, "LiveTwin", lambda: live)
 
 
 class Massive:
@@ -234,7 +234,7 @@ class Massive:
                 "twin/effort": lambda message: self.told.append(("effort", message.header.stamp.to_nsec(), ())),
             },
         )
-        self.node._build, self.node._tool_mass = self.build, {"tool": 18.0}
+        self.node._simulated._build, self.node._simulated._tool_mass = self.build, {"tool": 18.0}
         self.node.on_link(Link(session="s1", state=Link.ARMED))
         # long ago: the node's thread does not wait for the next one
         self.node.on_physical(1, HOME)

@@ -8,19 +8,7 @@ import pinocchio
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from neighbour_cell import (
-    AWAY,
-    BESIDE,
-    CLEAR,
-    NEAR,
-    STRETCHED,
-    TOWARDS,
-    body_points,
-    empty_world,
-    line,
-    other,
-)
-from neighbour_distance import distance_to
+from neighbour_cell import AWAY, BESIDE, CLEAR, NEAR, STRETCHED, TOWARDS, body_points, empty_world, line, other
 from planning_cell import HOME, QUICK, REQUEST, ROBOT, SELF_COLLISION, Clock, solver
 
 from construction_twin.core.errors import ConfigurationError
@@ -31,6 +19,16 @@ from construction_twin.scene.cell import load_cell
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.neighbour import ROUNDING, STEP, Neighbour, key_rows
 from construction_twin.scene.objects import Scene, SceneObject
+
+
+def distance_to(obstacle, point: np.ndarray) -> float:
+    """Return how far a point is outside of an obstacle's padded shape [m]."""
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    at = coal.Transform3s(obstacle.placement.rotation, obstacle.placement.translation)
+    to = coal.Transform3s(np.eye(3), point)
+    found = coal.distance(obstacle.geometry, at, coal.Sphere(1e-6), to, request, result)
+    return found - obstacle.padding
+
 
 SHARES = st.tuples(*[st.floats(0.02, 0.98)] * 6)
 

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from construction_twin.core.units import CYCLE, CYCLE_NS
+from construction_twin.extensions.physics.identification import response
 from construction_twin.mock.servo import RealisticServo
-from construction_twin.servo.identification import response
 from construction_twin.servo.model import JointServo, ServoModel, ServoState
 
 SERVOS = st.builds(

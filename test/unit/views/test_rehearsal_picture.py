@@ -9,7 +9,7 @@ import pytest
 
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Pose
-from construction_twin.physics.report import BROKEN, PASSED, AxisLoad, RehearsalReport, RehearsedContact
+from construction_twin.review.rehearsal_report import BROKEN, PASSED, AxisLoad, RehearsalReport, RehearsedContact
 from construction_twin.scene.objects import SceneObject
 from construction_twin.views.rehearsal_picture import GHOSTS, rehearsal_picture
 from construction_twin.views.sync_picture import Shape

@@ -8,6 +8,7 @@ from construction_twin.core.records import document
 from construction_twin.core.reports import TaskReport, WorkReport
 from construction_twin.core.sentences import Sentence, told
 from construction_twin.execution.states import ExecutorState
+from construction_twin.extensions.work.task_memory import TaskState
 from construction_twin.link.states import LinkState
 from construction_twin.monitor.states import SyncState
 from construction_twin.views.startup import Deployment, Missing, Word
@@ -19,7 +20,6 @@ from construction_twin.views.status_line import (
     status_lines,
     work_state,
 )
-from construction_twin.work.task_memory import TaskState
 
 HERE = Deployment("/kr120", "mock", "127.0.0.1:1883", "127.0.0.1:49152", True)
 WELL = ReportsNow(Word("ARMED", ""), Word("IN_SYNC", ""), Word("IDLE", ""))

@@ -9,12 +9,12 @@ import rospy
 from rich.console import Console
 
 from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.extensions import extension
 from construction_twin.core.files import write_whole
 from construction_twin.core.share import share_file
 from construction_twin.evaluation.recording import Recording
 from construction_twin.evaluation.report import write_report
 from construction_twin.evaluation.tables import render_tables
-from construction_twin.planning.waypoint_file import format_plan
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.ros.commands.bag_report import bag_parser, read_plans, report_bag
 
@@ -79,5 +79,5 @@ def _write_plans(options: argparse.Namespace, robot: RobotModel, directory: Path
                 f"plan {plan.id} has other joints than {robot.name}; give --robot-xacro and --robot-config"
             )
         files.append(directory / f"plan_{len(files) + 1}.csv")
-        write_whole(files[-1], format_plan(plan, robot.linear))
+        write_whole(files[-1], extension("planners.waypoint_file").format_plan(plan, robot.linear))
     return tuple(files)

@@ -20,10 +20,10 @@ from roslaunch.core import Node
 from rosmaster.paramserver import ParamDictionary
 
 from construction_twin.broker import start as broker
-from construction_twin.console import program as console
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.extensions import extension, node_modules
 from construction_twin.core.share import share_folder
-from construction_twin.ros.commands import build, experiment, scenario
+from construction_twin.ros.commands import experiment, scenario
 from construction_twin.ros.nodes import rsi_gateway
 from construction_twin.ros.nodes.startup import expect_known
 from construction_twin.ros.shared.master import expect_wall_clock, running
@@ -62,11 +62,11 @@ def _broker(words: list[str], _parameters: LaunchParameters) -> None:
 #: What a program that is no `NodeShell`'s is checked by, by its name; takes its words and parameters.
 PROGRAMS: dict[str, Callable[[list[str], LaunchParameters], object]] = {
     "broker": _broker,
-    "console": lambda words, _parameters: console.check(words),
+    "console": lambda words, _parameters: extension("console.program").check(words),
     "rsi_gateway": rsi_gateway.checked,
     "experiment": lambda _words, parameters: experiment.checked(parameters),
     "scenario": lambda _words, parameters: scenario.checked(parameters),
-    "build": lambda _words, parameters: build.checked(parameters),
+    "build": lambda _words, parameters: extension("work.commands.build").checked(parameters),
 }
 #: Programs that only show something, and the example of a PLC.
 _UNCHECKED = ("view", "plc")
@@ -78,7 +78,7 @@ def check_node(node: Node, values: Mapping[str, Any]) -> None:
     if node.type in PROGRAMS:
         PROGRAMS[node.type](shlex.split(node.args), parameters)
         return
-    module = f"construction_twin.ros.nodes.{node.type}"
+    module = node_modules().get(node.type, "")
     if node.type == "separation":
         sys.path.append(str(share_folder() / "examples" / "separation"))
         module = "separation_node"

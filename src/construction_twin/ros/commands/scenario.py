@@ -23,6 +23,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, ScenarioError, spoken
+from construction_twin.core.extensions import node_modules
 from construction_twin.core.files import check_writable
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import from_wire
@@ -30,7 +31,6 @@ from construction_twin.evaluation.tables import table_console
 from construction_twin.gateway.trace import read_trace
 from construction_twin.msg import Execution, Link, Plan, Sync, Transition
 from construction_twin.robot.description import RobotModel
-from construction_twin.ros import nodes
 from construction_twin.ros.commands.experiment import RestDetector
 from construction_twin.ros.commands.recorder import Recorder
 from construction_twin.ros.commands.scenario_bag import BAG, NOTES, TOPICS, TRACE, VERDICT, read_run
@@ -302,7 +302,7 @@ def checked(parameters: Parameters = rospy) -> tuple[ScenarioSettings, dict]:
     given = {name: content.pop(name) for name in ScenarioSettings.model_fields if name in content}
     settings = settings_of(ScenarioSettings, given, parameters.get_name())
     make_scenario(settings.name, content)
-    known = {path.stem for path in Path(nodes.__path__[0]).glob("*.py")} | {"scenario", "gateway", "separation"}
+    known = {*node_modules(), "scenario", "gateway", "separation"}
     for name in yaml.safe_load(Path(settings.file).read_text(encoding="utf-8")):
         if name not in known:
             near = "".join(f"; did you mean {each}?" for each in difflib.get_close_matches(name, known, n=1))

@@ -11,15 +11,15 @@ import getpass
 import os
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import rospy
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused, SilenceError
+from construction_twin.core.extensions import extension
 from construction_twin.core.files import write_whole
 from construction_twin.link.requests import GoalRequest, ReviewRequest
 from construction_twin.msg import Execution, Rehearsal, Scene
@@ -35,10 +35,9 @@ from construction_twin.ros.shared.robot_listener import RobotListener
 from construction_twin.views.arguments import TRIGGERS, Exit
 from construction_twin.views.goals import joint_goal, pose_goal
 from construction_twin.views.texts import caller_line, plan_lines, scene_lines, status_lines, watch_lines
-from construction_twin.work.names import named
 
 if TYPE_CHECKING:
-    from construction_twin.physics.report import RehearsalReport
+    from construction_twin.review.rehearsal_report import RehearsalReport
 
 #: States of the executor in which no plan is under way.
 _AT_REST = (Execution.WAITING, Execution.IDLE)
@@ -102,8 +101,7 @@ class Command:
         plan = listener.plan(newest.id)
         if plan is None:
             raise RequestRefused(listener.refused)
-        from construction_twin.planning.waypoint_file import format_plan
-
+        format_plan = extension("planners.waypoint_file").format_plan
         if write_or_print(options.file, format_plan(plan, self._robot().linear, options.deg)):
             print(f"plan {plan.id}: {len(plan.trajectory.times)} waypoints in {options.file}")
         return Exit.DONE
@@ -113,18 +111,16 @@ class Command:
 
     def _work(self) -> Exit:
         """Do one step of the work from a building model; approving is as for every plan, once the plan is that of a task."""
-        from construction_twin.ros.commands.twin_work import WorkCommand
-
-        work = WorkCommand(self._options, account_name(), self._client)
+        work = extension("work.commands.twin_work").WorkCommand(self._options, account_name(), self._client)
         if self._options.step != "approve":
             return work.run()
         return self._approve(*work.plan_under_review())
 
-    def _approve(self, expected: str = "", names: Mapping[str, str] = MappingProxyType({})) -> Exit:
+    def _approve(self, expected: str = "", with_names: Callable[[str], str] = str) -> Exit:
         """Approve the plan under review; refuse another one than `expected`, if that is given.
 
         Args:
-            names: What is printed for each id, see `work.names.named`.
+            with_names: Puts names in place of ids in what is printed.
         """
         options = self._options
         listener = self._listener()
@@ -133,7 +129,7 @@ class Command:
             raise RequestRefused(
                 f"plan {plan.id} is under review, not {expected} of the task; see `twin show`, `twin work list`"
             )
-        self._print_plan(plan, listener, names)
+        self._print_plan(plan, listener, with_names)
         seen = self._print_rehearsal(plan) if options.override_rehearsal else None
         if not options.yes and not _confirmed():
             print("not approved; the plan still waits", file=sys.stderr)
@@ -184,12 +180,12 @@ class Command:
             return Exit.DONE
         from construction_twin.robot.urdf import parse_urdf
         from construction_twin.scene.collision_bodies import RobotBodies
-        from construction_twin.scene.planner_scene import planner_scene, scene_text
         from construction_twin.scene.self_collision import SelfCollision
 
         bodies = RobotBodies(self._robot())
-        told = planner_scene(bodies, scene, SelfCollision({}, ""))
-        text, remarks = scene_text(told, f"{self._options.robot} {scene.hash[:12]}")
+        planners = extension("planners.planner_scene")
+        told = planners.planner_scene(bodies, scene, SelfCollision({}, ""))
+        text, remarks = planners.scene_text(told, f"{self._options.robot} {scene.hash[:12]}")
         for remark in remarks:
             print(f"twin: {remark}", file=sys.stderr)
         if write_or_print(file, text):
@@ -245,11 +241,11 @@ class Command:
     def _reported(listener: RobotListener, name: str) -> bool:
         return listener.newest(name) is not None
 
-    def _print_plan(self, plan: Plan, listener: RobotListener, names: Mapping[str, str] = MappingProxyType({})) -> None:
+    def _print_plan(self, plan: Plan, listener: RobotListener, with_names: Callable[[str], str] = str) -> None:
         lines = plan_lines(plan, self._robot().linear, listener.changes(plan.id))
         if plan.source.startswith(f"{BY_ACTION} "):
             lines.append(self._caller_line(plan, listener))
-        print("\n".join(named(line, names) for line in lines))
+        print("\n".join(map(with_names, lines)))
 
     def _caller_line(self, plan: Plan, listener: RobotListener) -> str:
         def told() -> bool:
@@ -353,7 +349,7 @@ def write_or_print(file: str, text: str) -> bool:
 def _printed(message: Any) -> RehearsalReport:
     """Print what a rehearsal has found, and return it; ConstructionTwinError where its hash is not its own."""
     from construction_twin.evaluation.tables import table_console
-    from construction_twin.physics.report import RehearsalReport, is_whole
+    from construction_twin.review.rehearsal_report import RehearsalReport, is_whole
     from construction_twin.ros.messages.records import from_msg
     from construction_twin.views.rehearsal_table import rehearsal_table
 

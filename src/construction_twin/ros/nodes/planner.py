@@ -14,6 +14,7 @@ from std_srvs.srv import Trigger, TriggerRequest
 from trajectory_msgs.msg import JointTrajectory
 
 from construction_twin import msg, srv
+from construction_twin.core.extensions import extension
 from construction_twin.core.freshness import parse_moment
 from construction_twin.core.motion_errors import EngagedError, PlanningError, SceneError
 from construction_twin.core.sentences import Sentence
@@ -25,7 +26,6 @@ from construction_twin.planning.pipeline import PlanningPipeline
 from construction_twin.planning.planner import PlannerSettings, PlanRequest
 from construction_twin.planning.requests import Answer, PlanRequests
 from construction_twin.planning.tool_path import ToolWaypoint
-from construction_twin.planning.waypoint_file import read_waypoints
 from construction_twin.planning.waypoints import Waypoints, from_points
 from construction_twin.planning.work_plan import in_segment
 from construction_twin.robot.description import RobotModel
@@ -226,7 +226,10 @@ class PlannerNode:
     def on_plan_from_csv(self, request: srv.PlanFromCsvRequest) -> Outcome:
         """Plan through the waypoints of a file."""
         asked = plan_request(request, request.path)
-        return self._through(asked, lambda: read_waypoints(request.path, self._robot, request.columns))
+        return self._through(
+            asked,
+            lambda: extension("planners.waypoint_file").read_waypoints(request.path, self._robot, request.columns),
+        )
 
     def on_plan_trajectory(self, request: srv.PlanTrajectoryRequest) -> Outcome:
         """Plan a motion from elsewhere."""

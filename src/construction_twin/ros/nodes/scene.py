@@ -6,6 +6,7 @@ import functools
 import re
 import threading
 from collections.abc import Callable
+from typing import Any
 
 import rosgraph
 import rospy
@@ -14,10 +15,10 @@ from visualization_msgs.msg import MarkerArray
 
 from construction_twin import msg, srv
 from construction_twin.core.errors import ConfigurationError, PayloadError, PoseUnknownError
+from construction_twin.core.extensions import extension
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.convert import pose_from_msg
-from construction_twin.ros.messages.planning_scene import PlanningScenePublisher, moveit_types
 from construction_twin.ros.messages.scene_convert import object_from_msg, scene_markers, scene_to_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.frames import FRAMES, listen_to_frames
@@ -227,12 +228,13 @@ class SceneNode:
             self._planning_scene.publish(self._world.scene, rospy.Time.now())
         self._publish_markers()
 
-    def _for_moveit(self, publisher: Sink | None) -> PlanningScenePublisher | None:
+    def _for_moveit(self, publisher: Sink | None) -> Any:
         """Return what tells MoveIt of the scene, where its message types are installed."""
         if publisher is None:
             rospy.loginfo("planning_scene is not published without moveit_msgs; `twin scene --moveit` writes a file")
             return None
-        return PlanningScenePublisher(moveit_types(), self._robot, self._world.self_collision, publisher)
+        moveit = extension("planners.nodes.planning_scene")
+        return moveit.PlanningScenePublisher(moveit.moveit_types(), self._robot, self._world.self_collision, publisher)
 
     def _publish_markers(self) -> None:
         names = set(self._world.scene.names)

@@ -5,26 +5,22 @@
 from __future__ import annotations
 
 import threading
-from functools import partial
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import pydantic
 import rospy
 from sensor_msgs.msg import JointState
 
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.core.extras import check_extras
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.extensions import check_extras, extension
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.msg import Link, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
-from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
-from construction_twin.ros.shared.element_masses import element_masses, tool_mass
 from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.shared.params import NodeSettings
-from construction_twin.ros.shared.physics_process import PROGRAM
 from construction_twin.ros.shared.ports import (
     Interface,
     Ports,
@@ -38,10 +34,6 @@ from construction_twin.ros.shared.ports import (
 from construction_twin.ros.transport.cycle import Cycles
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
 from construction_twin.twin.virtual_robot import GazeboTwin, KinematicBackend, TwinBackend, TwinClock, VirtualRobot
-from construction_twin.work.worker import Worker
-
-if TYPE_CHECKING:
-    from construction_twin.physics.live_twin import LiveTwin
 
 #: Between two reads of the arm's stream while the twin needs nothing from it [s].
 PAUSE = 0.02
@@ -88,23 +80,14 @@ class VirtualRobotNode:
         self._publishers, self._twin = ports.publishers, ports.publishers["twin/joint_states"]
         self._commanded = ports.publishers.get("twin/commanded")
         self._gazebo = GazeboTwin() if is_in_gazebo(settings) else None
-        self._live: LiveTwin | None = None
+        self._backend: TwinBackend = self._gazebo or KinematicBackend()
+        #: The twin with mass, of the extension physics.
+        self._simulated: Any = None
         if is_simulated_here(settings):
-            # only here: what simulates is not everywhere
-            from construction_twin.physics.live_twin import LiveTwin
-
-            self._live = LiveTwin()
-        self._backend: TwinBackend = self._live or self._gazebo or KinematicBackend()
-        arm = {"robot": robot, "payload": tuple(settings.payload)}
-        arm |= {name: getattr(settings, name) for name in ("self_collision", "drives")}
-        #: Takes `scene`, and `masses` of bodies that the arm carries; returns the arm in it, and may take its time.
-        self._build = partial(Worker(PROGRAM).ask, "build", arm=arm)
+            simulated = extension("physics.nodes.simulated_twin")
+            self._simulated = simulated.SimulatedTwin(settings, robot, ports.diagnostics.refuse)
+            self._backend = self._simulated.twin
         self._effort_at = 0
-        #: Hash of the scene that is simulated, and why the newest one is not.
-        self._scene, self._scene_problem = "", ""
-        #: Of the elements that are to be placed, and of the tool [kg].
-        self._masses: dict[str, float] = {}
-        self._tool_mass = tool_mass(settings.tool) if self._live is not None else {}
         self._lock = threading.Lock()
         self._cycles, self._clock = Cycles(), TwinClock()
         self._session: str | None = None
@@ -142,7 +125,7 @@ class VirtualRobotNode:
         if not told or pose is None:
             return
         self._twin.publish(stamp, pose)
-        if self._live is not None and abs(stamp - self._effort_at) >= EFFORT_PERIOD and self._backend.effort:
+        if self._simulated is not None and abs(stamp - self._effort_at) >= EFFORT_PERIOD and self._backend.effort:
             self._effort_at = stamp
             message = JointState(name=self._names, position=pose, effort=self._backend.effort)
             message.header.stamp = to_time(stamp)
@@ -160,29 +143,12 @@ class VirtualRobotNode:
         self._diagnostics.refuse("answer", "a simulated pose with the stamp of no command, or of one answered before")
 
     def on_scene(self, message: SceneMsg) -> None:
-        """Take the scene: what is carried and what stands around. In rospy's thread of this connection, which may wait."""
-        live = self._live
-        if live is None or message.hash == self._scene:
-            # of a scene between that could not be simulated nothing is left
-            self._scene_problem = ""
-            return
-        try:
-            scene = scene_from_msg(message)
-            model = self._build(scene=scene, masses=self._masses | self._tool_mass)
-        except ConstructionTwinError as error:
-            # the simulation goes on in the scene before
-            self._scene_problem = str(error)
-            self._diagnostics.refuse("scene", str(error))
-            return
-        live.take_model(model)
-        self._scene, self._scene_problem = scene.hash, ""
-        rospy.loginfo("simulates scene %s", scene.hash[:12])
-        for remark in model.remarks:
-            rospy.loginfo("%s", remark)
+        """Pass the scene on to the simulation. In rospy's thread of this connection, which may wait."""
+        self._simulated.on_scene(message)
 
     def on_tasks(self, message: WorkTasks) -> None:
-        """Take what elements weigh; it counts from the next scene on, which is the one in which the arm carries one."""
-        self._masses = element_masses(message)
+        """Pass on what elements weigh."""
+        self._simulated.on_tasks(message)
 
     def on_command(self, stamp: int, q: tuple[float, ...]) -> None:
         """Execute a command [rad] with its stamp [ns]."""
@@ -249,12 +215,14 @@ class VirtualRobotNode:
         if self._gazebo is not None:
             problem = self._backend.problem
             return Report(WARN if problem else OK, problem or said)
-        if self._live is None:
+        if self._simulated is None:
             return Report(OK, said)
         contacts = ", ".join(f"{first} + {second}" for first, second in self._backend.contacts)
-        values = {"simulated scene": self._scene, "contacts": contacts or "none"}
+        values = {"simulated scene": self._simulated.scene, "contacts": contacts or "none"}
         problem = (
-            self._scene_problem or self._backend.problem or (contacts and f"the simulated arm touches: {contacts}")
+            self._simulated.scene_problem
+            or self._backend.problem
+            or (contacts and f"the simulated arm touches: {contacts}")
         )
         return Report(WARN, problem, values) if problem else Report(OK, said, values)
 
@@ -285,13 +253,7 @@ def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
         )
     if is_simulated_here(settings):
         check_extras("physics")
-        # only here: what simulates is not everywhere, and takes long to load
-        from construction_twin.physics.drive import read_drives
-        from construction_twin.physics.mass import payload_of
-
-        payload_of(settings.payload, "payload")
-        if settings.drives:
-            read_drives(settings.drives, robot)
+        extension("physics.nodes.simulated_twin").check(settings, robot)
 
 
 NODE = NodeShell("virtual_robot", Settings, VirtualRobotNode, INTERFACE, check, fast=True)

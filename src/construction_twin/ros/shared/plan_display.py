@@ -13,7 +13,7 @@ from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.msg import Execution, Plan, Rehearsal, Review
 from construction_twin.msg import Scene as SceneMsg
-from construction_twin.physics.report import RehearsalReport, is_whole
+from construction_twin.review.rehearsal_report import RehearsalReport, is_whole
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan as MadePlan
 from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg

@@ -1,0 +1,44 @@
+"""The ports of the core to its extensions, each of which may be absent, or lack the packages of its set-up group."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+from construction_twin.core.errors import ConfigurationError
+
+#: What setup/requirements-<group>.txt installs, by group: the names that Python imports.
+PACKAGES = {"console": ("aiohttp",), "work": ("ifcopenshell", "isodate", "shapely"), "physics": ("mujoco",)}
+
+
+def extension(module: str) -> ModuleType:
+    """Import a module of an extension, ``physics.mock_servo``.
+
+    Raises:
+        ConfigurationError: The extension is not installed.
+    """
+    path = f"construction_twin.extensions.{module}"
+    try:
+        return importlib.import_module(path)
+    except ModuleNotFoundError as error:
+        if not path.startswith(error.name or "-"):
+            raise
+        name = module.partition(".")[0]
+        raise ConfigurationError(path, None, f"the extension {name}, which this installation is without") from error
+
+
+def node_modules() -> dict[str, str]:
+    """Return the module of each node of core and extensions, by the node's name."""
+    package = Path(__file__).parent.parent
+    paths = [path.relative_to(package.parent).with_suffix("") for path in package.glob("**/nodes/*.py")]
+    return {path.name: ".".join(path.parts) for path in paths if path.name != "__init__"}
+
+
+def check_extras(group: str) -> None:
+    """Check that a group's packages are there. To be called before a module that needs them is imported."""
+    missing = [name for name in PACKAGES[group] if importlib.util.find_spec(name) is None]
+    if missing:
+        which = "it is" if len(missing) == 1 else "they are"
+        raise ConfigurationError(", ".join(missing), None, f"that {which} installed; run setup/setup.sh {group}")

@@ -1,0 +1,161 @@
+"""Processes that work for another one, so that neither a broken file nor a long search holds it up.
+
+Such a process is given one end of a pipe, which nobody else can write to; both sides speak pickles. It runs behind everything else
+on the machine, and ends when its parent does, however that ends: after the question that it answers.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import resource
+import subprocess
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Mapping
+from multiprocessing.connection import Connection
+from typing import Any
+
+from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.work_errors import WorkError
+
+#: Added to the process's nice value.
+NICE = 10
+#: What a function, its answer, or the reading of it can raise and nobody foresaw; what is none of these ends the process.
+UNFORESEEN = (
+    ArithmeticError, AssertionError, AttributeError, EOFError, ImportError, LookupError, MemoryError, OSError, RuntimeError,
+    TypeError, ValueError, pickle.PickleError,
+)  # fmt: skip
+#: A process whose pipe has closed is given so long to end [s].
+_ENDING = 5.0
+
+
+class WorkerError(WorkError):
+    """What was asked of the process failed; the sentence is that of the error there.
+
+    `kind`: Name of the error's class; empty: the process ended.
+    """
+
+    def __init__(self, kind: str, sentence: str):
+        self.kind = kind
+        super().__init__(sentence)
+
+
+class Worker:
+    """The process, as its parent sees it. One question at a time; started at the first one, and again after it has ended."""
+
+    def __init__(self, program: tuple[str, ...]):
+        self._program = program
+        self._busy = threading.Lock()
+        self._process: subprocess.Popen | None = None
+        self._pipe: Connection | None = None
+        self._first: tuple[str, dict[str, Any]] | None = None
+
+    def ask_first(self, name: str, **arguments: Any) -> Any:
+        """As `ask`; if the process has to be started anew, it is asked this again before anything else."""
+        self._first = None
+        answer = self.ask(name, **arguments)
+        self._first = name, arguments
+        return answer
+
+    def ask(self, name: str, **arguments: Any) -> Any:
+        """Have a function called there; return its result."""
+        with self._busy:
+            try:
+                answer = self._answer(name, arguments)
+            except (OSError, EOFError) as error:
+                code = self._end(_ENDING)
+                how = f"signal {-code}" if code < 0 else f"exit code {code}"
+                raise WorkerError("", f"the process that reads and plans has ended ({how}); ask again") from error
+        if "failure" in answer:
+            raise WorkerError(*answer["failure"])
+        return answer["result"]
+
+    def interrupt(self) -> None:
+        """End the process in the midst of a question: whoever waits for the answer gets a WorkerError. For another thread.
+
+        `close` it before the next question.
+        """
+        process = self._process
+        if process is not None:
+            process.kill()
+
+    def close(self) -> None:
+        """End the process, whatever it does."""
+        self._end()
+
+    def _answer(self, name: str, arguments: dict[str, Any]) -> dict[str, Any]:
+        questions = [(name, arguments)]
+        if self._process is None or self._process.poll() is not None:
+            self._end()
+            self._pipe, theirs = multiprocessing.Pipe()
+            with theirs:
+                end = theirs.fileno()
+                self._process = subprocess.Popen([*self._program, str(end)], stdin=subprocess.DEVNULL, pass_fds=[end])
+            questions = [*([self._first] if self._first is not None else []), *questions]
+        assert self._pipe is not None
+        answer: dict[str, Any] = {}
+        for question in questions:
+            self._pipe.send(question)
+            received = self._pipe.recv_bytes()
+            try:
+                answer = dict(pickle.loads(received))
+            except UNFORESEEN as error:
+                # what cannot be read here is a failure as any other, and the process goes on
+                answer = {"failure": _unforeseen(error)}
+            if "failure" in answer:
+                break
+        return answer
+
+    def _end(self, patience: float = 0.0) -> int:
+        """End the process; one that ends by itself has so long for it [s], so that its own exit code is told."""
+        process, self._process = self._process, None
+        if process is None:
+            return 0
+        try:
+            process.wait(patience)
+        except subprocess.TimeoutExpired:
+            process.kill()
+        if self._pipe is not None:
+            self._pipe.close()
+        return process.wait()
+
+
+def serve_parent(functions: Mapping[str, Callable]) -> None:
+    """Answer the parent, at the pipe that the program's last argument names, until it closes that or ends."""
+    os.nice(NICE)
+    with Connection(int(sys.argv[-1])) as pipe:
+        while True:
+            try:
+                pipe.send_bytes(_answered(pipe.recv_bytes(), functions))
+            except (EOFError, ConnectionError):
+                return  # nobody is there any more to be told
+
+
+def _answered(question: bytes, functions: Mapping[str, Callable]) -> bytes:
+    """Return the answer to a question: what the function returns, or kind and sentence of its error.
+
+    It is made of built-in types, so that it can be read by a process to which this module is not `__main__`.
+    """
+    try:
+        name, arguments = pickle.loads(question)
+        return pickle.dumps({"result": functions[name](**arguments)})
+    except ConstructionTwinError as error:
+        failure = type(error).__name__, str(error)
+    except UNFORESEEN as error:
+        # what nobody foresaw must be an answer, too; the trace goes to the node's log
+        traceback.print_exc()
+        failure = _unforeseen(error)
+    return pickle.dumps({"failure": failure})
+
+
+def _unforeseen(error: Exception) -> tuple[str, str]:
+    kind = type(error).__name__
+    return kind, f"it cannot be computed ({kind}: {error}); please report it"
+
+
+def rss_mb() -> float:
+    """Return the largest resident memory of this process [MB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0

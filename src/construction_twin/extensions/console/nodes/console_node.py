@@ -1,0 +1,256 @@
+"""console_node: what operators and programs elsewhere see of a robot by MQTT, and what they ask for there.
+
+A node of its own: reading a long motion takes longer than the bridge's 4 ms, and checking one takes seconds. What people do (stop,
+pause, verdicts, ...) has a connection and threads of its own, see `ros.console.acts`.
+"""
+
+from __future__ import annotations
+
+import gc
+import secrets
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pydantic
+import rospy
+
+from construction_twin import msg, srv
+from construction_twin.extensions.console.nodes.acts import Acts, Services
+from construction_twin.extensions.console.nodes.endpoint import Connection
+from construction_twin.extensions.console.nodes.feed import ConsoleFeed, Others, Poses, deployment_of
+from construction_twin.extensions.console.nodes.pose_judge import PoseJudge
+from construction_twin.extensions.console.nodes.requests import ConsoleRequests, RobotContext
+from construction_twin.extensions.console.nodes.shown_plan import ShownPlan
+from construction_twin.extensions.console.remote_view import ViewWriter
+from construction_twin.link.requests import Joints
+from construction_twin.mqtt.client import make_client, unique_id
+from construction_twin.mqtt.messages import Topics
+from construction_twin.mqtt.requests import BRIDGE, PRESSED
+from construction_twin.robot.description import RobotModel
+from construction_twin.robot.tool import tool_hash
+from construction_twin.ros.messages.plan_services import PLAN_SERVICES
+from construction_twin.ros.shared.diagnostics import OK, WARN, Report
+from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, check_broker
+from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.params import ros_home
+from construction_twin.ros.shared.ports import Interface, NewestPose, Ports, SharedParameter, Subscription
+from construction_twin.ros.shared.private_files import PrivateFiles
+from construction_twin.ros.transport.persistent_service import PersistentService
+
+#: Between two writings of log and messages [s].
+LOG_PERIOD = 0.1
+#: Objects after which the garbage collector looks through them. It holds up every thread, a stop's too: while a motion of 2 MiB was
+#: read, by Python's 700, for 200 ms at once, and it takes four times as long to read.
+COLLECTED = 500_000
+
+
+class Settings(MqttSettings):
+    """Private parameters; see config/console_node.yaml. Folders are relative to ROS_HOME.
+
+    Attributes:
+        self_collision: Empty: no joint values are found for poses that are dragged.
+        messages: Folder of the messages that outlast this node; empty: they do not.
+        private: Folder of what a console serves to whom is logged in; empty: no console was started.
+    """
+
+    trajectories: bool = True
+    self_collision: str = ""
+    private: str = ""
+    messages: str = ""
+    servo_model: str = ""
+    tool: str = ""
+    max_trajectory_bytes: int = pydantic.Field(ge=1024, le=1 << 24)
+    view_rate: float = pydantic.Field(ge=1.0, le=50.0)
+
+
+class ConsoleNode:
+    """The parts of the node, and the threads in which they work."""
+
+    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+        self._settings = settings
+        joints, topics = Joints(tuple(robot.joint_names), tuple(robot.linear)), Topics(settings.prefix, robot.name)
+        broker, refuse = broker_of(settings), ports.diagnostics.refuse
+        files = None
+        if settings.private:
+            files = PrivateFiles(ros_home() / settings.private, robot.name)
+            for problem in files.write_robot(robot.urdf):
+                refuse("mesh", problem)
+            if ports.parameters["work"] is None:
+                files.drop_building()
+        # its last will takes the plan away: while it is lost, a verdict is not heard
+        client = make_client(broker, unique_id(robot.name, "acts"), topics.plan, will="")
+        acts_connection = Connection(broker, client, topics, refuse)
+        writer = ViewWriter(robot.name, secrets.token_hex(8), joints)
+        will = writer.offline().decode()
+        client = make_client(broker, unique_id(robot.name, "console"), topics.view, will, will_retained=False)
+        connection = Connection(broker, client, topics, refuse)
+        # one for what people do, and one for everything else
+        self._connections = acts_connection, connection
+        self.acts = Acts(acts_connection, _services())
+        self.shown_plan = ShownPlan(acts_connection, tool_hash(settings.tool))
+        self.feed = feed = ConsoleFeed(
+            robot.base_link,
+            connection,
+            writer,
+            Poses(*(ports.poses.get(name) for name in (TWIN, ARM, EXPECTED))),
+            Others(
+                lambda: self.shown_plan.plan,
+                lambda: self.requests.closest(),
+                lambda: ports.connections("execution") > 0,
+            ),
+            deployment_of(ports.parameters["startup"], rospy.get_namespace().rstrip("/")),
+            files,
+            ros_home() / settings.messages / f"{robot.name}.json" if settings.messages else None,
+        )
+        self.requests = ConsoleRequests(
+            joints,
+            {kind: rospy.ServiceProxy(service.name, service.kind) for kind, service in PLAN_SERVICES.items()},
+            rospy.ServiceProxy("plan_trajectory", srv.PlanTrajectory),
+            PoseJudge(robot, settings.self_collision, lambda: feed.scene),
+            RobotContext(feed.twin, lambda: ports.connections("work/tasks") > 0, feed.is_engaged),
+            connection,
+            settings.max_trajectory_bytes if settings.trajectories else 0,
+        )
+        self._connect()
+
+    def _connect(self) -> None:
+        plan, (acts, others) = self.shown_plan, self._connections
+        own_plan = {acts.topics.plan: lambda message: plan.on_own_plan(bytes(message.payload))}
+        acts.connect(plan.first, plan.publish_rehearsal, own_plan)
+        others.connect(self.feed.first, self.feed.publish_retained)
+
+    def run(self) -> None:
+        """Carry out what is asked for, and show everything, until shutdown."""
+        self.acts.start()
+        viewer = threading.Thread(target=self.run_view, name="view", daemon=True)
+        threads = {
+            "connections": self.acts.run_connections,
+            "log": self._run_log,
+            "ik": lambda: self.requests.run(bool(self._settings.private)),
+        }
+        for each in (*(threading.Thread(target=run, name=name, daemon=True) for name, run in threads.items()), viewer):
+            each.start()
+        while not rospy.is_shutdown():
+            self.requests.queue.run(0.2)
+        viewer.join(1.0)
+        self.shown_plan.take_away()
+        self.feed.publish_offline()
+        for connection in self._connections:
+            connection.disconnect()
+
+    def run_view(self) -> None:
+        """Show everything `view_rate` times a second."""
+        period = 1.0 / self._settings.view_rate
+        due = time.monotonic()
+        while not rospy.is_shutdown():
+            self.feed.publish_view()
+            self.feed.publish_status_line()
+            self.shown_plan.check()
+            # after a pause of the machine the next one is a whole period away: nobody needs what was missed
+            due = max(due + period, time.monotonic())
+            time.sleep(max(0.0, due - time.monotonic()))
+
+    def _run_log(self) -> None:
+        """Write log and messages: nothing else here waits for a disk or a terminal."""
+        while not rospy.is_shutdown():
+            self.write()
+            time.sleep(LOG_PERIOD)
+
+    def write(self) -> None:
+        """Write what waits to be written."""
+        for connection in self._connections:
+            connection.write_log()
+        self.feed.messages.write()
+
+    # -- from ROS, what several parts hear
+
+    def on_plan(self, message: msg.Plan) -> None:
+        """Show a plan for review."""
+        self.shown_plan.on_plan(message)
+        self.feed.on_plan(message)
+
+    def on_review(self, message: msg.Review) -> None:
+        """Take a verdict."""
+        self.shown_plan.on_review(message)
+        self.feed.on_review(message, self.shown_plan.rehearsal)
+
+    def on_link(self, message: msg.Link) -> None:
+        """Take the bridge's report."""
+        self.shown_plan.on_link(message)
+        self.feed.on_link(message)
+
+    def report(self) -> Report:
+        """Return the state for `/diagnostics`."""
+        values: dict[str, object] = {"trajectories waiting": self.requests.queue.waiting}
+        for connection in reversed(self._connections):
+            values |= connection.report()
+        failed = [connection.side_effects.sentence for connection in self._connections]
+        if problem := next(filter(None, (*failed, *(connection.problem for connection in self._connections))), ""):
+            return Report(WARN, problem, values)
+        shown = "a plan is shown" if self.shown_plan.plan else "no plan to review"
+        taken = "are taken" if self._settings.trajectories else "are not taken (trajectories: false)"
+        return Report(OK, f"{shown}; trajectories {taken}", values)
+
+
+def _services() -> Services:
+    """Return the services of what people do; what starts nothing is connected to for good, and may be called twice."""
+    pressed = {
+        kind.name: (rospy.ServiceProxy if kind.starts else PersistentService)(
+            f"{'mqtt_bridge' if kind.by == BRIDGE else 'executor'}/act_as_seen", srv.ActAsSeen
+        )
+        for kind in PRESSED
+    }
+    return Services(
+        rospy.ServiceProxy("review_plan", srv.ReviewPlan),
+        PersistentService("review_plan", srv.ReviewPlan),
+        pressed,
+        rospy.ServiceProxy("work/decide", srv.WorkDecide),
+        PersistentService("limit_speed", srv.LimitSpeed),
+    )
+
+
+def _feed(handler: Callable[[ConsoleFeed, Any], object]) -> Callable[[ConsoleNode, Any], object]:
+    """Return a handler of the node, which gives its message to the feed."""
+    return lambda node, message: handler(node.feed, message)
+
+
+TWIN, ARM, EXPECTED = "twin/joint_states", "physical/joint_states", "expected/joint_states"
+INTERFACE = Interface(
+    report=ConsoleNode.report,
+    parameters=(SharedParameter("work"), SharedParameter("startup")),
+    reads=(
+        NewestPose(TWIN),
+        NewestPose(ARM),
+        NewestPose(EXPECTED, when=lambda settings: bool(settings.servo_model)),
+    ),
+    hears=(
+        Subscription("execution", msg.Execution, _feed(ConsoleFeed.on_execution), queue_size=10),
+        Subscription("work/tasks", msg.WorkTasks, _feed(ConsoleFeed.on_tasks), queue_size=2),
+        Subscription("scene", msg.Scene, _feed(ConsoleFeed.on_scene), queue_size=2),
+        Subscription("plan", msg.Plan, ConsoleNode.on_plan, queue_size=5),
+        Subscription(
+            "rehearsal", msg.Rehearsal, lambda node, message: node.shown_plan.on_rehearsal(message), queue_size=5
+        ),
+        Subscription(
+            "plan_caller", msg.PlanCaller, lambda node, message: node.shown_plan.on_caller(message), queue_size=5
+        ),
+        Subscription("review", msg.Review, ConsoleNode.on_review, queue_size=10),
+        Subscription("sync", msg.Sync, _feed(ConsoleFeed.on_sync), queue_size=1),
+        Subscription("hold", msg.Hold, _feed(ConsoleFeed.on_hold), queue_size=1),
+        Subscription("link", msg.Link, ConsoleNode.on_link, queue_size=5),
+        Subscription("session_request", msg.SessionRequest, _feed(ConsoleFeed.on_session_request), queue_size=10),
+        Subscription("speed_change", msg.SpeedChange, _feed(ConsoleFeed.on_speed_change), queue_size=50),
+        Subscription("speed_limit_in_force", msg.SpeedLimitInForce, _feed(ConsoleFeed.on_speed), queue_size=1),
+    ),
+)
+# its threads take turns every millisecond: what computes a pose holds up no stop
+NODE = NodeShell("console_node", Settings, ConsoleNode, INTERFACE, check_broker, fast=True)
+
+
+def main() -> None:
+    """Run the node."""
+    gc.freeze()
+    gc.set_threshold(COLLECTED)
+    NODE.run()

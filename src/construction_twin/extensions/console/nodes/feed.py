@@ -1,0 +1,421 @@
+"""What is told by MQTT of the robot's state: `view`, the status line, the scene, the tasks of the building model, messages.
+
+Everything here was published on ROS already; it is put into the words and files that a browser can use. The poses come in bundles,
+see `LatestPose`, so that `view` costs the bridge no more than any other subscriber does.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Generic, TypeVar
+
+from construction_twin.core.errors import ConfigurationError, PayloadError, PoseUnknownError
+from construction_twin.core.motion_errors import SceneError
+from construction_twin.core.records import SPACED, dumped
+from construction_twin.core.reports import (
+    ExecutionReport,
+    HoldReport,
+    LinkReport,
+    SessionRequest,
+    SpeedChange,
+    SpeedReport,
+    SyncReport,
+    WorkReport,
+)
+from construction_twin.core.sentences import Sentence
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.execution.states import ACTIVE
+from construction_twin.extensions.console.message_history import APPROVED, REJECTED
+from construction_twin.extensions.console.nodes.endpoint import Connection
+from construction_twin.extensions.console.nodes.messages import MessageBoard
+from construction_twin.extensions.console.nodes.shown_plan import PATH_POINTS, segment_ends
+from construction_twin.extensions.console.remote_review import PathView
+from construction_twin.extensions.console.remote_view import ClosestView, PlanProgress, PoseView, Shown, ViewWriter
+from construction_twin.extensions.console.remote_view import Seen as ViewInputs
+from construction_twin.extensions.console.scene_view import scene_view
+from construction_twin.msg import (
+    Execution,
+    Hold,
+    Link,
+    Plan,
+    Review,
+    SpeedLimitInForce,
+    Sync,
+    WorkTasks,
+)
+from construction_twin.msg import Scene as SceneMsg
+from construction_twin.msg import SessionRequest as SessionRequestMessage
+from construction_twin.msg import SpeedChange as SpeedChangeMessage
+from construction_twin.review.plan_under_review import EXECUTOR
+from construction_twin.review.rehearsal_report import FAILED, PASSED, RehearsalReport
+from construction_twin.ros.messages.records import from_msg
+from construction_twin.ros.messages.scene_convert import scene_from_msg
+from construction_twin.ros.shared.private_files import PrivateFiles
+from construction_twin.ros.shared.robot_clock import present
+from construction_twin.ros.transport.joint_stream import now_ns
+from construction_twin.ros.transport.latest_pose import LatestPose
+from construction_twin.scene.objects import Scene
+from construction_twin.views.hold_cause import hold_cause
+from construction_twin.views.startup import Deployment, Seen, Word, first_missing
+from construction_twin.views.status_line import Line, ReportsNow, status_lines
+
+#: The status line is looked at so often, and sent again without a change after so long [s].
+LOOK, REPEAT = 0.2, 1.0
+#: Of so many plans the tool's path is kept until one is played.
+PATHS = 8
+#: A pose that is older counts as not known on `view` [s].
+MAX_POSE_AGE = 0.25
+#: What `sync`, `link` and `speed_limit_in_force` repeat by themselves counts as lost after so long [s].
+SYNC_AGE, LINK_AGE, SPEED_AGE = 0.5, 3.0, 1.0
+_UNDER_WAY = frozenset(state.name for state in ACTIVE)
+
+
+_Report = TypeVar("_Report")
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Where the newest poses come from; None where the robot has no such stream."""
+
+    twin: LatestPose | None
+    arm: LatestPose | None
+    expected: LatestPose | None = None
+
+
+@dataclass(frozen=True)
+class Others:
+    """What `view` shows that other parts of the node know.
+
+    Attributes:
+        plan: Returns the id of the plan under review; empty: none.
+        closest: Returns the closest two bodies; None: not measured.
+        executor_is_there: Returns whether the publisher of `execution` is connected.
+    """
+
+    plan: Callable[[], str] = lambda: ""
+    closest: Callable[[], ClosestView | None] = lambda: None
+    executor_is_there: Callable[[], bool] = lambda: True
+
+
+class _Newest(Generic[_Report]):
+    """The newest report of a kind, and when it came."""
+
+    def __init__(self):
+        self._newest: tuple[_Report, float] | None = None
+
+    def take(self, report: _Report) -> None:
+        """Keep a report."""
+        self._newest = report, time.monotonic()
+
+    def shown(self, oldest: float = math.inf) -> Shown | None:
+        """Return it with its age; None: there is none, or it is older than that [s]."""
+        newest = self._newest
+        if newest is None or (age := time.monotonic() - newest[1]) > oldest:
+            return None
+        return Shown(newest[0], age)
+
+
+class ConsoleFeed:
+    """Keeps what is retained, and sends it again where the broker may have forgotten it. Topics come in threads of their own.
+
+    Args:
+        base_link: Frame of the scene's objects.
+        deployment: What was started; None: what the start waits for is not told.
+        files: Where the scene's meshes go; None: no console was started with this robot.
+        messages: Where the messages are kept; None: only in memory.
+        clock: Returns the time of day [s since 1970].
+
+    Attributes:
+        messages: What a person must not miss.
+    """
+
+    def __init__(
+        self,
+        base_link: str,
+        connection: Connection,
+        writer: ViewWriter,
+        poses: Poses,
+        others: Others,
+        deployment: Deployment | None = None,
+        files: PrivateFiles | None = None,
+        messages: Path | None = None,
+        clock: Callable[[], float] = time.time,
+    ):
+        self._topics, self._base_link = connection.topics, base_link
+        self._connection, self._writer, self._poses, self._others = connection, writer, poses, others
+        self._deployment, self._files = deployment, files
+        self._lock, self._writing, self._telling = threading.Lock(), threading.Lock(), threading.Lock()
+        self._sync: _Newest[SyncReport] = _Newest()
+        self._link: _Newest[LinkReport] = _Newest()
+        self._execution: _Newest[ExecutionReport] = _Newest()
+        self._speed: _Newest[SpeedReport] = _Newest()
+        self._progress = PlanProgress()
+        #: Of the newest plans, by id: the payload of `path` while that plan is played.
+        self._paths: dict[str, bytes] = {}
+        self._playing = ""
+        self._retained: dict[str, bytes] = {}
+        self._scene: Scene | None = None
+        self._work: WorkReport | None = None
+        self._hold = HoldReport()
+        self._arm_seen = self._twin_seen = False
+        self.messages = MessageBoard(partial(self._keep, self._topics.messages), connection, messages, clock)
+        self._looked = self._told_at = float("-inf")
+        self._told = b""
+
+    # -- from ROS
+
+    def on_plan(self, message: Plan) -> None:
+        """Take a plan for review."""
+        with self._lock:
+            self._paths.pop(message.id, None)
+            self._paths[message.id] = _path_of(message)
+            while len(self._paths) > PATHS:
+                del self._paths[next(iter(self._paths))]
+        self._tell_path()
+
+    def on_review(self, message: Review, rehearsal: RehearsalReport | None) -> None:
+        """Take a verdict, and the newest rehearsal, which may be of that plan."""
+        if message.reviewer in ("", EXECUTOR):
+            return
+        person = message.reviewer
+        if not message.approved:
+            rejected = Sentence("{person} rejected a plan: {reason}", person=person, reason=message.reason)
+            self.messages.on_act(REJECTED, message.header.stamp, rejected)
+            return
+        sentence = Sentence("{person} approved a plan", person=person)
+        if rehearsal is not None and rehearsal.engine and rehearsal.plan_hash == message.plan_hash:
+            # which engine it was, and which version: as the record has it
+            found = {PASSED: Sentence("passed"), FAILED: Sentence("failed")}.get(rehearsal.state, Sentence("broke off"))
+            sentence = Sentence(
+                "{person} approved a plan. Its rehearsal ({engine}): {found}",
+                person=person, engine=rehearsal.engine, found=found,
+            )  # fmt: skip
+        self.messages.on_act(APPROVED, message.header.stamp, sentence)
+
+    def on_sync(self, message: Sync) -> None:
+        """Take the gate's report."""
+        self._sync.take(from_msg(SyncReport, message))
+
+    def on_link(self, message: Link) -> None:
+        """Take the bridge's report."""
+        self._link.take(from_msg(LinkReport, message))
+
+    def on_speed(self, message: SpeedLimitInForce) -> None:
+        """Take which speed limit is in force."""
+        self._speed.take(from_msg(SpeedReport, message))
+
+    def on_execution(self, message: Execution) -> None:
+        """Take the executor's report; tell the tool's path of the plan that is under way, none once it has ended."""
+        report = from_msg(ExecutionReport, message)
+        with self._lock:
+            self._progress.on_report(report)
+        self._execution.take(report)
+        self._playing = report.plan_id if report.text in _UNDER_WAY else ""
+        self._tell_path()
+
+    def _tell_path(self) -> None:
+        # a node that was started in the middle of a motion may hear of the plan after it has heard that it is played
+        with self._telling:
+            with self._lock:
+                payload = self._paths.get(self._playing, b"")
+                told = self._retained.get(self._topics.path, b"")
+            if payload != told:
+                self._keep(self._topics.path, payload)
+
+    def on_session_request(self, message: SessionRequestMessage) -> None:
+        """Take that a person has lifted a stop or fault, or armed."""
+        asked = from_msg(SessionRequest, message)
+        values = {"person": asked.person or Sentence("somebody at the robot's computer"), "lifts": asked.lifts}
+        if asked.verb == "arm":
+            sentence = Sentence("{person} asked for arming. It lifts: {lifts}", **values)
+        else:
+            sentence = Sentence("{person} asked for a reset. It lifts: {lifts}", **values)
+        self.messages.on_act(asked.verb, message.stamp, sentence)
+
+    def on_speed_change(self, message: SpeedChangeMessage) -> None:
+        """Take that a person has set the speed limit of people."""
+        self.messages.on_speed(from_msg(SpeedChange, message))
+
+    def on_hold(self, message: Hold) -> None:
+        """Take why the gate is closed."""
+        self._hold = from_msg(HoldReport, message)
+
+    def on_scene(self, message: SceneMsg) -> None:
+        """Write the scene's meshes, then tell the scene: who hears of a mesh finds its file."""
+        try:
+            scene = scene_from_msg(message)
+            if self._files is not None:
+                self._files.write_scene(scene)
+        except (SceneError, ConfigurationError) as error:
+            self._connection.refuse("scene", str(error))
+            return
+        self._scene = scene
+        self._keep(self._topics.scene, dumped(scene_view(scene, self._base_link)))
+
+    def on_tasks(self, message: WorkTasks) -> None:
+        """Tell the tasks."""
+        self._work = from_msg(WorkReport, message)
+        self._keep(self._topics.work_tasks, dumped(self._work, said=True))
+
+    # -- to MQTT
+
+    def publish_retained(self) -> None:
+        """Tell everything again: the broker may have been started anew."""
+        with self._lock:
+            retained = dict(self._retained)
+            self._told_at = float("-inf")
+        for topic, payload in retained.items():
+            self._connection.publish(topic, payload, retain=True)
+            newest = self._retained[topic]
+            if newest is not payload:
+                # it came meanwhile, and what is retained must not be the older one, which may have been sent behind it
+                self._connection.publish(topic, newest, retain=True)
+
+    def publish_offline(self) -> None:
+        """Say that nothing is known, and take away what is retained: nobody keeps it up to date any more."""
+        self._connection.publish(self._topics.view, self._writer.offline())
+        with self._lock:
+            topics = list(self._retained)
+        for topic in topics:
+            self._connection.publish(topic, b"", retain=True)
+
+    def _keep(self, topic: str, payload: bytes) -> None:
+        with self._lock:
+            self._retained[topic] = payload
+        self._connection.publish(topic, payload, retain=True)
+
+    @property
+    def scene(self) -> Scene | None:
+        """The present scene; None while it is not known."""
+        return self._scene
+
+    def twin(self) -> Sequence[float]:
+        """Return the twin's joint values [rad], [m]; empty while they are not known."""
+        pose = _pose_view(self._poses.twin)
+        return pose.positions if pose is not None else ()
+
+    def is_engaged(self) -> bool:
+        """Return whether only the way back can be planned."""
+        execution = self._execution.shown()
+        return execution is not None and bool(execution.report.engaged)
+
+    def first(self) -> tuple[str, bytes, bool]:
+        """Return what a new connection begins with: topic, payload, retain flag."""
+        return self._topics.view, self._view(), False
+
+    def publish_view(self) -> bytes:
+        """Publish the present `view` where there is a connection, and return it."""
+        payload = self._view()
+        self._connection.publish(self._topics.view, payload, qos=0)
+        return payload
+
+    def _view(self) -> bytes:
+        # before anything is looked at: whoever repeats it has seen nothing newer
+        moment, seen = present(), self.seen()
+        self._twin_seen, self._arm_seen = (
+            self._twin_seen or seen.twin is not None,
+            self._arm_seen or seen.arm is not None,
+        )
+        with self._writing:
+            return self._writer.write(now_ns(), seen, moment)
+
+    def seen(self) -> ViewInputs:
+        """Return what is known now."""
+        sync, execution, speed = self._sync.shown(SYNC_AGE), self._present_execution(), self._speed.shown(SPEED_AGE)
+        with self._lock:
+            progress = self._progress.at(now_ns() / NANOSECONDS)
+        return ViewInputs(
+            twin=_pose_view(self._poses.twin),
+            arm=_pose_view(self._poses.arm),
+            expected=_pose_view(self._poses.expected),
+            sync=sync,
+            link=self._link.shown(LINK_AGE),
+            execution=execution,
+            plan=self._others.plan(),
+            closest=self._others.closest(),
+            progress=progress,
+            hold=self._hold if sync is not None else HoldReport(),
+            speed=speed.report if speed is not None else None,
+        )
+
+    def _present_execution(self) -> Shown[ExecutionReport] | None:
+        return self._execution.shown() if self._others.executor_is_there() else None
+
+    def publish_status_line(self) -> None:
+        """Send the status line when it has changed, or was not sent for a while."""
+        now = time.monotonic()
+        if now - self._looked < LOOK:
+            return
+        self._looked = now
+        lines = self._lines(self._link.shown(LINK_AGE), self._sync.shown(SYNC_AGE), self._present_execution())
+        self.messages.on_lines(lines)
+        payload = dumped(lines, marks=SPACED)
+        if payload == self._told and now - self._told_at < REPEAT:
+            return
+        self._told, self._told_at = payload, now
+        self._connection.publish(self._topics.screen, payload)
+
+    def _lines(
+        self, link: Shown[LinkReport] | None, sync: Shown[SyncReport] | None, execution: Shown[ExecutionReport] | None
+    ) -> list[Line]:
+        words = _word(link), _word(sync), _word(execution)
+        deployment = self._deployment
+        heard = ReportsNow(
+            *words,
+            bare=link is not None and link.report.gateway_kind == "plc",
+            plan=self._others.plan(),
+            obstacle="" if execution is None else execution.report.approval_obstacle,
+            cause="" if sync is None else hold_cause(self._hold),
+            engaged=execution is not None and bool(execution.report.engaged),
+            work=self._work,
+        )
+        if deployment is not None:
+            seen = Seen(*words, feedback=self._arm_seen, twin=self._twin_seen, scene=self._scene is not None)
+            missing = first_missing(seen, deployment)
+            heard = replace(heard, started=True, missing=missing, arm=deployment.arm != "none")
+        return status_lines(heard)
+
+
+def _path_of(message: Plan) -> bytes:
+    """Return where the tool goes by a plan, as it is told while that is played; nothing where its planner has not said it."""
+    times = [point.time_from_start.to_nsec() for point in message.trajectory.points]
+    if not message.tool_path or len(message.tool_path) != len(times):
+        return b""
+    path = [(point.x, point.y, point.z) for point in message.tool_path]
+    stamps = [time / NANOSECONDS for time in times]
+    return PathView(message.id, stamps, path).to_json(PATH_POINTS, segment_ends(message, times))
+
+
+def _word(shown: Shown | None) -> Word | None:
+    if shown is None:
+        return None
+    return Word(shown.report.text, shown.report.reason, getattr(shown.report, "gateway_state", ""))
+
+
+def _pose_view(stream: LatestPose | None) -> PoseView | None:
+    if stream is None:
+        return None
+    try:
+        newest = stream.newest(MAX_POSE_AGE)
+    except (PoseUnknownError, PayloadError):
+        # it is shown as not known; who publishes something else on the stream is refused and counted by others
+        return None
+    return PoseView(newest.stamp / NANOSECONDS, time.monotonic() - newest.received, newest.positions)
+
+
+def deployment_of(started: Mapping[str, object] | None, namespace: str) -> Deployment | None:
+    """Return what bringup has told the node `startup`; None where that does not run.
+
+    Args:
+        started: The node's parameters.
+    """
+    fields = ("arm", "broker", "rsi", "gateway", "gateway_kind")
+    if started is None or not set(fields) <= set(started):
+        return None
+    return Deployment(namespace=namespace, **{name: started[name] for name in fields})  # type: ignore[arg-type]

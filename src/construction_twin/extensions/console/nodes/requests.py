@@ -1,0 +1,214 @@
+"""Motions from planners elsewhere, plan and IK requests: handed to the planner's own services, and answered. Nothing here moves.
+
+What a plan service makes waits for a person's verdict as any plan. Motions and plan requests are carried out in their turn
+(`RequestQueue`); the pose of an IK request, which is dragged, is worth solving only while it is the newest of its account, in a
+thread of its own (`NewestQueue`).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import genpy
+import rospy
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from construction_twin.core.errors import ConfigurationError, PayloadError
+from construction_twin.core.extensions import extension
+from construction_twin.core.motion_errors import SceneError
+from construction_twin.core.sentences import Sentence
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.extensions.console.nodes.endpoint import Connection, Incoming, NewestQueue, RequestQueue
+from construction_twin.extensions.console.nodes.pose_judge import PoseJudge
+from construction_twin.extensions.console.remote_view import ClosestView
+from construction_twin.link.requests import GoalRequest, IkRequest, Joints, read_goal
+from construction_twin.mqtt.requests import IK, NAMELESS_TRAJECTORY, PLAN_REQUEST, TRAJECTORY
+from construction_twin.robot.frames import quaternion_to_rotation
+from construction_twin.ros.messages.plan_services import PLAN_SERVICES
+from construction_twin.ros.shared.outcome import Outcome
+from construction_twin.ros.transport.persistent_service import call
+from construction_twin.srv import PlanTrajectoryResponse
+
+#: Motions and plan requests that may wait while one is carried out; a person sends one at a time.
+WAITING = 4
+#: For so long after its answer the same bytes are the same message, sent twice by QoS 1 or by a sender that was run again [s].
+REPEAT_WINDOW = 5.0
+#: Accounts whose poses wait at once; each has one at most.
+IK_ACCOUNTS = 16
+#: How often the closest two bodies are looked for [s].
+CLOSEST_PERIOD = 0.2
+
+
+@dataclass(frozen=True)
+class RobotContext:
+    """What these requests need to know of the robot.
+
+    Attributes:
+        twin: Returns the twin's joint values [rad], [m]; empty while they are not known.
+        has_work: Returns whether a node `work` runs.
+        is_engaged: Returns whether only the way back can be planned.
+    """
+
+    twin: Callable[[], Sequence[float]]
+    has_work: Callable[[], bool] = lambda: False
+    is_engaged: Callable[[], bool] = lambda: False
+
+
+class ConsoleRequests:
+    """What carries out motions, plan and IK requests.
+
+    Args:
+        services: Those that make plans, by kind of request.
+        plan_trajectory: The planner's, which checks and times a motion.
+        max_trajectory_bytes: Longest motion that is read; 0: neither motions nor plan requests are taken.
+
+    Attributes:
+        queue: Where motions and plan requests wait.
+        poses: Where poses wait, for a thread of their own.
+    """
+
+    def __init__(
+        self,
+        joints: Joints,
+        services: Mapping[str, rospy.ServiceProxy],
+        plan_trajectory: rospy.ServiceProxy,
+        judge: PoseJudge,
+        around: RobotContext,
+        connection: Connection,
+        max_trajectory_bytes: int,
+    ):
+        self._joints, self._connection = joints, connection
+        self._services, self._plan_trajectory, self._judge, self._around = services, plan_trajectory, judge, around
+        assert PLAN_REQUEST.pace is not None and IK.pace is not None
+        self.queue = RequestQueue(WAITING, PLAN_REQUEST.pace, REPEAT_WINDOW)
+        self.poses = NewestQueue(IK_ACCOUNTS, IK.pace)
+        self._closest: tuple[ClosestView, float] | None = None
+        self._problem = ""
+        connection.serve(IK, IkRequest, self._solve, self.poses)
+        if max_trajectory_bytes:
+            for kind in (NAMELESS_TRAJECTORY, TRAJECTORY):
+                read = partial(extension("planners.remote_trajectory").parse_trajectory, joints=joints)
+                connection.serve(kind, read, self._check_motion, self.queue, max_trajectory_bytes)
+            connection.serve(PLAN_REQUEST, partial(read_goal, joints=joints), self._plan, self.queue)
+
+    # -- motions
+
+    def _check_motion(self, asked: Any, request: Incoming) -> Outcome:
+        """Have a motion, a `TrajectoryRequest` of the extension planners, checked and timed."""
+        answer = call(
+            self._plan_trajectory,
+            "the planner",
+            trajectory=trajectory_message(asked, self._joints),
+            speed_scale=asked.speed_scale,
+            acceleration_scale=asked.acceleration_scale,
+            retime=True,
+            source=source_of(asked.source, request.account, self._connection.proves_accounts),
+        )
+        outcome = Outcome.of(answer)
+        return replace(outcome, fields={**outcome.fields, "notes": [*asked.notes, *_timing_notes(asked, answer)]})
+
+    # -- plan requests
+
+    def _plan(self, asked: GoalRequest, request: Incoming) -> Outcome:
+        kind = asked.kind
+        if kind == "way_back" and self._around.has_work() and self._around.is_engaged():
+            # the node `work` makes the scene right before it has the way back planned
+            kind = "work_task"
+        if kind == "work_task" and not self._around.has_work():
+            return Outcome(
+                False, Sentence("no building model is worked on here; start bringup with work_model and work_cell")
+            )
+        # a stop between the message and its turn voids the plan
+        source = source_of("", request.account, self._connection.proves_accounts)
+        fields = PLAN_SERVICES[kind].fields(asked, source=source, asked=str(request.arrived))
+        return Outcome.of(call(self._services[kind], "its node", **fields))
+
+    # -- IK requests
+
+    def _solve(self, asked: IkRequest, _request: Incoming) -> Outcome:
+        seed = self._joints.in_order(asked.seed, "seed") if asked.seed else tuple(self._around.twin())
+        if not seed:
+            return Outcome(False, Sentence("the twin's pose is not known, and no seed was given"))
+        try:
+            verdict = self._judge.judge(asked.position, quaternion_to_rotation(asked.orientation), seed)
+        except (ConfigurationError, SceneError) as error:
+            raise PayloadError("ik", str(error)) from error
+        joints = None if verdict.q is None else dict(zip(self._joints.names, map(float, verdict.q)))
+        found = {"reach": verdict.reach.value, "joints": joints, "between": verdict.between}
+        return Outcome(joints is not None, verdict.sentence, fields=found, counted=verdict.reach.value)
+
+    # -- the closest two bodies
+
+    def look_around(self) -> None:
+        """Find the two bodies that are closest at the twin's pose."""
+        q = tuple(self._around.twin())
+        found = None
+        try:
+            clearance = self._judge.closest(q) if q else None
+            problem = ""
+        except (ConfigurationError, SceneError) as error:
+            clearance, problem = None, str(error)
+        if problem and problem != self._problem:
+            self._connection.refuse("closest", problem)
+        self._problem = problem
+        if clearance is not None:
+            found = ClosestView(clearance.distance, clearance.between, clearance.point, 0.0), time.monotonic()
+        self._closest = found
+
+    def closest(self) -> ClosestView | None:
+        """Return what `look_around` found last, with its age."""
+        found = self._closest
+        if found is None:
+            return None
+        view, at = found
+        return ClosestView(view.distance, view.between, view.point, time.monotonic() - at)
+
+    def run(self, looks_around: bool) -> None:
+        """Answer poses until shutdown, and look around between them."""
+        due = 0.0
+        while not rospy.is_shutdown():
+            self.poses.run(CLOSEST_PERIOD)
+            if looks_around and time.monotonic() >= due:
+                due = time.monotonic() + CLOSEST_PERIOD
+                self.look_around()
+
+
+def source_of(says: str, sender: str, proven: bool) -> str:
+    """Return who asked, for the reviewer.
+
+    Args:
+        says: What the sender says of itself; empty: nothing.
+        sender: The account in the topic's name; empty when there is none.
+        proven: The broker knows accounts, and by a site's rules only this one writes on that topic.
+    """
+    if not sender:
+        known = "MQTT, sender not known"
+    else:
+        known = f"MQTT account {sender}" if proven else f"MQTT, on the topic of {sender}"
+    return f"{known}, which says it is {says!r}" if says else known
+
+
+def trajectory_message(asked: Any, joints: Joints) -> JointTrajectory:
+    """Return the motion as `plan_trajectory` takes it; its header has no stamp, because a foreign clock proves nothing."""
+    points = [
+        JointTrajectoryPoint(
+            positions=point.positions,
+            velocities=point.velocities,
+            accelerations=point.accelerations,
+            time_from_start=genpy.Duration(*divmod(point.time_ns, NANOSECONDS)),
+        )
+        for point in asked.points
+    ]
+    return JointTrajectory(joint_names=list(joints.names), points=points)
+
+
+def _timing_notes(asked: Any, answer: PlanTrajectoryResponse) -> list[str]:
+    """Return that the times were replaced, and why, where they were."""
+    if not answer.retimed:
+        return []
+    requested = (asked.points[-1].time_ns - asked.points[0].time_ns) / NANOSECONDS
+    return [f"timed anew: {answer.duration:.3f} s instead of {requested:.3f} s, because {answer.retimed}"]

@@ -1,0 +1,237 @@
+"""A simulated arm: a servo per axis that calculates the torque its motion needs, stepped by MuJoCo. Joints as in `PhysicsModel`.
+
+The servo's answer to a setpoint is that of the mock controller's realistic servo, a lag of second order, exactly discretised, but
+for one thing: between two setpoints the drives interpolate. A held setpoint jumps every 4 ms, and so would the torque, to several
+times what the motion takes. It costs half a cycle: the arm is 2 ms later than the mock's. The torque that makes the arm follow this
+answer is calculated from the model (gravity, inertia, friction, what is carried), plus a stiff correction for what the model does
+not know: a contact. Only the first part is what a motion needs: the correction of an arm that something holds grows as far as the
+drives let it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from construction_twin.core.servo_lag import transition_matrix
+from construction_twin.core.units import CYCLE
+from construction_twin.extensions.physics.drive import ArmDrives
+from construction_twin.extensions.physics.mass import MassProperties
+from construction_twin.extensions.physics.model import Load, PhysicsModel, build_model
+from construction_twin.robot.description import JointValues
+from construction_twin.scene.collision_bodies import RobotBodies
+from construction_twin.scene.objects import Scene
+from construction_twin.scene.self_collision import SelfCollision
+
+#: Of the lag, as of `mock.servo.RealisticServo`: natural frequency [rad/s] and damping.
+OMEGA, ZETA = 60.0, 0.8
+#: Of the correction: natural frequency [rad/s]; it is damped critically.
+STIFFNESS = 150.0
+_STIFFNESS, _DAMPING = STIFFNESS**2, 2.0 * STIFFNESS
+#: Below this speed friction is taken to grow with speed [rad/s], [m/s], so that an axis at rest has no torque that jumps.
+CREEPING = 1e-3
+
+
+@dataclass(frozen=True)
+class Servo:
+    """How the axes answer.
+
+    Attributes:
+        omega, zeta: Of the lag [rad/s], [1]; omega 0: none, the arm is where it is told to be.
+        saturates: An axis gives no more than its torque; False: what it needs is applied, whatever that is.
+        holds: A setpoint stands for its whole cycle, as the mock's servo has it; False: the drives go to it in a straight line from
+            the one before, which takes 2 ms longer and has no jumps of torque.
+    """
+
+    omega: float = OMEGA
+    zeta: float = ZETA
+    saturates: bool = True
+    holds: bool = False
+
+
+class SimulatedArm:
+    """An arm and what stands around it, in motion.
+
+    Args:
+        q: Shape (n,). Where the arm stands at rest [rad], [m].
+
+    Attributes:
+        data: MuJoCo's state.
+        needed: Shape (n,). Torque that the motion needed in the last step, without the correction [N m], [N].
+        torque: Shape (n,). What the axes gave, with the correction [N m], [N].
+        answer: Shape (n,). Where the servo's lag alone would have the arm now [rad], [m].
+        setpoint: Shape (n,). The last one [rad], [m].
+        push: Shape (n,). Torques of something else on the axes, which the servo knows nothing of [N m], [N].
+    """
+
+    def __init__(self, physics: PhysicsModel, q: JointValues, servo: Servo = Servo()):
+        self.physics = physics
+        self.data = physics.at_rest(q)
+        self._model, self._joints = physics.model, physics.joints
+        drives = physics.drives
+        self._limit = (
+            np.array([math.inf if torque is None else torque for torque in drives.torque]) if servo.saturates else None
+        )
+        self._course = _course(servo, physics.model.opt.timestep)
+        self._damping, self._friction = np.array(drives.damping), np.array(drives.friction)
+        size = len(drives.torque)
+        self.needed = np.zeros(size)
+        self.torque = self.needed
+        self.answer = np.array(q, dtype=float)
+        self._speed = np.zeros(size)
+        self.setpoint = self.answer.copy()
+        self.push = np.zeros(size)
+        #: What a step wants of the axes: acceleration of the answer, and the correction's [rad/s^2], [m/s^2].
+        self._wanted = np.zeros((2, size))
+
+    @property
+    def q(self) -> np.ndarray:
+        """Joint positions, shape (n,) [rad] or [m]."""
+        return self.data.qpos[self._joints].copy()
+
+    def begin_with(self, speed: np.ndarray) -> None:
+        """Have the arm move already, shape (n,) [rad/s]."""
+        self._speed = np.array(speed, dtype=float)
+        self.data.qvel[self._joints] = speed
+        self.physics.follow(self.data)
+
+    def freeze(self, joint: int, position: float) -> None:
+        """Put one joint at rest at `position` [rad], [m], in the arm and in the servo's answer; the others go on."""
+        place = np.arange(self._model.nv)[self._joints][joint]
+        self.answer[joint], self._speed[joint] = position, 0.0
+        self.data.qpos[place], self.data.qvel[place] = position, 0.0
+        self.physics.follow(self.data)
+
+    def go_on_as(self, before: SimulatedArm) -> None:
+        """Take over pose, speed and the servo's state of an arm in another scene."""
+        self.answer, self._speed, self.setpoint = before.answer.copy(), before._speed.copy(), before.setpoint.copy()
+        self.data.qpos[self._joints] = before.q
+        self.data.qvel[self._joints] = before.data.qvel[before._joints]
+        self.physics.follow(self.data)
+
+    def speeds_of(self, body: str) -> np.ndarray:
+        """Return where the speed of a loose body is among MuJoCo's: integers, shape (6,)."""
+        return int(self._model.jnt_dofadr[self._model.joint(f"free\n{body}").id]) + np.arange(6)
+
+    def loose_state(self, body: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return place (x, y, z [m], and the quaternion w, x, y, z) and speed [m/s], [rad/s] of a loose body."""
+        at = self.physics.loose[body]
+        return self.data.qpos[at : at + 7].copy(), self.data.qvel[self.speeds_of(body)]
+
+    def put_loose(self, body: str, place: np.ndarray, speed: np.ndarray | float = 0.0) -> None:
+        """Put a loose body where `loose_state` has it."""
+        at = self.physics.loose[body]
+        self.data.qpos[at : at + 7], self.data.qvel[self.speeds_of(body)] = place, speed
+
+    def cycle(self, setpoint: np.ndarray) -> None:
+        """Advance one cycle of 4 ms to a setpoint, shape (n,) [rad] or [m]; see `Servo.holds`."""
+        for _ in self.steps(setpoint):
+            pass
+
+    def steps(self, setpoint: np.ndarray) -> Iterator[None]:
+        """Advance as `cycle` does, and yield after each step of the simulation."""
+        begin, self.setpoint = self.setpoint, setpoint
+        # from `begin`: an arm at rest has zeros here, whatever its pose, and stays at rest to the last digit
+        course = self._course @ np.stack((self.answer - begin, self._speed, setpoint - begin))
+        yield from self.follow(course[0] + begin, course[1], course[2])
+
+    def follow(self, answers: np.ndarray, speeds: np.ndarray, accelerations: np.ndarray) -> Iterator[None]:
+        """Advance one step of the simulation per row, and yield after each.
+
+        `answers`, `speeds`, `accelerations`: Shape (steps, n). Where the servo has the arm at the end of each step, how fast, and
+        the acceleration during it.
+        """
+        rubbing = self._damping * speeds + self._friction * np.minimum(np.maximum(speeds / CREEPING, -1.0), 1.0)
+        for answer, speed, acceleration, friction in zip(answers, speeds, accelerations, rubbing):
+            self._step(acceleration, friction)
+            self.answer, self._speed = answer, speed
+            yield
+
+    def _step(self, acceleration: np.ndarray, friction: np.ndarray) -> None:
+        """Advance one step; `friction`: torque that rubbing takes in it, both of shape (n,)."""
+        data, joints, physics, wanted = self.data, self._joints, self.physics, self._wanted
+        wanted[0] = acceleration
+        wanted[1] = _STIFFNESS * (self.answer - data.qpos[joints]) + _DAMPING * (self._speed - data.qvel[joints])
+        # positions, inertias and forces of this moment, which the torques below are calculated from
+        mujoco.mj_step1(self._model, data)
+        motion, correction = wanted @ physics.inertia(data)
+        self.needed = motion + physics.of_joints(data.qfrc_bias) + friction
+        self.torque = self.needed + correction
+        if self._limit is not None:
+            self.torque = np.minimum(np.maximum(self.torque, -self._limit), self._limit)
+        data.qfrc_applied[joints] = self.torque + self.push
+        mujoco.mj_step2(self._model, data)
+
+
+def _course(servo: Servo, step: float) -> np.ndarray:
+    """Return how a cycle goes: position, speed and acceleration at the end of each step, shape (3, steps, 3).
+
+    The last axis are factors of where the answer is before the cycle, of its speed, and of the new setpoint; positions count from
+    the setpoint of the cycle before.
+    """
+    steps = max(1, round(CYCLE / step))
+    lag = transition_matrix(servo.omega, servo.zeta, step) if servo.omega else None
+    answer, speed, setpoint = np.eye(3)
+    course = np.zeros((3, steps, 3))
+    for number in range(steps):
+        target = setpoint if servo.holds else setpoint * ((number + 1) / steps)
+        before = speed
+        if lag is None:
+            answer, speed = target, (target - answer) / step
+        else:
+            (xx, xv), (vx, vv) = lag
+            error = answer - target
+            answer, speed = target + xx * error + xv * speed, vx * error + vv * speed
+        course[:, number] = answer, speed, (speed - before) / step
+    return course
+
+
+def bare_model(bodies: RobotBodies, drives: ArmDrives, flange: MassProperties | None = None) -> PhysicsModel:
+    """Return the model of an arm with nothing around it; `flange`: a payload in the frame of the tip link; None: none."""
+    return build_model(bodies, Scene(), SelfCollision({}, ""), drives, Load(flange=flange), contacts=False)
+
+
+class Plant:
+    """An arm in empty space that is told setpoints, and can be pushed: what the mock controller moves.
+
+    `omega`, `zeta`: Of the servo's lag [rad/s], [1].
+    """
+
+    def __init__(self, model: PhysicsModel, omega: float, zeta: float):
+        self._model = model
+        self._servo = Servo(omega, zeta, holds=True)
+        count = len(model.drives.torque)
+        self._push = np.zeros(count)
+        self._arm = self._arm_at(np.zeros(count))
+
+    @property
+    def q(self) -> np.ndarray:
+        """Where the joints are, shape (n,) [rad], [m]."""
+        return self._arm.q
+
+    def place(self, q: JointValues) -> None:
+        """Stand at rest at `q`, shape (n,)."""
+        self._arm = self._arm_at(np.asarray(q, dtype=float))
+
+    def hold(self, joint: int, position: float) -> None:
+        """Put one joint at rest at `position` [rad], [m]; the others go on."""
+        self._arm.freeze(joint, position)
+
+    def push(self, joint: int, torque: float) -> None:
+        """Have something push on one joint with this torque [N m], [N], until it is 0 again."""
+        self._push[joint] = torque
+
+    def cycle(self, setpoint: np.ndarray, cycles: int = 1) -> None:
+        """Advance so many cycles of 4 ms to a setpoint, shape (n,)."""
+        for _ in range(cycles):
+            self._arm.cycle(setpoint)
+
+    def _arm_at(self, q: np.ndarray) -> SimulatedArm:
+        """Return an arm at rest, pushed as the one before."""
+        arm = SimulatedArm(self._model, q, self._servo)
+        arm.push = self._push
+        return arm

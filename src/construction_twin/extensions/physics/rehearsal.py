@@ -1,0 +1,518 @@
+"""A plan, carried out by the simulated arm faster than real time, before a person approves it. SI; joints as in `PhysicsModel`.
+
+What it finds: torques against what the drives can give, the payload against the arm's rating, contacts that the plan does not have,
+how far the arm goes on when it must stop at the worst moment, and what becomes of what is let go. A plan of several segments has a
+scene for each; what was let go in one goes on lying where it lies in the next.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence, Set
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import mujoco
+import numpy as np
+
+from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.sentences import Sentence
+from construction_twin.core.units import CYCLE
+from construction_twin.extensions.physics.arm import Servo, SimulatedArm
+from construction_twin.extensions.physics.drive import ArmDrives
+from construction_twin.extensions.physics.grip import GripWatch, SuctionGrip
+from construction_twin.extensions.physics.judgement import SETTLING, STAYS, STAYS_TURNED, reasons, worst_payload
+from construction_twin.extensions.physics.known_mass import TOOL, body_of
+from construction_twin.extensions.physics.mass import MassProperties
+from construction_twin.extensions.physics.model import Load, PhysicsModel, build_model
+from construction_twin.extensions.physics.rigid_bodies import rigid_bodies
+from construction_twin.extensions.physics.standing import MOST, STILL, Standing, come_to_rest, displacement, nearest
+from construction_twin.review.rehearsal_report import (
+    FAILED,
+    PASSED,
+    AxisLoad,
+    Braking,
+    GripLoad,
+    LooseObject,
+    RehearsalReport,
+    RehearsedContact,
+    finished,
+    has_finite_numbers,
+)
+from construction_twin.robot.plan import Plan
+from construction_twin.robot.trajectory import Trajectory
+from construction_twin.scene.collision_bodies import RobotBodies
+from construction_twin.scene.objects import Scene, listed
+from construction_twin.scene.self_collision import SelfCollision
+
+#: A contact that the plan does not have counts from this force on [N]: two bodies that graze each other within rounding do not.
+LEAST_FORCE = 1.0
+#: For so long the arm, whose servo lags, is watched after the end of a plan that leaves nothing loose [s].
+_COMING_TO_REST = 0.2
+#: Longest time that braking may take [s].
+_LONGEST_BRAKING = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One part of a plan in one scene: until `end` [s] of the plan's trajectory."""
+
+    scene: Scene
+    end: float
+
+
+@dataclass(frozen=True, eq=False)
+class Rehearsal:
+    """What rehearses the plans of one arm.
+
+    Attributes:
+        masses: Of objects, by name [kg]. What stands and has one can be tipped over.
+        unweighed: Elements that stand there and of which nobody says the mass: they are part of the world.
+        flange: A payload without a shape, in the frame of the tip link.
+        grip: The tool's cups; None: it has none, and whether it holds what it carries is not looked at.
+        tool, inputs: Hashes of the tool file, and of what else decides the result, as the report has them.
+    """
+
+    bodies: RobotBodies
+    self_collision: SelfCollision
+    drives: ArmDrives
+    servo: Servo = Servo()
+    masses: Mapping[str, float] = field(default_factory=dict)
+    unweighed: Sequence[str] = ()
+    flange: MassProperties | None = None
+    grip: SuctionGrip | None = None
+    tool: str = ""
+    inputs: str = ""
+
+    def of_plan(
+        self,
+        plan: Plan,
+        scenes: Mapping[str, Scene],
+        clock: Callable[[], float],
+        progress: Callable[[float, SimulatedArm], None] | None = None,
+    ) -> RehearsalReport:
+        """Rehearse a plan.
+
+        Args:
+            clock: For how long it took, e.g. ``time.perf_counter`` [s].
+            progress: Called after each cycle with the time in the plan [s] and the arm as it is then.
+        """
+        begin = clock()
+        named = RehearsalReport(
+            plan_id=plan.id, plan_hash=plan.hash, scene=plan.scene, tool=self.tool, inputs=self.inputs, engine=ENGINE
+        )
+        wanted = [segment.scene for segment in plan.segments] or [plan.scene]
+        last = plan.segments[-1].scene_after if plan.segments else plan.scene
+        missing = [each for each in (*wanted, last) if each not in scenes]
+        if missing:
+            reason = Sentence("the scene {scene} that a segment needs is not known here", scene=missing[0][:12])
+            return finished(replace(named, reasons=(reason,)), clock() - begin)
+        ends = [segment.end for segment in plan.segments] or [plan.trajectory.duration]
+        parts = [Part(scenes[scene], end) for scene, end in zip(wanted, ends)]
+        run = _Run(self, plan.trajectory, parts, scenes[last], progress)
+        try:
+            found = run.report(named, clock)
+        # ValueError: MuJoCo's compiler refuses a model
+        except (ConstructionTwinError, mujoco.FatalError, ValueError) as error:
+            reason = Sentence("the simulation broke off: {problem}", problem=" ".join(str(error).split()))
+            found = replace(named, reasons=(reason,))
+        return finished(found, clock() - begin)
+
+
+#: What simulates.
+ENGINE = f"MuJoCo {mujoco.__version__}"
+
+
+class _Track:
+    """The arm's way through a plan, cycle by cycle; all of shape (n,) but where something else is said. SI.
+
+    Attributes:
+        torques: The largest that each axis needed in a cycle.
+        speeds, poses: At its end.
+        gravity: What holding the arm still there would need.
+        usages: Scalars. The largest fraction of an axis' torque.
+        kinetic: Scalars. Kinetic energy.
+        off: Furthest that each axis was off its setpoint, without the servo's lag, until now.
+    """
+
+    def __init__(self, drives: ArmDrives):
+        self._drives = drives
+        self.limit = np.array([torque or math.inf for torque in drives.torque])
+        self.torques: list[np.ndarray] = []
+        self.speeds: list[np.ndarray] = []
+        self.poses: list[np.ndarray] = []
+        self.gravity: list[np.ndarray] = []
+        self.usages: list[float] = []
+        self.kinetic: list[float] = []
+        self.off = np.zeros(len(self.limit))
+
+    def note(self, arm: SimulatedArm, peak: np.ndarray, gravity: _GravityTorque) -> None:
+        """Take a cycle that has ended, and the largest torque of each axis in it."""
+        q = arm.q
+        self.torques.append(peak)
+        self.speeds.append(arm.data.qvel[arm.physics.joints].copy())
+        self.poses.append(q)
+        self.gravity.append(gravity.at(arm.data))
+        self.usages.append(float((np.abs(peak) / self.limit).max()))
+        self.kinetic.append(gravity.kinetic(arm.data))
+        np.maximum(self.off, np.abs(q - arm.answer), out=self.off)
+
+    def axes(self, names: Sequence[str], times: np.ndarray) -> tuple[AxisLoad, ...]:
+        """Return what each axis had to give; `times`: of the cycles [s]."""
+        torques, gravity = np.array(self.torques), np.array(self.gravity)
+        found = []
+        for joint, name in enumerate(names):
+            at = int(np.argmax(np.abs(torques[:, joint])))
+            peak = float(abs(torques[at, joint]))
+            found.append(
+                AxisLoad(
+                    name,
+                    peak,
+                    float(times[at]),
+                    float(np.sqrt(np.mean(torques[:, joint] ** 2))),
+                    float(abs(gravity[at, joint]) / peak) if peak else 0.0,
+                    self._drives.torque[joint] or 0.0,
+                    "torque" in self._drives.estimates,
+                )
+            )
+        return tuple(found)
+
+    def energy(self) -> float:
+        """Return what the drives have put in [J]."""
+        return float(np.sum(np.abs(np.array(self.torques) * np.array(self.speeds))) * CYCLE)
+
+
+class _Run:
+    """One rehearsal: it steps the arm through the parts, and notes.
+
+    `after`: The scene at the end, when the last tool has switched.
+    """
+
+    def __init__(self, of: Rehearsal, trajectory: Trajectory, parts: Sequence[Part], after: Scene, progress=None):
+        self._of = of
+        self._trajectory = trajectory
+        self._parts = parts
+        self._after = after
+        self._progress = progress
+        scenes = (*(part.scene for part in parts), after)
+        self._bodies = rigid_bodies(scenes)
+        carried = [{item.name for item in scene.objects if item.link} for scene in scenes]
+        self._carried = frozenset[str]().union(*carried)
+        # what is picked up or let go: the tool is in every scene on the arm, and is neither
+        self._handled = self._carried - carried[0].intersection(*carried)
+        self._track = _Track(of.drives)
+        self._contacts: dict[tuple[str, str], RehearsedContact] = {}
+        self._payloads: list[MassProperties] = []
+        self._released: dict[str, float] = {}
+        self._before: dict[str, np.ndarray] = {}
+        self._displaced: dict[str, LooseObject] = {}
+        self._grips = [GripLoad()]
+        self._remarks: list[str] = []
+        self._standing = Standing()
+        #: What has a mass and is part of the world all the same.
+        self._fixed: frozenset[str] = frozenset()
+
+    def report(self, named: RehearsalReport, clock: Callable[[], float]) -> RehearsalReport:
+        """Play the whole plan, let everything come to rest, and return `named` with what was found."""
+        times = np.arange(math.ceil(self._trajectory.duration / CYCLE - 1e-9) + 1) * CYCLE
+        setpoints = self._trajectory.sample_many(times)[0]
+        arm: SimulatedArm | None = None
+        first, begin = 0, 0.0
+        started = clock()
+        if not self._let_stand(setpoints):
+            return self._diverged(named, 0.0)
+        settle = clock() - started
+        for number, part in enumerate(self._parts):
+            last = len(times) if number == len(self._parts) - 1 else round(part.end / CYCLE)
+            arm = self._arm(part.scene, setpoints[first], arm, begin)
+            # what lies still, far from the arm, costs nothing
+            arm.physics.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
+            diverged = self._play(arm, times[first:last], setpoints[first:last], self._watch(part.scene, arm.physics))
+            if diverged is not None:
+                return self._diverged(named, diverged)
+            first, begin = last, part.end
+        assert arm is not None
+        started = clock()
+        arm = self._arm(self._after, setpoints[-1], arm, begin)
+        objects = self._settled(arm, setpoints[-1])
+        settle += clock() - started
+        if _is_broken(arm.data):
+            return self._diverged(named, self._trajectory.duration)
+        return self._judged(named, times, objects, settle)
+
+    def _diverged(self, named: RehearsalReport, time: float) -> RehearsalReport:
+        reason = Sentence(
+            "the simulation came apart after {time:.2f} s of the plan: its numbers are no motion", time=time
+        )
+        return replace(named, state=FAILED, reasons=(reason,), remarks=tuple(dict.fromkeys(self._remarks)))
+
+    def _let_stand(self, setpoints: np.ndarray) -> bool:
+        """Let what stands before the plan begins come to rest; return False when the simulation came apart."""
+        of, scene = self._of, self._parts[0].scene
+        names = {item.name for item in scene.objects if not item.link} & of.masses.keys() - self._handled
+        known = {self._bodies[name] for name in names} - {self._bodies[name] for name in self._handled}
+        objects = [item for item in scene.objects if self._bodies[item.name] in known]
+        near = nearest(objects, self._bodies, of.bodies.robot, setpoints) if len(known) > MOST else sorted(known)
+        pieces = {item.name: self._bodies[item.name] for item in objects if self._bodies[item.name] in near[:MOST]}
+        standing = come_to_rest(partial(self._model, scene), pieces, setpoints[0], of.servo)
+        if standing is None:
+            return False
+        self._standing, self._fixed = standing, frozenset({*standing.restless, *near[MOST:]})
+        if standing.restless:
+            most = f"{max(standing.restless.values()) * 1e3:.1f} mm: {listed(standing.restless)}"
+            self._remarks.append(
+                f"fixed in this rehearsal, nothing tips them over; they would move without any plan, by up to {most}"
+            )
+        if near[MOST:]:
+            more = f"{len(near) - MOST} elements further from the path than the nearest {MOST}"
+            self._remarks.append(f"fixed in this rehearsal, nothing tips them over: {more}")
+        if of.unweighed:
+            self._remarks.append(
+                f"fixed in this rehearsal, nothing tips them over, as nobody says what they weigh: {listed(of.unweighed)}"
+            )
+        return True
+
+    def _arm(self, scene: Scene, pose: np.ndarray, before: SimulatedArm | None, begin: float) -> SimulatedArm:
+        """Return the arm in a scene, from `begin` [s] on; what was let go goes on from where it is."""
+        loose = {self._bodies[name] for name in (self._handled | {*self._of.masses}) & set(scene.names)} - self._fixed
+        physics = self._model(scene, {name: body for name, body in self._bodies.items() if body in loose})
+        self._remarks += physics.remarks
+        if physics.payload is not None:
+            self._payloads.append(physics.payload)
+        arm = SimulatedArm(physics, pose if before is None else before.setpoint, self._of.servo)
+        if before is None:
+            for name, place in self._standing.places.items():
+                arm.put_loose(name, place)
+        else:
+            arm.go_on_as(before)
+            for name in before.physics.loose:
+                if name in physics.loose:
+                    arm.put_loose(name, *before.loose_state(name))
+                elif (displaced := self._found(before, name)).moved > STAYS:
+                    # the arm picks up where the plan has it, but it is not there any more
+                    self._displaced[name] = displaced
+            for name in sorted(physics.loose.keys() - before.physics.loose.keys()):
+                self._released[name] = begin
+                self._before.pop(name, None)
+        mujoco.mj_forward(physics.model, arm.data)
+        for name in physics.loose:
+            self._before.setdefault(name, arm.loose_state(name)[0])
+        return arm
+
+    def _model(self, scene: Scene, loose: Mapping[str, str]) -> PhysicsModel:
+        of = self._of
+        return build_model(of.bodies, scene, of.self_collision, of.drives, Load(of.masses, loose, of.flange))
+
+    def _watch(self, scene: Scene, physics: PhysicsModel) -> GripWatch | None:
+        """Return what looks at the cups while the arm carries something in a scene; None: it does not, or there are none."""
+        of = self._of
+        tip = of.bodies.robot.tip_link
+        carried = [item for item in scene.objects if item.link == tip and body_of(item.name) != TOOL]
+        if of.grip is None or not carried:
+            return None
+        bodies = of.bodies
+        frame = bodies.model.frames[bodies.model.getFrameId(tip)]
+        to_tip = frame.placement.inverse()
+        pieces = [piece for item in carried for piece in bodies.place(item, scene.names)]
+        grip = of.grip.on([replace(piece, placement=to_tip * piece.placement) for piece in pieces])
+        name = self._bodies[carried[0].name]
+        if not len(grip.cups):
+            self._remarks.append(f"no cup of the tool lies on {name}: whether it is held is not looked at")
+            return None
+        return GripWatch(
+            grip, name, physics, [item.name for item in carried], bodies.model.names[frame.parentJoint], frame.placement
+        )
+
+    def _play(
+        self, arm: SimulatedArm, times: np.ndarray, setpoints: np.ndarray, watch: GripWatch | None
+    ) -> float | None:
+        """Play setpoints; note each cycle's torques, and every step's contacts; return when it came apart [s], None if not."""
+        physics, data = arm.physics, arm.data
+        gravity = _GravityTorque(physics)
+        for at, setpoint in zip(times.tolist(), setpoints):
+            lowest = highest = np.zeros(len(setpoint))
+            for _step in arm.steps(setpoint):
+                # these keep a nan
+                lowest, highest = np.minimum(lowest, arm.needed), np.maximum(highest, arm.needed)
+                if data.ncon:
+                    self._note_contacts(physics, data, at, frozenset())
+            peak = np.where(highest > -lowest, highest, lowest)
+            if _is_broken(data) or not np.isfinite(peak).all():
+                return at
+            self._track.note(arm, peak, gravity)
+            if watch is not None:
+                watch.note(at, data)
+            if self._progress is not None:
+                self._progress(at, arm)
+        if watch is not None:
+            self._grips.append(watch.worst())
+        return None
+
+    def _note_contacts(self, physics: PhysicsModel, data: mujoco.MjData, at: float, without: Set[str]) -> None:
+        """Note what touches in this step; of two bodies that touch at several points the forces are added up."""
+        geoms = data.contact.geom
+        forces: dict[tuple[str, str], float] = {}
+        largest: dict[tuple[str, str], tuple[float, int]] = {}
+        force = np.zeros(6)
+        for number in np.flatnonzero(physics.unplanned[geoms[:, 0], geoms[:, 1]]).tolist():
+            first, second = sorted((physics.owners[geom] for geom in geoms[number].tolist()), key=self._named_first)
+            names = first, second
+            if without.isdisjoint(self._bodies.get(name, name) for name in names):
+                mujoco.mj_contactForce(physics.model, data, number, force)
+                size = float(np.linalg.norm(force[:3]))
+                forces[names] = forces.get(names, 0.0) + size
+                largest[names] = max(largest.get(names, (-1.0, 0)), (size, number))
+        for names, size in forces.items():
+            if not size < LEAST_FORCE:
+                known = self._contacts.get(names)
+                if known is None:
+                    known = RehearsedContact(*names, at, self._in_base(data.contact.pos[largest[names][1]]), 0.0, 0.0)
+                self._contacts[names] = replace(
+                    known,
+                    force=float(np.maximum(known.force, size)),
+                    seconds=known.seconds + physics.model.opt.timestep,
+                )
+
+    def _in_base(self, point: np.ndarray) -> tuple[float, float, float]:
+        x, y, z = self._of.bodies.root_T_base.actInv(point).tolist()
+        return x, y, z
+
+    def _named_first(self, owner: str) -> tuple[bool, bool, str]:
+        """Return the order in which reports name two bodies: a link, what is carried sometime, what stands."""
+        return owner not in self._of.bodies.link_joints, owner not in self._carried, owner
+
+    def _settled(self, arm: SimulatedArm, setpoint: np.ndarray) -> tuple[LooseObject, ...]:
+        """Let the arm and everything that can move come to rest, nothing asleep, and return what became of it."""
+        duration = self._trajectory.duration
+        # nobody has planned how far the tool is from what it has let go of at the very end
+        without = {name for name, released in self._released.items() if released >= duration}
+        for _ in range(round((SETTLING if arm.physics.loose else _COMING_TO_REST) / CYCLE)):
+            for _step in arm.steps(setpoint):
+                if arm.data.ncon:
+                    self._note_contacts(arm.physics, arm.data, duration, without)
+            if self._progress is not None:
+                duration += CYCLE
+                self._progress(duration, arm)
+        found = dict(self._displaced)
+        for name in arm.physics.loose:
+            one = self._found(arm, name)
+            if name in self._released or one.moved > STAYS or one.turned > STAYS_TURNED:
+                found.setdefault(name, one)
+        return tuple(found.values())
+
+    def _found(self, arm: SimulatedArm, name: str) -> LooseObject:
+        """Return what has become of a loose object until now."""
+        before = self._before[name]
+        now, speed = arm.loose_state(name)
+        released = self._released.get(name, math.nan)
+        return LooseObject(name, released, *displacement(before, now), bool(np.abs(speed).max() < STILL))
+
+    def _judged(self, named, times, objects, settle) -> RehearsalReport:
+        track, names = self._track, self._trajectory.joint_names
+        worst, off = int(np.argmax(track.usages)), int(np.argmax(track.off))
+        braking = self._braking()
+        report = replace(
+            named,
+            axes=track.axes(names, times),
+            payload=worst_payload(self._payloads, self._of.bodies, self._of.drives.rating),
+            tracking=float(track.off[off]),
+            tracking_joint=names[off],
+            braking=braking,
+            worst_time=float(times[worst]),
+            worst_pose=tuple(track.poses[worst].tolist()),
+            contacts=tuple(self._contacts.values()),
+            objects=objects,
+            grip=self._grips[int(np.argmax([load.usage for load in self._grips]))],
+            energy=track.energy(),
+            duration=self._trajectory.duration,
+            settle_took=settle,
+            remarks=tuple(dict.fromkeys(self._remarks)),
+        )
+        if not has_finite_numbers(report):
+            # of what is not finite nothing is too large
+            return self._diverged(named, self._trajectory.duration if math.isfinite(braking.usage) else braking.time)
+        robot = self._of.bodies.robot
+        linear = {name for name, slides in zip(robot.joint_names, robot.linear) if slides}
+        why = tuple(reasons(report, linear))
+        return replace(report, state=FAILED if why else PASSED, reasons=why)
+
+    def _braking(self) -> Braking:
+        """Stop the arm at the moment of its largest kinetic energy, all axes in the time that the slowest needs."""
+        number = int(np.argmax(self._track.kinetic))
+        robot = self._of.bodies.robot
+        speed = self._track.speeds[number]
+        most = np.array(robot.acceleration)
+        seconds = float(np.max(np.abs(speed) / most))
+        if seconds <= 0.0 or not math.isfinite(seconds):
+            return Braking(time=number * CYCLE)
+        part = next(part for part in self._parts if part is self._parts[-1] or number * CYCLE < part.end)
+        # how far the arm goes on, whatever stands in the way
+        physics = self._model(part.scene, {})
+        physics.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+        arm = SimulatedArm(physics, self._track.poses[number], Servo(saturates=False))
+        arm.begin_with(speed)
+        begin = self._track.poses[number]
+        flange = _flange(arm)
+        usage = 0.0
+        step = physics.model.opt.timestep
+        # from `speed` to rest at a steady rate
+        passed = np.arange(1, round(min(seconds, _LONGEST_BRAKING) / step) + 1)[:, None] * step
+        left = np.maximum(0.0, 1.0 - passed / seconds)
+        answers = begin + speed * seconds * (1.0 - left**2) / 2.0
+        speeds = np.diff(np.vstack((begin, answers)), axis=0) / step
+        accelerations = np.diff(np.vstack((speed, speeds)), axis=0) / step
+        for _step in arm.follow(answers, speeds, accelerations):
+            usage = float(np.maximum(usage, (np.abs(arm.needed) / self._track.limit).max()))
+        if _is_broken(arm.data):
+            usage = math.nan
+        way = np.abs(arm.q - begin)
+        joint = int(np.argmax(way))
+        return Braking(
+            number * CYCLE,
+            seconds,
+            float(np.linalg.norm(_flange(arm) - flange)),
+            robot.joint_names[joint],
+            float(way[joint]),
+            usage,
+        )
+
+
+class _GravityTorque:
+    """Torques that hold the arm still where it is, and its kinetic energy; in a state of its own."""
+
+    def __init__(self, physics: PhysicsModel):
+        self._physics = physics
+        self._data = mujoco.MjData(physics.model)
+        self._product, self._speed = np.zeros(physics.model.nv), np.zeros(physics.model.nv)
+
+    def at(self, data: mujoco.MjData) -> np.ndarray:
+        """Return the torques, shape (n,)."""
+        model, own = self._physics.model, self._data
+        own.qpos[:] = data.qpos
+        mujoco.mj_kinematics(model, own)
+        mujoco.mj_comPos(model, own)
+        mujoco.mj_comVel(model, own)
+        mujoco.mj_rne(model, own, 0, self._product)
+        return self._physics.of_joints(self._product)
+
+    def kinetic(self, data: mujoco.MjData) -> float:
+        """Return the kinetic energy of the arm with what it carries [J]; what falls or is pushed is none of it."""
+        self._speed[self._physics.joints] = data.qvel[self._physics.joints]
+        self._physics.lead(self._speed)
+        mujoco.mj_mulM(self._physics.model, data, self._product, self._speed)
+        return 0.5 * float(self._speed @ self._product)
+
+
+def _flange(arm: SimulatedArm) -> np.ndarray:
+    """Return where the last joint's frame is, shape (3,) [m]."""
+    joint = arm.physics.robot.joint_names[-1]
+    return arm.data.body(f"joint\n{joint}").xpos.copy()
+
+
+def _is_broken(data: mujoco.MjData) -> bool:
+    """Return whether the numbers are no motion any more; MuJoCo itself starts anew then, and counts."""
+    warnings = mujoco.mjtWarning
+    return not np.isfinite(data.qpos).all() or any(
+        data.warning[kind].number
+        for kind in (warnings.mjWARN_BADQPOS, warnings.mjWARN_BADQVEL, warnings.mjWARN_BADQACC)
+    )

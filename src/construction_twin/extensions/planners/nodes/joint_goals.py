@@ -1,0 +1,225 @@
+"""control_msgs/FollowJointTrajectory on the wire: its server, and its goals and feedback as the library's values.
+
+control_msgs is in ROS Noetic, and not in Debian 12: there `setup/setup.sh` builds a package of that name from setup/control_msgs,
+whose messages have the same md5 sums. It is imported only when a node needs it.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from types import ModuleType
+
+import genpy
+import rospy
+from actionlib import ActionServer, ServerGoalHandle
+from actionlib_msgs.msg import GoalID, GoalStatus, GoalStatusArray
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from construction_twin.core.errors import ConfigurationError, GoalError
+from construction_twin.core.sentences import Sentence
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.execution.tracking import Motion, Sample
+from construction_twin.extensions.planners.joint_tolerances import Tolerances, check_joint_names
+from construction_twin.extensions.planners.trajectory_goals import TrajectoryGoal
+from construction_twin.robot.description import RobotModel
+from construction_twin.ros.transport.publisher import Publisher
+from construction_twin.ros.transport.subscriber import Subscriber, caller_of
+
+#: Messages kept for a client, and of clients, that are busy.
+QUEUE = 50
+#: How often the status of all goals is published [Hz], and how long that of a goal which has ended [s]: actionlib's own values.
+STATUS_RATE, STATUS_KEPT = 5.0, 5.0
+
+
+class GoalServer(ActionServer):
+    """As `actionlib.ActionServer`, but an error in a callback ends the node, and a client that is slow or gone holds up nothing.
+
+    rospy's subscriber would log such an error and go on; its publisher starts a thread per client that is no daemon, and complains
+    about what is published while the node ends.
+
+    Args:
+        name: Of the action.
+        kind: Of the action: ``...Action``.
+        on_goal, on_cancel: Take the goal's handle; in rospy's threads, with the server's lock held.
+        refused: See `Subscriber`.
+        recalled: Returns the result of a goal that was cancelled before it came, from a sentence.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        kind: type,
+        on_goal: Callable[[ServerGoalHandle], None],
+        on_cancel: Callable[[ServerGoalHandle], None],
+        refused: Callable[[str, str], None],
+        recalled: Callable[[str], genpy.Message],
+    ):
+        super().__init__(name, kind, on_goal, on_cancel, auto_start=False)
+        self._refused, self._recalled = refused, recalled
+
+    def initialize(self) -> None:
+        """Connect to the five topics; called by `start`."""
+        self.status_pub = Publisher(f"{self.ns}/status", GoalStatusArray, queue_size=QUEUE, latch=True)
+        self.result_pub = Publisher(f"{self.ns}/result", self.ActionResult, queue_size=QUEUE)
+        self.feedback_pub = Publisher(f"{self.ns}/feedback", self.ActionFeedback, queue_size=QUEUE)
+        self.goal_sub = self._hear("goal", self.ActionGoal, self.internal_goal_callback)
+        self.cancel_sub = self._hear("cancel", GoalID, self.internal_cancel_callback)
+        self.status_list_timeout = rospy.Duration(STATUS_KEPT)
+        self.status_timer = rospy.Timer(rospy.Duration(1.0 / STATUS_RATE), self.publish_status_async)
+
+    def is_connected(self, node: str) -> bool:
+        """Return whether a node still hears the status of its goals.
+
+        The status goes out all the time, so the connection of a client that ended without a word is found to be closed. That to a
+        machine which was cut off stays for as long as TCP believes in it.
+        """
+        return any(connection.endpoint_id == node for connection in self.status_pub.impl.connections)
+
+    def internal_cancel_callback(self, goal_id: GoalID) -> None:
+        """Cancel what is there, and forget when.
+
+        actionlib goes on to drop every goal whose stamp is not later than the cancel's: a client whose clock is an hour ahead would
+        lock everybody else out for an hour, without a word. Here a cancel is about goals that are there, and nothing that comes.
+        """
+        # in one: a goal that comes between the two would be dropped
+        with self.lock:
+            super().internal_cancel_callback(goal_id)
+            self.last_cancel = rospy.Time()
+
+    def internal_goal_callback(self, goal) -> None:
+        """Take a goal; one whose id is there already is refused and counted.
+
+        actionlib drops it without a word; and where its cancel came first, the result that it sends has no error code, which is the
+        code of success. The goal is then recalled with `recalled`.
+        """
+        with self.lock:
+            there = [each for each in self.status_list if each.status.goal_id.id == goal.goal_id.id]
+            if self.started and there:
+                status = there[0].status
+                if status.status == GoalStatus.RECALLING:
+                    sentence = "cancelled before it came"
+                    status.status, status.text = GoalStatus.RECALLED, sentence
+                    self.publish_result(status, self._recalled(sentence))
+                else:
+                    sentence = "its id is that of a goal that is there; expected a new one for each goal"
+                self._refused("repeated goal", f"goal {goal.goal_id.id!r} of {caller_of(goal)} dropped: {sentence}")
+            super().internal_goal_callback(goal)
+
+    def _hear(self, topic: str, kind: type, callback: Callable) -> Subscriber:
+        return Subscriber(f"{self.ns}/{topic}", kind, callback, self._refused, queue_size=QUEUE, tcp_nodelay=True)
+
+
+#: How much later than planned an arm may be allowed to reach its goal [s].
+LONGEST = 600.0
+#: md5 sums of control_msgs 1.5 of ROS Noetic: of what every client in the field speaks.
+OFFICIAL_MD5 = {
+    "FollowJointTrajectoryAction": "bc4f9b743838566551c0390c65f1a248",
+    "FollowJointTrajectoryActionGoal": "cff5c1d533bf2f82dd0138d57f4304bb",
+    "FollowJointTrajectoryActionResult": "c4fb3b000dc9da4fd99699380efcc5d9",
+    "FollowJointTrajectoryActionFeedback": "d8920dc4eae9fc107e00999cce4be641",
+    "FollowJointTrajectoryGoal": "69636787b6ecbde4d61d711979bc7ecb",
+    "FollowJointTrajectoryResult": "493383b18409bfb604b4e26c676401d2",
+    "FollowJointTrajectoryFeedback": "10817c60c2486ef6b33e97dcd87f4474",
+    "JointTolerance": "f544fe9c16cf04547e135dd6063ff5be",
+}
+
+
+@dataclass(frozen=True)
+class GoalDefaults:
+    """What holds where a goal asks for nothing: tolerances at the goal, and of the time [s]."""
+
+    goal: Tolerances
+    time_tolerance: float
+
+
+def control_messages() -> ModuleType:
+    """Return `control_msgs.msg`: the official one where it is installed, else the one made from setup/control_msgs.
+
+    Raises:
+        ConfigurationError: When there is none, or its action is another one; with what to do.
+    """
+    to_do = (
+        "the package of ROS (apt-get install ros-noetic-control-msgs), or ours: cp -r $(rospack find "
+        "construction_twin)/setup/control_msgs into the src folder of your workspace, and "
+        "catkin_make; or follow_joint_trajectory:=false"
+    )
+    try:
+        messages = importlib.import_module("control_msgs.msg")
+    except ImportError as error:
+        raise ConfigurationError("the Python package control_msgs", f"missing ({error})", to_do) from error
+    for name, md5 in OFFICIAL_MD5.items():
+        found = getattr(messages, name)._md5sum
+        if found != md5:
+            where = f"one in {messages.__file__} whose {name} has the md5 sum {found}"
+            raise ConfigurationError("the Python package control_msgs", where, f"the md5 sum {md5}: {to_do}")
+    return messages
+
+
+def trajectory_goal(goal, goal_id: str, client: str, robot: RobotModel, defaults: GoalDefaults) -> TrajectoryGoal:
+    """Return a goal whose joints and tolerances were checked.
+
+    Args:
+        goal: Control_msgs/FollowJointTrajectoryGoal. The stamp of its header is not used.
+
+    Raises:
+        GoalJointsError: When it does not name each joint of the robot once, or a tolerance names another one.
+        GoalError: When a tolerance is no number, the time's is not from 0 to `LONGEST`, or a bound on the path is asked for: the
+            gate watches the path.
+    """
+    check_joint_names(robot, goal.trajectory.joint_names)
+    for one in goal.path_tolerance:
+        # 0 is the default, below 0 no bound: there is none
+        if not (one.position <= 0.0 and one.velocity <= 0.0 and one.acceleration <= 0.0):
+            raise GoalError(
+                Sentence(
+                    "path_tolerance asks for a bound on the path of {joint}; expected none: the gate watches the path",
+                    joint=one.name,
+                )
+            )
+    seconds = goal.goal_time_tolerance.to_nsec() / NANOSECONDS
+    if not 0.0 <= seconds <= LONGEST:
+        raise GoalError(
+            Sentence(
+                "goal_time_tolerance is {seconds:g} s; expected 0 (the default) to {longest:g}",
+                seconds=seconds,
+                longest=LONGEST,
+            )
+        )
+    return TrajectoryGoal(
+        goal_id,
+        client,
+        defaults.goal.asked(robot, goal.goal_tolerance),
+        seconds or defaults.time_tolerance,
+        (goal.trajectory.joint_names, goal.trajectory.points),
+    )
+
+
+def asked_duration(trajectory: JointTrajectory) -> float:
+    """Return how long a trajectory asks its motion to take [s]; 0: it does not say. A single point's time counts from now."""
+    times = [point.time_from_start.to_nsec() / NANOSECONDS for point in trajectory.points]
+    return times[-1] - (times[0] if len(times) > 1 else 0.0)
+
+
+def fill_feedback(feedback, sample: Sample, plan_start: int, order: Sequence[int]) -> None:
+    """Fill a control_msgs/FollowJointTrajectoryFeedback, whose joint names are set, with positions and velocities.
+
+    Args:
+        feedback: Control_msgs/FollowJointTrajectoryFeedback
+        plan_start: Stamp of the plan's first setpoint [ns]; 0: it has not begun.
+        order: For each joint of the goal, its index in the robot's order.
+    """
+    since = max(0, sample.stamp - plan_start) if plan_start else 0
+    time = genpy.Duration(*divmod(since, NANOSECONDS))
+    feedback.desired = _point(sample.desired, order, time)
+    feedback.actual = _point(sample.actual, order, time)
+    feedback.error = _point(sample.error, order, time)
+
+
+def _point(motion: Motion, order: Sequence[int], time: genpy.Duration) -> JointTrajectoryPoint:
+    return JointTrajectoryPoint(
+        positions=[motion.position[index] for index in order],
+        velocities=[motion.velocity[index] for index in order],
+        time_from_start=time,
+    )

@@ -1,0 +1,1 @@
+"""The commands; may import rospy."""

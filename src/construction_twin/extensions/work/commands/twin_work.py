@@ -1,0 +1,164 @@
+"""The command `twin work`: the tasks of a building model from a terminal. Its options are in `views.arguments`."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+
+from geometry_msgs.msg import PoseStamped
+
+from construction_twin.core.errors import RequestRefused
+from construction_twin.core.reports import TaskReport, WorkReport
+from construction_twin.extensions.work.names import labels, named
+from construction_twin.link.requests import GoalRequest
+from construction_twin.msg import WorkTasks
+from construction_twin.ros.messages.convert import pose_to_msg
+from construction_twin.ros.messages.records import from_msg
+from construction_twin.ros.shared.operator_client import OperatorClient
+from construction_twin.srv import WorkDecide, WorkMeasured
+from construction_twin.views.arguments import Exit
+from construction_twin.views.goals import pose_goal
+
+
+def chosen(tasks: Sequence[TaskReport], text: str) -> TaskReport:
+    """Return the task that a person means by its id, its name, or the beginning of one of them.
+
+    Raises:
+        RequestRefused: When none fits, or several do.
+    """
+    for exact in (lambda task: task.id == text, lambda task: task.name.lower() == text.lower()):
+        found = [task for task in tasks if exact(task)]
+        if len(found) == 1:
+            return found[0]
+    low = text.lower()
+    found = [task for task in tasks if low and (task.id.lower().startswith(low) or task.name.lower().startswith(low))]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        several = ", ".join([*(task.name or task.id for task in found[:5]), *(["..."] if len(found) > 5 else [])])
+        raise RequestRefused(f"{text!r} fits {len(found)} tasks: {several}; give more of it")
+    raise RequestRefused(f"no task has the id or name {text!r}; `twin work list` shows them")
+
+
+def list_lines(work: WorkReport) -> list[str]:
+    """Return the tasks in their order, after two lines about the whole; the notes behind them."""
+    lines = [f"model      {work.model}, schedule: {work.schedule or 'not read'}", f"work       {work.reason}"]
+    names = [task.name for task in work.tasks]
+    # the id of what has no name, and beside a name that others have
+    called = [
+        task.name if names.count(task.name) == 1 and task.name else f"{task.name} {task.id}".strip()
+        for task in work.tasks
+    ]
+    wide = max(map(len, called), default=0)
+    for number, (task, name) in enumerate(zip(work.tasks, called, strict=True), start=1):
+        mark = ">" if task.id == work.next else " "
+        far = f"  {task.deviation_mm:.2f} mm {task.deviation_deg:.3f} deg" if math.isfinite(task.deviation_mm) else ""
+        lines.append(f"{mark}{number:4} {name:{wide}} {task.state:10}{far}".rstrip())
+        if task.question:
+            lines.append(f"        {task.question} Answers: {', '.join(task.answers)}")
+    return [*lines, *note_lines(work)]
+
+
+def note_lines(work: WorkReport) -> list[str]:
+    """Return what a person should know of model, schedule and ledger."""
+    return [f"note       {note}" for note in work.notes]
+
+
+def show_lines(work: WorkReport, task: TaskReport) -> list[str]:
+    """Return all that is known of one task."""
+    names = {each.id: each.name for each in work.tasks}
+    lines = [
+        f"task       {task.name} ({task.id})",
+        f"element    {task.element_name} ({task.element})",
+        f"state      {task.state}{f': {task.reason}' if task.reason else ''}",
+        f"after      {', '.join(names.get(one) or one for one in task.after) or 'nothing'}",
+        f"robot      {task.robot or 'any'}",
+    ]
+    if task.plan_id:
+        lines.append(f"plan       {task.plan_id}")
+    if math.isfinite(task.deviation_mm):
+        lines.append(f"deviation  {task.deviation_mm:.3f} mm, {task.deviation_deg:.4f} deg from the model")
+    if task.question:
+        lines += [f"question   {task.question}", f"answers    {', '.join(task.answers)}"]
+    return lines
+
+
+_DECISIONS = {"skip": "skip", "redo": "redo", "answer": "answer", "removed": "removed", "accept": "accept_schedule"}
+#: Stands for every task that asks about what was placed.
+ALL = "all"
+
+
+class WorkCommand:
+    """One step of `twin work`.
+
+    Args:
+        account: The user's name, for the record.
+    """
+
+    def __init__(self, options: argparse.Namespace, account: str, client: OperatorClient):
+        self._options, self._account, self._client = options, account, client
+
+    def run(self) -> Exit:
+        """Do it.
+
+        Raises:
+            RequestRefused: With the work node's sentence.
+            SilenceError: When nobody answers.
+        """
+        step = self._options.step
+        if step in _DECISIONS:
+            self._decide(step)
+        else:
+            getattr(self, f"_{step}")()
+        return Exit.DONE
+
+    def plan_under_review(self) -> tuple[str, Callable[[str], str]]:
+        """Return the id of the plan of a task that waits for approval, and what puts names of elements in place of ids."""
+        work = self._work()
+        found = next((task.plan_id for task in work.tasks if task.state == "planned" and task.plan_id), "")
+        if not found:
+            raise RequestRefused(f"no plan of a task is under review: {work.reason}; `twin work next` has one planned")
+        known = labels({task.element: task.element_name for task in work.tasks})
+        return found, partial(named, known=known)
+
+    def _list(self) -> None:
+        print("\n".join(list_lines(self._work())))
+
+    def _next(self) -> None:
+        task = chosen(self._work().tasks, self._options.task).id if self._options.task else ""
+        print(self._client.plan(GoalRequest("work_task", task=task)).message)
+
+    def _show(self) -> None:
+        work = self._work()
+        print("\n".join(show_lines(work, chosen(work.tasks, self._options.task))))
+
+    def _decide(self, step: str) -> None:
+        options = self._options
+        work = self._work()
+        # of an element with a task of its own name that one is meant which asks
+        asking = [task for task in work.tasks if task.question] if step == "answer" else []
+        every = step == "accept" or (step == "answer" and options.task == ALL)
+        task = "" if every else chosen(asking or work.tasks, options.task).id
+        if step == "accept":
+            # what was left out or understood in some way is known before it is accepted
+            print("\n".join(note_lines(work) or ["no notes on model and schedule"]))
+        answer = options.answer if step == "answer" else ""
+        person = options.person or self._account
+        decision = "answer_all" if every and step == "answer" else _DECISIONS[step]
+        fields = {"task": task, "decision": decision, "answer": answer, "person": person}
+        print(self._client.ask("work/decide", WorkDecide, reason=options.reason, **fields).message)
+
+    def _measured(self) -> None:
+        options = self._options
+        pose = PoseStamped(pose=pose_to_msg(pose_goal(options.pose, options.frame)))
+        pose.header.frame_id = options.frame
+        person = options.person or self._account
+        request = {"element": options.element, "pose": pose, "person": person, "reason": options.reason}
+        print(self._client.ask("work/measured", WorkMeasured, **request).message)
+
+    def _work(self) -> WorkReport:
+        to_do = "start bringup with work_model and work_cell, or see why the node is down"
+        message = self._client.latched("work/tasks", WorkTasks, "the work node does not report", to_do)
+        return from_msg(WorkReport, message)

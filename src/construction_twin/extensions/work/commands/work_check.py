@@ -1,0 +1,298 @@
+"""work check: what the arm can do of a building model, before anything starts. Runs without a ROS master.
+
+Prints one line per task and writes check.json and check.png. Exit code 0: every task is possible; 1: some are not; 2: it could
+not be checked, after one sentence on standard error.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any, Literal
+
+import numpy as np
+import yaml
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from rich import box
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from construction_twin.core.errors import ConstructionTwinError, spoken
+from construction_twin.core.extensions import check_extras
+from construction_twin.core.files import check_writable, write_whole
+from construction_twin.core.share import share_file
+from construction_twin.core.worker import Worker, WorkerError, rss_mb
+from construction_twin.evaluation.tables import table_console
+from construction_twin.extensions.work.check import CheckedTask
+from construction_twin.extensions.work.prepared import WORKER, Prepared
+from construction_twin.extensions.work.site import read_site
+from construction_twin.robot.description import read_robot_files
+
+#: Of every planning.
+SEED = 1
+#: What the exit codes mean.
+ALL, SOME, NOT_CHECKED = 0, 1, 2
+
+
+def main(arguments: list[str]) -> int:
+    """Check the model named on the command line.
+
+    Returns:
+        0, 1 or 2, see above.
+    """
+    options = _parser().parse_args(arguments)
+    console = table_console()
+    directory = options.output or options.model.with_name(options.model.stem + "_check")
+    try:
+        check_extras("work")
+        check_writable(directory)
+        with tempfile.TemporaryDirectory(prefix="work_check_") as folder:
+            checked = _check(options, folder, console)
+            prepared = checked.prepared
+            notes = [*prepared.notes, *prepared.schedule.notes]
+            if prepared.schedule.proposed:
+                notes.insert(
+                    0,
+                    "This order, or a part of it, is proposed from the model's geometry, and a person must accept it.",
+                )
+            for note in notes:
+                console.print(note, markup=False, soft_wrap=True)
+            about = {
+                "model": prepared.model, "digest": prepared.digest, "cell": prepared.cell,
+                "proposed": prepared.schedule.proposed, "seconds": checked.seconds, "rss_mb": checked.rss_mb, "notes": notes,
+            }  # fmt: skip
+            contents: dict[str, str | bytes] = {
+                "check.json": as_json(about, checked.tasks), "check.png": cell_picture(checked.tasks, prepared),
+            }  # fmt: skip
+            for name, content in contents.items():
+                write_whole(directory / name, content)
+    except (ConstructionTwinError, OSError) as error:
+        ended = isinstance(error, WorkerError) and not error.kind
+        said = "a process was ended, perhaps for want of memory; try --processes 1" if ended else spoken(error)
+        print(f"work check: {said}", file=sys.stderr)
+        return NOT_CHECKED
+    _print(console, checked, [directory / name for name in contents])
+    return ALL if all(task.possible for task in checked.tasks) else SOME
+
+
+@dataclass(frozen=True)
+class Checked:
+    """What was found.
+
+    Attributes:
+        tasks: In the order of the schedule.
+        rss_mb: Largest resident memory of all processes together [MB]; what they share is counted in each.
+    """
+
+    prepared: Prepared
+    tasks: tuple[CheckedTask, ...]
+    seconds: float
+    rss_mb: float
+
+
+def check_all(
+    processes: int, done: Callable[[int, int], None] = lambda *_: None, robot_name: str = "", **given: Any
+) -> Checked:
+    """Check every job of a model, each in one of several processes.
+
+    Args:
+        done: Called as results come with how many there are, and how many there will be.
+        robot_name: Only jobs that this robot may do are checked; empty: all. The others' elements are placed in their turn, too.
+        given: What `worker_functions.prepare` takes.
+
+    Raises:
+        WorkerError: If the model cannot be checked; with an empty `kind` if a process was ended, by want of memory for instance.
+    """
+    began = time.monotonic()
+    workers = [Worker(WORKER) for _ in range(processes)]
+    idle: SimpleQueue[Worker] = SimpleQueue()
+    found: dict[int, CheckedTask] = {}
+    memory: dict[int, float] = {}
+
+    def check(number: int) -> tuple[CheckedTask, int, float]:
+        worker = idle.get()
+        try:
+            return worker.ask("check", number=number)
+        finally:
+            idle.put(worker)
+
+    with ThreadPoolExecutor(processes) as threads:
+        try:
+            # the others find in the cache what the first has read
+            prepared: Prepared = workers[0].ask("prepare", **given)
+            list(threads.map(lambda worker: worker.ask("prepare", **given), workers[1:]))
+            for worker in workers:
+                idle.put(worker)
+            jobs = enumerate(prepared.schedule.jobs)
+            numbers = [n for n, job in jobs if not robot_name or not job.robots or robot_name in job.robots]
+            done(0, len(numbers))
+            for future in as_completed([threads.submit(check, number) for number in numbers]):
+                task, process, rss = future.result()
+                found[task.number], memory[process] = task, rss
+                done(len(found), len(numbers))
+        finally:
+            threads.shutdown(wait=False, cancel_futures=True)
+            for worker in workers:
+                worker.close()
+    tasks = tuple(found[number] for number in sorted(found))
+    return Checked(prepared, tasks, time.monotonic() - began, rss_mb() + sum(memory.values()))
+
+
+def _check(options: argparse.Namespace, folder: str, console: Console) -> Checked:
+    kind = ("kr120_track", "kr120_track") if options.track else ("kr120r2500", "kr120")
+    xacro = options.robot_xacro or share_file(f"urdf/{kind[0]}.urdf.xacro")
+    config = options.robot_config or share_file(f"config/{kind[1]}.yaml")
+    columns = (TextColumn("checking"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, auto_refresh=False) as progress:
+        bar = progress.add_task("check", total=None)
+        progress.refresh()
+        return check_all(
+            options.processes,
+            lambda done, whole: progress.update(bar, completed=done, total=whole, refresh=True),
+            options.robot,
+            model=str(options.model),
+            cell=str(options.cell),
+            robot=read_robot_files(xacro, config, options.robot_xacro_args),
+            self_collision=str(options.self_collision or share_file(f"config/{kind[1]}_self_collision.yaml")),
+            # the same model and cell give the same findings
+            planner={**yaml.safe_load(share_file("config/planner.yaml").read_text(encoding="utf-8")), "seed": SEED},
+            cache=folder,
+        )
+
+
+#: Headings of the table in the terminal; whether the column holds words; its greatest width, 0: what is left of the terminal.
+_COLUMNS = {
+    "#": (False, 4), "task": (True, 20), "possible": (False, 8), "grip": (True, 0), "track\nm": (False, 6),
+    "clear\nmm": (False, 5), "time\ns": (False, 5), "why": (True, 9),
+}  # fmt: skip
+#: Width of all columns but `grip` and `why`, with what is between them.
+_BESIDE_GRIP = 66
+
+
+def _print(console: Console, checked: Checked, files: Iterable[Path]) -> None:
+    impossible = any(not task.possible for task in checked.tasks)
+    # numbers are shown whole; in a narrow terminal words are cut
+    table = Table(box=box.SIMPLE, padding=(0, 1, 0, 0))
+    widest = max(10, console.width - _BESIDE_GRIP - (_COLUMNS["why"][1] + 2) * impossible)
+    for heading, (words, most) in _COLUMNS.items():
+        if heading != "why" or impossible:
+            justify: Literal["left", "right"] = "left" if words else "right"
+            table.add_column(heading, justify=justify, no_wrap=True, overflow="ellipsis", max_width=most or widest)
+    for task in checked.tasks:
+        table.add_row(*_row(task)[: len(table.columns)], style="" if task.possible else "red")
+    console.print(table)
+    for task in checked.tasks:
+        about = f"{task.number + 1} {task.name} ({task.element_name or task.element})"
+        if not task.possible:
+            console.print(f"{about}: {_why(task)}", markup=False, soft_wrap=True)
+        for remark in task.remarks:
+            console.print(f"{about}, note: {remark}", markup=False, soft_wrap=True)
+    count = sum(task.possible for task in checked.tasks)
+    console.print(
+        f"{count} of {len(checked.tasks)} tasks are possible; checked in {checked.seconds:.0f} s, {checked.rss_mb:.0f} MB"
+    )
+    for file in files:
+        console.print(str(file), markup=False, soft_wrap=True)
+
+
+_POSSIBLE, _NOT, _STOCK, _PATH = "#2c8a4b", "#d9541e", "#8a8f98", "#3465a4"
+_SQUARE = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+
+
+def _row(task: CheckedTask) -> tuple[str, ...]:
+    """Return a task's cells: number, name, possible, grip, track [m], clearance [mm], time [s], at what it fails."""
+    return (
+        str(task.number + 1),
+        task.name,
+        "yes" if task.possible else "no",
+        task.grip,
+        "" if task.track is None else f"{task.track:.2f}",
+        "" if task.clearance is None else f"{1e3 * task.clearance:.0f}",
+        "" if task.duration is None else f"{task.duration:.1f}",
+        "" if task.possible else task.stage or task.reason[:30],
+    )
+
+
+def _why(task: CheckedTask) -> str:
+    """Return why a task is not possible; empty: it is possible."""
+    return f"{task.stage}: {task.reason}" if task.stage else task.reason
+
+
+def as_json(about: Mapping[str, object], tasks: Sequence[CheckedTask]) -> str:
+    """Return the findings as JSON: what they are about, `tasks` and `possible` (how many), and `checked`, one object per task."""
+    content = {**about, "tasks": len(tasks), "possible": sum(task.possible for task in tasks)}
+    return json.dumps({**content, "checked": [asdict(task) for task in tasks]}, indent=1, allow_nan=False) + "\n"
+
+
+def cell_picture(tasks: Sequence[CheckedTask], prepared: Prepared) -> bytes:
+    """Return a PNG of the cell from above: base, stock, places, and the tool's paths."""
+    figure = Figure(figsize=(9, 7), dpi=100)
+    axes = figure.add_subplot()
+    for item in read_site(prepared.cell).scene.objects:
+        if item.shape == "box" and max(item.size[:2]) < 8.0:
+            corners = np.array([(sx * item.size[0], sy * item.size[1], 0.0) for sx, sy in _SQUARE]) / 2.0
+            seen = corners @ item.pose.rotation.T + item.pose.position
+            axes.fill(seen[:, 0], seen[:, 1], facecolor="#0001", edgecolor="#0004")
+            axes.annotate(item.name, (item.position[0], item.position[1]), color="#0008", ha="center")
+    for task in tasks:
+        if not prepared.elements[task.element].bodies:
+            continue
+        colour = _POSSIBLE if task.possible else _NOT
+        slot, goal = prepared.stock.slots.get(task.element), prepared.elements[task.element].base_T_goal
+        if slot is not None:
+            axes.plot(*slot.base_T_element.position[:2], ".", color=_STOCK)
+        axes.plot(*goal.position[:2], ".", color=colour)
+        if task.path:
+            path = np.array(task.path)
+            axes.plot(path[:, 0], path[:, 1], color=_PATH, linewidth=0.4, alpha=0.5)
+    axes.plot(0.0, 0.0, "k^")
+    axes.annotate(" base", (0.0, 0.0))
+    axes.set_aspect("equal")
+    axes.set_xlabel("x in the base, m")
+    axes.set_ylabel("y in the base, m")
+    axes.set_title("grey: stock, green: can be placed, red: cannot, blue: paths of the tool")
+    FigureCanvasAgg(figure)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", bbox_inches="tight")
+    return buffer.getvalue()
+
+
+def _processes(text: str) -> int:
+    value = int(text)
+    if not 1 <= value <= 64:
+        raise argparse.ArgumentTypeError(f"{value}: expected 1 to 64")
+    return value
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="work check", description="What the arm can do of a building model: a table, check.json and check.png."
+    )
+    parser.add_argument("model", type=Path, help="an IFC file")
+    parser.add_argument(
+        "--cell", type=Path, required=True, metavar="FILE", help="cell file, as config/work/timber_panel.yaml"
+    )
+    parser.add_argument("--track", action="store_true", help="the KR 120 on its track (default: without)")
+    parser.add_argument("--robot", default="", metavar="NAME", help="only tasks that this robot may do, e.g. kr120")
+    parser.add_argument("--output", type=Path, metavar="DIR", help="folder for the files (default: MODEL + _check)")
+    parser.add_argument(
+        "--processes", type=_processes, default=max(1, min(8, os.cpu_count() or 1)), metavar="N",
+        help="tasks that are checked at once (default: one per core, at most 8)",
+    )  # fmt: skip
+    parser.add_argument("--robot-xacro", type=Path, metavar="FILE", help="URDF or xacro of another arm")
+    parser.add_argument("--robot-xacro-args", default="", metavar="'NAME=VALUE ...'", help="arguments of the xacro")
+    parser.add_argument("--robot-config", type=Path, metavar="FILE", help="its robot YAML")
+    parser.add_argument("--self-collision", type=Path, metavar="FILE", help="its self-collision file")
+    return parser

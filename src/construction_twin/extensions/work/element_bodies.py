@@ -1,0 +1,233 @@
+"""An element of a building as objects of the scene: few convex pieces that hold all of it and reach little beyond. Metres.
+
+Each body is tried in this order: one convex hull; cut exactly by planes of its own faces; hulls of its parts; its surface with a
+margin. The first that holds the body and reaches no further beyond it than the bound is taken. Mesh files are named by their
+contents, results by what they were made from.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import manifold3d
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.files import read_file, write_whole
+from construction_twin.core.work_errors import BodyError, WorkError
+from construction_twin.extensions.work.building import Body, Element
+from construction_twin.robot.frames import rotation_to_quaternion
+from construction_twin.scene.convex_pieces import convex_cells, convex_cover, excess, extra_volume, lost
+from construction_twin.scene.mesh_file import MOST_TRIANGLES
+from construction_twin.scene.objects import SceneObject
+from construction_twin.scene.solids import hull_solid, mesh_of, parts, solid, welded
+from construction_twin.scene.triangle_mesh import hull_mesh
+
+#: Changes when the same body would give other pieces.
+_VERSION = 6
+#: How far a piece may reach beyond its body, and the padding of a body that remains a surface [m].
+BOUND, MARGIN = 0.005, 0.005
+#: Most pieces of one body; of one that is divided exactly four times as many.
+MOST_PIECES = 32
+#: Triangles beyond which a body is not divided at all, and not by planes of its faces, which are those of curved ones.
+_MOST_DIVIDED, _MOST_CUT = 5000, 2000
+#: Largest file of a result [bytes].
+_LARGEST = 8 * 2**20
+#: A box around something flat is as thick [m].
+_FLAT = 0.001
+#: A hull of this fraction of its box is the box.
+_IS_BOX = 1e-9
+_UNIT = {"size": [1.0, 1.0, 1.0], "position": [0.0, 0.0, 0.0], "quaternion": [0.0, 0.0, 0.0, 1.0]}
+
+
+@dataclass(frozen=True)
+class ElementShape:
+    """One element as objects of the scene.
+
+    Attributes:
+        objects: ``<GlobalId>/0``, ``<GlobalId>/1``, ...; poses in the element's frame, `link` empty.
+        excess: How far they reach beyond the element, at most, where measured [m]; of a surface its margin.
+        ways: How each body was made: ``hull``, ``cut``, ``cover``, ``surface``.
+    """
+
+    objects: tuple[SceneObject, ...]
+    excess: float
+    ways: tuple[str, ...]
+
+
+def element_shapes(elements: Iterable[Element], folder: Path) -> tuple[dict[str, ElementShape], dict[str, BodyError]]:
+    """Return many elements as objects of the scene, and those for which that is not possible; both by GlobalId."""
+    shapes: dict[str, ElementShape] = {}
+    failures: dict[str, BodyError] = {}
+    for element in elements:
+        try:
+            shapes[element.id] = _shape(element.id, element.bodies, folder)
+        except BodyError as error:
+            failures[element.id] = error
+    return shapes, failures
+
+
+def box_of(element: Element) -> SceneObject:
+    """Return the box around an element's bodies, which stands for it where nothing better is known."""
+    points = np.concatenate([body.vertices for body in element.bodies])
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = np.maximum(high - low, _FLAT)
+    return SceneObject(f"{element.id}/0", "box", tuple(size.tolist()), tuple((0.5 * (low + high)).tolist()))
+
+
+def _shape(element: str, bodies: tuple[Body, ...], folder: Path) -> ElementShape:
+    if not bodies:
+        raise BodyError(element, "found no geometry, expected at least one body; leave it out or give it a shape")
+    objects: list[SceneObject] = []
+    ways, most = [], 0.0
+    for body in bodies:
+        try:
+            way, reach, pieces = _cached(body, folder)
+        except ConstructionTwinError as error:
+            raise BodyError(element, str(error)) from error
+        except OSError as error:
+            raise BodyError(element, f"its mesh files cannot be kept in {folder}: {error.strerror}") from error
+        objects += [replace(piece, name=f"{element}/{len(objects) + number}") for number, piece in enumerate(pieces)]
+        ways.append(way)
+        most = max(most, reach)
+    return ElementShape(tuple(objects), most, tuple(ways))
+
+
+def _cached(body: Body, folder: Path) -> tuple[str, float, list[SceneObject]]:
+    """Return how a body was made, its excess, and its objects; from an earlier run if its files are as they were."""
+    vertices = np.ascontiguousarray(body.vertices, dtype=float)
+    triangles = np.ascontiguousarray(body.triangles, dtype=np.int64)
+    made_of = [_VERSION, BOUND, MOST_PIECES, MARGIN, vertices.shape, triangles.shape]
+    digest = hashlib.sha256(json.dumps(made_of).encode() + vertices.tobytes() + triangles.tobytes()).hexdigest()
+    path = folder / f"{digest}.json"
+    try:
+        kept = json.loads(read_file(path, _LARGEST))
+        pieces = [_object(item, folder) for item in kept["pieces"]]
+        if all(not item.mesh or item.mesh_digest == Path(item.mesh).stem for item in pieces):
+            return kept["way"], kept["excess"], pieces
+    except FileNotFoundError:
+        pass  # not made yet
+    except (ValueError, KeyError, TypeError, ConstructionTwinError):
+        # a damaged file, or a mesh that is gone: made anew, and written over
+        path.unlink(missing_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    way, reach, descriptions = _made(vertices, triangles, folder)
+    write_whole(path, json.dumps({"way": way, "excess": reach, "pieces": descriptions}) + "\n")
+    return way, reach, [_object(item, folder) for item in descriptions]
+
+
+def _object(item: dict, folder: Path) -> SceneObject:
+    mesh = str((folder / item["mesh"]).absolute()) if item["mesh"] else ""
+    size, position, quaternion = (tuple(item[key]) for key in ("size", "position", "quaternion"))
+    return SceneObject("piece", item["shape"], size, position, quaternion, item["padding"], mesh)
+
+
+def _made(vertices: np.ndarray, triangles: np.ndarray, folder: Path) -> tuple[str, float, list[dict]]:
+    if not len(triangles) or not np.isfinite(vertices).all():
+        raise WorkError(f"found a body of {len(triangles)} triangles, expected triangles with finite corners")
+    if len(triangles) > MOST_TRIANGLES:
+        raise WorkError(f"found a body of {len(triangles)} triangles, expected at most {MOST_TRIANGLES}; simplify it")
+    closed = solid(vertices, triangles)
+    # of what has no inside nobody knows what pieces have more
+    for way, pieces in _candidates(closed, len(triangles)) if closed is not None else ():
+        reach = _reach(vertices, triangles, closed, pieces, way == "cut")
+        if reach <= BOUND:
+            return way, reach, [_description(points, folder) for points in pieces]
+    vertices, triangles = welded(vertices, triangles)
+    if not len(triangles):
+        raise WorkError("found a body without area, expected one that can be checked")
+    mesh = _write_mesh(vertices, triangles, folder)
+    return "surface", MARGIN, [{"shape": "mesh", **_UNIT, "padding": MARGIN, "mesh": mesh}]
+
+
+def _candidates(closed: manifold3d.Manifold, triangles: int) -> Iterator[tuple[str, list[np.ndarray]]]:
+    """Give ways to divide a body, the best first, each when it is asked for."""
+    if triangles > _MOST_DIVIDED:
+        yield "hull", [mesh_of(closed.hull())[0]]
+        return
+    hulls = [mesh_of(part)[0] for part in parts(closed)]
+    if len(hulls) <= MOST_PIECES:
+        yield "hull", hulls
+    cut = convex_cells(closed, 4 * MOST_PIECES) if triangles <= _MOST_CUT else None
+    if cut is not None:
+        yield "cut", cut
+    held = convex_cover(closed, MOST_PIECES, 0.4 * BOUND)
+    if held is not None:
+        yield "cover", held
+
+
+def _reach(
+    vertices: np.ndarray, triangles: np.ndarray, closed: manifold3d.Manifold, pieces: Sequence[np.ndarray], exact: bool
+) -> float:
+    """Return how far pieces reach beyond the body [m]; infinite: one is flat, or they do not hold it.
+
+    Args:
+        exact: They have no overlaps and the volume of the body. manifold3d is not asked for the difference then, because faces lie
+            in the same planes: with the same volume, points on the surface suffice.
+    """
+    if any(hull_solid(points).is_empty() for points in pieces) or (exact and extra_volume(closed, pieces)):
+        return math.inf
+    if lost(vertices, triangles, None if exact else closed, pieces):
+        return math.inf
+    return 0.0 if exact else excess(closed, pieces)
+
+
+def _description(points: np.ndarray, folder: Path) -> dict:
+    """Return what makes a SceneObject of a convex piece: a box where it is one."""
+    box = _as_box(points)
+    if box is not None:
+        return {**box, "shape": "box", "padding": 0.0, "mesh": ""}
+    mesh = _write_mesh(*hull_mesh(ConvexHull(points)), folder)
+    return {"shape": "mesh", **_UNIT, "padding": 0.0, "mesh": mesh}
+
+
+def _as_box(points: np.ndarray) -> dict | None:
+    hull = ConvexHull(points)
+    axes: list[np.ndarray] = []
+    for normal in np.round(hull.equations[:, :3], 12):
+        if all(abs(normal @ one) < 1.0 - 1e-9 for one in axes):
+            axes.append(normal / np.linalg.norm(normal))
+    if len(axes) != 3 or max(abs(axes[0] @ axes[1]), abs(axes[1] @ axes[2]), abs(axes[2] @ axes[0])) > 1e-9:
+        return None
+    # the axes in the order and sense that turn the box least
+    rotation = np.zeros((3, 3))
+    left = list(range(3))
+    for axis in sorted(axes, key=lambda one: -round(float(np.abs(one).max()), 9)):
+        column = max(left, key=lambda number: round(abs(float(axis[number])), 9))
+        left.remove(column)
+        rotation[:, column] = axis if axis[column] > 0 else -axis
+    if np.linalg.det(rotation) < 0:
+        rotation[:, 2] *= -1.0
+    rotation += 0.0
+    local = points @ rotation
+    low, high = local.min(axis=0), local.max(axis=0)
+    if np.prod(high - low) - hull.volume > _IS_BOX * hull.volume:
+        return None
+    centre = rotation @ (0.5 * (low + high))
+    return {
+        "size": (high - low).tolist(),
+        "position": centre.tolist(),
+        "quaternion": [float(value) for value in rotation_to_quaternion(rotation)],
+    }
+
+
+def _write_mesh(vertices: np.ndarray, triangles: np.ndarray, folder: Path) -> str:
+    """Write an OBJ file, whose numbers have all digits, under the hash of its contents; return its name."""
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in (np.asarray(vertices, dtype=float) + 0.0).tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (triangles + 1).tolist()]
+    text = "\n".join([*lines, ""])
+    name = f"{hashlib.sha256(text.encode()).hexdigest()}.obj"
+    write_whole(folder / name, text)
+    return name
+
+
+def element_triangles(element: Element) -> np.ndarray:
+    """Return all triangles of an element as the model has them, for pictures: shape (t, 3, 3), in its frame [m]."""
+    found = [np.asarray(body.vertices, dtype=float)[np.asarray(body.triangles)] for body in element.bodies]
+    return np.concatenate(found) if found else np.empty((0, 3, 3))

@@ -1,0 +1,335 @@
+"""What the executor's reports mean for the task whose plan it plays: the events, and their lines, before anybody acts on them.
+
+The executor goes on from the boundary at which the element is gripped or released only when the scene has changed, and the
+scene is changed after these lines are on the disk: without `gripped` no element was carried anywhere, without `released` none was
+let go and forgotten.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from construction_twin.core.errors import PayloadError, PoseUnknownError
+from construction_twin.core.reports import EngagementReport, ExecutionReport
+from construction_twin.extensions.work import engaged_scene
+from construction_twin.extensions.work.built import as_built, pose_of_tuple, pose_tuple
+from construction_twin.extensions.work.heard import GripReading, Heard, KnownPlan
+from construction_twin.extensions.work.task_board import TaskBoard
+from construction_twin.extensions.work.task_memory import (
+    MEASURED,
+    PLANNED,
+    UNDER_WAY,
+    Entry,
+    TaskEvent,
+    TaskMemory,
+    TaskState,
+)
+from construction_twin.kinematics.chain import Chain
+from construction_twin.review.record import Fate
+from construction_twin.robot.segments import Segment
+from construction_twin.robot.tool import Tool
+from construction_twin.scene.scene_change import SceneChange
+
+#: Outcome of a plan that reached its end.
+FINISHED = "finished"
+
+
+@dataclass(frozen=True)
+class Followed:
+    """A plan, as far as it is followed.
+
+    Attributes:
+        grips, releases: Numbers of the segments at whose ends the element is gripped and let go; negative: it does not, or that is
+            not known.
+        works: Number of the first engaged segment, before which nothing is done to an element that stays; negative: there is none,
+            or that is not known.
+    """
+
+    id: str
+    grips: int
+    releases: int
+    works: int = -1
+
+
+def followed_plan(
+    plan_id: str, memory: TaskMemory, segments: Sequence[Segment], changes: Sequence[SceneChange], tool: Tool
+) -> Followed:
+    """Return a plan of a task as it is followed: where it grips the element, and where it lets go of it."""
+    grips, releases = -1, -1
+    for number, (segment, change) in enumerate(zip(segments, changes)):
+        for switch in segment.switches:
+            if tool.grip.set.get(switch.output) == switch.value and change.carries:
+                grips = number
+            lets_go = tool.release.set.get(switch.output) == switch.value
+            if lets_go and releases < 0 and (grips >= 0 or memory.in_grip):
+                releases = number
+    works = next((number for number, segment in enumerate(segments) if segment.engaged), -1)
+    return Followed(plan_id, grips, releases, works)
+
+
+def followed_unseen(plan_id: str, memory: TaskMemory, outcome: str) -> Followed:
+    """Return a plan of a task that is not known any more, by its outcome: nothing tells of its segments, only of its end."""
+    if memory.stays:
+        return Followed(plan_id, -1, -1)
+    if outcome == FINISHED:
+        return Followed(plan_id, -1 if memory.in_grip else 0, 0)
+    return Followed(plan_id, -2, -2)
+
+
+class _Events:
+    """Collects the events of one task; its state after them is computed as the ledger computes it."""
+
+    def __init__(self, memory: TaskMemory, plan: str):
+        self.memory, self._plan = memory, plan
+        self.entries: list[Entry] = []
+
+    @property
+    def state(self) -> TaskState:
+        """The task's, after them."""
+        return self.memory.state
+
+    def add(self, event: TaskEvent, reason: str = "", pose: tuple[float, ...] = (), source: str = "") -> None:
+        """Add one event."""
+        entry = Entry(event.value, self.memory.task, plan=self._plan, pose=pose, source=source, reason=reason)
+        self.memory = self.memory.then(entry)
+        self.entries.append(entry)
+
+
+def follow(
+    memory: TaskMemory, plan: Followed, report: ExecutionReport, grip: GripReading, built: tuple[float, ...] = (),
+    source: str = "", confirmed: bool = False,
+) -> list[Entry]:  # fmt: skip
+    """Return the events that a report adds to the task of a plan; none when it says nothing new of it.
+
+    Args:
+        built: Length 7 or 0. Where the element stands if it is let go now; empty: not known.
+        confirmed: The plan has ended at the end of the report's segment, and the tool did there what was asked of it.
+    """
+    if report.plan_id != plan.id or memory.state not in (TaskState.PLANNED, *UNDER_WAY):
+        return []
+    events = _Events(memory, plan.id)
+    if memory.state is TaskState.PLANNED:
+        if not report.playing and not report.ended:
+            return []
+        if not memory.plan:
+            events.add(TaskEvent.PLANNED)
+        events.add(TaskEvent.BEGUN)
+    # what lies behind, up to the present segment; a plan that has come to its end has been through everything
+    segment = 10**6 if report.ended == FINISHED else report.segment
+    stands = report.at_boundary or report.wants_scene or confirmed
+    confirmed = confirmed or (report.wants_scene and report.playing)
+
+    def behind(number: int, at_its_end: bool) -> bool:
+        # of a plan that is not known any more, no segment says that the grip closed or let go
+        return number >= 0 and (segment > number or (segment == number and at_its_end))
+
+    if events.state is TaskState.WORKING and behind(plan.grips, stands):
+        events.add(TaskEvent.GRIPPING)
+    if events.state is TaskState.GRIPPING and behind(plan.grips, confirmed):
+        events.add(TaskEvent.GRIPPED)
+    if events.state is TaskState.CARRYING and behind(plan.releases, stands):
+        events.add(TaskEvent.RELEASING)
+    if events.state is TaskState.RELEASING and behind(plan.releases, confirmed):
+        events.add(TaskEvent.RELEASED, pose=built, source=source if built else "")
+    if report.ended:
+        _end(events, plan, report, grip)
+    return events.entries
+
+
+def _end(events: _Events, plan: Followed, report: ExecutionReport, grip: GripReading) -> None:
+    reason = f"{report.outcome}: {report.reason}"
+    if events.state is TaskState.WORKING and events.memory.stays:
+        # from the first engaged segment on only a person sees what was done
+        stopped = TaskEvent.STOPPED if 0 <= report.segment < plan.works else TaskEvent.UNKNOWN
+        events.add(TaskEvent.FINISHED if report.outcome == FINISHED else stopped, reason)
+        return
+    if events.state is TaskState.RETREATING and report.outcome == FINISHED:
+        events.add(TaskEvent.FINISHED, reason)
+        return
+    if events.state is TaskState.WORKING and not (0 <= report.segment < plan.grips or grip.surely_open):
+        # from the segment on at whose end the grip closes, it may have closed: unless the tool says that it did not
+        events.add(TaskEvent.GRIPPING)
+    surely_not = events.state is TaskState.GRIPPING and grip.surely_open
+    events.add(TaskEvent.NOT_GRIPPED if surely_not else TaskEvent.STOPPED, reason)
+
+
+def after_restart(memory: TaskMemory, fate: Fate, grip: GripReading) -> list[Entry]:
+    """Return the events of a task whose plan the executor does not report any more, or never did."""
+    events = _Events(memory, fate.plan or memory.plan)
+    if memory.state is TaskState.PLANNED:
+        if fate.under_review:
+            if not memory.plan:
+                events.add(TaskEvent.PLANNED)
+        elif fate.approved is False:
+            events.add(TaskEvent.DROPPED, "it was never approved")
+        elif grip.surely_open and not memory.in_grip and not memory.stays:
+            # nothing can have been carried: the line that must be written before is not there
+            events.add(TaskEvent.DROPPED, "nothing was gripped")
+        else:
+            events.add(TaskEvent.UNKNOWN, "whether the plan was carried out is not known")
+    elif memory.state is TaskState.WORKING and grip.surely_open and not memory.stays:
+        events.add(TaskEvent.STOPPED, "nothing was gripped")
+    elif memory.state is TaskState.GRIPPING and grip.surely_open:
+        events.add(TaskEvent.NOT_GRIPPED, "nothing was gripped")
+    elif memory.state in UNDER_WAY:
+        events.add(TaskEvent.UNKNOWN, f"what became of the plan is not known; the last known was {memory.state.value}")
+    return events.entries
+
+
+class Follower:
+    """Adds to the ledger how the task under way goes on and ends; when a method returns, its lines are on the disk.
+
+    Not for several threads at once.
+
+    Args:
+        arm_pose: Returns the physical arm's present joint positions [rad], [m]; raises PoseUnknownError or PayloadError.
+        refuse: Counts what could not be used; takes reason and sentence.
+        log: Takes a sentence.
+    """
+
+    def __init__(
+        self, board: TaskBoard, heard: Heard, chain: Chain, arm_pose: Callable[[], tuple[float, ...]],
+        refuse: Callable[[str, str], None], log: Callable[[str], None],
+    ):  # fmt: skip
+        self._board, self._heard = board, heard
+        self._chain, self._arm_pose = chain, arm_pose
+        self._refuse, self._log = refuse, log
+
+    def catch_up(self, report: ExecutionReport | None) -> None:
+        """Write all that a report, verdicts and tool have to say, and settle what nobody will report any more."""
+        self.follow(report)
+        self._drop_if_turned_down()
+        self.settle_if_lost()
+        # what counts as carried is asked about when the tool is surely open
+        if not self._heard.playing and self.grip().surely_open and (sentence := self._board.lost()):
+            self._log(sentence)
+
+    def grip(self) -> GripReading:
+        """Return what the tool says of its grip."""
+        return self._heard.grip(self._board.prepared.tool)
+
+    # -- the task under way
+
+    def follow(self, report: ExecutionReport | None) -> None:
+        """Write what a report says of the task under way."""
+        left, memory = self._heard.left, self._under_way()
+        if memory is None or report is None or self._heard.unsaid:
+            return
+        known = self._heard.work_plan(left.plan_id) if left is not None else None
+        if left is not None and left.plan_id == memory.plan and known is not None:
+            if report.plan_id != memory.plan or not report.playing:
+                self._follow_left(memory, left, known, report)
+                return
+        followed = self._followed(memory, self._heard.plan)
+        if followed is None or followed.id != report.plan_id:
+            # without the plan nothing can be told of its segments; its end will be heard
+            if not memory.plan or report.plan_id != memory.plan or not report.outcome:
+                return
+            followed = followed_unseen(memory.plan, memory, report.outcome)
+        self._write(memory, followed, report)
+
+    def _follow_left(
+        self, memory: TaskMemory, left: EngagementReport, known: KnownPlan, report: ExecutionReport
+    ) -> None:
+        """Write how the task's plan ended inside an engaged segment: what the tool has done by then is done."""
+        followed, plan = self._followed(memory, known), known.plan
+        if followed is None:
+            return
+        numbers = [number for number, segment in enumerate(plan.segments) if segment.name == left.segment]
+        mine = report.plan_id == plan.id
+        # after a restart of the executor only the segment's name is known
+        number = report.segment if mine else numbers[0] if len(numbers) == 1 else -1
+        confirmed = 0 <= number < len(plan.segments) and engaged_scene.confirmed(left, plan.segments[number])
+        # only there the arm still stands as it let go
+        stands, outcome = mine and (confirmed or report.at_boundary), (report.outcome if mine else "") or "stopped"
+        ended = ExecutionReport("", left.reason, plan.id, outcome, segment=number, at_boundary=stands)
+        self._write(memory, followed, ended, confirmed)
+
+    def _write(self, memory: TaskMemory, followed: Followed, report: ExecutionReport, confirmed: bool = False) -> None:
+        """Write the lines that follow from a report."""
+        built, source = self._as_built(memory, followed, report) if followed.releases >= 0 else ((), "")
+        self._add(follow(memory, followed, report, self.grip(), built, source, confirmed))
+
+    def _add(self, entries: list[Entry]) -> None:
+        """Add events to the ledger, in their order."""
+        for entry in entries:
+            self._board.add(entry)
+            reason = f"; {entry.reason}" if entry.reason else ""
+            self._log(f"{self._board.title(entry.task)}: {entry.event}{reason}")
+
+    def _under_way(self) -> TaskMemory | None:
+        """Return what is known of the task that is under review or under way; None: none is."""
+        return self._board.book.tasks.get(self._board.book.busy)
+
+    def _followed(self, memory: TaskMemory, known: KnownPlan | None) -> Followed | None:
+        """Return a plan of a task as it is followed; None when it is another's."""
+        if known is None or known.plan.task != memory.task:
+            return None
+        plan = known.plan
+        if plan.id != memory.plan and not (memory.offer and memory.offer in plan.source):
+            return None
+        return followed_plan(plan.id, memory, plan.segments, known.changes, self._board.prepared.tool)
+
+    def _as_built(
+        self, memory: TaskMemory, followed: Followed, report: ExecutionReport
+    ) -> tuple[tuple[float, ...], str]:
+        """Return where the element stands if let go now: by the arm's own pose at the boundary, else by the plan's; and which."""
+        known = self._heard.work_plan(followed.id)
+        if known is None or not 0 <= followed.releases < len(known.plan.segments):
+            return (), ""
+        if not memory.tool0_T_element or memory.state is TaskState.RETREATING:
+            return (), ""
+        planned = tuple(known.plan.trajectory.sample(known.plan.segments[followed.releases].end)[0])
+        q, source = planned, PLANNED
+        if report.segment == followed.releases and (report.at_boundary or report.wants_scene):
+            try:
+                q, source = self._arm_pose(), MEASURED
+            except (PoseUnknownError, PayloadError) as error:
+                self._refuse("pose", f"the planned pose is taken for the arm's: {error}")
+        held, goal = pose_of_tuple(memory.tool0_T_element), self._board.goal(memory.task)
+        return pose_tuple(as_built(self._chain.forward(q), self._chain.forward(planned), held, goal)), source
+
+    # -- a task that nobody reports
+
+    def settle_if_lost(self) -> None:
+        """Settle a task under way that the executor does not know: it was started anew, or has gone on to another plan."""
+        memory, report = self._under_way(), self._heard.execution
+        if memory is None or report is None:
+            return
+        if memory.state in UNDER_WAY and report.plan_id != memory.plan:
+            self.settle()
+        elif memory.state is TaskState.PLANNED and self._heard.forget_if_nobody_has(memory.plan):
+            self.settle()
+
+    def settle(self) -> None:
+        """Settle a task whose plan the executor does not report, and never will: by its record, else by asking."""
+        memory, report = self._under_way(), self._heard.execution
+        if memory is None or self._heard.unsaid:
+            return
+        if report is not None and memory.plan and report.plan_id == memory.plan:
+            return
+        fate = self._heard.fate(memory.plan, memory.offer)
+        if fate.outcome != FINISHED:
+            self._add(after_restart(memory, fate, self.grip()))
+            return
+        ended = ExecutionReport("", "", fate.plan, fate.outcome)
+        unseen = followed_unseen(fate.plan, memory, fate.outcome)
+        # where the element was to be let go is known as long as the plan is
+        known = self._heard.plan
+        followed = self._followed(memory, known) if known is not None and known.plan.id == fate.plan else None
+        built, source = self._as_built(memory, followed, ended) if followed is not None else ((), "")
+        self._add(follow(memory, unseen, ended, self.grip(), built, source))
+
+    def settle_offer(self, task: str, offer: str) -> None:
+        """Settle a task whose plan was offered to a planner that did not answer: it may have published it before it went away."""
+        self._add(after_restart(self._board.book.tasks[task], self._heard.fate("", offer), self.grip()))
+
+    def _drop_if_turned_down(self) -> None:
+        """Take note of a plan under review that was rejected, replaced, or is void."""
+        memory = self._under_way()
+        said = self._heard.verdict(memory.plan) if memory is not None else None
+        if memory is not None and memory.state is TaskState.PLANNED and said is not None and not said.approved:
+            who, why = said.reviewer, said.reason
+            self._board.add(Entry("dropped", memory.task, plan=memory.plan, reason=f"{who}: {why}"))
+            self._board.failures[memory.task] = f"its plan was turned down by {who}: {why}"

@@ -1,0 +1,91 @@
+"""What the user should know about a file that was read: one sentence for each kind of thing, with the first that it holds for."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+
+from construction_twin.core.work_errors import BuildingError
+from construction_twin.extensions.work.names import first_few
+
+_NAMED = 5
+#: Remarks of one element or task.
+_REMARKS = 20
+
+
+class Notes:
+    """Sentences, each with what it is about.
+
+    Order is that of the first occurrence.
+    """
+
+    def __init__(self) -> None:
+        self._about: dict[str, list[str]] = {}
+        self._at: dict[str, list[str]] = {}
+
+    def add(self, sentence: str, about: str = "", at: str = "") -> None:
+        """Add a sentence, or one more thing that an earlier one holds for.
+
+        Args:
+            sentence: Without a full stop; must make sense for one and for many, whose names follow behind a colon.
+            about: Name or GlobalId; empty: the sentence says it all.
+            at: Id of the element or task whose remark it is; by default what it is about.
+        """
+        self._about.setdefault(sentence, []).append(about)
+        self.remark(sentence, at or about)
+
+    def remark(self, sentence: str, at: str) -> None:
+        """Add a sentence to an element or task only."""
+        remarks = self._at.setdefault(at, [])
+        # a file can be wrong in the same way very often
+        if sentence not in remarks and len(remarks) < _REMARKS:
+            remarks.append(sentence)
+
+    def remarks(self, ids: Collection[str]) -> dict[str, tuple[str, ...]]:
+        """Return the sentences that hold for each of these elements and tasks, of those that any holds for."""
+        return {name: tuple(remarks) for name, remarks in self._at.items() if name in ids}
+
+    def sentences(self, names: Mapping[str, str] | None = None) -> tuple[str, ...]:
+        """Return them; beyond the first few a sentence only counts what it is about.
+
+        `names`: By id: what is noted by its id alone has its name, too. Empty: it has none.
+        """
+        called = {one: f"{name} ({one})" for one, name in (names or {}).items() if name}
+        found = []
+        for text, named in self._about.items():
+            about = dict.fromkeys(called.get(one, one) for one in named if one)
+            found.append(f"{text}: see {first_few(about, _NAMED)}" if about else text)
+        return tuple(found)
+
+
+class Misread(BuildingError):
+    """ifcopenshell cannot read an entity."""
+
+
+class Where:
+    """Says which file and entity cannot be read, when ifcopenshell raises an exception of its own.
+
+    Note:
+        A broken file can make ifcopenshell raise almost anything (a value of another type than the schema's makes Python code that
+        trusts the schema fail): all but our own errors and the want of memory become `Misread`.
+    """
+
+    def __init__(self, file: str, entity: object):
+        self._file, self._entity = file, entity
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, Exception) and not isinstance(error, (BuildingError, MemoryError)):
+            found = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+            raise Misread(self._file, label(self._entity), found, "what the IFC schema says") from error
+
+
+def label(entity: object) -> str:
+    """Return ``#12=IFCWALL`` for an entity, and a text as it is."""
+    if isinstance(entity, str):
+        return entity
+    try:
+        return f"#{entity.id()}={entity.is_a().upper()}"  # type: ignore[attr-defined]
+    except (AttributeError, RuntimeError):
+        return "an entity"

@@ -1,0 +1,130 @@
+"""Which object is part of, in or on which: aggregation, nesting, storeys, fillings. Loops are refused before anything follows."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+
+import ifcopenshell
+
+from construction_twin.core.work_errors import BuildingError
+from construction_twin.extensions.work.ifc.notes import Where, label
+
+_Entities = dict[int, list[ifcopenshell.entity_instance]]
+#: Relations of what is in or on elements: attributes of the elements, and of what is in or on them.
+_ON = {
+    "IfcRelFillsElement": (("RelatingOpeningElement",), "RelatedBuildingElement"),
+    "IfcRelCoversBldgElements": (("RelatingBuildingElement",), "RelatedCoverings"),
+    "IfcRelProjectsElement": (("RelatingElement",), "RelatedFeatureElement"),
+    "IfcRelConnectsWithRealizingElements": (("RelatingElement", "RelatedElement"), "RealizingElements"),
+}
+
+
+@dataclass(frozen=True)
+class Relations:
+    """Parents by the id of the part.
+
+    Attributes:
+        on: What something fills, covers, projects from or fastens.
+        members: What a group or a part of the site holds, by its own id.
+    """
+
+    whole: dict[int, ifcopenshell.entity_instance]
+    container: dict[int, ifcopenshell.entity_instance]
+    openings: _Entities
+    on: _Entities
+    members: _Entities
+
+    def within(self, group: ifcopenshell.entity_instance) -> list[ifcopenshell.entity_instance]:
+        """Return what a group or a part of the site holds, what holds things itself replaced by these."""
+        found: dict[int, ifcopenshell.entity_instance] = {}
+        left, seen = [group], set()
+        while left:
+            at = left.pop(0)
+            if at.id() in seen:
+                continue
+            seen.add(at.id())
+            if at.id() in self.members:
+                left += self.members[at.id()]
+            elif at is not group:
+                found[at.id()] = at
+        return [found[number] for number in sorted(found)]
+
+    def wholes(self, entity: ifcopenshell.entity_instance) -> list[ifcopenshell.entity_instance]:
+        """Return what an entity is part of, the nearest first."""
+        found: list[ifcopenshell.entity_instance] = []
+        whole = self.whole.get(entity.id())
+        while whole is not None:
+            found.append(whole)
+            whole = self.whole.get(whole.id())
+        return found
+
+    def storey(self, entity: ifcopenshell.entity_instance) -> str:
+        """Return the name of the storey, or of the smallest other part of the site, that holds an element or what it is part of."""
+        for each in (entity, *self.wholes(entity)):
+            if (container := self.container.get(each.id())) is None:
+                continue
+            spaces = (container, *self.wholes(container))
+            storeys = [space for space in spaces if space.is_a("IfcBuildingStorey")]
+            return (storeys or spaces)[0].Name or ""
+        return ""
+
+
+def read_relations(file: ifcopenshell.file, name: str) -> Relations:
+    """Read them."""
+    whole: dict[int, ifcopenshell.entity_instance] = {}
+    members: _Entities = defaultdict(list)
+    # in IFC2x3 both are subtypes of IfcRelDecomposes; nesting of tasks and resources is read with them, for its loops
+    for relation in (*file.by_type("IfcRelAggregates"), *file.by_type("IfcRelNests")):
+        with Where(name, relation):
+            for part in relation.RelatedObjects:
+                whole.setdefault(part.id(), relation.RelatingObject)
+                if relation.RelatingObject.is_a("IfcProduct") and not relation.RelatingObject.is_a("IfcElement"):
+                    members[relation.RelatingObject.id()].append(part)
+    container: dict[int, ifcopenshell.entity_instance] = {}
+    for relation in file.by_type("IfcRelContainedInSpatialStructure"):
+        with Where(name, relation):
+            for part in relation.RelatedElements:
+                container.setdefault(part.id(), relation.RelatingStructure)
+                members[relation.RelatingStructure.id()].append(part)
+    for relation in file.by_type("IfcRelAssignsToGroup"):
+        with Where(name, relation):
+            members[relation.RelatingGroup.id()] += relation.RelatedObjects
+    voided: dict[int, ifcopenshell.entity_instance] = {}
+    openings: _Entities = defaultdict(list)
+    for relation in file.by_type("IfcRelVoidsElement"):
+        with Where(name, relation):
+            openings[relation.RelatingBuildingElement.id()].append(relation.RelatedOpeningElement)
+            voided[relation.RelatedOpeningElement.id()] = relation.RelatingBuildingElement
+    _refuse_loops(file, name, whole)
+    return Relations(whole, container, dict(openings), _on(file, name, voided), dict(members))
+
+
+def _on(file: ifcopenshell.file, name: str, voided: dict[int, ifcopenshell.entity_instance]) -> _Entities:
+    found: _Entities = defaultdict(list)
+    for kind, (hosts, guests) in _ON.items():
+        for relation in file.by_type(kind):
+            with Where(name, relation):
+                given = getattr(relation, guests)
+                for host in filter(None, (getattr(relation, attribute) for attribute in hosts)):
+                    # what fills an opening is in the element that it is cut out of
+                    element = voided.get(host.id(), host)
+                    for guest in filter(None, given if isinstance(given, tuple) else (given,)):
+                        found[guest.id()].append(element)
+    return dict(found)
+
+
+def _refuse_loops(file: ifcopenshell.file, name: str, whole: dict[int, ifcopenshell.entity_instance]) -> None:
+    good: set[int] = set()
+    for start in whole:
+        seen: dict[int, None] = {}
+        at: int | None = start
+        while at is not None and at not in good:
+            if at in seen:
+                loop = list(seen)[list(seen).index(at) :]
+                shown = " in ".join(label(file.by_id(each)) for each in loop[:4])
+                raise BuildingError(name, label(file.by_id(at)), f"part of itself ({shown} ...)", "no loop of parts")
+            seen[at] = None
+            parent = whole.get(at)
+            at = None if parent is None else parent.id()
+        good.update(seen)

@@ -1,0 +1,424 @@
+"""The ledger: the log of what was done of a building model, one event per line, on the disk before anybody acts on it.
+
+An append-only file (`core.append_only`), one per robot and site. From its events the state of every task is computed by one pure
+fold (`fold`, `Book.then`), so that a node that was killed at any instant comes back with what is true. Its file is the only memory,
+with the bodies beside it that its lines name by digest. When the model has changed since, a person is asked about everything that
+was touched.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+
+from construction_twin.core.append_only import AppendOnlyFile, read_lines
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.files import write_whole
+from construction_twin.core.work_errors import LedgerError
+from construction_twin.extensions.work.task_memory import (
+    ACCEPTED,
+    CHANGED,
+    MENDED,
+    NOT_IN_MODEL,
+    OF_NO_TASK,
+    OPENED,
+    PLANNED,
+    SETTLED,
+    UNDER_WAY,
+    Entry,
+    NotNow,
+    TaskEvent,
+    TaskMemory,
+    TaskState,
+    entry_of,
+)
+from construction_twin.scene.objects import SceneObject
+
+_FREED, _BLOCKED = Entry(TaskEvent.FREED.value), Entry(TaskEvent.BLOCKED.value)
+
+
+@dataclass(frozen=True)
+class Present:
+    """What the present model says of a task's element.
+
+    `digest`: SHA-256 of all that a person is asked about when it changes: GlobalId, name, class, shape, place; empty: no shape.
+    """
+
+    element: str
+    name: str = ""
+    ifc_class: str = ""
+    digest: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Book:
+    """What is known after some events; made by `fold`.
+
+    Attributes:
+        after: Ids of the tasks that must be settled before each task, in the order in which they can be done.
+        tasks: By id, in that order; behind them those that the schedule does not have any more.
+        accepted: Digest of the schedule that a person has accepted; empty: none.
+        model, cell: SHA-256 of the model and path of the cell that were worked with last; empty: none yet.
+        robot: Its name; empty: not known.
+        found: What other ledgers say was placed, as `found` named it.
+    """
+
+    after: Mapping[str, tuple[str, ...]]
+    tasks: Mapping[str, TaskMemory]
+    accepted: str = ""
+    model: str = ""
+    cell: str = ""
+    robot: str = ""
+    found: frozenset[str] = frozenset()
+
+    def then(self, entry: Entry) -> Book:
+        """Return what is known after one more event.
+
+        Raises:
+            NotNow: If it does not fit the states that the events before it left.
+        """
+        if entry.event == ACCEPTED:
+            return replace(self, accepted=entry.schedule)
+        if entry.event in (OPENED, CHANGED):
+            return replace(self, model=entry.model, cell=entry.cell, robot=entry.robot or self.robot)
+        if entry.event in OF_NO_TASK:
+            return self
+        before = self.tasks.get(entry.task, TaskMemory(entry.task))
+        memory = _taken(before, entry)
+        tasks = {**self.tasks, entry.task: memory}
+        for task, other in self.tasks.items():
+            # what is said now of where an element is replaces what was known of it by a task that is no more
+            no_more = task not in self.after and entry.task in self.after and not memory.stays
+            if task == entry.former or (no_more and entry.element and other.element == entry.element):
+                del tasks[task]
+                if task in self.after:
+                    tasks[task] = TaskMemory(task, TaskState.READY)
+        if entry.former or memory.state is TaskState.READY or (memory.state in SETTLED) != (before.state in SETTLED):
+            # only then somebody waits who did not, or waits no longer
+            tasks = _settled(self.after, tasks)
+        found = self.found | {entry.source} if entry.event == TaskEvent.FOUND.value else self.found
+        return replace(self, tasks=tasks, found=found)
+
+    def check(self, entry: Entry) -> None:
+        """Refuse what does not fit the present states, before it is written."""
+        if entry.event in OF_NO_TASK:
+            return
+        if entry.task not in self.tasks and not entry.former and entry.event != TaskEvent.FOUND.value:
+            raise LedgerError("ledger", f"no task {entry.task!r}; expected one of the schedule's {len(self.tasks)}")
+        self.tasks.get(entry.task, TaskMemory(entry.task)).then(entry)
+
+    # -- what is known
+
+    def in_state(self, *states: TaskState) -> tuple[str, ...]:
+        """Return the tasks in any of these states, in their order."""
+        return tuple(name for name, memory in self.tasks.items() if memory.state in states)
+
+    @property
+    def busy(self) -> str:
+        """The task that is under review or under way; empty: none."""
+        return next(iter(self.in_state(TaskState.PLANNED, *UNDER_WAY)), "")
+
+    @property
+    def in_grip(self) -> tuple[str, ...]:
+        """The tasks whose element is held by the tool, as far as is known."""
+        return tuple(name for name, memory in self.tasks.items() if memory.in_grip)
+
+    @property
+    def standing(self) -> tuple[str, ...]:
+        """The tasks whose element is placed."""
+        return tuple(name for name, memory in self.tasks.items() if memory.placed)
+
+    @property
+    def open(self) -> tuple[str, ...]:
+        """The tasks of the schedule that are neither done nor skipped."""
+        return tuple(name for name in self.after if self.tasks[name].state not in SETTLED)
+
+    @property
+    def asking(self) -> tuple[str, ...]:
+        """The tasks whose question is open."""
+        return tuple(name for name in self.in_state(TaskState.ASKS) if name in self.after or name in self.former)
+
+    def missing(self, task: str) -> tuple[str, ...]:
+        """Return the predecessors that are neither done nor skipped."""
+        return _missing(self.after, self.tasks, task)
+
+    def followers(self, task: str) -> tuple[str, ...]:
+        """Return the tasks that wait for this one and have begun or are done."""
+        still = (TaskState.WAITING, TaskState.READY, TaskState.SKIPPED)
+        return tuple(
+            name for name, before in self.after.items() if task in before and self.tasks[name].state not in still
+        )
+
+    # -- another model or schedule
+
+    @property
+    def former(self) -> dict[str, TaskMemory]:
+        """What is known of elements that were taken from their stock by tasks that the schedule does not have any more."""
+        left = {task: memory for task, memory in self.tasks.items() if task not in self.after}
+        return {task: memory for task, memory in left.items() if memory.touched and not memory.stays}
+
+    def handed_over(self, present: Mapping[str, Present]) -> list[Entry]:
+        """Return the events after which no task of the schedule counts with what it has done to another element than it has now.
+
+        What it has left of that one goes by the element's own id, as of a task that is no more.
+        """
+        found = []
+        for task, memory in self.tasks.items():
+            if task not in present or memory.element in ("", present[task].element) or memory.stays:
+                continue
+            reason = "the model was changed, and its task"
+            if memory.touched:
+                own = memory.element if memory.element not in self.tasks else f"{memory.element} {task}"
+                found.append(placed_elsewhere("found" if memory.placed else "unknown", own, memory, reason=reason))
+            elif memory.gone and memory.state is TaskState.DONE:
+                found.append(Entry("redone", task, present[task].element, reason=reason))
+        return found
+
+    def doubts(
+        self,
+        model: str,
+        placing: Mapping[str, str],
+        standing: Collection[str] = (),
+        present: Mapping[str, Present] = MappingProxyType({}),
+    ) -> list[Entry]:
+        """Return the events by which a person is asked about what was touched for another version of model or schedule.
+
+        What was placed is not asked about again where nothing has changed since it was placed or answered.
+        """
+        found, called = [], {(each.name, each.ifc_class) for each in present.values()}
+        for task, memory in self.tasks.items():
+            no_more, stands = task not in self.after, memory.placed and memory.state in SETTLED
+            heir = placing.get(memory.element, "") if no_more else ""
+            if not memory.touched or (no_more and memory.stays):
+                continue
+            if heir and self.tasks[heir].state in (TaskState.WAITING, TaskState.READY):
+                event, reason = "found" if memory.placed else "unknown", "the model was changed, and its task"
+                if stands and heir in present and memory.seen == present[heir].digest:
+                    event = "same"
+                found.append(placed_elsewhere(event, heir, memory, reason=reason))
+            elif memory.state is TaskState.ASKS or (no_more and stands and memory.element in standing):
+                continue
+            elif stands and task in present and memory.seen == present[task].digest:
+                continue
+            elif stands and no_more and memory.seen == NOT_IN_MODEL and (memory.name, memory.ifc_class) not in called:
+                continue
+            elif self.model != model or (no_more and not stands):
+                # what is on its way out stands; only then can it be asked about
+                times = 2 if memory.state is TaskState.RETREATING else 1
+                reason = "the model was changed"
+                found += [Entry("unknown", task, memory.element, reason=reason)] * times
+        return found
+
+
+def placed_elsewhere(event: str, task: str, memory: TaskMemory, reason: str = "", source: str = "") -> Entry:
+    """Return the event by which a task takes over what another one has left where it stands."""
+    if event == TaskEvent.SAME.value and memory.as_planned:
+        source = PLANNED
+    return Entry(
+        event, task, memory.element, pose=memory.base_T_element, name=memory.name, ifc_class=memory.ifc_class,
+        body=memory.body, goal=memory.goal, seen=memory.seen, former=memory.task, reason=reason, source=source,
+    )  # fmt: skip
+
+
+def fold(after: Mapping[str, tuple[str, ...]]) -> Book:
+    """Return what is known before any event; `after`: see `Book`."""
+    return Book(dict(after), _settled(after, {task: TaskMemory(task) for task in after}))
+
+
+def _taken(memory: TaskMemory, entry: Entry) -> TaskMemory:
+    if memory.state is TaskState.WAITING and not memory.takes(entry):
+        # what was done was done, even if a schedule that was changed since would have had it wait
+        memory = memory.then(_FREED)
+    return memory.then(entry)
+
+
+def _missing(after: Mapping[str, tuple[str, ...]], tasks: Mapping[str, TaskMemory], task: str) -> tuple[str, ...]:
+    return tuple(name for name in after.get(task, ()) if name in tasks and tasks[name].state not in SETTLED)
+
+
+def _settled(after: Mapping[str, tuple[str, ...]], tasks: Mapping[str, TaskMemory]) -> dict[str, TaskMemory]:
+    """Return the tasks, those that wait for nobody free, and those that wait for others not."""
+    settled = dict(tasks)
+    for name, memory in tasks.items():
+        if memory.state is TaskState.WAITING and not _missing(after, tasks, name):
+            settled[name] = memory.then(_FREED)
+        elif memory.state is TaskState.READY and _missing(after, tasks, name):
+            settled[name] = memory.then(_BLOCKED)
+    return settled
+
+
+#: Largest ledger that is read [bytes].
+LARGEST = 256 * 2**20
+
+
+class Ledger:
+    """The file, and what its events say. Not for several threads at once.
+
+    Args:
+        clock: Returns the time since 1970 in UTC [ns].
+        robot: Its name, in whose frame the poses are.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        after: Mapping[str, tuple[str, ...]],
+        model: str,
+        clock: Callable[[], int],
+        cell: str = "",
+        placing: Mapping[str, str] = MappingProxyType({}),
+        standing: Collection[str] = (),
+        robot: str = "",
+        present: Mapping[str, Present] = MappingProxyType({}),
+    ):
+        self.path = Path(path)
+        self._bodies = self.path.parent / "standing"
+        self._clock = clock
+        try:
+            # read in full before every use: a ledger of this size is no ledger
+            if self.path.exists() and self.path.stat().st_size > LARGEST:
+                raise LedgerError(str(path), f"larger than {LARGEST / 2**20:g} MiB; move it away")
+            self._file = AppendOnlyFile(self.path, LedgerError, "work node")
+        except ConfigurationError as error:
+            raise LedgerError(str(path), _problem(error, str(path))) from error
+        except OSError as error:
+            raise LedgerError(str(path), str(error)) from error
+        try:
+            self.book = replay(self.path, after)
+            if self._file.lines == 0:
+                self.add(Entry(OPENED, model=model, cell=cell, robot=robot))
+            if self._file.mended:
+                self.add(Entry(MENDED, reason=f"{self._file.mended} bytes of a line without its end were cut off"))
+            for entry in self.book.handed_over(present):
+                self.add(entry)
+            for entry in self.book.doubts(model, placing, standing, present):
+                self.add(entry)
+            # last: killed before it, the next start asks again
+            if (self.book.model, self.book.cell) != (model, cell):
+                self.add(Entry(CHANGED, model=model, cell=cell))
+        except ConstructionTwinError:
+            self._file.close()
+            raise
+
+    @property
+    def lines(self) -> int:
+        """Number of lines."""
+        return self._file.lines
+
+    def add(self, entry: Entry) -> None:
+        """Write an event, then count with it; when this returns it is on the disk.
+
+        Raises:
+            NotNow: If it does not fit; nothing is written.
+            LedgerError: If it cannot be written; nothing is taken.
+        """
+        self.book.check(entry)
+        now = self._clock()
+        self._file.append(now, entry.fields())
+        self.book = self.book.then(replace(entry, time_ns=now))
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._file.close()
+
+    # -- bodies
+
+    def keep(self, bodies: Sequence[SceneObject]) -> str:
+        """Keep an element's pieces, whatever becomes of model and cache; return their digest. They are on the disk then."""
+        try:
+            for item in bodies:
+                if item.mesh:
+                    self._write(_mesh_name(item), Path(item.mesh).read_bytes())
+            text = _contents(bodies)
+            digest = hashlib.sha256(text).hexdigest()
+            self._write(f"{digest}.json", text)
+        except OSError as error:
+            raise LedgerError(str(self._bodies), str(error)) from error
+        return digest
+
+    def _write(self, name: str, contents: bytes) -> None:
+        path = self._bodies / name
+        if path.exists() and path.read_bytes() == contents:
+            return
+        write_whole(path, contents)
+        for each in (path, self._bodies, self._bodies.parent):
+            handle = os.open(each, os.O_RDONLY)
+            try:
+                os.fsync(handle)
+            finally:
+                os.close(handle)
+
+    def body(self, element: str, digest: str) -> tuple[SceneObject, ...]:
+        """Return the pieces of an element that were kept, called ``<element>/0``, ..., in its frame."""
+        path = self._bodies / f"{digest}.json"
+        try:
+            content = path.read_bytes()
+            if hashlib.sha256(content).hexdigest() != digest:
+                raise ValueError("it is not what it was when it was written; restore the folder")
+            pieces = tuple(
+                SceneObject(
+                    f"{element}/{number}", **{**kept, "mesh": kept["mesh"] and str(self._bodies / kept["mesh"])}
+                )
+                for number, kept in enumerate(json.loads(content))
+            )
+            if any(item.mesh and item.mesh_digest != Path(item.mesh).stem for item in pieces):
+                raise ValueError("it is not what it was when it was written; restore the folder")
+        except (OSError, ValueError, ConstructionTwinError) as error:
+            raise LedgerError(str(path), str(error)) from error
+        return pieces
+
+
+#: What is kept of each piece, besides its mesh.
+_OF_BODY = ("shape", "size", "position", "quaternion", "padding")
+
+
+def body_digest(bodies: Sequence[SceneObject]) -> str:
+    """Return the digest by which an element's pieces are kept."""
+    return hashlib.sha256(_contents(bodies)).hexdigest()
+
+
+def _contents(bodies: Sequence[SceneObject]) -> bytes:
+    each = [{**{key: getattr(item, key) for key in _OF_BODY}, "mesh": _mesh_name(item)} for item in bodies]
+    return json.dumps(each).encode()
+
+
+def _mesh_name(item: SceneObject) -> str:
+    return f"{item.mesh_digest}{Path(item.mesh).suffix}" if item.mesh else ""
+
+
+def _problem(error: ConfigurationError, path: str) -> str:
+    """Return what is wrong without the path, which the error of a ledger names itself."""
+    if error.where != path:
+        return str(error)
+    return f"found {'nothing' if error.value is None else repr(error.value)}, expected {error.expected}"
+
+
+def replay(path: Path, after: Mapping[str, tuple[str, ...]]) -> Book:
+    """Return what the lines of a ledger say."""
+    book = fold(after)
+    for number, entry in enumerate(read_entries(path), start=1):
+        if number == 1 and entry.event != OPENED:
+            raise LedgerError(str(path), f"line 1 is {entry.event!r}; expected {OPENED!r}: this is no ledger")
+        try:
+            book = book.then(entry)
+        except NotNow as error:
+            raise LedgerError(str(path), f"line {number}: {str(error)}") from error
+    return book
+
+
+def read_entries(path: Path) -> Iterator[Entry]:
+    """Read the lines of a ledger."""
+    try:
+        lines = read_lines(path)
+    except ConfigurationError as error:
+        raise LedgerError(str(path), _problem(error, str(path))) from error
+    for number, fields in enumerate(lines, start=1):
+        try:
+            yield entry_of(fields)
+        except (ValueError, TypeError, AttributeError) as error:
+            raise LedgerError(str(path), f"line {number} is none of a ledger: {error}") from error

@@ -1,0 +1,343 @@
+"""work: the tasks of a building model, from schedule to ledger: has them planned, and changes the scene with them.
+
+Services `work/plan`, `work/decide`, `work/measured`; latched topics `work/tasks`, `work/markers`. Listens to `execution`,
+`engagement`, `plan`, `review`, `scene`, `tool`, the poses of twin and arm, and tf. Calls `plan_work`, `plan_way_back` and
+`edit_scene`. What follows from all that, `work/session.py` says; here it is ROS's.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import pydantic
+import rospy
+from std_srvs.srv import Trigger
+from visualization_msgs.msg import MarkerArray
+
+from construction_twin import msg, srv
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, PayloadError, RequestRefused
+from construction_twin.core.extensions import check_extras
+from construction_twin.core.motion_errors import SceneError, TrajectoryError
+from construction_twin.core.reports import EngagementReport, ExecutionReport
+from construction_twin.core.worker import Worker
+from construction_twin.extensions.work.glb import glb
+from construction_twin.extensions.work.heard import Heard, KnownPlan, Verdict
+from construction_twin.extensions.work.nodes.work_markers import work_markers
+from construction_twin.extensions.work.prepared import WORKER, Prepared
+from construction_twin.extensions.work.session import Neighbours, NoAnswer, UnderReview, WorkSession
+from construction_twin.extensions.work.site import read_site
+from construction_twin.extensions.work.task_board import WorkRefused
+from construction_twin.extensions.work.task_memory import TaskState
+from construction_twin.planning.work_segment import WorkSegment
+from construction_twin.robot.description import RobotModel
+from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg, pose_from_msg, work_segment_to_msg
+from construction_twin.ros.messages.records import from_msg, to_msg
+from construction_twin.ros.messages.scene_convert import object_to_msg, scene_from_msg, tf_frame
+from construction_twin.ros.messages.tool import tool_report_from_msg
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
+from construction_twin.ros.shared.frames import FRAMES, listen_to_frames
+from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.outcome import Outcome
+from construction_twin.ros.shared.params import PrivateSettings, robot_file, ros_home
+from construction_twin.ros.shared.ports import (
+    Interface,
+    NewestPose,
+    Ports,
+    Publication,
+    Served,
+    Shared,
+    SharedParameter,
+    Subscription,
+    has_arm,
+)
+from construction_twin.ros.shared.private_files import PrivateFiles
+from construction_twin.scene.objects import product
+from construction_twin.scene.scene_change import SceneChange
+
+#: The executor's record of verdicts.
+RECORD = "executor/review_file"
+#: Oldest pose of twin and arm that counts as the present one, and longest wait for one [s].
+MAX_POSE_AGE = 0.5
+#: What is told of a measured element that was refused.
+NOT_MEASURED = {"deviation_mm": math.nan, "deviation_deg": math.nan}
+
+
+class Settings(PrivateSettings):
+    """Private parameters: behaviour is explained in config/work.yaml, the others are given in launch/work.launch.
+
+    Attributes:
+        model, cell: Absolute paths of the IFC file and of the cell file.
+        tool, scene: Absolute paths of the robot's: those that the cell file names.
+        folder: Of the ledgers.
+        private: Folder of what a console serves to whom is logged in, relative to ROS_HOME; empty: no console was started.
+        service_timeout, listen_time, retry_time: [s]
+    """
+
+    model: str
+    cell: str
+    self_collision: str
+    tf_prefix: str
+    folder: str
+    arm: str
+    tool: str = ""
+    scene: str = ""
+    private: str = ""
+    service_timeout: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]
+    listen_time: Annotated[float, pydantic.Field(gt=0.0, le=60.0)]
+    retry_time: Annotated[float, pydantic.Field(gt=0.0, le=60.0)]
+
+
+class WorkNode:
+    """A `WorkSession` in ROS.
+
+    Attributes:
+        session: None: the model is being read, or it, or the record of its work, cannot be used.
+    """
+
+    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+        self._settings, self._robot, self._diagnostics = settings, robot, ports.diagnostics
+        self._planner, self._publishers = ports.parameters["planner"], ports.publishers
+        twin = ports.poses["twin/joint_states"]
+        # without a physical arm the twin's pose counts as measured
+        self._twin, self._arm = twin, ports.poses.get("physical/joint_states", twin)
+        self._frames = listen_to_frames(robot, settings.tf_prefix, settings.service_timeout, self._diagnostics.refuse)
+        self._worker = Worker(WORKER)
+        rospy.on_shutdown(self._worker.close)
+        # what became of a plan is read in the record after a restart
+        self.heard = Heard(ports.connections, rospy.is_shutdown, robot_file(ports.parameters[RECORD], robot.name))
+        self.session: WorkSession | None = None
+        #: Why there is no work, and whether there will be none any more.
+        self._problem: str = "the model is being read"
+        self._broken = False
+        self._told = ""
+        self._drawn: set[str] = set()
+        self._publish()
+
+    def run(self) -> None:
+        """Read the model, find out what became of the work before this start, then follow what the executor does."""
+        self.open()
+        while not rospy.is_shutdown():
+            self.go_on()
+
+    def go_on(self) -> None:
+        """Wait for the next piece of news, at most `retry_time`, and do what follows; to be called in one thread only."""
+        # without news, too: what did not work before is tried again
+        if self.heard.wait_for_news(self._settings.retry_time):
+            self._publish()
+        if self.session is None:
+            return
+        try:
+            self.session.catch_up()
+            self._publish()
+        except ConstructionTwinError as error:
+            # of the ledger: nothing is done without it, and the executor waits for the scene in vain
+            self._fail(str(error))
+
+    # -- the start
+
+    def open(self) -> None:
+        """Read the model, and find out what became of the work before this start."""
+        try:
+            self._load()
+        except ConstructionTwinError as error:
+            self._fail(str(error))
+
+    def _load(self) -> None:
+        settings, robot = self._settings, self._robot
+        files = PrivateFiles(ros_home() / settings.private, robot.name) if settings.private else None
+        if files is not None:
+            files.drop_building()
+        began, folder = time.monotonic(), ros_home() / settings.folder
+        prepared: Prepared = self._worker.ask_first(
+            "prepare",
+            model=settings.model,
+            cell=settings.cell,
+            robot=robot,
+            self_collision=settings.self_collision,
+            planner=self._planner,
+            cache=str(folder),
+        )
+        if rospy.is_shutdown():
+            return
+        rospy.loginfo("the model was read in %.1f s", time.monotonic() - began)
+        if files is not None:
+            self._show_building(prepared, files)
+        neighbours = Neighbours(
+            functools.partial(self._twin.pose, MAX_POSE_AGE, MAX_POSE_AGE),
+            functools.partial(self._arm.pose, MAX_POSE_AGE, MAX_POSE_AGE),
+            functools.partial(self._worker.ask, "plan"),
+            self._plan_work,
+            lambda: self._call("plan_way_back", Trigger).message,
+            self._edit_scene,
+            self._diagnostics.refuse,
+            functools.partial(rospy.loginfo, "%s"),
+        )
+        self.session = WorkSession.open(prepared, folder, robot, self.heard, neighbours, time.time_ns)
+        self.session.recall(settings.listen_time)
+
+    def _show_building(self, prepared: Prepared, files: PrivateFiles) -> None:
+        """Write the model where a console serves it; without it everything else goes on."""
+        placed = {job.element: prepared.elements[job.element] for job in prepared.schedule.jobs}
+        try:
+            files.write_building(glb(placed, prepared.digest))
+        except ConstructionTwinError as error:
+            self._diagnostics.refuse("building", str(error))
+
+    def _plan_work(self, task: str, source: str, segments: Sequence[WorkSegment]) -> UnderReview:
+        messages = [work_segment_to_msg(segment) for segment in segments]
+        answer = self._call("plan_work", srv.PlanWork, task=task, source=source, segments=messages)
+        return UnderReview(Outcome.of(answer).message, task, answer.plan_id, answer.plan_hash, answer.duration)
+
+    def _edit_scene(self, before: str, change: SceneChange, after: str) -> str:
+        put = list(map(object_to_msg, change.put))
+        fields = {"before": before, "put": put, "remove": list(change.remove), "after": after}
+        return str(self._call("edit_scene", srv.EditScene, **fields).hash)
+
+    def _call(self, name: str, kind: type, **fields: object) -> Any:
+        """Return the answer of a service; raise NoAnswer, or RequestRefused where it is a no."""
+        service = rospy.resolve_name(name)
+        try:
+            rospy.wait_for_service(service, self._settings.service_timeout)
+            answer = rospy.ServiceProxy(service, kind)(**fields)
+        except (rospy.ROSException, rospy.ServiceException) as error:
+            raise NoAnswer(f"{service} does not answer: {error}") from error
+        if not answer.success:
+            raise RequestRefused(Outcome.of(answer).message)
+        return answer
+
+    # -- services
+
+    def _opened(self) -> WorkSession:
+        if self.session is None:
+            raise WorkRefused(self._problem)
+        return self.session
+
+    def on_plan_task(self, request: srv.WorkPlanTaskRequest) -> Outcome:
+        """Have a task planned, or while the arm is engaged the way back."""
+        fields = asdict(self._opened().plan(request.task, self._settings.service_timeout))
+        return Outcome(True, fields.pop("message"), fields=fields)
+
+    def on_decide(self, request: srv.WorkDecideRequest) -> str:
+        """Take what a person decides of a task or the schedule."""
+        return self._opened().decide(
+            request.decision, request.task, request.answer, request.person, request.reason, request.question
+        )
+
+    def on_measured(self, request: srv.WorkMeasuredRequest) -> Outcome:
+        """Take where a person has measured an element."""
+        header = request.pose.header
+        pose = product(self._frames.in_base(header.frame_id, header.stamp), pose_from_msg(request.pose.pose))
+        found = self._opened().measured(request.element, pose, request.person, request.reason)
+        distance, angle = found.distance * 1e3, math.degrees(found.angle)
+        sentence = f"{request.element} is {distance:.2f} mm and {angle:.3f} deg from where the model has it"
+        return Outcome(True, sentence, fields={"deviation_mm": distance, "deviation_deg": angle})
+
+    def take(self, topic: str, read: Callable[[Any], Any], message: Any) -> None:
+        """Hand on what a message says; one that cannot be read is refused."""
+        try:
+            said = read(message)
+        except (SceneError, TrajectoryError, PayloadError) as error:
+            self._diagnostics.refuse(topic, str(error))
+            return
+        self.heard.take(said)
+
+    # -- reports
+
+    def _fail(self, sentence: str) -> None:
+        """Go on without the work: its record or its model cannot be used."""
+        rospy.logerr("%s", sentence)
+        self._problem, self.session, self._broken = sentence, None, True
+        self._publish()
+
+    def _publish(self) -> None:
+        session = self.session
+        if session is None:
+            engaged = self.heard.execution is not None and self.heard.execution.engaged
+            model, reading = Path(self._settings.model).name, not self._broken
+            message = msg.WorkTasks(model=model, engaged=engaged, reading=reading, reason=self._problem)
+        else:
+            message = to_msg(session.report(), msg.WorkTasks)
+        # of numbers that are not known, only their text is the same
+        if repr(message) == self._told:
+            return
+        self._told = repr(message)
+        message.header.stamp = rospy.Time.now()
+        self._publishers["work/tasks"].publish(message)
+        if session is not None:
+            self._draw(session)
+
+    def _draw(self, session: WorkSession) -> None:
+        prefix, robot = self._settings.tf_prefix, self._robot
+        triangles = {name: facts.triangles for name, facts in session.board.prepared.elements.items()}
+        base, tip = tf_frame(prefix, robot.base_link), tf_frame(prefix, robot.tip_link)
+        markers = work_markers(session.appearances(), triangles, base, tip, self._drawn)
+        self._drawn = {marker.ns for marker in markers if marker.action == marker.ADD}
+        self._publishers["work/markers"].publish(MarkerArray(markers))
+
+    def report(self) -> Report:
+        """Return the state of the work for `/diagnostics`."""
+        session = self.session
+        if session is None:
+            return Report(ERROR if self._broken else WARN, self._problem)
+        with session.lock:
+            board = session.board
+            values: dict[str, object] = {state.value: len(board.book.in_state(state)) for state in TaskState}
+            values["lines of the ledger"] = board.ledger.lines
+            values["notes on the model"] = len(board.notes)
+            asks = bool(board.book.in_state(TaskState.ASKS))
+            return Report(WARN if asks else OK, board.summary(time.time_ns()), values)
+
+
+def _hears(topic: str, kind: type, read: Callable[[Any], Any], queue_size: int) -> Subscription:
+    return Subscription(topic, kind, lambda node, message: node.take(topic, read, message), queue_size=queue_size)
+
+
+INTERFACE = Interface(
+    report=WorkNode.report,
+    parameters=(SharedParameter("planner", {}), SharedParameter(RECORD, "")),
+    publishes=(
+        Publication("work/tasks", msg.WorkTasks, queue_size=5, latch=True),
+        Publication("work/markers", MarkerArray, queue_size=2, latch=True),
+    ),
+    reads=(NewestPose("twin/joint_states"), NewestPose("physical/joint_states", when=has_arm)),
+    hears=(
+        _hears("engagement", msg.Engagement, functools.partial(from_msg, EngagementReport), 5),
+        _hears("execution", msg.Execution, functools.partial(from_msg, ExecutionReport), 50),
+        _hears(
+            "plan", msg.Plan, lambda plan: KnownPlan(plan_from_msg(plan), (*map(change_from_msg, plan.segments),)), 5
+        ),
+        _hears("review", msg.Review, functools.partial(from_msg, Verdict), 20),
+        _hears("scene", msg.Scene, scene_from_msg, 2),
+        _hears("tool", msg.ToolState, tool_report_from_msg, 5),
+    ),
+    listeners=FRAMES,
+    serves=(
+        Served("work/plan", srv.WorkPlanTask, WorkNode.on_plan_task, refused=lambda _, request: {"task": request.task}),
+        Served("work/decide", srv.WorkDecide, WorkNode.on_decide),
+        Served("work/measured", srv.WorkMeasured, WorkNode.on_measured, refused=lambda *_: NOT_MEASURED),
+    ),
+)
+
+
+def check(settings: Settings, _robot: RobotModel, _shared: Shared) -> None:
+    """Check packages, files, and that the robot's tool and scene are the cell's; see `NodeShell`."""
+    check_extras("work")
+    for name, path in (("model", settings.model), ("cell", settings.cell)):
+        if not Path(path).is_file():
+            raise ConfigurationError(f"work_{name}", path, "the absolute path of a file")
+    site = read_site(settings.cell)
+    for name, given, named in (("tool", settings.tool, site.file.tool), ("scene", settings.scene, site.file.scene)):
+        wanted = (Path(settings.cell).parent / named).resolve()
+        if Path(given).resolve() != wanted:
+            path, cell = str(wanted), settings.cell
+            raise ConfigurationError(name, given, f"{path}, as {cell} says; give {name}:={path}")
+
+
+NODE = NodeShell("work", Settings, WorkNode, INTERFACE, check)
+main = NODE.run

@@ -1,0 +1,237 @@
+"""Where a tool with suction cups can hold an element: candidates on its flat faces, in the order in which a recipe prefers them.
+
+Metres, kilograms, in the element's frame. The faces are those of the scene's convex pieces. Whether the arm reaches a candidate is
+not asked here, see `planner`.
+
+A cup lies on a face when its rim and a margin around it do: its middle, 16 points of the rim and 8 half way are looked at, each
+just inside of the element on one side of the plane and just outside on the other. A hole between these points is not seen. Cups
+beside the face are taken to close by themselves, as those with a valve do.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from scipy.spatial import ConvexHull, QhullError
+
+from construction_twin.extensions.work.convex_bodies import Pieces
+from construction_twin.extensions.work.place.recipe import PlaceRecipe
+from construction_twin.kinematics.chain import Pose
+from construction_twin.robot.tool import Cups, Tool
+
+#: How far inside and outside of a face is looked for material [m].
+_SKIN = 5e-4
+#: A face looks up if its normal is within this angle of it [rad].
+_UP = math.radians(30.0)
+#: A face lies along an axis if its normal is within this angle of it [rad].
+_ALONG = math.radians(5.0)
+AXES = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
+
+
+@dataclass(frozen=True, eq=False)
+class Grip:
+    """One way to hold an element.
+
+    Attributes:
+        name: ``+z along 0 mm, turned 90 deg, element turned 180 deg, 6 cups``.
+        element_T_tcp: Where the tool's centre point is at the element in its stock; z into the face.
+        element_T_turned: The frame in the element that takes the place of its own from the grip on: another one only for an element
+            that is the same body when it is turned.
+    """
+
+    name: str
+    element_T_tcp: Pose
+    element_T_turned: Pose
+    cups: int
+
+
+@dataclass(frozen=True, eq=False)
+class GripSearch:
+    """What was found, and why not more.
+
+    `reason`: Why the candidate that came furthest was left out, as a part of a sentence; for when there is no grip.
+    """
+
+    grips: tuple[Grip, ...]
+    reason: str
+
+
+def find_grips(pieces: Pieces, up: np.ndarray, mass: float, recipe: PlaceRecipe, tool: Tool) -> GripSearch:
+    """Return the grips of an element.
+
+    Args:
+        up: Shape (3,). What is up in the stock, in the element's frame.
+        mass: [kg]
+
+    Returns:
+        In the recipe's order: faces, then turns of the element, then turns of the tool, then places along and across.
+    """
+    wanted = recipe.grips
+    if tool.cups is None:
+        return GripSearch((), f"tool {tool.name!r} has no cups")
+    needed = max(wanted.min_cups, math.ceil(mass / tool.cups.holds - 1e-9))
+    if needed > len(tool.cups.at):
+        return GripSearch((), f"{mass:.1f} kg need {needed} cups; tool {tool.name!r} has {len(tool.cups.at)}")
+    if not pieces.solid:
+        return GripSearch((), "its body is not closed (or not convex): no grip is known")
+    faces = _faces(pieces, up, wanted.faces)
+    if not faces:
+        return GripSearch((), f"it has no flat face {' or '.join(wanted.faces)}")
+    grips: list[Grip] = []
+    reasons: list[tuple[int, str]] = []
+    for face in faces:
+        turns = [turn for turn in wanted.turns_deg if turn % 360.0 == 0.0 or pieces.same_turned(face.turned(turn))]
+        places = itertools.product(wanted.yaws_deg, wanted.along, wanted.across)
+        on_face = [_Place(face, *place) for place in places]
+        held = [(place, place.held(pieces, tool.cups, wanted.margin)) for place in on_face]
+        for turn in turns:
+            for place, cups in held:
+                problem = _problem(place, cups, needed, wanted.lever, pieces)
+                if problem:
+                    reasons.append(problem)
+                    continue
+                named = f"{place.name}, element turned {turn:g} deg" if turn else place.name
+                grips.append(Grip(f"{named}, {len(cups)} cups", place.element_T_tcp, face.turned(turn), len(cups)))
+    return GripSearch(tuple(grips), max(reasons, default=(0, "its shape does not allow the turns"))[1])
+
+
+@dataclass(frozen=True, eq=False)
+class _Face:
+    """A flat face: a plane, and a frame in it below the centre of gravity, x along the longer side, z outwards."""
+
+    name: str
+    frame: Pose
+
+    def turned(self, angle_deg: float) -> Pose:
+        """Return the motion that turns the element about the face's normal through the frame's origin."""
+        angle = math.radians(angle_deg)
+        about = self.frame.rotation @ _about_z(angle) @ self.frame.rotation.T
+        return Pose(self.frame.position - about @ self.frame.position, about)
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """A place of the tool on a face."""
+
+    face: _Face
+    yaw_deg: float
+    along: float
+    across: float
+
+    @property
+    def name(self) -> str:
+        """For people."""
+        offsets = f"{1e3 * self.along:g} mm along, {1e3 * self.across:g} mm across"
+        return f"{self.face.name} {offsets}, tool at {self.yaw_deg:g} deg"
+
+    @property
+    def element_T_tcp(self) -> Pose:
+        """Pose of the tool's centre point: z into the face."""
+        frame = self.face.frame
+        position = frame.position + frame.rotation @ np.array([self.along, self.across, 0.0])
+        into = frame.rotation @ _about_z(math.radians(self.yaw_deg)) @ np.diag([1.0, -1.0, -1.0])
+        return Pose(position, into)
+
+    def held(self, pieces: Pieces, cups: Cups, margin: float) -> np.ndarray:
+        """Return the middles of the cups that lie on the face whole, shape (k, 3)."""
+        pose = self.element_T_tcp
+        middles = np.array([pose.position + pose.rotation @ (x, y, 0.0) for x, y in cups.at])
+        disc = _disc(cups.radius + margin) @ pose.rotation.T
+        points = (middles[:, None] + disc[None]).reshape(-1, 3)
+        out = -pose.rotation[:, 2] * _SKIN
+        lies = pieces.contain(points - out) & ~pieces.contain(points + out)
+        return middles[lies.reshape(len(middles), -1).all(axis=1)]
+
+
+def _faces(pieces: Pieces, up: np.ndarray, wanted: tuple[str, ...]) -> list[_Face]:
+    """Return the faces that are wanted, in that order, each once."""
+    found: list[_Face] = []
+    used: set[int] = set()
+    for word in wanted:
+        for number, plane in enumerate(pieces.planes):
+            if number not in used and _looks(plane[:3], word, up):
+                used.add(number)
+                found.append(_Face(_axis_name(plane[:3]) if word in ("any", "up") else word, _frame(pieces, plane)))
+    return found
+
+
+def _looks(normal: np.ndarray, word: str, up: np.ndarray) -> bool:
+    if word == "any":
+        return True
+    if word == "up":
+        return float(normal @ up) >= math.cos(_UP)
+    return float(normal @ AXES[word]) >= math.cos(_ALONG)
+
+
+def _axis_name(normal: np.ndarray) -> str:
+    for name, axis in AXES.items():
+        if float(normal @ axis) >= math.cos(_ALONG):
+            return name
+    return "face " + " ".join(f"{value:.2f}" for value in normal)
+
+
+def _frame(pieces: Pieces, plane: np.ndarray) -> Pose:
+    normal = plane[:3]
+    points = pieces.on(plane)
+    # the longer side of the smallest rectangle around the face that has a side in common with an edge of its outline
+    start = np.eye(3)[int(np.argmin(np.abs(normal)))]
+    first = np.cross(normal, start)
+    first /= np.linalg.norm(first)
+    second = np.cross(normal, first)
+    flat = np.column_stack([points @ first, points @ second])
+    angle = _long_side(flat)
+    x = math.cos(angle) * first + math.sin(angle) * second
+    # of the two directions of a side, the one along the element's axes
+    x = x if x[int(np.argmax(np.round(np.abs(x), 6)))] > 0 else -x
+    position = pieces.centre - (pieces.centre @ normal + plane[3]) * normal
+    return Pose(position, np.column_stack([x, np.cross(normal, x), normal]))
+
+
+def _long_side(flat: np.ndarray) -> float:
+    """Return the direction of the longer side of the smallest rectangle around points in a plane [rad]."""
+    try:
+        outline = flat[ConvexHull(flat).vertices]
+    except QhullError:
+        return 0.0
+    best = (math.inf, 0.0)
+    for step in np.roll(outline, -1, axis=0) - outline:
+        angle = math.atan2(step[1], step[0])
+        along = outline @ (math.cos(angle), math.sin(angle))
+        across = outline @ (-math.sin(angle), math.cos(angle))
+        area = round(float(np.ptp(along) * np.ptp(across)), 9)
+        if area < best[0]:
+            best = (area, angle if np.ptp(along) >= np.ptp(across) - 1e-9 else angle + 0.5 * math.pi)
+    return best[1]
+
+
+def _problem(place: _Place, cups: np.ndarray, needed: int, lever: float, pieces: Pieces) -> tuple[int, str] | None:
+    """Return why a place does not hold the element, with how far it came; None: it does."""
+    if len(cups) < needed:
+        return len(cups), f"{place.name}: {len(cups)} cups lie on the face; {needed} are needed"
+    pose = place.element_T_tcp
+    flat = (cups - pose.position) @ pose.rotation[:, :2]
+    centre = (pieces.centre - pose.position) @ pose.rotation[:, :2]
+    away = shapely.MultiPoint(flat).convex_hull.distance(shapely.Point(centre))
+    if away > lever:
+        return 1000, (
+            f"{place.name}: the centre of gravity is {1e3 * away:.0f} mm beside the cups that hold; at "
+            f"most {1e3 * lever:.0f} mm are allowed"
+        )
+    return None
+
+
+def _about_z(angle: float) -> np.ndarray:
+    c, s = math.cos(angle), math.sin(angle)
+    # exact for quarter turns, so that a turned element lies exactly where it did
+    c, s = (round(value) if abs(value - round(value)) < 1e-12 else value for value in (c, s))
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _disc(radius: float) -> np.ndarray:
+    rim = np.linspace(0.0, 2.0 * math.pi, 16, endpoint=False)
+    angles, radii = np.concatenate([rim, rim[::2], [0.0]]), np.repeat([radius, 0.5 * radius, 0.0], [16, 8, 1])
+    return np.column_stack([radii * np.cos(angles), radii * np.sin(angles), np.zeros(len(angles))])

@@ -1,0 +1,171 @@
+"""How an element is placed: where it is gripped, which way it leaves the stock and arrives, how fast, what may touch.
+
+Metres, kilograms, seconds; degrees in names that end in ``_deg``. Each key is explained in config/work/recipes.yaml.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Literal
+
+import pydantic
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.work_errors import TaskPlanningError
+from construction_twin.extensions.work.process import WorkJob
+from construction_twin.extensions.work.recipe import (
+    PROPERTY_SET,
+    SHARED,
+    Finite,
+    Length,
+    Override,
+    Recipe,
+    Scale,
+    Strict,
+    numbers,
+    words,
+)  # fmt: skip
+from construction_twin.robot.tool import Tool
+
+_Small = Annotated[float, pydantic.Field(allow_inf_nan=False, ge=0.0, le=10.0)]
+_Turn = Annotated[float, pydantic.Field(allow_inf_nan=False, ge=-360.0, le=360.0)]
+_Axis = Literal["up", "+x", "-x", "+y", "-y", "+z", "-z"]
+_Face = Literal["up", "+x", "-x", "+y", "-y", "+z", "-z", "any"]
+
+
+def _not_zero(asked: str | tuple[float, float, float]) -> str | tuple[float, float, float]:
+    if not isinstance(asked, str) and not any(asked):
+        raise ValueError("a vector that is not zero")
+    return asked
+
+
+#: A direction: an axis of the element, up, or a vector in the robot's base_link.
+Direction = Annotated[_Axis | tuple[Finite, Finite, Finite], pydantic.AfterValidator(_not_zero)]
+
+
+class Grips(Strict):
+    """Where an element may be gripped, the best first.
+
+    Attributes:
+        faces: ``up``: flat faces that look up in the stock; ``+x`` to ``-z``: along the element's own axes; ``any``: all, the
+            largest first.
+        along, across: Where the tool's centre point goes, from the middle of gravity along the face's longer and shorter side [m].
+        yaws_deg: How the tool's x axis is turned from the face's longer side [deg].
+        turns_deg: By how much the element may be turned about the face's normal between stock and place, in turns that map its
+            shape onto itself [deg].
+        min_cups: So many cups must lie on the face whole, besides those that the mass needs.
+        margin: Distance of a cup's rim from the face's edge [m].
+        lever: Largest distance of the centre of gravity, seen along the face's normal, from the hull of the cups that hold [m].
+        touching: Shapes of the tool that touch the element.
+        beside: Shapes of the tool that may come closer than the scene's padding to what lies beside the element in stock and at its
+            place.
+    """
+
+    faces: Annotated[tuple[_Face, ...], pydantic.Field(min_length=1)] = ("up",)
+    along: Annotated[tuple[Finite, ...], pydantic.Field(min_length=1)] = (0.0,)
+    across: Annotated[tuple[Finite, ...], pydantic.Field(min_length=1)] = (0.0,)
+    yaws_deg: Annotated[tuple[_Turn, ...], pydantic.Field(min_length=1)] = (0.0,)
+    turns_deg: Annotated[tuple[_Turn, ...], pydantic.Field(min_length=1)] = (0.0,)
+    min_cups: Annotated[int, pydantic.Field(ge=1, le=100)] = 1
+    margin: _Small = 0.002
+    lever: _Small = 0.05
+    touching: Annotated[tuple[str, ...], pydantic.Field(min_length=1)]
+    beside: tuple[str, ...] = ()
+
+
+class Stock(Strict):
+    """How the element is fetched.
+
+    Attributes:
+        approach: Length of the straight way of the tool to the face, against its normal [m].
+        leave: Which way the element leaves, the best first.
+        lengths: Lengths of that straight way [m], tried one after the other.
+    """
+
+    approach: Length = 0.1
+    leave: Annotated[tuple[Direction, ...], pydantic.Field(min_length=1)] = ("up",)
+    lengths: Annotated[tuple[Length, ...], pydantic.Field(min_length=1)] = (0.1,)
+
+
+class Place(Strict):
+    """How the element is set down.
+
+    Attributes:
+        arrive: From which side the element comes, the best first.
+        lengths: Lengths of that straight way [m], tried one after the other.
+        retreat: Length of the straight way of the tool from the face, along its normal [m].
+        fastened: Something that the model does not show holds the element before the tool lets go: screws, glue, a clamp. Else an
+            element that nothing is under is refused: it would fall.
+    """
+
+    arrive: Annotated[tuple[Direction, ...], pydantic.Field(min_length=1)] = ("up",)
+    lengths: Annotated[tuple[Length, ...], pydantic.Field(min_length=1)] = (0.1,)
+    retreat: Length = 0.1
+    fastened: bool = False
+
+
+class PlaceRecipe(Recipe):
+    """How elements of one kind are placed.
+
+    Attributes:
+        free_speed_scale, carry_speed_scale: Fraction of the joints' limits on the free ways, without and with the element.
+        carry_engaged: After a stop while the element is carried freely, only the way back may be planned.
+        mass: Taken for elements whose mass the model does not say [kg]; None: they are refused.
+    """
+
+    grips: Grips
+    stock: Stock = Stock()
+    place: Place = Place()
+    carry_speed_scale: Scale
+    carry_engaged: bool = False
+    mass: Annotated[float, pydantic.Field(gt=0.0, le=1e4)] | None = None
+
+
+#: The properties by name. Lengths are plain IfcReal in metres whatever the file's unit is.
+OVERRIDES: Mapping[str, Override] = {
+    "Faces": Override(("grips", "faces"), "IfcLabel", words),
+    "Along": Override(("grips", "along"), "IfcLabel", numbers),
+    "Across": Override(("grips", "across"), "IfcLabel", numbers),
+    "Yaws_deg": Override(("grips", "yaws_deg"), "IfcLabel", numbers),
+    "Turns_deg": Override(("grips", "turns_deg"), "IfcLabel", numbers),
+    "MinCups": Override(("grips", "min_cups"), "IfcInteger"),
+    "Beside": Override(("grips", "beside"), "IfcLabel", words),
+    "Approach": Override(("stock", "approach"), "IfcReal"),
+    "Leave": Override(("stock", "leave"), "IfcLabel", words),
+    "LeaveLengths": Override(("stock", "lengths"), "IfcLabel", numbers),
+    "Arrive": Override(("place", "arrive"), "IfcLabel", words),
+    "ArriveLengths": Override(("place", "lengths"), "IfcLabel", numbers),
+    "Retreat": Override(("place", "retreat"), "IfcReal"),
+    "Fastened": Override(("place", "fastened"), "IfcBoolean"),
+    **SHARED,
+    "CarrySpeedScale": Override(("carry_speed_scale",), "IfcReal"),
+    "CarryEngaged": Override(("carry_engaged",), "IfcBoolean"),
+    "Mass": Override(("mass",), "IfcReal"),
+}
+
+
+def mass_of(job: WorkJob, name: str, recipe: PlaceRecipe, tool: Tool) -> float:
+    """Return the mass that an element is placed with [kg]."""
+    own = job.element.properties.get(PROPERTY_SET, {})
+    mass = recipe.mass if "Mass" in own or job.element.mass is None else job.element.mass
+    if mass is None:
+        said = f"give it a weight or a density in the model, {PROPERTY_SET}.Mass, or recipe {name!r} a mass"
+        raise TaskPlanningError(job.task, f"the mass of {job.called} is not known: {said}")
+    if not mass > 0.0:
+        raise TaskPlanningError(job.task, f"{job.called} has a mass of {mass:g} kg; expected above 0")
+    if mass > tool.payload:
+        most = f"tool {tool.name!r} carries at most {tool.payload:g} kg"
+        raise TaskPlanningError(job.task, f"{job.called} has {mass:.1f} kg; {most}")
+    if tool.mass + mass > tool.load:
+        both = f"{job.called} and tool {tool.name!r} together have {tool.mass + mass:.1f} kg"
+        raise TaskPlanningError(job.task, f"{both}; the controller's load data are for {tool.load:g} kg")
+    return mass
+
+
+def check_tool(recipe: PlaceRecipe, tool: Tool, where: str) -> None:
+    """Check that a recipe names shapes that the tool has."""
+    for key, shapes in (("touching", recipe.grips.touching), ("beside", recipe.grips.beside)):
+        for shape in shapes:
+            if shape not in tool.shapes:
+                known = ", ".join(tool.shapes)
+                raise ConfigurationError(f"{where}/grips/{key}", shape, f"one of the tool's shapes: {known}")

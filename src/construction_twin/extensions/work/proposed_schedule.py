@@ -1,0 +1,211 @@
+"""An order of building for a model that has none, from its geometry. It is a proposal: a person must accept it.
+
+In: the workpieces of a `BuildingModel`, z upwards. Out: the model, as if its file had tasks and sequences. What supports an element
+comes before it; an element that nothing supports from below comes after those that touch it and begin lower (a noggin after its
+studs); otherwise from below, then as in the file. An upward face supports what a downward face closer than `GAP` to it belongs to.
+
+Metres. Sees faces only: no weights, no fasteners, no temporary props. Knows no robot.
+"""
+
+from __future__ import annotations
+
+import heapq
+import uuid
+from dataclasses import replace
+
+import numpy as np
+
+from construction_twin.core.work_errors import ScheduleError
+from construction_twin.extensions.work.building import BuildingModel, Element, Sequence, Task
+from construction_twin.extensions.work.names import first_few
+from construction_twin.extensions.work.wholes import workpieces
+
+_DIGITS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz_$"
+_IDS = uuid.UUID("5b0f6c3e-9d1a-4b52-8a35-6c1f7d2e9b40")
+
+
+def global_id(*words: str) -> str:
+    """Return an IFC GlobalId, 22 characters, that follows from words."""
+    number = uuid.uuid5(_IDS, "|".join(words)).int
+    return "".join(_DIGITS[number >> shift & 63] for shift in range(126, -1, -6))
+
+
+#: How far apart, or inside of each other, two faces may be that touch as built [m].
+GAP = 0.006
+
+#: A face whose normal is closer to the horizontal than this sine supports nothing.
+_STEEP = 0.1
+
+#: Vertical lines per direction on which the faces of two elements are compared.
+_LINES = 15
+
+
+def propose(model: BuildingModel) -> BuildingModel:
+    """Return the model with a task for each element, in an order in which they can be built, and one that nests them all."""
+    solids = [_Solid(model.elements[identifier]) for identifier in workpieces(model)]
+    if not solids:
+        raise ScheduleError(f"{model.file}: it has no workpiece with geometry; an order cannot be proposed")
+    notes: list[str] = []
+    before = _supports(solids)
+    notes += _held_at_the_side(solids, before)
+    order = _built(solids, before, notes)
+    root = Task(global_id("proposed schedule", model.project), "Proposed order", "From the geometry; not accepted yet.")
+    tasks = {}
+    for number in order:
+        element = solids[number].element
+        own = global_id("proposed task", element.id)
+        tasks[number] = Task(own, f"Place {element.name or element.id}", parent=root.id, products=(element.id,))
+    sequences = [
+        Sequence(tasks[first].id, tasks[second].id)
+        for second in order
+        for first in sorted(before[second], key=order.index)
+    ]
+    named = {task.id: task for task in (root, *tasks.values())}
+    return replace(model, tasks=named, sequences=tuple(sequences), notes=(*model.notes, *notes))
+
+
+class _Solid:
+    """Faces of one element in the model's frame."""
+
+    def __init__(self, element: Element):
+        self.element = element
+        pose = element.model_T_element
+        corners = []
+        for body in element.bodies:
+            vertices = body.vertices @ pose.rotation.T + pose.position
+            corners.append(vertices[body.triangles])
+        triangles = np.concatenate(corners)
+        points = triangles.reshape(-1, 3)
+        self.low, self.high = points.min(axis=0), points.max(axis=0)
+        first, second = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+        normals = np.cross(first, second)
+        size = np.linalg.norm(normals, axis=1)
+        slope = np.divide(normals[:, 2], size, out=np.zeros(len(size)), where=size > 0.0)
+        self.up, self.down = triangles[slope > _STEEP], triangles[slope < -_STEEP]
+
+    def key(self) -> tuple[float, float]:
+        """Lower end in steps of the gap, then the middle's height."""
+        return (round(float(self.low[2]) / GAP), round(float(self.low[2] + self.high[2]) / GAP))
+
+
+def _near(solids: list[_Solid]) -> list[tuple[int, int]]:
+    """Return pairs of elements whose boxes are closer than the gap, by a sweep along x."""
+    order = sorted(range(len(solids)), key=lambda i: solids[i].low[0])
+    pairs: list[tuple[int, int]] = []
+    active: list[int] = []
+    for i in order:
+        low, high = solids[i].low - GAP, solids[i].high + GAP
+        active = [j for j in active if solids[j].high[0] >= low[0]]
+        pairs += [(i, j) for j in active if np.all(solids[j].low <= high) and np.all(solids[j].high >= low)]
+        active.append(i)
+    return pairs
+
+
+def _supports(solids: list[_Solid]) -> dict[int, set[int]]:
+    """Return which elements each rests on."""
+    below: dict[int, set[int]] = {number: set() for number in range(len(solids))}
+    for i, j in _near(solids):
+        for lower, upper in ((i, j), (j, i)):
+            if _rests(solids[upper], solids[lower]):
+                below[upper].add(lower)
+    return below
+
+
+def _rests(upper: _Solid, lower: _Solid) -> bool:
+    """Return whether a downward face of one lies on an upward face of the other."""
+    low = np.maximum(upper.low, lower.low)[:2]
+    high = np.minimum(upper.high, lower.high)[:2]
+    if np.any(high <= low):
+        return False
+    # lines through the middle of cells, so that none runs along a common edge
+    cells = (np.arange(_LINES) + 0.5 + 1e-3 * np.sqrt(2.0)) / _LINES
+    x, y = np.meshgrid(low[0] + cells * (high[0] - low[0]), low[1] + cells * (high[1] - low[1]))
+    points = np.column_stack((x.ravel(), y.ravel()))
+    band = (max(upper.low[2], lower.low[2]) - GAP, min(upper.high[2], lower.high[2]) + GAP)
+    tops, bottoms = _heights(lower.up, points, band), _heights(upper.down, points, band)
+    for top in tops:
+        for bottom in bottoms:
+            if np.any(np.abs(bottom - top) <= GAP):  # false where a line misses a face (nan)
+                return True
+    return False
+
+
+def _heights(triangles: np.ndarray, points: np.ndarray, band: tuple[float, float]) -> list[np.ndarray]:
+    """Return for each face that reaches into a band of heights where vertical lines through points meet it; nan: they do not."""
+    z = triangles[:, :, 2]
+    found = []
+    for a, b, c in triangles[(z.max(axis=1) >= band[0]) & (z.min(axis=1) <= band[1])]:
+        ab, ac, ap = b[:2] - a[:2], c[:2] - a[:2], points - a[:2]
+        area = ab[0] * ac[1] - ab[1] * ac[0]
+        if area == 0.0:
+            continue
+        u = (ap[:, 0] * ac[1] - ap[:, 1] * ac[0]) / area
+        v = (ab[0] * ap[:, 1] - ab[1] * ap[:, 0]) / area
+        inside = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0)
+        if inside.any():
+            found.append(np.where(inside, a[2] + u * (b[2] - a[2]) + v * (c[2] - a[2]), np.nan))
+    return found
+
+
+def _held_at_the_side(solids: list[_Solid], before: dict[int, set[int]]) -> list[str]:
+    """Put what nothing supports behind its neighbours that begin lower, in `before`; return notes on what is left."""
+    ground = min(float(solid.low[2]) for solid in solids)
+    touching: dict[int, set[int]] = {number: set() for number in before}
+    for i, j in _near(solids):
+        touching[i].add(j)
+        touching[j].add(i)
+    loose = []
+    for number, solid in enumerate(solids):
+        if before[number] or solid.low[2] <= ground + GAP:
+            continue
+        lower = {other for other in touching[number] if solids[other].low[2] < solid.low[2] - GAP}
+        before[number] = {other for other in lower if not _waits_for(other, number, before)}
+        if not before[number]:
+            loose.append(solid.element.id)
+    if not loose:
+        return []
+    return [f"Nothing in the model holds {first_few(loose)}: what it stands on or hangs from must be there before."]
+
+
+def _waits_for(element: int, other: int, before: dict[int, set[int]]) -> bool:
+    """Return whether one comes after the other already."""
+    seen, left = {element}, [element]
+    while left:
+        at = left.pop()
+        if at == other:
+            return True
+        left += before[at] - seen
+        seen |= before[at]
+    return False
+
+
+def _built(solids: list[_Solid], before: dict[int, set[int]], notes: list[str]) -> list[int]:
+    """Return an order. In a circle of elements that rest on each other the lowest comes first: noted, and taken from `before`."""
+    waiting = {number: set(firsts) for number, firsts in before.items()}
+    after: dict[int, set[int]] = {number: set() for number in before}
+    for number, firsts in before.items():
+        for first in firsts:
+            after[first].add(number)
+    keys = {number: (*solid.key(), number) for number, solid in enumerate(solids)}
+    heap = [keys[number] for number, firsts in waiting.items() if not firsts]
+    heapq.heapify(heap)
+    order: list[int] = []
+    done: set[int] = set()
+    while len(order) < len(solids):
+        if not heap:
+            number = min((n for n in waiting if n not in done), key=lambda n: keys[n])
+            others = first_few(solids[first].element.id for first in sorted(waiting[number]))
+            circle = f"{solids[number].element.id} rests on {others} and these, in a circle, on it"
+            notes.append(f"{circle}: it comes first, being lowest.")
+            before[number] -= waiting[number]
+            waiting[number] = set()
+            heapq.heappush(heap, keys[number])
+        number = heapq.heappop(heap)[2]
+        order.append(number)
+        done.add(number)
+        for other in after[number]:
+            if number in waiting[other]:
+                waiting[other].discard(number)
+                if not waiting[other]:
+                    heapq.heappush(heap, keys[other])
+    return order

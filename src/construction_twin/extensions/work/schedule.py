@@ -1,0 +1,546 @@
+"""The order of a building model's tasks: which jobs there are for an arm, what each waits for, and what may start now.
+
+In: the tasks and sequences of a `BuildingModel`. Out: jobs in an order that can be built, or one sentence with the ids of what
+makes no sense. Times are arguments, in seconds of any one clock. Plans nothing and remembers nothing.
+
+A job is one element that a task without subtasks makes or works on; one element can have several: it is placed once, and what
+works on it where it stands waits for that. A sequence of a nesting task holds for all that it nests: with ``START_START``
+everything in the first must have started before anything in the second may. An arm cannot end a placing later than it is done, so
+what the end of a job waits for (``FINISH_FINISH``, ``START_FINISH``), its start waits for here. A task without product passes
+order and lags on and takes no time, and so does one that is completed.
+
+A removal is one element that a task takes down, or that is to be taken down without a task. It is no job: people do it, and the
+element stands until one of them says that it is gone; what comes after it waits for that.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from datetime import datetime
+from graphlib import CycleError, TopologicalSorter
+from types import MappingProxyType
+
+from construction_twin.core.work_errors import ScheduleError
+from construction_twin.extensions.work.building import BuildingModel, Element, Sequence, Task
+from construction_twin.extensions.work.names import first_few
+from construction_twin.extensions.work.process import process_of
+from construction_twin.extensions.work.proposed_schedule import propose
+from construction_twin.extensions.work.recipe import DEFAULT, RECIPE
+from construction_twin.extensions.work.wholes import parts_of, workpieces
+
+_KINDS = {"FINISH_START": True, "FINISH_FINISH": True, "START_START": False, "START_FINISH": False}
+#: Takes an element and a task; returns the process by which the task works on it.
+ProcessOf = Callable[[Element, Task], str]
+
+
+@dataclass(frozen=True)
+class Wait:
+    """What a job waits for.
+
+    Attributes:
+        finished: It must be finished; else it must have started.
+        lag: Time that must have passed since [s], at least 0.
+    """
+
+    job: str
+    finished: bool
+    lag: float
+
+
+@dataclass(frozen=True)
+class Job:
+    """One element to be placed, or worked on.
+
+    Attributes:
+        id: The task's GlobalId; of a task that makes several elements: with ``/1``, ``/2``, ... behind it.
+        task, name, element: GlobalId and name of the task, GlobalId of the element. Where several jobs share the name, the
+            element's stands behind it: ``Panel up: stud 3``.
+        robots: Who may do it, the task's own or else those of the tasks it nests in; empty: any.
+        after: Empty: it may start at once.
+    """
+
+    id: str
+    task: str
+    name: str
+    element: str
+    robots: tuple[str, ...]
+    after: tuple[Wait, ...]
+    process: str = DEFAULT
+
+    @property
+    def moves(self) -> bool:
+        """Whether it takes the element from its stock to its place."""
+        return process_of(self.process).moves
+
+
+class Schedule:
+    """A checked graph of jobs.
+
+    Made by `Schedule.of`.
+
+    Attributes:
+        jobs: In an order in which they can be done one after the other: as the tasks are scheduled if all say when, else as in the
+            file.
+        notes: One sentence, with ids, for each thing that was understood in a way the user should know.
+        proposed: It is not the planner's but a proposal from the geometry, which a person must accept; or a part of it is.
+        removals: Elements that people take down; what each waits for is in `after`.
+        remarks: Notes by the id of the job or removal that they are about.
+        placing: Id of the job that places each element, of those that one does.
+    """
+
+    def __init__(
+        self,
+        jobs: tuple[Job, ...],
+        notes: tuple[str, ...],
+        proposed: bool = False,
+        removals: tuple[Job, ...] = (),
+        remarks: Mapping[str, tuple[str, ...]] = MappingProxyType({}),
+    ):
+        self.jobs, self.notes, self.proposed = jobs, notes, proposed
+        self.removals, self.remarks = removals, dict(remarks)
+        self._by_id = {job.id: job for job in (*jobs, *removals)}
+        self.placing = {job.element: job.id for job in jobs if job.moves}
+
+    @classmethod
+    def of(
+        cls, model: BuildingModel, proposed: bool = False, process: ProcessOf = lambda element, task: DEFAULT
+    ) -> Schedule:
+        """Return the schedule of a model."""
+        reading = _Reading(model, process)
+        everything = reading.jobs()
+        reading.note_unmade(everything)
+        ordered = _in_order(everything, model.tasks)
+        reading.notes += _order_notes(everything, model.tasks, proposed)
+        said = model.remarks
+        remarks = {job.id: (*said.get(job.task, ()), *said.get(job.element, ())) for job in everything}
+        jobs, removals = (
+            tuple(job for job in ordered if (job.id in reading.removals) is down) for down in (False, True)
+        )
+        remarks = {name: each for name, each in remarks.items() if each}
+        return cls(jobs, tuple(reading.notes), proposed or reading.guessed, removals, remarks)
+
+    def job(self, identifier: str) -> Job:
+        """Return the job of that id."""
+        if identifier not in self._by_id:
+            raise ScheduleError(f"job {identifier!r}: the schedule has none of that id")
+        return self._by_id[identifier]
+
+    def waits_for(
+        self, identifier: str, started: Mapping[str, float], finished: Mapping[str, float], now: float
+    ) -> str:
+        """Return the first thing that a job still waits for: ``after 'Place stud 1' (2xF...) has finished``; empty: it may start.
+
+        Args:
+            started, finished: When [s], by job id; a job that is finished need not be in `started`.
+            now: [s]
+        """
+        for wait in self.job(identifier).after:
+            since = finished.get(wait.job) if wait.finished else started.get(wait.job, finished.get(wait.job))
+            if since is not None and since + wait.lag <= now:
+                continue
+            other = self.job(wait.job)
+            after = f"after {other.name!r} ({other.id}) has {'finished' if wait.finished else 'started'}"
+            return after if since is None else f"{since + wait.lag - now:.0f} s from now, its lag {after}"
+        return ""
+
+
+# -- from tasks to jobs ------------------------------------------------------------------------------------------------
+
+#: What something waits for: lag by job and whether that must be finished.
+_Waits = dict[tuple[str, bool], float]
+
+
+class _Reading:
+    """Tasks and sequences of one model, checked."""
+
+    def __init__(self, model: BuildingModel, process: ProcessOf):
+        self._model, self._tasks, self._process_of = model, model.tasks, process
+        self.notes: list[str] = []
+        self.removals: set[str] = set()
+        self.guessed = False
+        self._standing: set[str] = set()
+        if not model.tasks:
+            raise ScheduleError(
+                f"{model.file}: it has no tasks; have an order proposed from the geometry and accept it"
+            )
+        self._children: dict[str, list[str]] = {identifier: [] for identifier in model.tasks}
+        self._check_nesting()
+        self._sequences = self._checked_sequences()
+        self._products = self._checked_products()
+
+    def jobs(self) -> tuple[Job, ...]:
+        """Return jobs and removals in the file's order; the ids of the latter are in `removals`."""
+        waits = self._all_waits()
+        jobs: list[Job] = []
+        for identifier, products in self._products.items():
+            task, after = self._tasks[identifier], waits[identifier]
+            down = self._takes_down(identifier)
+            for number, product in enumerate(products, 1):
+                own = self._job_id(identifier, number)
+                before = {(self._job_id(identifier, number - 1), True): 0.0} if number > 1 else after
+                found = tuple(Wait(job, finished, lag) for (job, finished), lag in before.items())
+                named = (self._tasks[at].robots for at in self._above(identifier))
+                robots = () if down else next(filter(None, named), ())
+                process = DEFAULT if down else self._process(identifier, product)
+                jobs.append(Job(own, identifier, task.name, product, robots, found, process))
+                if down:
+                    self.removals.add(own)
+        jobs = self._told_apart(jobs)
+        taken_down = {job.element for job in jobs if job.id in self.removals}
+        for element in self._model.elements.values():
+            if element.status == "demolish" and element.bodies and element.id not in taken_down:
+                own = f"{element.id}/removal"
+                self.removals.add(own)
+                name = f"Take down {element.name or element.id}"
+                jobs.append(Job(own, own, name, element.id, (), ()))
+        for job in jobs:
+            if job.id in self.removals:
+                said = (
+                    f"{job.element} is to be taken down ({job.name}): an obstacle until a person says that it is gone"
+                )
+                self.notes.append(f"{said} (`twin work removed {job.id}`).")
+        return tuple(jobs)
+
+    def _told_apart(self, jobs: list[Job]) -> list[Job]:
+        """Return the jobs, those that share a name with their element's behind it."""
+        shared = Counter(job.name for job in jobs)
+        found = []
+        for job in jobs:
+            element = self._model.elements[job.element].name
+            more = shared[job.name] > 1 and job.name and element and element not in job.name
+            found.append(replace(job, name=f"{job.name}: {element}") if more else job)
+        return found
+
+    def note_unmade(self, jobs: tuple[Job, ...]) -> None:
+        """Note the workpieces that neither a job makes nor stand."""
+        made = {job.element for job in jobs} | self._standing
+        left = tuple(identifier for identifier in workpieces(self._model) if identifier not in made)
+        if left:
+            said = f"No task makes {len(left)} of the elements: {self._called(left)}"
+            self.notes.append(f"{said}; the arm leaves them alone.")
+
+    def _called(self, ids: Iterable[str]) -> str:
+        """Return elements or tasks by name and id, the first few."""
+        names = {one: element.name for one, element in self._model.elements.items()}
+        names |= {one: task.name for one, task in self._tasks.items()}
+        return first_few(_called(names[one], one) for one in ids)
+
+    def _takes_down(self, identifier: str) -> bool:
+        """Return whether a task removes what is assigned to it: by its kind, or because all of that is to be removed."""
+        task = self._tasks[identifier]
+        known = [self._model.elements[one] for one in task.products if one in self._model.elements]
+        demolish = bool(known) and all(element.status == "demolish" for element in known)
+        works = task.properties.get(RECIPE) is not None
+        return task.kind == "takes_down" or (task.kind == "makes" and demolish and not works)
+
+    def _process(self, identifier: str, element: str) -> str:
+        return self._process_of(self._model.elements[element], self._tasks[identifier])
+
+    def _moves(self, identifier: str, element: str) -> bool:
+        """Return whether a task places an element, in place of working on it where it stands."""
+        return process_of(self._process(identifier, element)).moves
+
+    def _is_completed(self, identifier: str) -> bool:
+        return any(self._tasks[at].completed for at in self._above(identifier))
+
+    def _job_id(self, task: str, number: int) -> str:
+        return task if len(self._products[task]) == 1 else f"{task}/{number}"
+
+    def _check_nesting(self) -> None:
+        for identifier, task in self._tasks.items():
+            if not task.parent:
+                continue
+            if task.parent not in self._tasks:
+                raise ScheduleError(f"task {identifier} ({task.name!r}) nests in {task.parent}, which is no task")
+            self._children[task.parent].append(identifier)
+        for identifier in self._tasks:
+            chain: dict[str, None] = {}
+            at = identifier
+            while at and at not in chain:
+                chain[at] = None
+                at = self._tasks[at].parent
+            if at:
+                circle = tuple(chain)[tuple(chain).index(at) :]
+                raise ScheduleError(f"tasks nest in each other in a circle: {', '.join(circle)}")
+
+    def _above(self, identifier: str) -> tuple[str, ...]:
+        """Return the task and those that it nests in, from inside."""
+        found = []
+        while identifier:
+            found.append(identifier)
+            identifier = self._tasks[identifier].parent
+        return tuple(found)
+
+    def _checked_sequences(self) -> dict[str, list[Sequence]]:
+        """Return the sequences by the task that waits."""
+        into: dict[str, list[Sequence]] = {identifier: [] for identifier in self._tasks}
+        leads, needless = [], []
+        for sequence in self._model.sequences:
+            ids = (sequence.before, sequence.after)
+            missing = [identifier for identifier in ids if identifier not in self._tasks]
+            if missing:
+                raise ScheduleError(f"a sequence from {ids[0]} to {ids[1]} names {missing[0]}, which is no task")
+            called = f"the sequence from {ids[0]} to {ids[1]}"
+            if sequence.kind not in _KINDS:
+                raise ScheduleError(f"{called} is of kind {sequence.kind!r}; expected {', '.join(_KINDS)}")
+            if sequence.before in self._above(sequence.after) or sequence.after in self._above(sequence.before):
+                if sequence.kind not in ("START_START", "FINISH_FINISH") or ids[0] == ids[1]:
+                    why = "they are the same, or one nests in the other"
+                    raise ScheduleError(f"{called} makes a task wait for itself: {why}")
+                needless.append(ids)
+                continue
+            if not math.isfinite(sequence.lag):
+                raise ScheduleError(f"{called} has a lag of {sequence.lag:g} s")
+            if sequence.lag < 0.0:
+                leads.append(ids)
+            if sequence.lag > 0.0 and self._is_completed(sequence.before):
+                self.notes.append(f"The lag after {ids[0]}, which is completed, is not waited for by {ids[1]}.")
+            into[sequence.after].append(sequence)
+        for ids in needless:
+            self.notes.append(f"The sequence from {ids[0]} to {ids[1]} is left out: one of them nests in the other.")
+        for ids in leads:
+            self.notes.append(f"The lead from {ids[0]} to {ids[1]} is not used: the arm waits as if its lag were 0.")
+        return into
+
+    def _checked_products(self) -> dict[str, tuple[str, ...]]:
+        """Return the elements that each task without subtasks makes, of those that make any."""
+        found: dict[str, tuple[str, ...]] = {}
+        maker: dict[str, str] = {}
+        works: list[tuple[str, str]] = []
+        empty: list[str] = []
+        for identifier, task in self._tasks.items():
+            nested = self._children[identifier]
+            given = (*task.products, *(task.inputs if task.kind == "takes_down" else ()))
+            known = tuple(dict.fromkeys(one for one in given if one in self._model.elements))
+            unknown = tuple(one for one in task.products if one not in self._model.elements)
+            if unknown and not nested:
+                said = f"Task {identifier} makes {first_few(unknown)}, which the arm cannot place"
+                self.notes.append(f"{said}: no such element was read.")
+            if nested and known:
+                said = f"What task {identifier} makes is taken from the tasks that nest in it"
+                self.notes.append(f"{said}: {self._called(known)}.")
+            if nested:
+                continue
+            known = self._to_do(identifier, known)
+            if not known:
+                empty.append(identifier)
+                continue
+            for element in () if self._takes_down(identifier) else known:
+                if not self._moves(identifier, element):
+                    works.append((identifier, element))
+                    continue
+                if element in maker:
+                    twice = f"element {element} ({self._model.elements[element].name!r}) is made twice"
+                    raise ScheduleError(f"{twice}, by tasks {maker[element]} and {identifier}; it can be placed once")
+                maker[element] = identifier
+            found[identifier] = known
+        for identifier, element in works:
+            # it stands before anybody works on it, whether or not the file says so
+            if element in maker:
+                self._sequences[identifier].append(Sequence(maker[element], identifier))
+        self._leave_temporary(found, maker)
+        idle = [one for one in empty if not self._tasks[one].milestone and self._tasks[one].kind == "makes"]
+        idle = [one for one in idle if not self._is_completed(one)]
+        if idle:
+            said = f"{len(idle)} {'tasks' if len(idle) > 1 else 'task'} without element: {self._called(idle)}"
+            self.notes.append(f"{said}; kept for the order, no time is waited for.")
+        return found
+
+    def _to_do(self, identifier: str, known: tuple[str, ...]) -> tuple[str, ...]:
+        """Return what is left for a task to place or to take down: what stands is not placed again."""
+        task, elements = self._tasks[identifier], self._model.elements
+        if self._takes_down(identifier):
+            # what the file calls completed still stands here until a person says that it does not
+            every = dict.fromkeys(part for one in known for part in (one, *self._parts(one)))
+            return tuple(one for one in every if elements[one].bodies)
+        if task.kind != "makes":
+            return ()
+        if self._is_completed(identifier):
+            self._standing |= {*known, *(part for one in known for part in self._parts(one))}
+            return ()
+        works = tuple(one for one in known if elements[one].bodies and not self._moves(identifier, one))
+        there = tuple(one for one in known if elements[one].status and one not in works)
+        if there:
+            self._standing |= set(there)
+            said = f"Task {identifier} makes {self._called(there)}, which the model has as existing or to be taken down"
+            self.notes.append(f"{said}: not placed.")
+        found: list[str] = []
+        for one in known:
+            if one in works:
+                found.append(one)
+            elif one not in there:
+                found += self._of_assembly(identifier, one)
+        return tuple(dict.fromkeys(found))
+
+    def _parts(self, whole: str) -> list[str]:
+        return parts_of(self._model.elements, whole)
+
+    def _of_assembly(self, identifier: str, element: str) -> tuple[str, ...]:
+        """Return an element; of what has no body but parts or members: its workpieces that no other task makes, as proposed."""
+        model = self._model
+        if model.elements[element].bodies:
+            return (element,)
+        parts = set(self._parts(element))
+        if not parts:
+            return (element,)
+        # also the parts of an assembly within this one that has a task of its own, done or not
+        elsewhere: set[str] = set()
+        earlier = True
+        for name, task in self._tasks.items():
+            earlier = earlier and name != identifier
+            for one in task.products if name != identifier and task.kind == "makes" else ():
+                if one not in model.elements or not self._moves(name, one):
+                    continue
+                theirs = set(self._parts(one))
+                # of groups with something in common the smaller one has it, else the first
+                if one in parts or (theirs & parts and (theirs < parts or (earlier and not theirs > parts))):
+                    elsewhere |= {one, *theirs}
+        wanted = [one for one in workpieces(model) if one in parts - elsewhere]
+        task = self._tasks[identifier]
+        if wanted:
+            alone = replace(model, elements={one: model.elements[one] for one in wanted}, tasks={}, sequences=())
+            proposal = propose(alone)
+            wanted = [one for part in proposal.tasks.values() for one in part.products]
+            self.guessed = self.guessed or len(wanted) > 1
+        said = "nothing that is in it is left for this task"
+        if wanted:
+            order = "one after the other, in an order from the geometry that a person must accept"
+            said = f"what is in it is placed {order}: {self._called(wanted)}"
+        assembly = f"Task {identifier} makes {model.elements[element].name or element}, which has no body of its own"
+        self.notes.append(f"{assembly}: {said}.")
+        return tuple(wanted)
+
+    def _leave_temporary(self, found: dict[str, tuple[str, ...]], maker: Mapping[str, str]) -> None:
+        """Leave out of removals what a task of the same schedule places first: it does not stand yet."""
+        removed: set[str] = set()
+        for identifier in [one for one in found if self._takes_down(one)]:
+            placed = [element for element in found[identifier] if element in maker]
+            twice = [element for element in found[identifier] if element in removed]
+            removed |= set(found[identifier])
+            if placed:
+                said = f"Task {identifier} takes down {self._called(placed)}, which another task places: not read"
+                self.notes.append(f"{said}, it stays; what comes after does not wait for it to be gone.")
+            left = tuple(element for element in found[identifier] if element not in {*placed, *twice})
+            if left:
+                found[identifier] = left
+            else:
+                del found[identifier]
+
+    def _all_waits(self) -> dict[str, _Waits]:
+        """Return what the start of each task waits for, in terms of jobs.
+
+        Two nodes per task: its start may come (0), and it is done (1). Order goes from a parent's start to its children's, from
+        children to their parent's being done, along sequences from done to start, and through what makes nothing.
+        """
+        before: dict[tuple[str, int], list[tuple[str, int]]] = {}
+        for identifier, task in self._tasks.items():
+            start = [(sequence.before, 1) for sequence in self._sequences[identifier]]
+            before[identifier, 0] = start + ([(task.parent, 0)] if task.parent else [])
+            nested = self._children[identifier]
+            before[identifier, 1] = [(child, 1) for child in nested] or [(identifier, 0)]
+        started: dict[str, _Waits] = {}
+        finished: dict[str, _Waits] = {}
+        gates: dict[str, _Waits] = {}
+        for identifier, node in self._topological(before):
+            if node == 0:
+                parent = self._tasks[identifier].parent
+                own = self._sequences[identifier]
+                gate = gates[parent] if parent else {}
+                for sequence in own:
+                    source = finished if _KINDS[sequence.kind] else started
+                    gate = _merged(gate, source[sequence.before], max(sequence.lag, 0.0))
+                gates[identifier] = gate
+            elif identifier in self._products:
+                last = self._job_id(identifier, len(self._products[identifier]))
+                started[identifier], finished[identifier] = {(last, False): 0.0}, {(last, True): 0.0}
+            elif self._children[identifier]:
+                started[identifier], finished[identifier] = {}, {}
+                for child in self._children[identifier]:
+                    started[identifier] = _merged(started[identifier], started[child], 0.0)
+                    finished[identifier] = _merged(finished[identifier], finished[child], 0.0)
+            else:
+                started[identifier] = finished[identifier] = gates[identifier]
+        return gates
+
+    def _topological(self, before: dict[tuple[str, int], list[tuple[str, int]]]) -> list[tuple[str, int]]:
+        """Return the nodes so that each comes after those before it."""
+        try:
+            return list(TopologicalSorter(before).static_order())
+        except CycleError as error:
+            circle = tuple(dict.fromkeys(identifier for identifier, _ in error.args[1]))
+            names = ", ".join(f"{identifier} ({self._tasks[identifier].name!r})" for identifier in circle)
+            raise ScheduleError(f"tasks wait for each other in a circle: {names}") from error
+
+
+def _merged(first: _Waits, second: _Waits, lag: float) -> _Waits:
+    """Return what both wait for, the second `lag` longer; the longest lag of each wins."""
+    merged = dict(first)
+    for wait, own in second.items():
+        merged[wait] = max(own + lag, merged.get(wait, 0.0))
+    return merged
+
+
+def _in_order(jobs: tuple[Job, ...], tasks: Mapping[str, Task]) -> tuple[Job, ...]:
+    """Return jobs so that each comes after what it waits for, otherwise as scheduled or as they are."""
+    places, by_id = _places(jobs, tasks), {job.id: job for job in jobs}
+    sorter = TopologicalSorter({job.id: {wait.job for wait in job.after} for job in jobs})
+    sorter.prepare()
+    heap: list[tuple[tuple[float, int], str]] = []
+    order = []
+    while sorter.is_active():
+        for job in sorter.get_ready():
+            heapq.heappush(heap, (places[job], job))
+        first = heapq.heappop(heap)[1]
+        order.append(by_id[first])
+        sorter.done(first)
+    return tuple(order)
+
+
+def _places(jobs: tuple[Job, ...], tasks: Mapping[str, Task]) -> dict[str, tuple[float, int]]:
+    """Return date and number of each job, by which they are sorted; no dates where one is missing or cannot be compared."""
+    try:
+        # what is to be taken down without a task has no date and comes first
+        starts = {job.id: datetime.fromisoformat(tasks[job.task].start) for job in jobs if job.task in tasks}
+    except ValueError:
+        starts = {}
+    if len({start.tzinfo is None for start in starts.values()}) > 1:
+        starts = {}
+    moments = {identifier: start.timestamp() for identifier, start in starts.items()}
+    return {job.id: (moments.get(job.id, -math.inf), number) for number, job in enumerate(jobs)}
+
+
+def _order_notes(jobs: tuple[Job, ...], tasks: Mapping[str, Task], proposed: bool) -> list[str]:
+    """Return what a person should know of the order: that dates are not used, or that the file says none."""
+    starts = {job.task: tasks[job.task].start for job in jobs if job.task in tasks}
+    without = [identifier for identifier, start in starts.items() if not start]
+    unused = "Dates are not used for the order, because"
+    if without and len(without) < len(starts):
+        named = first_few(_called(tasks[one].name, one) for one in without)
+        why = f"there is no start for {len(without)} of {len(starts)} tasks: {named}"
+        return [f"{unused} {why}. What no sequence orders comes as it stands in the file."]
+    if not without and len({_has_zone(start) for start in starts.values()}) > 1:
+        return [f"{unused} some starts have a time zone and others have none."]
+    on = {job.id: job.element for job in jobs}
+    # of the jobs of one task, and of one element, the file need not say an order
+    free = all(wait.job.startswith(f"{job.task}/") or on[wait.job] == job.element for job in jobs for wait in job.after)
+    if len(starts) > 1 and without and free and not proposed:
+        return [
+            "The file says no order of its tasks, neither sequences nor dates: they come as they stand in the file."
+        ]
+    return []
+
+
+def _has_zone(start: str) -> bool | None:
+    """Return whether a start has a time zone; None: it is no date."""
+    try:
+        return datetime.fromisoformat(start).tzinfo is not None
+    except ValueError:
+        return None
+
+
+def _called(name: str, identifier: str) -> str:
+    return f"{name} ({identifier})" if name and name != identifier else identifier

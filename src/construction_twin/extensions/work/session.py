@@ -1,0 +1,383 @@
+"""A building model that is worked on: has its tasks planned, answers people, and does what follows from what was heard.
+
+The ledger comes first: the scene changes only after what is known of the task is on the disk, and without the changed scene the
+executor does not go on. Killed at any instant, the work comes back with what is true, or asks.
+"""
+
+from __future__ import annotations
+
+import threading
+import uuid
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.reports import ExecutionReport, WorkReport
+from construction_twin.core.sentences import Sentence
+from construction_twin.core.work_errors import WorkError
+from construction_twin.extensions.work import engaged_scene
+from construction_twin.extensions.work.built import Deviation, change, pose_tuple
+from construction_twin.extensions.work.following import Follower
+from construction_twin.extensions.work.heard import Heard
+from construction_twin.extensions.work.ledger import Ledger
+from construction_twin.extensions.work.prepared import Prepared
+from construction_twin.extensions.work.process import TaskMotions
+from construction_twin.extensions.work.recipe import DEFAULT
+from construction_twin.extensions.work.task_board import Appearance, TaskBoard, WorkRefused
+from construction_twin.extensions.work.task_memory import UNDER_WAY, Entry, TaskState
+from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.planning.work_segment import WorkSegment
+from construction_twin.robot.description import RobotModel
+from construction_twin.scene.scene_change import SceneChange
+
+#: How long what was changed or planned may take to be heard [s].
+SCENE_TIME = 2.0
+
+
+class NoAnswer(WorkError):
+    """A neighbour did not answer; it may have done what it was asked for."""
+
+
+@dataclass(frozen=True)
+class UnderReview:
+    """A plan that waits for a person's verdict, and the sentence that says so."""
+
+    message: str
+    task: str
+    plan_id: str
+    plan_hash: str
+    duration: float
+
+
+@dataclass(frozen=True)
+class Neighbours:
+    """Whom the work calls; those that can fail raise a ConstructionTwinError, `NoAnswer` where it may have been done.
+
+    Attributes:
+        twin_pose, arm_pose: Present joint positions [rad], [m].
+        plan: Plans a task, see `worker_functions.plan`.
+        plan_work: Takes task, source and segments; has a plan checked and put under review.
+        plan_way_back: Does the same for the way back of an engaged arm; returns a sentence.
+        edit_scene: Takes the hash of the scene, a change, and the hash expected of the result, empty: any; returns that hash.
+        refuse: Counts what could not be used; takes reason and sentence.
+        log: Takes a sentence.
+    """
+
+    twin_pose: Callable[[], tuple[float, ...]]
+    arm_pose: Callable[[], tuple[float, ...]]
+    plan: Callable[..., TaskMotions]
+    plan_work: Callable[[str, str, Sequence[WorkSegment]], UnderReview]
+    plan_way_back: Callable[[], str]
+    edit_scene: Callable[[str, SceneChange, str], str]
+    refuse: Callable[[str, str], None]
+    log: Callable[[str], None]
+
+
+class WorkSession:
+    """The work on one model, for several threads.
+
+    `lock`: Guards board and ledger; never held while somebody else is waited for who may wait for it.
+    """
+
+    def __init__(self, board: TaskBoard, heard: Heard, chain: Chain, calls: Neighbours, clock: Callable[[], int]):
+        self.board, self._heard, self._calls, self._clock = board, heard, calls, clock
+        self._follower = Follower(board, heard, chain, calls.arm_pose, calls.refuse, calls.log)
+        self.lock = threading.RLock()
+        self._planning = threading.Lock()
+        #: Why the scene of an engaged arm cannot be made right, and of what that was said; empty: it can, or no arm is engaged.
+        self._blocked = ""
+        self._blocked_in: tuple | None = None
+
+    @classmethod
+    def open(
+        cls,
+        prepared: Prepared,
+        folder: Path,
+        robot: RobotModel,
+        heard: Heard,
+        calls: Neighbours,
+        clock: Callable[[], int],
+    ) -> WorkSession:
+        """Return the work on a model that was read, with its ledger: one for each robot and site, whatever is built there.
+
+        Args:
+            folder: Of the ledgers; a site is known by the name of its cell file.
+            clock: Returns the time since 1970 [ns].
+        """
+        ledger = Ledger(
+            folder / f"{robot.name}_{Path(prepared.cell).stem}.jsonl", prepared.after, prepared.digest, clock,
+            str(Path(prepared.cell).resolve()), prepared.schedule.placing, prepared.standing_elements, robot.name,
+            prepared.present,
+        )  # fmt: skip
+        board = TaskBoard(prepared, ledger, robot.name, robot.tip_link)
+        board.look_around()
+        opened = f"{prepared.model}: {len(prepared.schedule.jobs)} tasks, {ledger.lines} lines in {ledger.path}"
+        for said in (opened, *board.notes):
+            calls.log(said)
+        return cls(board, heard, Chain(robot), calls, clock)
+
+    def recall(self, listen_time: float) -> None:
+        """Find out what became of a plan that the ledger has as offered or under way; waits so long for the others [s]."""
+        heard = self._heard
+        # nothing is tidied before it is known whether the arm was left engaged
+        heard.wait_for(lambda: heard.execution is not None and not heard.unsaid, min(1.0, listen_time))
+        if not self.board.book.busy:
+            return
+        # latched messages come within a moment of the connection; the executor may only now be starting
+        heard.wait_for(lambda: heard.execution is not None and heard.tool_said, listen_time)
+        heard.wait_for(lambda: heard.plan is not None and not heard.unsaid, min(1.0, listen_time))
+        with self.lock:
+            self._follower.follow(heard.execution)
+            self._follower.settle()
+
+    def catch_up(self) -> None:
+        """Do what follows from what was heard. For one thread only."""
+        # one report for both: the scene may change only after what was written of it
+        heard, report = self._heard, self._heard.execution
+        with self.lock:
+            self._follower.catch_up(report)
+            idle = not self.board.book.busy
+        self._change_as_planned(report)
+        engaged = heard.engaged
+        if not engaged:
+            self._blocked, self._blocked_in = "", None
+        if (idle or engaged) and not heard.playing and self._planning.acquire(blocking=False):
+            try:
+                if engaged:
+                    self._make_for_way_back()
+                elif heard.executor_said:
+                    self._tidy()
+            finally:
+                self._planning.release()
+
+    # -- the scene; without the lock: the scene node is waited for
+
+    def _change_as_planned(self, report: ExecutionReport | None) -> None:
+        """Change the scene as planned, when a report, which has been followed, says that the executor waits for it."""
+        known, scene, book = self._heard.plan, self._heard.scene, self.board.book
+        if report is None or known is None or scene is None:
+            return
+        plan = known.plan
+        if not report.wants_scene or report.plan_id != plan.id or not 0 <= report.segment < len(plan.segments):
+            return
+        segment = plan.segments[report.segment]
+        if book.busy and book.tasks[book.busy].plan == plan.id and scene.hash != segment.scene_after:
+            self._edit(segment.scene, known.changes[report.segment], segment.scene_after)
+
+    def _tidy(self) -> None:
+        """Make the scene what the ledger says: tool, stock, placed elements."""
+        scene = self._heard.scene
+        if scene is None:
+            return
+        with self.lock:
+            wrong = change(scene, *self.board.wanted_scene())
+        if wrong != SceneChange():
+            self._edit(scene.hash, wrong)
+
+    def _make_for_way_back(self) -> str:
+        """Make the scene one in which an engaged arm can go back; return why not, empty when it is.
+
+        What the ledger has to say of the stop is on the disk before.
+        """
+        heard, left, board = self._heard, self._heard.left, self.board
+        if left is None:
+            return Sentence(
+                "the executor has not said yet where the arm was left engaged; its log says whether the disk takes it"
+            )
+        with self.lock:
+            scene = heard.scene
+            if scene is None:
+                return "the scene is not known; see why the scene node is down"
+            if scene.hash in left.scenes:
+                self._blocked, self._blocked_in = "", None
+                return ""
+            if heard.playing:
+                return Sentence("a plan is under way, and the scene is not the one for the way back; wait for its end")
+            self._follower.follow(heard.execution)
+            self._follower.settle_if_lost()
+            memory = board.book.tasks.get(left.task)
+            if memory is not None and memory.plan == left.plan_id and memory.state in UNDER_WAY:
+                return Sentence("{task}: how its plan ended is not written yet; ask again", task=board.title(left.task))
+            known = heard.work_plan(left.plan_id)
+            segments, changes = (known.plan.segments, known.changes) if known is not None else ((), ())
+            about = (left.plan_id, left.scenes, scene.hash, bool(segments), memory.state if memory else None)
+            if about == self._blocked_in:
+                return self._blocked
+            element = board.element_of(left.task) if memory is not None else ""
+            forms = board.forms(left.task) if memory is not None else ()
+            found = engaged_scene.due(left, scene, segments, changes, heard.scenes(), element, forms)
+        if found.change is None:
+            self._blocked, self._blocked_in = found.sentence, about
+            self._calls.refuse("engagement", found.sentence)
+            return found.sentence
+        # tried again as long as the scene node refuses
+        self._blocked, self._blocked_in = self._edit(scene.hash, found.change, found.after), None
+        return self._blocked
+
+    def _edit(self, before: str, wanted: SceneChange, after: str = "") -> str:
+        """Have the scene changed; return why not, empty when it was and the change has arrived here."""
+        heard = self._heard
+        try:
+            made = self._calls.edit_scene(before, wanted, after)
+        except ConstructionTwinError as error:
+            self._calls.refuse("edit_scene", str(error))
+            return str(error)
+        if not heard.wait_for(lambda: heard.scene is not None and heard.scene.hash == made, SCENE_TIME):
+            return "the scene was changed, but is not published"
+        return ""
+
+    # -- planning
+
+    def plan(self, asked: str, patience: float) -> UnderReview:
+        """Have a task planned, or while the arm is engaged the way back.
+
+        Args:
+            asked: Empty: the one that comes next.
+            patience: Longest time that another planning is waited for [s].
+        """
+        if not self._planning.acquire(timeout=patience):
+            raise WorkRefused("a task is being planned already; wait for it")
+        heard = self._heard
+        try:
+            with self.lock:
+                problem = self.board.left_closed(self._follower.grip().commanded)
+            if problem:
+                raise WorkRefused(problem)
+            if heard.engaged:
+                heard.wait_for(lambda: not heard.unsaid, SCENE_TIME)
+            return self._plan_way_back(asked) if heard.engaged else self._plan_task(asked)
+        finally:
+            self._planning.release()
+            heard.announce()
+
+    def _allowed(self, asked: str) -> str:
+        now = self._clock()
+        with self.lock:
+            task = asked or self.board.next(now)
+            if obstacle := self.board.obstacle(task, now) if task else self.board.summary(now):
+                raise WorkRefused(obstacle)
+            return task
+
+    def _plan_task(self, asked: str) -> UnderReview:
+        board = self.board
+        task = self._allowed(asked)
+        self._tidy()
+        with self.lock:
+            # while the scene was made right, somebody may have said something else
+            self._allowed(task)
+            memory = board.book.tasks[task]
+            held = memory.tool0_T_element if memory.state is TaskState.CARRIED else ()
+            scene = self._heard.scene
+            if scene is None:
+                raise WorkRefused("the scene is not known; see why the scene node is down")
+            if change(scene, *board.wanted_scene()) != SceneChange():
+                raise WorkRefused(
+                    "the scene could not be made what the ledger says; /diagnostics of the node work says why"
+                )
+        start = self._calls.twin_pose()
+        try:
+            plan = self._calls.plan(task=task, element=board.element_of(task), start=start, scene=scene, held=held)
+        except WorkError as error:
+            board.failures[task] = board.called(str(error))
+            raise WorkRefused(board.failures[task]) from error
+        board.failures.pop(task, None)
+        self._calls.log(f"{board.title(task)}: planned with {plan.method}")
+        return self._offer(task, plan)
+
+    def _offer(self, task: str, plan: TaskMotions) -> UnderReview:
+        """Have the planner check a plan and put it under review; the ledger knows of it before."""
+        board, offer = self.board, uuid.uuid4().hex[:12]
+        title, process = board.title(task), board.prepared.schedule.job(task).process
+        held = () if plan.tool0_T_element is None else pose_tuple(plan.tool0_T_element)
+        named = "" if process == DEFAULT else process
+        with self.lock:
+            self._allowed(task)
+            board.add(Entry("offered", task, offer=offer, grip=plan.method, pose=held, process=named))
+        how = f"{named}, {plan.method}" if named else plan.method
+        answer, problem = None, None
+        try:
+            answer = self._calls.plan_work(task, f"{title} by {how}, offer {offer}", plan.segments)
+        except ConstructionTwinError as error:
+            problem = error
+        with self.lock:
+            memory = board.book.tasks[task]
+            unnamed = memory.state is TaskState.PLANNED and not memory.plan
+            if answer is None:
+                if not isinstance(problem, NoAnswer):
+                    board.add(Entry("dropped", task, offer=offer, reason=str(problem)))
+                elif unnamed:
+                    self._follower.settle_offer(task, offer)
+                board.failures[task] = str(problem)
+                raise WorkRefused(str(problem)) from problem
+            if unnamed:
+                board.add(Entry("planned", task, plan=answer.plan_id, offer=offer))
+        sentence = f"{title}: plan {answer.plan_id} of {answer.duration:.1f} s with {plan.method} waits for approval"
+        return replace(answer, message=sentence)
+
+    def _plan_way_back(self, asked: str) -> UnderReview:
+        heard = self._heard
+        problem = self._make_for_way_back()
+        before = heard.plan.plan.id if heard.plan is not None else ""
+        if problem:
+            raise WorkRefused(_only_way_back(problem))
+        try:
+            said = self._calls.plan_way_back()
+        except ConstructionTwinError as error:
+            raise WorkRefused(_only_way_back(str(error))) from error
+        heard.wait_for(lambda: heard.plan is not None and heard.plan.plan.id != before, SCENE_TIME)
+        known = heard.plan
+        if known is None or known.plan.id == before:
+            raise WorkRefused(Sentence("the way back was planned, but is not published"))
+        plan = known.plan
+        sentence = Sentence("the arm is engaged: the way back comes first; {answer}", answer=said)
+        return UnderReview(sentence, asked, plan.id, plan.hash, plan.trajectory.duration)
+
+    # -- people
+
+    def decide(self, decision: str, task: str, answer: str, person: str, reason: str, question: str) -> str:
+        """Take what a person decides of a task or the schedule; return a sentence."""
+        board = self.board
+        with self.lock:
+            match decision:
+                case "accept_schedule":
+                    sentence = board.accept(person, reason)
+                case "answer_all":
+                    sentence = board.answer_all(answer, person, reason)
+                case "answer":
+                    sentence = board.answer(task, answer, person, reason, question)
+                    if problem := board.left_closed(self._follower.grip().commanded):
+                        sentence = Sentence("{first}; {second}", first=sentence, second=problem)
+                case "skip" | "redo" | "removed":
+                    sentence = getattr(board, decision)(task, person, reason)
+                case _:
+                    raise WorkRefused(f"decision {decision!r}; expected skip, redo, answer, removed or accept_schedule")
+        self._calls.log(f"{sentence} ({person})")
+        self._heard.announce()
+        return sentence
+
+    def measured(self, element: str, pose: Pose, person: str, reason: str) -> Deviation:
+        """Take where a person has measured an element."""
+        with self.lock:
+            found = self.board.measured(element, pose, person, reason)
+        self._heard.announce()
+        return found
+
+    def report(self) -> WorkReport:
+        """Return what is published of the work."""
+        with self.lock:
+            report = self.board.report(self._clock())
+        if self._heard.execution is None or not self._heard.execution.engaged:
+            return report
+        return replace(report, engaged=True, reason=_only_way_back(self._blocked))
+
+    def appearances(self) -> tuple[Appearance, ...]:
+        """Return what each element looks like, see `TaskBoard.appearances`."""
+        with self.lock:
+            return self.board.appearances(self._clock())
+
+
+def _only_way_back(problem: str) -> str:
+    if not problem:
+        return Sentence("the arm is engaged: only the way back can be planned")
+    return Sentence("the arm is engaged: only the way back can be planned, and not yet: {problem}", problem=problem)

@@ -1,0 +1,298 @@
+"""The scene of a cell at one state of the work, and the job of each element: from cell, building model and convex pieces.
+
+Metres; poses in the robot's base_link. Elements that are not delivered are not there, stock is where its rack says, what was placed
+stands as built, and what no task makes or moves stands where the model has it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.work_errors import BuildingError
+from construction_twin.extensions.work.building import BuildingModel, Element
+from construction_twin.extensions.work.contacts import Shapes
+from construction_twin.extensions.work.convex_bodies import Pieces
+from construction_twin.extensions.work.process import WorkJob
+from construction_twin.extensions.work.schedule import Job
+from construction_twin.extensions.work.site import DeliveredRack, LyingRack, Site, StackRack, inverse, pose_of
+from construction_twin.extensions.work.wholes import comes_after
+from construction_twin.kinematics.chain import Pose
+from construction_twin.robot.frames import rpy_to_rotation
+from construction_twin.scene.objects import Scene, SceneObject, product, tool_objects
+
+
+@dataclass(frozen=True, eq=False)
+class Slot:
+    """Where one element lies in stock; `surface`: the scene's object that it lies on; empty: none."""
+
+    element: str
+    rack: str
+    number: int
+    load: int
+    base_T_element: Pose
+    surface: str
+
+
+@dataclass(frozen=True, eq=False)
+class StockPlan:
+    """All elements in their slots.
+
+    Attributes:
+        slots: By element, in the order in which they are needed.
+        stacks: Names of the racks that are filled as a whole.
+    """
+
+    slots: Mapping[str, Slot]
+    stacks: frozenset[str] = frozenset()
+
+    def present(self, taken: Collection[str]) -> tuple[str, ...]:
+        """Return the elements that lie in their slots when some have been taken.
+
+        An element of a later load is delivered when its slot is empty; that of a stack when the whole stack is.
+        """
+        gone = set(taken)
+        left: dict[tuple[str, int], int] = {}
+        for element, slot in self.slots.items():
+            if element not in gone:
+                key = self._unit(slot)
+                left[key] = min(left.get(key, slot.load), slot.load)
+        return tuple(
+            element
+            for element, slot in self.slots.items()
+            if element not in gone and slot.load == left[self._unit(slot)]
+        )
+
+    def instead_of(self, element: str, taken: Collection[str]) -> str:
+        """Return the element of a later load that counts as delivered where this one is to lie again; empty: there is none."""
+        slot = self.slots.get(element)
+        if slot is None:
+            return ""
+        for other in self.present({*taken, element}):
+            own = self.slots[other]
+            if self._unit(own) == self._unit(slot) and own.load > slot.load:
+                return other
+        return ""
+
+    def _unit(self, slot: Slot) -> tuple[str, int]:
+        """Return what is filled at once: a slot, or a whole stack."""
+        return slot.rack, -1 if slot.rack in self.stacks else slot.number
+
+
+def plan_stock(
+    site: Site, building: BuildingModel, order: Sequence[str], corners: Mapping[str, np.ndarray]
+) -> StockPlan:
+    """Give every element a slot.
+
+    `corners`: Mapping of str to array, shape (n, 3). Points of each element that enclose it, in its own frame [m].
+    """
+    base_T_model = inverse(site.model_T_base(building))
+    members: dict[str, list[Element]] = {name: [] for name in site.file.racks}
+    for element in map(building.element, order):
+        members[_rack_of(site, element)].append(element)
+    slots: dict[str, Slot] = {}
+    for name, elements in members.items():
+        rack, where = site.file.racks[name], f"{site.path}/racks/{name}"
+        if rack.order == "file":
+            place = {element: number for number, element in enumerate(building.elements)}
+            elements = sorted(elements, key=lambda element: place[element.id])
+        for number, element in enumerate(elements):
+            if isinstance(rack, DeliveredRack):
+                pose = _delivered(rack, element, base_T_model, building.file, where)
+                slots[element.id] = Slot(element.id, name, number, 0, pose, rack.surface)
+                continue
+            load, at = divmod(number, rack.count)
+            if load and not rack.refill:
+                found = f"{rack.count} slots for {len(elements)} elements, none for {element.name!r} ({element.id})"
+                raise ConfigurationError(where, found, "a slot for each, or `refill: true`")
+            rack_T_slot = rack.slot(at, min(rack.count, len(elements) - load * rack.count))
+            base_T_rack = product(base_T_model, pose_of(rack.at)) if rack.frame == "model" else pose_of(rack.at)
+            pose = _lying(rack, element, product(base_T_rack, rack_T_slot), corners[element.id])
+            slots[element.id] = Slot(element.id, name, at, load, pose, rack.surface)
+    stacks = frozenset(name for name, rack in site.file.racks.items() if isinstance(rack, StackRack))
+    return StockPlan({element: slots[element] for element in order}, stacks)
+
+
+def _rack_of(site: Site, element: Element) -> str:
+    for name, rack in site.file.racks.items():
+        if rack.holds.fits(element):
+            return name
+    where = f"{site.path}/racks for element {element.name!r} ({element.id}), {element.ifc_class}"
+    raise ConfigurationError(where, None, "a rack that holds it")
+
+
+def _lying(rack: LyingRack, element: Element, base_T_slot: Pose, corners: np.ndarray) -> Pose:
+    """Return the element's pose with the middle of the underside of its box in the slot."""
+    turn = rpy_to_rotation(rack.rpy_deg)
+    slot_R_element = turn @ element.model_T_element.rotation if rack.lies == "as_built" else turn
+    corners = corners @ slot_R_element.T
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    foot = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
+    return product(base_T_slot, Pose(-foot, slot_R_element))
+
+
+def _delivered(rack: DeliveredRack, element: Element, base_T_model: Pose, file: str, where: str) -> Pose:
+    """Return where the model says that an element is delivered, else where the rack's offset has it."""
+    group, _, name = rack.property.partition(".")
+    value = element.properties.get(group, {}).get(name)
+    about = f"element {element.name!r} ({element.id})"
+    if value is None:
+        if rack.offset is None:
+            expected = f"where it is delivered, as {where} asks; or give that rack an offset"
+            raise BuildingError(file, about, f"no {rack.property}", expected)
+        offset, built = pose_of(rack.offset), element.model_T_element
+        return product(base_T_model, Pose(built.position + offset.position, offset.rotation @ built.rotation))
+    try:
+        numbers = [float(word) for word in str(value).split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (3, 6) or not np.isfinite(numbers).all():
+        expected = "the text `x y z` or `x y z roll pitch yaw` in m and deg"
+        raise BuildingError(file, f"{about}, {rack.property}", repr(value), expected)
+    pose = Pose(np.array(numbers[:3]), rpy_to_rotation(numbers[3:] or (0.0, 0.0, 0.0)))
+    return product(base_T_model, pose) if rack.frame == "model" else pose
+
+
+#: Elements at a pose whose objects are kept.
+_STOOD = 5000
+
+
+@dataclass(frozen=True, eq=False)
+class WorkState:
+    """What has been done.
+
+    Attributes:
+        placed: ``base_T_element`` of the elements that stand, as built.
+        gone: Elements that are neither in stock nor placed: lost, in the grip, or taken down.
+    """
+
+    placed: Mapping[str, Pose] = field(default_factory=dict)
+    gone: frozenset[str] = frozenset()
+
+
+class Layout:
+    """Where every element of a work is before and after.
+
+    Args:
+        pieces: Convex pieces of each element in `order`, in its own frame, called ``<GlobalId>/<number>``.
+        standing: Pieces, as above, of the elements that stand where the model has them and that no task makes, see `work.standing`.
+        jobs: Who works on them; by default one for each, called as the element, by the process of the element's own recipe.
+
+    Attributes:
+        standing: What stands from the beginning, fixed, in the robot's base_link.
+        stays: The elements in `order` that no job moves: they stand at their place all the time.
+        comes_after: Elements that are placed before what stands is there, by its GlobalId, see `wholes.comes_after`.
+    """
+
+    def __init__(
+        self,
+        site: Site,
+        building: BuildingModel,
+        pieces: Mapping[str, Sequence[SceneObject]],
+        order: Sequence[str],
+        link: str,
+        standing: Mapping[str, Sequence[SceneObject]] = MappingProxyType({}),
+        jobs: Sequence[Job] = (),
+    ):
+        self.site, self.building, self.order = site, building, tuple(order)
+        self._pieces = {element: tuple(pieces[element]) for element in order}
+        self._base_T_model = inverse(site.model_T_base(building))
+        self._tool = tool_objects(site.tool, link)
+        corners = {element: Pieces(items).points for element, items in self._pieces.items()}
+        own = (Job(one, "", "", one, (), (), site.recipes.process(building.element(one))) for one in order)
+        self._jobs = {job.id: job for job in jobs or own}
+        placed = {job.element for job in self._jobs.values() if job.moves}
+        self.stays = tuple(element for element in order if element not in placed)
+        moved = [element for element in order if element in placed]
+        self.stock: StockPlan = plan_stock(site, building, moved, corners)
+        self.standing = tuple(
+            replace(item.moved(product(self.base_T_goal(element), item.pose)), fixed=True)
+            for element, items in standing.items()
+            for item in items
+        )
+        self.comes_after = comes_after(building.elements, moved)
+        self._shapes = Shapes()
+        self._stood: dict[tuple[str, bytes], tuple[SceneObject, ...]] = {}
+
+    def pieces(self, element: str) -> tuple[SceneObject, ...]:
+        """Return an element's convex pieces, in its own frame."""
+        return self._pieces[element]
+
+    def slot(self, element: str) -> Slot | None:
+        """Return where an element lies in stock; None: it stays where it stands."""
+        return self.stock.slots.get(element)
+
+    def base_T_goal(self, element: str) -> Pose:
+        """Return where an element is to stand, as designed."""
+        return product(self._base_T_model, self.building.element(element).model_T_element)
+
+    def delivered(self, state: WorkState) -> tuple[str, ...]:
+        """Return the elements that lie in stock."""
+        return self.stock.present({*state.placed, *state.gone})
+
+    def scene(self, state: WorkState = WorkState()) -> Scene:
+        """Return the scene at a state: surroundings, the tool on the arm, what is in stock, what stands."""
+        surroundings = self.site.scene
+        objects = [*surroundings.objects]
+        for item in self.standing:
+            element = item.name.split("/", 1)[0]
+            if element not in state.gone and state.placed.keys() >= self.comes_after.get(element, frozenset()):
+                objects.append(item)
+        objects += self._tool
+        for element in self.delivered(state):
+            objects += self._standing(element, self.stock.slots[element].base_T_element)
+        for element in self.stays:
+            if element not in state.placed and element not in state.gone:
+                objects += self._standing(element, self.base_T_goal(element))
+        for element, pose in state.placed.items():
+            if element in self._pieces:
+                objects += self._standing(element, pose)
+        return Scene(tuple(objects), surroundings.padding)
+
+    def job_for(self, element: str, scene: Scene, task: str = "") -> WorkJob:
+        """Return the job of an element; `task`: id of the job; one that the layout does not know: its first one."""
+        asked = self._jobs.get(task) or next(job for job in self._jobs.values() if job.element == element)
+        built, slot = self.building.element(element), self.slot(element) if asked.moves else None
+        goal = self.base_T_goal(element) if asked.moves else self._stands(element, scene)
+        of_task = self.building.tasks.get(asked.task)
+        of_work = {item.name for items in self._pieces.values() for item in items}
+        of_work |= {item.name for item in self.standing}
+        own = {item.name for item in self._pieces[element]}
+        others = [item for item in scene.objects if item.name in of_work - own and not item.link]
+        beside = {
+            name
+            for pose in ([goal] if slot is None else [slot.base_T_element, goal])
+            for name in self._shapes.near(self._pieces[element], [pose], others, scene.padding)
+        }
+        x, y, z = map(float, self._base_T_model.rotation[:, 2])
+        fixed = {*self.site.file.supports, *([] if slot is None else [slot.surface])} & set(scene.names)
+        return WorkJob(
+            task or element,
+            built,
+            bodies=self._pieces[element],
+            base_T_stock=None if slot is None else slot.base_T_element,
+            base_T_goal=goal,
+            supports=tuple(sorted(beside | fixed)),
+            up=(x, y, z),
+            task_properties={} if of_task is None else of_task.properties,
+        )
+
+    def _stands(self, element: str, scene: Scene) -> Pose:
+        """Return where an element stands in a scene; as designed where it does not."""
+        first = self._pieces[element][0]
+        if first.name not in scene.names or scene.get(first.name).link:
+            return self.base_T_goal(element)
+        return product(scene.get(first.name).pose, inverse(first.pose))
+
+    def _standing(self, element: str, base_T_element: Pose) -> tuple[SceneObject, ...]:
+        """Return an element's pieces at a pose; they are kept, because most elements stay where they are."""
+        key = element, base_T_element.position.tobytes() + base_T_element.rotation.tobytes()
+        if key not in self._stood:
+            if len(self._stood) >= _STOOD:
+                self._stood.clear()
+            self._stood[key] = tuple(item.moved(product(base_T_element, item.pose)) for item in self._pieces[element])
+        return self._stood[key]

@@ -1,0 +1,43 @@
+"""The process that builds models beside the node: what it answers, and what it says of a scene that cannot be built."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from chain_samples import ROBOT
+from live_twin_samples import DRIVES, FLOOR, SELF_COLLISION, carrying, model_in
+
+from construction_twin.core.worker import Worker, WorkerError
+from construction_twin.extensions.physics.live_twin import LiveTwin
+from construction_twin.extensions.physics.process import PROGRAM
+from construction_twin.scene.objects import SceneObject
+
+
+@pytest.fixture
+def build():
+    worker = Worker(PROGRAM)
+    arm = {"robot": ROBOT, "self_collision": SELF_COLLISION, "drives": DRIVES}
+    yield lambda scene, **other: worker.ask("build", arm=arm | other, scene=scene, masses={})
+    worker.close()
+
+
+def test_its_models_are_those_of_this_process(build):
+    for scene in (FLOOR, carrying(0.3)):
+        here, there = LiveTwin(), LiveTwin()
+        here.take_model(model_in(scene)), there.take_model(build(scene))
+        for share in np.linspace(0.0, 0.1, 50):
+            commanded = tuple(np.array(ROBOT.home) + share)
+            assert here.cycle(commanded) == there.cycle(commanded)
+        assert here.remarks == there.remarks and here.effort == there.effort
+
+
+def test_a_scene_that_cannot_be_built_is_a_sentence_and_the_next_one_is_built(build):
+    with pytest.raises(WorkerError) as refusal:
+        build(FLOOR.add(SceneObject("hanging", "box", (0.1,) * 3, (1.0, 1.0, 1.0), touch=("nothing_there",))))
+    assert refusal.value.kind == "SceneError" and "nothing_there" in str(refusal.value)
+    assert build(FLOOR).robot.name == ROBOT.name
+
+
+def test_without_a_file_of_drives_the_torques_are_the_urdf_s(build):
+    drives = build(FLOOR, drives="").drives
+    assert drives.source == "URDF effort" and not any(drives.armature)

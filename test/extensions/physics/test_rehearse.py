@@ -1,0 +1,177 @@
+"""ros.commands.rehearse: a plan from a file, rehearsed without a ROS master."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+import rosbag
+import rospy
+from matplotlib.image import imread
+from physics_samples import between
+from plan_samples import make_plan
+
+from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.extensions.physics import film
+from construction_twin.extensions.physics.commands.rehearse import BROKEN, FAILED, PASSED, main
+from construction_twin.robot.plan import Plan
+from construction_twin.ros.messages.convert import plan_to_msg
+from construction_twin.scene.objects import Scene
+
+NAMES = ",".join(["time_s", *(f"joint_a{number}_deg" for number in range(1, 7))])
+WALL = """
+padding: 0.0
+objects:
+  wall: {shape: box, size: [1.0, 0.05, 2.2], position: [1.6, 0.6, 1.1]}
+"""
+
+
+@pytest.fixture
+def plan(tmp_path):
+    file = tmp_path / "plan.csv"
+    file.write_text(f"{NAMES}\n0,0,-90,90,0,45,0\n2,-40,-90,90,0,45,10\n")
+    return file
+
+
+@pytest.fixture
+def wall(tmp_path):
+    file = tmp_path / "scene.yaml"
+    file.write_text(WALL)
+    return file
+
+
+@pytest.fixture
+def with_graphics():
+    try:
+        film.open_context().free()
+    except ConstructionTwinError as error:
+        pytest.skip(f"nothing draws here: {error}")
+
+
+def test_a_plan_that_passes_ends_with_0_and_names_axes_load_and_estimates(plan, capsys):
+    assert main([str(plan), "--payload", "40,0,0,0.2"]) == PASSED
+    said = capsys.readouterr().out
+    assert re.match(r"rehearsal of plan \w+: passed", said)
+    for words in ("joint_a1", "joint_a6", "40.0 kg", "200 mm", "120.0 kg", "~ an estimate", "armature"):
+        assert words in said
+
+
+def test_a_wall_in_the_way_ends_with_1_and_is_named(plan, wall, capsys):
+    assert main([str(plan), "--scene", str(wall)]) == FAILED
+    said = capsys.readouterr().out
+    assert re.match(r"rehearsal of plan \w+: failed", said)
+    assert "touches wall after" in said
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--payload", "heavy"),
+        ("--payload", "1,2"),
+        ("--payload", "-1"),
+        ("--payload", "inf"),
+        ("--mass", "wall"),
+        ("--mass", "wall=nothing"),
+        ("--mass", "wall=0"),
+        ("--scene", "/no/such/scene.yaml"),
+        ("--drives", "/no/such/drives.yaml"),
+    ],
+)
+def test_what_cannot_be_rehearsed_ends_with_2_and_one_sentence(plan, options, capsys):
+    assert main([str(plan), *options]) == BROKEN
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith("rehearse: ")
+    assert said.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("text", ["", "1,2,3\n", f"{NAMES}\n0,0,0,0,0,0,9999\n1,0,0,0,0,0,0\n"])
+def test_a_file_that_is_no_plan_ends_with_2(plan, text, capsys):
+    plan.write_text(text)
+    assert main([str(plan)]) == BROKEN
+    assert capsys.readouterr().err.startswith("rehearse: ")
+
+
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        (["--picture", "worst.xyz"], "--picture 'worst.xyz'"),
+        (["--picture", "/no/such/folder/worst.png"], "--picture"),
+        (["--video", "all.gif"], "--video 'all.gif'"),
+        (["--plan-id", "p7"], "--plan-id 'p7'"),
+        (["--mass", "foo=5"], "no object and no body of this name, only wall"),
+    ],
+)
+def test_what_means_nothing_here_is_refused_before_the_rehearsal(plan, wall, options, words, capsys):
+    assert main([str(plan), "--scene", str(wall), *options]) == BROKEN
+    said = capsys.readouterr()
+    assert words in said.err and said.out == ""
+
+
+def test_the_picture_shows_the_arm_and_in_red_what_touches(plan, wall, tmp_path, with_graphics):
+    picture = tmp_path / "out.png"
+    assert main([str(plan), "--scene", str(wall), "--picture", str(picture)]) == FAILED
+    pixels = imread(picture)[..., :3]
+    assert pixels.shape == (film.HEIGHT, film.WIDTH, 3)
+    red, green, blue = np.moveaxis(pixels, -1, 0)
+    orange = (red > 0.6) & (green > 0.2) & (green < 0.6) & (blue < 0.2)
+    touching = (red > 0.4) & (green < 0.6 * red) & (blue < 0.7 * red) & ~orange
+    assert orange.mean() > 0.01
+    assert touching.mean() > 0.01
+
+
+def test_the_video_lasts_as_long_as_the_rehearsal(plan, tmp_path, with_graphics, capsys):
+    video = tmp_path / "out.mp4"
+    assert main([str(plan), "--video", str(video), "--rate", "5"]) == PASSED
+    assert "5 pictures/s, H.264" in capsys.readouterr().out
+    frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(video))
+    # 2 s of plan, and what the arm takes to come to rest
+    assert 10 <= frames <= 13
+    assert seconds == pytest.approx(frames / 5.0, abs=0.3)
+
+
+# -- of a bag
+
+
+def planned(plan_id: str, turn: float) -> Plan:
+    """Return a plan as the planner makes it: the first axis turns so far within 2 s [rad]."""
+    begin = np.array((0.0, -1.5, 1.6, 0.0, 0.8, 0.0))
+    goal = begin + np.array((turn, 0.0, 0.0, 0.0, 0.0, 0.2))
+    return make_plan(between(begin, goal, 2.0), plan_id, Scene().hash)
+
+
+@pytest.fixture
+def bag(tmp_path):
+    """A bag of a robot kr120 with two plans, the first of them recorded twice, as latched topics are."""
+    file = tmp_path / "run.bag"
+    with rosbag.Bag(str(file), "w") as opened:
+        for second, (plan_id, turn) in enumerate((("p1", -0.7), ("p2", 0.7), ("p1", -0.7)), 1):
+            plan = planned(plan_id, turn)
+            path = np.zeros((len(plan.trajectory.times), 3))
+            opened.write("/kr120/plan", plan_to_msg(plan, "base_link", path), rospy.Time(second))
+    return file
+
+
+def said_of(arguments: list[str], capsys) -> dict:
+    assert main([*arguments, "--json"]) in (PASSED, FAILED)
+    return json.loads(capsys.readouterr().out)
+
+
+def test_of_a_bag_the_newest_plan_is_rehearsed_or_the_one_that_is_named(bag, wall, capsys):
+    # the wall stands on one side: which plan was taken shows in what it touches
+    newest = said_of([str(bag), "--scene", str(wall)], capsys)
+    named = said_of([str(bag), "--scene", str(wall), "--plan-id", "p1"], capsys)
+    assert (newest["state"], newest["contacts"]) == ("passed", [])
+    assert named["state"] == "failed" and named["contacts"][0]["second"] == "wall"
+    assert newest["duration"] == named["duration"] == 2.0
+    assert (newest["plan_id"], newest["plan_hash"]) == ("p2", planned("p2", 0.7).hash)
+
+
+@pytest.mark.parametrize("arguments", [("--plan-id", "p9"), ("--robot", "/ur")])
+def test_a_plan_or_robot_that_the_bag_does_not_have_ends_with_2(bag, arguments, capsys):
+    assert main([str(bag), *arguments]) == BROKEN
+    said = capsys.readouterr().err
+    assert said.startswith("rehearse: ") and said.count("\n") == 1

@@ -1,0 +1,113 @@
+"""Tolerances as control_msgs means them: 0 is the default, negative is no bound, names decide."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import pytest
+from executor_bench import ROBOT
+
+from construction_twin.core.errors import GoalError, GoalJointsError
+from construction_twin.core.sentences import Quantity
+from construction_twin.extensions.planners.joint_tolerances import Tolerances, check_joint_names
+
+NAMES = ROBOT.joint_names
+
+
+class Asked(NamedTuple):
+    """As control_msgs/JointTolerance."""
+
+    name: str
+    position: float
+    velocity: float = 0.0
+    acceleration: float = 0.0
+
+
+ZERO = (0.0,) * 6
+DEFAULT = Tolerances.default(ROBOT, 0.01, 0.005)
+
+
+def off(joint: int, value: float) -> tuple[float, ...]:
+    return tuple(value if index == joint else 0.0 for index in range(6))
+
+
+def test_zero_is_the_default_negative_no_bound_and_the_rest_as_asked():
+    asked = [
+        Asked(NAMES[1], 0.0),
+        Asked(NAMES[2], -1.0, -1.0, -1.0),
+        Asked(NAMES[3], 0.2, 0.5),
+    ]
+    taken = DEFAULT.asked(ROBOT, asked)
+    assert taken.position == (0.01, 0.01, math.inf, 0.2, 0.01, 0.01)
+    assert taken.velocity == (math.inf, math.inf, math.inf, 0.5, math.inf, math.inf)
+    assert taken.acceleration == (math.inf,) * 6
+
+
+def test_a_default_of_zero_is_no_bound_and_prismatic_joints_have_their_own():
+    track = replace(ROBOT, linear=(True, *ROBOT.linear[1:]))
+    assert Tolerances.default(track, 0.0, 0.005).position == (0.005, *(math.inf,) * 5)
+
+
+@pytest.mark.parametrize("joint", range(6))
+def test_a_joint_that_is_off_is_named_with_value_and_tolerance(joint):
+    tolerances = DEFAULT.asked(ROBOT, [Asked(name, 0.1, 0.2, 0.3) for name in NAMES])
+    assert tolerances.violation(ROBOT, off(joint, -0.1), off(joint, 0.2), off(joint, 0.3)) == ""
+    name = NAMES[joint]
+    for quantity, errors, error, bound in (
+        ("position", (off(joint, math.radians(-6)), ZERO, ZERO), Quantity(math.radians(6), "rad"), 0.1),
+        ("velocity", (ZERO, off(joint, 1.0), ZERO), Quantity(1.0, "rad/s"), 0.2),
+        ("acceleration", (ZERO, ZERO, off(joint, 1.0)), Quantity(1.0, "rad/s^2"), 0.3),
+    ):
+        found = tolerances.violation(ROBOT, *errors)
+        assert found.startswith(f"the {quantity} of {name} is off by ")
+        assert {key: found.values[key] for key in ("joint", "error", "bound")} == {
+            "joint": name,
+            "error": error,
+            "bound": Quantity(bound, error.unit),
+        }
+
+
+def test_a_pose_that_is_no_number_does_not_pass():
+    violation = DEFAULT.violation(ROBOT, off(0, math.nan), ZERO, ZERO)
+    assert violation != ""
+    assert math.isnan(violation.values["error"].value)
+
+
+def test_a_tolerance_of_a_foreign_joint_or_of_no_number_is_refused():
+    with pytest.raises(
+        GoalJointsError,
+        match=f"goal_tolerance names the joint 'elbow'; expected only {', '.join(NAMES)}",
+    ):
+        DEFAULT.asked(ROBOT, [Asked("elbow", 0.1)])
+    with pytest.raises(
+        GoalError,
+        match="goal_tolerance: the velocity of joint_a1 is nan",
+    ):
+        DEFAULT.asked(ROBOT, [Asked("joint_a1", 0.1, math.nan)])
+
+
+@pytest.mark.parametrize("second", [0.2, 0.1])
+def test_a_tolerance_of_a_joint_that_is_named_twice_is_refused(second):
+    asked = [Asked("joint_a1", 0.1), Asked("joint_a1", second)]
+    with pytest.raises(GoalError, match="goal_tolerance names joint_a1 twice; expected once"):
+        DEFAULT.asked(ROBOT, asked)
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (("elbow", *NAMES[1:]), "names the joint 'elbow'"),
+        ((*NAMES, NAMES[0]), "names the joint joint_a1 twice"),
+        (NAMES[1:], "does not name the joint joint_a1"),
+        ((), "does not name the joint joint_a1"),
+    ],
+)
+def test_a_goal_names_each_joint_once(names, words):
+    with pytest.raises(GoalJointsError, match=f"the goal {words}; expected each of {', '.join(NAMES)} once"):
+        check_joint_names(ROBOT, names)
+
+
+def test_the_order_of_the_joints_is_free():
+    check_joint_names(ROBOT, NAMES[::-1])

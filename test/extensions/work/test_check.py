@@ -1,0 +1,141 @@
+"""What is found out about each task before anything starts, and how it is told."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import yaml
+from building_models import box, building, element
+from processes import wait_until
+from work_samples import robot
+
+from construction_twin.extensions.work.building import Task
+from construction_twin.extensions.work.commands.work_check import cell_picture, check_all
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@pytest.fixture(scope="module")
+def given(tmp_path_factory):
+    """Three tasks: a stud that can be placed, one far beyond the track, one without geometry, of another robot."""
+    body = box((-0.5, -0.03, 0.0), (0.5, 0.03, 0.12))
+    elements = [
+        element("near", body, at=(1.2, 0.3, 0.0), name="Stud near"),
+        element("far", body, at=(1.2, 9.0, 0.0), name="Stud far"),
+        element("empty", name="Stud empty"),
+    ]
+    robots = {"empty": ("kr120",), "near": ("other",)}
+    tasks = [
+        Task(f"t{one.id}", f"Place {one.id}", products=(one.id,), robots=robots.get(one.id, ())) for one in elements
+    ]
+    return {
+        "model": building(*(replace(one, mass=5.0, type_name="Stud 60x120") for one in elements), tasks=tasks),
+        "cell": str(ROOT / "config/work/timber_panel.yaml"),
+        "robot": robot(),
+        "self_collision": str(ROOT / "config/kr120_track_self_collision.yaml"),
+        "planner": {**yaml.safe_load((ROOT / "config/planner.yaml").read_text()), "seed": 1},
+        "cache": str(tmp_path_factory.mktemp("cache")),
+    }
+
+
+@pytest.fixture(scope="module")
+def found(given):
+    seen = []
+    return check_all(2, lambda *done: seen.append(done), **given), seen
+
+
+def test_each_task_is_told_in_the_schedules_order_whenever_it_was_found(found):
+    checked, seen = found
+    assert [task.name for task in checked.tasks] == ["Place near", "Place far", "Place empty"]
+    assert seen == [(0, 3), (1, 3), (2, 3), (3, 3)] and checked.rss_mb > 0.0
+
+
+def test_a_possible_task_has_grip_track_clearance_time_and_path(found):
+    task = found[0].tasks[0]
+    assert task.possible and task.reason == "" and task.grip
+    assert -2.0 <= task.track <= 2.0 and 0.0 < task.clearance and 1.0 < task.duration < 60.0
+    # the path comes by the place: model (1.2, 0.3, 0.12) is the middle of its upper face
+    goal = (0.0, 1.4, 0.72)
+    assert min(sum((a - b) ** 2 for a, b in zip(at, goal)) for at in task.path) < 0.02**2
+
+
+def test_what_is_out_of_reach_or_without_geometry_says_so(found):
+    _, far, empty = found[0].tasks
+    assert not far.possible and far.stage == "reach"
+    assert not empty.possible and "found no geometry" in empty.reason
+
+
+def test_the_picture_has_the_path_of_what_is_possible(found):
+    prepared, tasks = found[0].prepared, found[0].tasks
+    picture, without = (cell_picture(shown, prepared) for shown in (tasks, [replace(tasks[0], path=())]))
+    assert picture.startswith(b"\x89PNG") and picture != without
+
+
+def test_of_another_robots_tasks_none_is_checked(given):
+    checked = check_all(1, robot_name="kr121", **given)
+    assert [(task.name, task.number) for task in checked.tasks] == [("Place far", 1)]
+
+
+#: Checks nothing, and writes which process it is; the tenth task ends the process where that is wanted.
+PROCESS = """
+    import os, time
+    from types import SimpleNamespace
+    from construction_twin.core.worker import serve_parent
+
+    def prepare(dies):
+        schedule = SimpleNamespace(jobs=[SimpleNamespace(robots=())] * 100_000)
+        return SimpleNamespace(schedule=schedule)
+
+    def check(number):
+        os.write(2, b"%d\\n" % os.getpid())
+        time.sleep(0.02)
+        if number == 10 and DIES:
+            os.kill(os.getpid(), 9)
+        return SimpleNamespace(number=number), os.getpid(), 1.0
+
+    serve_parent({"prepare": prepare, "check": check})
+"""
+#: Checks with such processes for ever, or until one of them dies.
+CHECK = """
+    import sys
+    from construction_twin.extensions.work.commands import work_check
+    from construction_twin.core.worker import Worker, WorkerError
+
+    program = (sys.executable, "-c", sys.argv[1])
+    work_check.Worker = lambda _program: Worker(program)
+    try:
+        work_check.check_all(2, dies=True)
+    except WorkerError as error:
+        print(repr(error.kind), error)
+"""
+
+
+def alive(process: int) -> bool:
+    """Return whether a process runs; one that has ended and is not waited for by whoever inherited it does not."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.mark.parametrize("dies", [False, True])
+def test_the_processes_end_when_the_check_is_killed_or_one_of_them_is(dies):
+    own = textwrap.dedent(PROCESS).replace("DIES", str(dies))
+    program = [sys.executable, "-c", textwrap.dedent(CHECK), own]
+    check = subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    seen: set[int] = set()
+    try:
+        while len(seen) < 2:
+            seen.add(int(check.stderr.readline()))
+        if dies:
+            said, _ = check.communicate(timeout=60)
+            assert said.startswith("''") and "has ended" in said
+    finally:
+        os.kill(check.pid, signal.SIGKILL) if check.poll() is None else None
+        check.communicate()
+    wait_until(lambda: not any(map(alive, seen)), 20.0, "the processes to end")

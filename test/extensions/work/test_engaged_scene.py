@@ -1,0 +1,112 @@
+"""What is done about the scene of an arm that was left engaged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from construction_twin.core.reports import EngagementReport
+from construction_twin.extensions.work.engaged_scene import Due, confirmed, due
+from construction_twin.kinematics.chain import Pose
+from construction_twin.robot.segments import Segment
+from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.scene.scene_change import SceneChange
+
+SIDE = (0.1, 0.1, 0.1)
+
+
+def at(x: float) -> Pose:
+    return Pose(np.array([x, 0.0, 0.0]), np.eye(3))
+
+
+BODY = SceneObject("E1/0", "box", SIDE)
+STOCK, HELD, PLACED = BODY.moved(at(1.0)), BODY.moved(at(0.3), "tool0"), BODY.moved(at(2.0))
+TOOL = SceneObject("tool/post", "box", SIDE, link="tool0", touch=("E1/0",))
+FLOOR = SceneObject("floor", "box", (5.0, 5.0, 0.1), touch=("E1/0",))
+FENCE = SceneObject("fence", "box", SIDE).moved(at(-2.0))
+
+
+def scene(*items: SceneObject) -> Scene:
+    return Scene((FLOOR, TOOL, *items), 0.01)
+
+
+BEFORE, GRIPPED, BUILT = scene(STOCK), scene(HELD), scene(PLACED)
+GRIP = Segment("grip", 1.0, True, (), (), BEFORE.hash, GRIPPED.hash)
+LET_GO = Segment("let go", 2.0, True, (), (), GRIPPED.hash, BUILT.hash)
+PLAN = ((GRIP, LET_GO), (SceneChange((HELD,)), SceneChange((PLACED,))))
+#: Of a plan that is not known any more.
+UNKNOWN = ((), ())
+
+
+def left(*scenes: Scene) -> EngagementReport:
+    return EngagementReport("p1", "lower", tuple(one.hash for one in scenes))
+
+
+def led(found: Due, present: Scene) -> str:
+    """Return the scene that a change leads to; fails when none is due."""
+    assert found.change is not None, found.sentence
+    assert found.change.apply(present).hash == found.after
+    return found.after
+
+
+@pytest.mark.parametrize("present", [BEFORE, GRIPPED])
+def test_a_scene_that_is_named_stays_as_it_is(present):
+    found = due(left(BEFORE, GRIPPED), present, *PLAN)
+    assert (found.change, found.sentence) == (None, "")
+
+
+@pytest.mark.parametrize(("present", "wanted"), [(BEFORE, GRIPPED), (GRIPPED, BUILT)])
+def test_the_change_that_a_stop_has_cut_off_is_due(present, wanted):
+    assert led(due(left(wanted), present, *PLAN), present) == wanted.hash
+
+
+def test_the_scene_before_the_grip_is_restored_when_it_was_seen():
+    assert led(due(left(BEFORE), GRIPPED, *PLAN, [BEFORE]), GRIPPED) == BEFORE.hash
+
+
+@pytest.mark.parametrize("wanted", [BEFORE, GRIPPED, BUILT])
+@pytest.mark.parametrize("present", [BEFORE, GRIPPED, BUILT])
+def test_without_plan_and_earlier_scenes_the_ledger_has_what_it_takes(present, wanted):
+    found = due(left(wanted), present, *UNKNOWN, element="E1", forms=[(STOCK,), (HELD,), (PLACED,)])
+    assert (wanted is present) == (found.change is None)
+    assert found.sentence == "" and (wanted is present or led(found, present) == wanted.hash)
+
+
+@pytest.mark.parametrize("present", [scene(STOCK, FENCE), scene(HELD, FENCE)])
+def test_an_obstacle_that_came_meanwhile_is_named_and_not_taken_away(present):
+    found = due(left(GRIPPED), present, *PLAN, [present, BEFORE])
+    assert found.change is None
+    assert "'fence' came into the scene since" in found.sentence
+
+
+@pytest.mark.parametrize("other", [(TOOL, HELD), (replace(FLOOR, size=(4.0, 4.0, 0.1)), TOOL, HELD)])
+def test_an_obstacle_that_went_or_was_changed_is_not_put_back(other):
+    found = due(left(GRIPPED), Scene(other, 0.01), *PLAN, [BEFORE])
+    assert found.change is None and "'floor' was changed or taken out of the scene since" in found.sentence
+
+
+def test_an_element_that_is_gone_comes_back_with_what_may_touch_it():
+    present = BEFORE.remove("E1/0")
+    assert present.get("floor").touch == ()
+    assert led(due(left(BEFORE), present, *PLAN, [present, BEFORE]), present) == BEFORE.hash
+
+
+def test_a_plan_that_nobody_knows_any_more_is_asked_about():
+    found = due(left(GRIPPED), BEFORE, *UNKNOWN)
+    assert found.change is None
+    assert "in engaged segment 'lower' of plan p1; plan p1 is not known" in found.sentence
+
+
+def test_a_plans_change_that_leads_elsewhere_is_not_made():
+    for wrong in SceneChange((HELD.moved(at(0.4), "tool0"),), ("nobody",)), SceneChange((HELD.moved(at(0.4)),)):
+        assert due(left(GRIPPED), BEFORE, [GRIP], [wrong]).change is None
+
+
+def test_a_switch_counts_as_confirmed_only_where_no_other_scene_is_named():
+    assert confirmed(left(GRIPPED), GRIP)
+    assert not confirmed(left(BEFORE), GRIP)
+    assert not confirmed(left(BEFORE, GRIPPED), GRIP)
+    assert not confirmed(left(), GRIP)
+    assert not confirmed(left(GRIPPED), replace(GRIP, scene=GRIPPED.hash))

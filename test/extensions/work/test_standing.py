@@ -1,0 +1,73 @@
+"""Elements that no task makes stand where the model has them."""
+
+from dataclasses import replace
+
+import numpy as np
+from building_models import box
+from work_samples import box_pieces, building, element, robot, site
+
+from construction_twin.extensions.work.site_scene import Layout, WorkState
+from construction_twin.extensions.work.standing import standing
+
+#: Of the tool of the samples [m].
+REACH = 6.0
+WALL = box((0.0, 0.0, 0.0), (2.0, 0.1, 1.0))
+
+
+def wall(name, at=(0.0, 0.3, 0.0), **changes):
+    return replace(element(name, at, ifc_class="IfcWall"), bodies=(WALL,), **changes)
+
+
+def made(model, *names):
+    return {name: box_pieces(model.element(name)) for name in names}
+
+
+def test_a_wall_that_no_task_makes_is_a_fixed_obstacle_where_the_model_has_it(tmp_path):
+    at = site(tmp_path)
+    model = building(element("b"), wall("wall"))
+    found = standing(model, ["b"], at, REACH, tmp_path)
+    assert set(found.pieces) == {"wall"} and not found.notes
+    layout = Layout(at, model, made(model, "b"), ["b"], robot().tip_link, found.pieces)
+    for state in (WorkState(), WorkState({"b": layout.base_T_goal("b")})):
+        item = next(one for one in layout.scene(state).objects if one.name == "wall/0")
+        # model_T_base is (0, -1.6, -0.6), the middle of the wall (1, 0.35, 0.5) in the model
+        assert item.fixed and not item.link and np.allclose(item.position, (1.0, 1.95, 1.1))
+
+
+def test_what_an_element_of_the_work_touches_may_be_one_that_stands(tmp_path):
+    at = site(tmp_path)
+    model = building(element("b"), wall("wall", (-0.5, -0.05, -1.0)))
+    found = standing(model, ["b"], at, REACH, tmp_path)
+    layout = Layout(at, model, made(model, "b"), ["b"], robot().tip_link, found.pieces)
+    assert "wall/0" in layout.job_for("b", layout.scene()).supports
+
+
+def test_what_the_work_is_part_of_the_base_and_what_is_far_away_do_not_stand(tmp_path):
+    at = site(tmp_path, {"model_T_base": None, "base_element": "base"})
+    part = replace(element("part"), assembly="panel")
+    model = building(part, wall("panel", assembly="house"), wall("house"), wall("base"), wall("far", (500.0, 0.0, 0.0)))
+    assert not standing(model, ["part"], at, REACH, tmp_path).pieces
+
+
+def test_the_box_of_an_element_whose_geometry_is_unusable_stands_for_it(tmp_path):
+    model = building(element("b"), replace(wall("odd"), bodies=(replace(WALL, triangles=WALL.triangles[:0]),)))
+    found = standing(model, ["b"], site(tmp_path), REACH, tmp_path)
+    (box,) = found.pieces["odd"]
+    assert (box.shape, box.size, box.position) == ("box", (2.0, 0.1, 1.0), (1.0, 0.05, 0.5))
+    assert len(found.notes) == 1 and found.notes[0].startswith("odd cannot be divided into bodies")
+
+
+def test_a_whole_that_exists_stands_though_a_part_of_it_is_placed(tmp_path):
+    at = site(tmp_path)
+    board = replace(element("board"), assembly="wall")
+    model = building(board, wall("wall", status="existing"))
+    assert set(standing(model, ["board"], at, REACH, tmp_path).pieces) == {"wall"}
+
+
+def test_what_was_taken_down_is_in_no_scene(tmp_path):
+    at = site(tmp_path)
+    model = building(element("b"), wall("old", status="demolish"))
+    found = standing(model, ["b"], at, REACH, tmp_path)
+    layout = Layout(at, model, made(model, "b"), ["b"], robot().tip_link, found.pieces)
+    assert "old/0" in layout.scene().names
+    assert "old/0" not in layout.scene(WorkState(gone=frozenset({"old"}))).names

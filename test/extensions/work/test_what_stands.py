@@ -1,0 +1,432 @@
+"""What was placed stands, whatever model comes: another version, other ids, another file name, another ledger of the folder."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from construction_twin.core.work_errors import LedgerError
+from construction_twin.extensions.work.built import pose_tuple
+from construction_twin.extensions.work.ledger import Ledger, read_entries
+from construction_twin.extensions.work.prepared import ElementFacts, Prepared
+from construction_twin.extensions.work.schedule import Job, Schedule
+from construction_twin.extensions.work.site_scene import Slot, StockPlan
+from construction_twin.extensions.work.task_board import TaskBoard, WorkRefused
+from construction_twin.extensions.work.task_memory import Entry, TaskState
+from construction_twin.kinematics.chain import Pose
+from construction_twin.robot.tool import read_tool
+from construction_twin.scene.objects import SceneObject
+
+TOOL = read_tool(Path(__file__).parents[3] / "config/tools/vacuum_frame.yaml").tool
+NOW = 10**18
+SIZE = (0.1, 1.2, 0.1)
+HELD = pose_tuple(Pose(np.array([0.0, 0.0, 0.3]), np.eye(3)))
+EVENTS = ("offered", "planned", "begun", "gripping", "gripped", "releasing", "released", "finished")
+
+
+def at(x: float) -> Pose:
+    return Pose(np.array([x, 1.0, 0.6]), np.eye(3))
+
+
+def model(ids: str, *names: str, digest: str = "a", shifted: float = 0.0, folder: Path | None = None) -> Prepared:
+    """Return sleepers 0.6 m apart; `ids`: beginning of their GlobalIds; with a folder they are meshes in it."""
+    elements, slots, jobs = {}, {}, []
+    for number, name in enumerate(names):
+        element = f"{ids}{name}"
+        body = SceneObject(f"{element}/0", "box", SIZE)
+        if folder is not None:
+            mesh = folder / "sleeper.obj"
+            corners = [f"v {x} {y} {z}" for x in (-0.6, 0.6) for y in (-0.05, 0.05) for z in (-0.05, 0.05)]
+            mesh.write_text("\n".join([*corners, "f 1 2 3", "f 5 6 7", "f 1 4 8", ""]))
+            body = SceneObject(f"{element}/0", "mesh", mesh=str(mesh))
+        goal = at(0.6 * number + shifted)
+        elements[element] = ElementFacts(name, (body,), goal, np.zeros((1, 3, 3)), ifc_class="IfcBeam")
+        slots[element] = Slot(element, "rack", number, 0, at(-5.0 - number), "")
+        jobs.append(Job(f"T{element}", f"T{element}", f"Place {name}", element, (), ()))
+    schedule = Schedule(tuple(jobs), ())
+    return Prepared("deck.ifc", digest * 64, "/deck.yaml", schedule, "s" * 64, elements, StockPlan(slots), TOOL, ())
+
+
+def opened(folder: Path, ready: Prepared, name: str = "kr120_deck", robot: str = "kr120") -> TaskBoard:
+    """Return the board as the node opens it."""
+    times = count(NOW)
+    ledger = Ledger(
+        folder / f"{name}.jsonl", ready.after, ready.digest, times.__next__, ready.cell, ready.schedule.placing,
+        ready.standing_elements, robot, ready.present,
+    )  # fmt: skip
+    board = TaskBoard(ready, ledger, robot, "tool0")
+    board.look_around()
+    return board
+
+
+def place(board: TaskBoard, *tasks: str, off: float = 0.0) -> None:
+    for task in tasks:
+        stands = pose_tuple(Pose(board.goal(task).position + (0.0, off, 0.0), np.eye(3)))
+        for event in EVENTS:
+            pose = {"offered": HELD, "released": stands}.get(event, ())
+            board.add(Entry(event, task, plan="p", offer="o", pose=pose))
+
+
+@pytest.fixture
+def two_placed(tmp_path) -> Path:
+    """The folder of a ledger of four sleepers, two of them placed 1 mm beside their place."""
+    board = opened(tmp_path, model("old", "A", "B", "C", "D"))
+    place(board, "ToldA", "ToldB", off=0.001)
+    board.ledger.close()
+    return tmp_path
+
+
+def row(board: TaskBoard, name: str):
+    (found,) = [row for row in board.report(NOW).tasks if name in (row.id, row.name)]
+    return found
+
+
+def stands(board: TaskBoard, element: str) -> SceneObject | None:
+    return board.wanted_scene()[0].get(f"{element}/0")
+
+
+def of_b(board: TaskBoard) -> SceneObject:
+    """Return B's body in the scene, which must be where it was placed."""
+    found = stands(board, "oldB")
+    assert found is not None and found.size == SIZE and np.allclose(found.position, (0.6, 1.001, 0.6))
+    return found
+
+
+# -- an element that is not in the model any more
+
+
+def test_what_was_deleted_from_the_model_stands_and_is_asked_about_before_anything_is_planned(two_placed):
+    board = opened(two_placed, model("old", "A", "X", "C", "D", digest="b"))
+    of_b(board)
+    assert board.next(NOW) == "" and board.book.asking == ("ToldB",)
+    assert "still stand? The model does not have it." in row(board, "B").question
+    assert row(board, "B").answers == ("stands", "taken_away")
+    assert "asks first" in board.obstacle("ToldX", NOW) and "B" in board.obstacle("ToldX", NOW)
+    board.answer("ToldB", "stands", "eva", "")
+    of_b(board)
+    assert board.next(NOW) == "ToldX" and "placed, and not in the model" in row(board, "B").reason
+    assert board.called("set down: oldX/0 would touch oldB/0") == "set down: oldX/0 would touch 'B'"
+
+
+def test_it_is_asked_once_for_each_version_and_stands_over_every_start(two_placed):
+    changed = model("old", "A", "X", "C", "D", digest="b")
+    board = opened(two_placed, changed)
+    board.answer("ToldB", "stands", "eva", "")
+    for _ in range(2):
+        lines = board.ledger.lines
+        board.ledger.close()
+        board = opened(two_placed, changed)
+        assert board.book.asking == () and board.ledger.lines == lines
+        of_b(board)
+
+
+@pytest.mark.parametrize("asked", [True, False])
+def test_it_is_no_obstacle_when_a_person_has_taken_it_away(two_placed, asked):
+    changed = model("old", "A", "X", "C", "D", digest="b")
+    board = opened(two_placed, changed)
+    if asked:
+        board.answer("ToldB", "taken_away", "eva", "")
+    else:
+        board.answer("ToldB", "stands", "eva", "")
+        assert "is gone: it is no obstacle" in board.removed("ToldB", "eva", "rotten")
+    board.ledger.close()
+    again = opened(two_placed, changed)
+    assert stands(again, "oldB") is None and "ToldB" not in again.book.former
+    with pytest.raises(WorkRefused, match="`twin work list` names them"):
+        again.removed("ToldB", "eva", "")
+
+
+def test_what_stands_in_the_models_own_version_can_be_taken_away_too(two_placed):
+    board = opened(two_placed, model("old", "A", "B", "C", "D"))
+    assert board.next(NOW) == "ToldC"
+    board.removed("ToldB", "eva", "rotten")
+    assert stands(board, "oldB") is None and board.book.tasks["ToldB"].state is TaskState.HELD
+    with pytest.raises(WorkRefused, match="has placed nothing"):
+        board.removed("ToldC", "eva", "")
+
+
+def test_an_element_that_is_asked_about_is_in_the_scene_of_a_node_that_starts(two_placed):
+    board = opened(two_placed, model("old", "A", "B", "C", "D", digest="b", shifted=0.3))
+    assert board.book.asking == ("ToldA", "ToldB")
+    of_b(board)
+
+
+def test_it_stands_with_the_shape_that_it_was_placed_with(two_placed):
+    changed = model("old", "A", "B", "C", "D", digest="b")
+    slim = (SceneObject("oldB/0", "box", (0.1, 0.1, 0.1)),)
+    changed = replace(changed, elements={**changed.elements, "oldB": replace(changed.elements["oldB"], bodies=slim)})
+    board = opened(two_placed, changed)
+    board.answer("ToldB", "placed", "eva", "")
+    of_b(board)
+
+
+# -- what is not asked again
+
+
+def shifted(ready: Prepared, element: str, by: float) -> Prepared:
+    """Return a model with one element elsewhere."""
+    facts = ready.elements[element]
+    moved = replace(facts, base_T_goal=Pose(facts.base_T_goal.position + (by, 0.0, 0.0), np.eye(3)))
+    return replace(ready, elements={**ready.elements, element: moved})
+
+
+def test_what_a_new_version_has_as_it_was_placed_is_not_asked_about(two_placed):
+    board = opened(two_placed, model("old", "A", "B", "C", digest="b"))
+    assert board.book.asking == () and board.next(NOW) == "ToldC"
+    of_b(board)
+
+
+def test_an_answer_counts_for_later_versions_that_say_the_same_and_for_no_other(two_placed):
+    def asked(*names: str, digest: str, by: float = 0.0) -> TaskBoard:
+        return opened(two_placed, shifted(model("old", *names, digest=digest), f"old{names[0]}", by))
+
+    board = asked("A", "X", "C", digest="b", by=0.2)
+    assert board.book.asking == ("ToldA", "ToldB")
+    assert board.answer_all("placed", "eva", "").values["left"] == 1
+    assert board.answer_all("stands", "eva", "").values["count"] == 1 and board.book.asking == ()
+    board.ledger.close()
+    later = asked("A", "X", "C", "D", digest="c", by=0.2)
+    assert later.book.asking == () and later.next(NOW) == "ToldX" and stands(later, "oldA").position[0] == 0.0
+    of_b(later)
+    later.ledger.close()
+    again = asked("A", "X", "C", digest="d", by=0.1)
+    assert again.book.asking == ("ToldA",)
+    again.ledger.close()
+    back = opened(two_placed, model("new", "B", digest="e"))
+    assert "ToldB" in back.book.asking, "the model has one of that name and class again"
+    of_b(back)
+
+
+def test_the_same_element_with_a_new_task_is_not_asked_about_and_not_placed_twice(two_placed):
+    ready = model("old", "A", "B", "C", digest="b")
+    jobs = tuple(replace(job, id=f"N{job.id}", task=f"N{job.task}") for job in ready.schedule.jobs)
+    board = opened(two_placed, replace(ready, schedule=Schedule(jobs, ())))
+    assert board.book.asking == () and board.book.former == {} and board.next(NOW) == "NToldC"
+    of_b(board)
+    assert board.deviation("NToldB").distance == pytest.approx(0.001)
+
+
+def test_all_that_was_placed_is_answered_at_once_where_that_leaves_it_an_obstacle(two_placed):
+    board = opened(two_placed, model("new", "A", "B", "C", "D", digest="b"))
+    for answer in ("taken_away", "gone", "in_stock"):
+        with pytest.raises(WorkRefused, match="is answered for one task at a time"):
+            board.answer_all(answer, "eva", "")
+    with pytest.raises(WorkRefused, match=r"who says so\?"):
+        board.answer_all("same", " ", "")
+    said = board.answer_all("same", "eva", "")
+    assert (said.values["count"], said.values["left"]) == (2, 0) and board.next(NOW) == "TnewC"
+    board.ledger.close()
+    again = opened(two_placed, model("new", "A", "B", "C", "D", "E", digest="c"))
+    assert again.book.asking == () and np.allclose(stands(again, "newB").position, (0.6, 1.001, 0.6))
+
+
+def test_what_may_be_in_the_grip_is_not_answered_with_all_others(two_placed):
+    board = opened(two_placed, model("old", "A", "B", "C", "D"))
+    for event in EVENTS[:6]:
+        board.add(Entry(event, "ToldC", plan="p", offer="o", pose=HELD if event == "offered" else ()))
+    board.ledger.close()
+    again = opened(two_placed, model("old", "A", "B", "C", "D", digest="b", shifted=0.3))
+    assert again.book.asking == ("ToldA", "ToldB", "ToldC") and "placed" in row(again, "ToldC").answers
+    again.answer_all("placed", "eva", "")
+    assert again.book.asking == ("ToldC",)
+
+
+# -- an id that is used for something else
+
+
+@pytest.mark.parametrize("answer", ["stands", "taken_away"])
+def test_a_task_that_has_another_element_now_does_not_take_over_what_it_has_placed(two_placed, answer):
+    ready = model("old", "A", "X", "C", "D", digest="b")
+    jobs = tuple(
+        replace(job, id="ToldB", task="ToldB") if job.element == "oldX" else job for job in ready.schedule.jobs
+    )
+    ready = replace(ready, schedule=Schedule(jobs, ()))
+    board = opened(two_placed, ready)
+    of_b(board)
+    assert board.book.asking == ("oldB",) and row(board, "B").answers == ("stands", "taken_away")
+    board.ledger.close()
+    again = opened(two_placed, ready)
+    assert again.book.asking == ("oldB",)
+    again.answer("oldB", answer, "eva", "")
+    assert again.next(NOW) == "ToldB" and again.element_of("ToldB") == "oldX"
+    assert (stands(again, "oldB") is not None) == (answer == "stands")
+
+
+def test_tasks_that_have_changed_their_elements_leave_them_where_they_stand(two_placed):
+    ready = model("old", "A", "B", "C", "D", digest="b")
+    other = {"oldA": "ToldB", "oldB": "ToldA"}
+    jobs = tuple(replace(job, id=other.get(job.element, job.id)) for job in ready.schedule.jobs)
+    board = opened(two_placed, replace(ready, schedule=Schedule(jobs, ())))
+    of_b(board)
+    assert stands(board, "oldA").position[0] == 0.0 and set(board.book.standing) == {"ToldA", "ToldB"}
+    assert board.element_of("ToldA") == "oldB" == board.book.tasks["ToldA"].element
+
+
+def test_what_a_removal_has_taken_down_says_nothing_of_its_next_element(tmp_path):
+    def takes_down(element: str, digest: str) -> Prepared:
+        ready = model("old", "A", digest=digest)
+        removal = Job("TR", "TR", "Take down", element, (), ())
+        body = SceneObject(f"{element}/0", "box", SIZE, (3.0, 1.0, 0.6))
+        facts = ElementFacts(element, (), at(3.0), np.zeros((1, 3, 3)))
+        return replace(
+            ready, schedule=Schedule(ready.schedule.jobs, (), removals=(removal,)), standing=(body,),
+            elements={**ready.elements, element: facts},
+        )  # fmt: skip
+
+    board = opened(tmp_path, takes_down("old wall", "a"))
+    board.removed("TR", "eva", "")
+    assert stands(board, "old wall") is None
+    board.ledger.close()
+    again = opened(tmp_path, takes_down("other wall", "b"))
+    assert stands(again, "other wall") is not None and again.book.tasks["TR"].state is TaskState.READY
+
+
+# -- the same element under another id
+
+
+def test_a_model_with_other_ids_asks_by_name_whether_it_is_the_same_and_places_nothing_twice(two_placed):
+    board = opened(two_placed, model("new", "A", "B", "C", "D", digest="b"))
+    assert board.next(NOW) == "" and "of the model the one that stands there?" in row(board, "A").question
+    assert row(board, "A").answers == ("same", "stands", "taken_away")
+    for task in ("ToldA", "ToldB"):
+        board.answer(task, "same", "eva", "")
+    assert board.next(NOW) == "TnewC" and board.book.former == {}
+    assert stands(board, "oldB") is None and np.allclose(stands(board, "newB").position, (0.6, 1.001, 0.6))
+    assert board.deviation("TnewB").distance == pytest.approx(0.001)
+    board.ledger.close()
+    again = opened(two_placed, model("new", "A", "B", "C", "D", digest="b"))
+    assert again.next(NOW) == "TnewC" and again.book.asking == ()
+
+
+@pytest.mark.parametrize("difference", ["name", "class", "place"])
+def test_another_name_class_or_place_is_another_element(two_placed, difference):
+    changed = model(
+        "new", *("XYCD" if difference == "name" else "ABCD"), digest="b", shifted=0.3 * (difference == "place")
+    )
+    if difference == "class":
+        other = {key: replace(facts, ifc_class="IfcPlate") for key, facts in changed.elements.items()}
+        changed = replace(changed, elements=other)
+    assert row(opened(two_placed, changed), "ToldB").answers == ("stands", "taken_away")
+
+
+def test_the_former_model_again_asks_again_and_places_nothing_twice(two_placed):
+    board = opened(two_placed, model("new", "A", "B", "C", "D", digest="b"))
+    for task in ("ToldA", "ToldB"):
+        board.answer(task, "same", "eva", "")
+    board.ledger.close()
+    again = opened(two_placed, model("old", "A", "B", "C", "D"))
+    assert again.book.asking == ("TnewA", "TnewB") and row(again, "TnewB").answers[0] == "same"
+    again.answer("TnewA", "same", "eva", "")
+    again.answer("TnewB", "same", "eva", "")
+    assert again.next(NOW) == "ToldC" and again.book.tasks["ToldB"].placed
+    of_b(again)
+
+
+def test_a_kill_after_any_line_of_the_questions_asks_again_and_forgets_nothing(two_placed):
+    path, changed = two_placed / "kr120_deck.jsonl", model("new", "A", "B", "C", "D", digest="b")
+    before = len(path.read_bytes().splitlines())
+    board = opened(two_placed, changed)
+    board.answer("ToldA", "same", "eva", "")
+    board.answer("ToldB", "stands", "eva", "")
+    board.ledger.close()
+    lines = path.read_bytes().splitlines(keepends=True)
+    for left in range(before, len(lines) + 1):
+        path.write_bytes(b"".join(lines[:left]))
+        again = opened(two_placed, changed)
+        of_b(again)
+        standing = [
+            element
+            for element in ("oldA", "newA")
+            if stands(again, element) and stands(again, element).position[0] == 0.0
+        ]
+        assert standing == (["oldA"] if left < len(lines) - 1 else ["newA"])
+        assert again.next(NOW) == ("" if left < len(lines) else "TnewB")
+        again.ledger.close()
+
+
+# -- bodies
+
+
+def test_meshes_are_kept_beside_the_ledger_and_outlive_the_cache(tmp_path):
+    cache = tmp_path / "cache"
+    cache.mkdir()
+    ready = model("old", "A", "B", folder=cache)
+    board = opened(tmp_path, ready)
+    place(board, "ToldA")
+    board.ledger.close()
+    (cache / "sleeper.obj").unlink()
+    again = opened(tmp_path, model("new", "X", digest="b"))
+    found = stands(again, "oldA")
+    assert found.mesh_digest == ready.elements["oldA"].bodies[0].mesh_digest
+    assert Path(found.mesh).parent == tmp_path / "standing"
+
+
+@pytest.mark.parametrize("damage", ["gone", "changed"])
+def test_without_the_body_of_what_stands_nothing_is_opened(two_placed, damage):
+    for path in (two_placed / "standing").iterdir():
+        path.unlink() if damage == "gone" else path.write_text("[]")
+    with pytest.raises(LedgerError, match="standing"):
+        opened(two_placed, model("new", "A", digest="b"))
+
+
+def test_the_body_is_on_the_disk_before_the_line_that_names_it(tmp_path):
+    board = opened(tmp_path, model("old", "A"))
+    (tmp_path / "standing").write_text("in the way")
+    with pytest.raises(LedgerError, match="standing"):
+        board.add(Entry("offered", "ToldA", offer="o"))
+    assert [entry.event for entry in read_entries(board.ledger.path)] == ["opened"]
+
+
+# -- another ledger of the folder
+
+
+def test_the_same_ids_in_another_ledger_are_asked_about_once(two_placed):
+    ready = model("old", "A", "B", "C", "D")
+    board = opened(two_placed, ready, "kr120_shed")
+    of_b(board)
+    assert board.next(NOW) == "" and board.book.asking == ("ToldA", "ToldB")
+    assert "the ledger kr120_deck.jsonl in the same folder" in row(board, "ToldB").question
+    assert row(board, "ToldB").answers == ("in_stock", "placed", "gone")
+    board.answer("ToldA", "placed", "eva", "")
+    board.answer("ToldB", "in_stock", "eva", "another one")
+    assert board.next(NOW) == "ToldB"
+    lines = board.ledger.lines
+    board.ledger.close()
+    again = opened(two_placed, ready, "kr120_shed")
+    assert again.book.asking == () and again.ledger.lines == lines
+
+
+def test_the_same_places_in_another_ledger_are_asked_about_and_others_are_not(two_placed):
+    board = opened(two_placed, model("new", "X", digest="b"), "kr120_shed")
+    assert board.book.asking == ("oldA",) and "in the same folder says that it was placed" in row(board, "A").question
+    assert stands(board, "oldA") is not None and stands(board, "oldB") is None
+    board.answer("oldA", "taken_away", "eva", "")
+    board.ledger.close()
+    again = opened(two_placed, model("new", "X", digest="b"), "kr120_shed")
+    assert again.next(NOW) == "TnewX" and stands(again, "oldA") is None
+
+
+def test_an_element_without_a_body_does_not_keep_other_ledgers_from_being_read(two_placed):
+    ready = model("new", "X", "Y", digest="b")
+    bodiless = replace(ready.elements["newX"], bodies=())
+    ready = replace(ready, elements={**ready.elements, "newX": bodiless}, unplannable={"newX": "doubtful"})
+    assert opened(two_placed, ready, "kr120_shed").book.asking == ("oldB",)
+
+
+def test_what_another_robot_placed_is_asked_about_by_its_id_alone(two_placed):
+    board = opened(two_placed, model("old", "A", digest="b"), "kr120_2_deck", "kr120_2")
+    assert board.book.asking == ("ToldA",)
+    assert np.allclose(stands(board, "oldA").position, board.goal("ToldA").position), "its own frame is another one"
+    board.ledger.close()
+    other = opened(two_placed, model("new", "X", digest="c"), "kr120_3_deck", "kr120_3")
+    assert other.next(NOW) == "TnewX"
+
+
+def test_a_ledger_that_is_written_meanwhile_is_read_to_its_last_whole_line(two_placed):
+    with (two_placed / "kr120_deck.jsonl").open("a") as file:
+        file.write('{"time": "20')
+    assert opened(two_placed, model("old", "A"), "kr120_shed").book.asking == ("ToldA",)

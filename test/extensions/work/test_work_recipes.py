@@ -1,0 +1,136 @@
+"""Recipes: which one is chosen, what the model overrides, which masses are refused."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pytest
+import yaml
+from work_samples import RECIPES, element, job, recipes, tool
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.work_errors import TaskPlanningError
+from construction_twin.extensions.work.place.recipe import PlaceRecipe, mass_of
+from construction_twin.extensions.work.recipe import PROPERTY_SET
+from construction_twin.extensions.work.recipes import read_recipes
+
+
+@dataclass(frozen=True)
+class Chosen:
+    name: str
+    recipe: PlaceRecipe
+    mass: float
+
+
+def chosen(of, among=None, with_tool=None):
+    name, recipe = (among or recipes()).of(of)
+    return Chosen(name, recipe, mass_of(of, name, recipe, with_tool or tool().tool))
+
+
+def choose(**changes):
+    own = changes.pop("own", {})
+    return chosen(job(element("b", properties={PROPERTY_SET: own} if own else {}, **changes)))
+
+
+def test_the_first_recipe_that_fits_is_chosen():
+    assert choose().name == "brick"
+    assert choose(ifc_class="IfcMember").name == "timber"
+    assert choose(ifc_class="IfcPlate", type_name="240x115x71").name == "board"
+
+
+def test_an_element_that_no_recipe_fits_is_refused_with_its_name_and_class():
+    with pytest.raises(TaskPlanningError, match="fits .*, IfcWall 'odd'; add one"):
+        choose(ifc_class="IfcWall", type_name="odd")
+
+
+def test_the_model_chooses_a_recipe_by_name():
+    assert choose(own={"Recipe": "board"}).name == "board"
+    with pytest.raises(TaskPlanningError, match=r"CTwin_RobotTask.Recipe: found 'wood', expected one of timber, board"):
+        choose(own={"Recipe": "wood"})
+
+
+@pytest.mark.parametrize(
+    ("own", "path", "value"),
+    [
+        ({"Faces": "+x any"}, "grips.faces", ("+x", "any")),
+        ({"Along": "0 0.1"}, "grips.along", (0.0, 0.1)),
+        ({"MinCups": 2}, "grips.min_cups", 2),
+        ({"Beside": "cups"}, "grips.beside", ("cups",)),
+        ({"Approach": 0.2}, "stock.approach", 0.2),
+        ({"Leave": "+y"}, "stock.leave", ("+y",)),
+        ({"ArriveLengths": "0.3"}, "place.lengths", (0.3,)),
+        ({"Speed": 0.05}, "speed", 0.05),
+        ({"CarryEngaged": True}, "carry_engaged", True),
+    ],
+)
+def test_a_property_of_the_model_replaces_one_key(own, path, value):
+    plain, found = choose().recipe, choose(own={**own, "id": 7}).recipe
+    at = found
+    for key in path.split("."):
+        at = getattr(at, key)
+    assert at == value
+    group = path.split(".")[0]
+    assert all(getattr(found, key) == getattr(plain, key) for key in type(plain).model_fields if key != group)
+
+
+@pytest.mark.parametrize(
+    ("own", "sentence"),
+    [
+        ({"MinCups": "three"}, r"element 'b' \(b\), CTwin_RobotTask.MinCups: found 'three', expected IfcInteger"),
+        ({"MinCups": True}, r"CTwin_RobotTask.MinCups: found True, expected IfcInteger"),
+        ({"MinCups": 0}, r"CTwin_RobotTask.MinCups: found 0, expected a whole number at least 1 and at most 100"),
+        ({"Speed": -1.0}, r"CTwin_RobotTask.Speed: found -1.0, expected a number above 0"),
+        ({"Faces": "top"}, r"CTwin_RobotTask.Faces: found 'top', expected up, \+x"),
+        ({"CarryEngaged": "yes"}, r"CTwin_RobotTask.CarryEngaged: found 'yes', expected IfcBoolean"),
+        ({"MinCup": 1}, r"CTwin_RobotTask.MinCup: found 1, expected no such property; did you mean MinCups\?"),
+        ({"Along": "a"}, r"CTwin_RobotTask.Along: found 'a', expected "),
+    ],
+)
+def test_a_wrong_property_is_one_sentence_with_element_and_property(own, sentence):
+    with pytest.raises(TaskPlanningError, match=sentence) as caught:
+        choose(own=own)
+    assert "\n" not in str(caught.value)
+
+
+def test_masses_unknown_or_too_large_are_refused():
+    with pytest.raises(TaskPlanningError, match="is not known: give it a weight or a density"):
+        choose(mass=None)
+    with pytest.raises(TaskPlanningError, match=r"has 61\.0 kg; tool .* carries at most 60 kg"):
+        choose(mass=61.0)
+    with pytest.raises(TaskPlanningError, match="has a mass of 0 kg; expected above 0"):
+        choose(mass=0.0)
+    assert choose(mass=None, own={"Mass": 4.0}).mass == 4.0
+    assert choose(mass=60.0).mass == 60.0
+
+
+def test_tool_and_element_together_must_stay_within_the_load():
+    small = tool().tool.model_copy(update={"load": 20.0})
+    with pytest.raises(TaskPlanningError, match=r"together have 21\.5 kg; .* load data are for 20 kg"):
+        chosen(job(element("b")), with_tool=small)
+
+
+def test_a_recipes_own_mass_is_used_where_the_model_has_none(tmp_path):
+    document = yaml.safe_load(RECIPES.read_text())
+    document["recipes"]["brick"]["mass"] = 5.0
+    (tmp_path / "r.yaml").write_text(yaml.safe_dump(document))
+    found = read_recipes(tmp_path / "r.yaml")
+    assert chosen(job(element("b", mass=None)), found).mass == 5.0
+    assert chosen(job(element("b", mass=3.0)), found).mass == 3.0
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"sped": 1.0}, "no such key; did you mean speed"),
+        ({"speed": 0.0}, "speed.*above 0"),
+        ({"grips": {"touching": []}}, "touching"),
+        ({"place": {"lengths": []}}, "lengths"),
+        ({"place": {"arrive": [[0.0, 0.0, 0.0]]}}, "a vector that is not zero"),
+    ],
+)
+def test_a_wrong_key_of_the_file_is_named(tmp_path, change, sentence):
+    document = yaml.safe_load(RECIPES.read_text())
+    document["recipes"]["brick"].update(change)
+    (tmp_path / "r.yaml").write_text(yaml.safe_dump(document))
+    with pytest.raises(ConfigurationError, match=sentence):
+        read_recipes(tmp_path / "r.yaml")
