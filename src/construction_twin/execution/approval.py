@@ -23,12 +23,12 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.engagement import Engagement, check_way_back
 from construction_twin.execution.executor import Executor
 from construction_twin.execution.playback import START_TOLERANCE
-from construction_twin.execution.rehearsal_check import RehearsalCheck
 from construction_twin.execution.segment_run import awaited, lacks
 from construction_twin.execution.states import ACTIVE, ExecutorState
 from construction_twin.monitor.states import SyncState
 from construction_twin.review.plan_under_review import APPROVED, REFUSED, REJECTED, Ending, Verdict, prove_hash
 from construction_twin.review.record import Release
+from construction_twin.review.rehearsal_report import RehearsalCheck
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 

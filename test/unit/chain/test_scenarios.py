@@ -26,7 +26,6 @@ from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import NANOSECONDS, from_wire, to_wire
 from construction_twin.evaluation.recording import PlayedPlan
 from construction_twin.execution.approval import Approval
-from construction_twin.execution.rehearsal_check import RehearsalCheck
 from construction_twin.extensions.physics.process import prepared
 from construction_twin.extensions.physics.rehearsal import Rehearsal
 from construction_twin.gateway.states import State
@@ -36,6 +35,7 @@ from construction_twin.mock.program import MockSettings, axis_angles, build_cont
 from construction_twin.monitor.monitor import Behaviour
 from construction_twin.mqtt.messages import Control
 from construction_twin.planning.timing import time_path
+from construction_twin.review.rehearsal_report import RehearsalCheck
 from construction_twin.robot.plan import Plan
 from construction_twin.ros.commands.experiment import RestDetector
 from construction_twin.ros.commands.scenario import print_verdict

@@ -11,10 +11,9 @@ from construction_twin.core.errors import ReviewError
 from construction_twin.core.sentences import Sentence
 from construction_twin.execution.approval import AUTO_APPROVE
 from construction_twin.execution.executor import ExecutorState
-from construction_twin.execution.rehearsal_check import RehearsalCheck
 from construction_twin.monitor.states import SyncState
 from construction_twin.review.plan_under_review import NOT_REHEARSED, Rehearsed
-from construction_twin.review.rehearsal_report import BROKEN, FAILED, PASSED, RehearsalReport
+from construction_twin.review.rehearsal_report import BROKEN, FAILED, PASSED, RehearsalCheck, RehearsalReport
 
 #: What simulated.
 ENGINE = "MuJoCo 4.0.0"

@@ -29,13 +29,12 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.approval import AUTO_APPROVE, Approval, ConflictVerdicts, WithoutPerson
 from construction_twin.execution.engagement import read_engagement
 from construction_twin.execution.executor import Executor
-from construction_twin.execution.rehearsal_check import RehearsalCheck
 from construction_twin.execution.segment_run import NO_ARM
 from construction_twin.execution.upkeep import Disk, News, Permission
 from construction_twin.monitor.gate import SyncState
 from construction_twin.review.plan_under_review import EXECUTOR, REJECTED, Verdict
 from construction_twin.review.record import Responsibility, ReviewLog
-from construction_twin.review.rehearsal_report import RehearsalReport, is_whole
+from construction_twin.review.rehearsal_report import RehearsalCheck, RehearsalReport, is_whole
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.tool import tool_hash
 from construction_twin.ros.messages.convert import plan_from_msg

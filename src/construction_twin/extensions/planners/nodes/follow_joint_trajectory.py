@@ -20,7 +20,6 @@ from actionlib import ServerGoalHandle
 
 from construction_twin.core.errors import GoalError, GoalJointsError
 from construction_twin.execution.executor import ExecutorState
-from construction_twin.execution.tracking import Tracking
 from construction_twin.extensions.planners.goal_states import GoalState
 from construction_twin.extensions.planners.joint_tolerances import Tolerances
 from construction_twin.extensions.planners.nodes.joint_goals import (
@@ -32,6 +31,7 @@ from construction_twin.extensions.planners.nodes.joint_goals import (
     fill_feedback,
     trajectory_goal,
 )
+from construction_twin.extensions.planners.tracking import Tracking
 from construction_twin.extensions.planners.trajectory_goals import (
     Accept,
     Ask,
