@@ -33,7 +33,7 @@ from construction_twin.link.tool_link import ToolLink
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.faults import FaultBoard, ImpairedLine
 from construction_twin.monitor.gate import REPLAN, Gate, GateSettings
-from construction_twin.monitor.states import SyncState, Transition
+from construction_twin.monitor.states import SyncEvent, SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, StateProperties
 from construction_twin.review.plan_under_review import Verdict
@@ -243,7 +243,7 @@ class SimulatedChain:
             asked = change.source is SyncState.IN_SYNC and self.executor.state is ExecutorState.PLAYING
             if asked and self.gate.policy == REPLAN and self.planner is not None:
                 goal = tuple(self.executor.plan.trajectory.positions[-1].tolist())
-                if self.gate.on_replan("the planner was asked", self.now):
+                if self.gate.fire(SyncEvent.REPLAN_ASKED, "the planner was asked", self.now):
                     self.executor.offer(self.planner(self.gate.held, goal))
                     self.transitions += self.gate.take_transitions()
 

@@ -22,7 +22,7 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.core.validation import configuration_error
 from construction_twin.monitor.gate import REPLAN, Gate, GateSettings
-from construction_twin.monitor.states import SyncState, Transition
+from construction_twin.monitor.states import SyncEvent, SyncState, Transition
 
 #: Plans remembered besides the one that was played last.
 KEPT = 20
@@ -145,7 +145,7 @@ class Monitor:
             was = Sentence(
                 "the monitor before was STOPPED in session {session}; see to it, call reset", session=stopped_in
             )
-            gate.stay_stopped(was, now)
+            gate.fire(SyncEvent.STOPPED_BEFORE, was, now)
         self._goals: dict[str, ReplanGoal] = {}
         self._played = _Played()
         #: The executor's sentence while a plan is being executed, at rest or not; empty otherwise.
@@ -230,7 +230,7 @@ class Monitor:
         if not closed or self.gate.policy != REPLAN or wanted is None:
             return changes, None
         asked = Sentence("a path to the goal of plan {plan} was asked for, no faster than that", plan=wanted.plan_id)
-        asks = self.gate.on_replan(asked, first.at)
+        asks = self.gate.fire(SyncEvent.REPLAN_ASKED, asked, first.at)
         changes += self.gate.take_transitions()
         replan = Replan(self.gate.held, wanted, self.gate.violations)
         return changes, replan if asks else None
@@ -238,7 +238,8 @@ class Monitor:
     def on_replan_failed(self, replan: Replan, problem: str, now: int) -> None:
         """Take that there will be no new plan; in another hold it means nothing."""
         if self.gate.violations == replan.violation:
-            self.gate.on_replan_failed(Sentence("re-plan failed: {problem}", problem=problem), now)
+            failed = Sentence("re-plan failed: {problem}", problem=problem)
+            self.gate.fire(SyncEvent.REPLAN_FAILED, failed, now)
 
     # -- what is told
 

@@ -171,7 +171,7 @@ class Cell(RuleBasedStateMachine):
         self.gate = Gate(LIMITS, CODEC, self.gate.settings, self.stamp)
         self.state, self.command = SyncState.WAITING, None
         if stopped:
-            self.gate.stay_stopped("it was STOPPED before", self.stamp)
+            self.gate.fire(SyncEvent.STOPPED_BEFORE, "it was STOPPED before", self.stamp)
         self.check_transitions()
 
     @rule()
@@ -233,7 +233,7 @@ class Cell(RuleBasedStateMachine):
 
     @rule(failed=st.booleans())
     def replan(self, failed):
-        (self.gate.on_replan_failed if failed else self.gate.on_replan)("asked by the test", self.stamp)
+        self.gate.fire(SyncEvent.REPLAN_FAILED if failed else SyncEvent.REPLAN_ASKED, "asked by the test", self.stamp)
         self.check_transitions()
 
     @rule(approve=st.booleans(), away=st.booleans(), cycles=st.integers(1, 200))

@@ -47,7 +47,7 @@ from construction_twin.ros.shared.ports import (
 from construction_twin.ros.shared.speed_limits import AGAIN, PERIOD, PROGRAM, SpeedLimitService
 from construction_twin.ros.shared.stop_memory import PARAMETER, StopMemory
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
-from construction_twin.servo.file import read_servos
+from construction_twin.servo.model import read_servos
 
 #: Setpoints kept while the gate is busy, 0.1 s: what is older it does not let pass.
 SETPOINTS_KEPT = 25
@@ -188,7 +188,7 @@ class PcaMonitorNode:
 
     def _note_changes(self) -> None:
         """Take over the gate's transitions, and ask for a plan beside the stream; under the lock, before a change can be heard."""
-        if not self._gate.changed:
+        if not self._gate.transitions:
             return
         changes, replan = self._monitor.take_transitions()
         if replan is not None:
