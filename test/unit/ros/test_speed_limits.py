@@ -21,9 +21,9 @@ from construction_twin.core.freshness import Moment
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.link.requests import LEAST_SPEED
 from construction_twin.ros.nodes import pca_monitor
+from construction_twin.ros.nodes.pca_monitor import PROGRAM
 from construction_twin.ros.shared import speed_limits as module
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN
-from construction_twin.ros.shared.speed_limits import PROGRAM
 
 BOOT = "c0ffee00"
 RULES = {"speed_limit_deadline": 0.5, "speed_limit_silent": 0.1, "speed_limit_required": False, "arm": "mock"}
