@@ -140,14 +140,6 @@ def pose_at(share: float) -> np.ndarray:
 
 
 class TestEngaged:
-    def test_no_other_plan_can_be_reviewed(self, bench):
-        stopped_in(bench, 2)
-        other = make_plan("other", reach(bench.twin, ROBOT.home), LATER[0], bench.stamp)
-        with pytest.raises(
-            ReviewError, match="left in engaged segment 'lift' of plan w .* plan_way_back, or free the arm by hand"
-        ):
-            bench.executor.offer(other)
-
     def test_nor_started_by_an_approval_that_came_first(self, bench):
         stopped_in(bench, 2)
         plan = way_back(bench)

@@ -10,7 +10,7 @@ from executor_bench import GOAL, ROBOT, Bench, make_plan, reach, within_accelera
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from construction_twin.core.errors import ExecutionError, ReviewError
+from construction_twin.core.errors import ExecutionError
 from construction_twin.core.units import CYCLE, CYCLE_NS
 from construction_twin.execution.executor import TWIN_TIMEOUT, Executor, ExecutorState
 from construction_twin.execution.playback import HISTORY
@@ -123,25 +123,6 @@ class TestPlaying:
         bench.executor.on_sync(SyncState.IN_SYNC, True)
         assert bench.executor.reason == before.replace("the gate holds (HOLDING)", "the gate held, and is open again")
         assert bench.executor.reason.startswith("stop requested") and before != bench.executor.reason
-
-    def test_a_restart_drops_the_plan_and_the_desk(self, bench):
-        bench.approve(make_plan())
-        bench.run(100)
-        waiting = make_plan("q", reach(start=bench.twin))
-        bench.executor.offer(waiting)
-        bench.executor.restart("new command session", 0)
-        assert (bench.state, bench.executor.outcome) == (ExecutorState.WAITING, "dropped")
-        bench.executor.on_sync(SyncState.IN_SYNC, True)
-        bench.run(5)
-        with pytest.raises(ReviewError, match="was decided already or withdrawn"):
-            bench.approve(waiting)
-        assert len(set(bench.run(100))) == 1
-
-    def test_a_plan_asked_for_before_a_restart_is_void_when_it_arrives(self, bench):
-        bench.executor.restart("new command session", bench.stamp)
-        with pytest.raises(ReviewError, match="plan p was asked for before the last stop, pause"):
-            bench.executor.offer(make_plan(asked_ns=bench.stamp - 1))
-        bench.executor.offer(make_plan(asked_ns=bench.stamp))
 
     @pytest.mark.parametrize("stopping", [False, True])
     def test_an_arm_that_is_no_longer_armed_drops_the_plan(self, bench, stopping):

@@ -76,12 +76,6 @@ class TestApproval:
             bench.approve(plan)
         assert bench.state is ExecutorState.IDLE and bench.executor.under_review.plan is plan
 
-    def test_only_with_the_hash_that_was_looked_at(self, bench):
-        bench.executor.offer(make_plan())
-        with pytest.raises(ReviewError, match="has hash .*, not 0+; look at it again"):
-            bench.review("p", "0" * 64, True, "Ada")
-        assert bench.state is ExecutorState.IDLE
-
     @pytest.mark.parametrize("sync", [state for state in SyncState if state is not SyncState.IN_SYNC])
     def test_only_in_sync(self, bench, sync):
         bench.executor.on_sync(sync, True)
@@ -276,19 +270,6 @@ class TestAge:
 
         bench.record = record
 
-    @pytest.mark.parametrize("age, taken", [(0.0, True), (2.9, True), (3.1, False), (6.0, False)])
-    def test_what_lay_on_its_way_counts_from_what_the_screen_had_shown(self, bench, age, taken):
-        plan, seen = make_plan(), bench.present()
-        bench.executor.offer(plan)
-        bench.clock += round(age * NANOSECONDS)
-        if taken:
-            assert "approved" in bench.review("p", plan.hash, True, "Ada", seen=seen)
-            return
-        with pytest.raises(ExpiredError):
-            bench.review("p", plan.hash, True, "Ada", seen=seen)
-        (refused,) = bench.records
-        assert refused.verdict == "refused" and "too old" in refused.reason and bench.state is ExecutorState.IDLE
-
     def test_the_way_and_the_disk_together_may_take_no_longer(self, bench):
         plan, seen = make_plan(), bench.present()
         bench.executor.offer(plan)
@@ -405,12 +386,6 @@ class TestAge:
         bench.executor.limit.take(1.0)
         bench.run_until_idle()
         assert bench.executor.outcome == "finished"
-
-    def test_a_rejection_is_never_too_old(self, bench):
-        plan, seen = make_plan(), bench.present()
-        bench.executor.offer(plan)
-        bench.clock += 3600 * NANOSECONDS
-        assert "rejected by Ada" in bench.review("p", plan.hash, False, "Ada", seen=seen)
 
     def test_nothing_is_approved_by_itself_long_after_it_could(self, bench):
         bench.executor.offer(make_plan())

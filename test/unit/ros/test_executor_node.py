@@ -467,6 +467,9 @@ def test_a_new_session_drops_what_is_played_and_what_waits(world):
     world.node.on_link(Link(state=Link.ARMED, session="t"))
     assert world.executor.outcome == "dropped" and world.executor.under_review.plan is None
     assert world.executor.state is ExecutorState.WAITING
+    # nor is one reviewed that was asked for before, and comes late
+    world.offer(make_plan("late", asked_ns=world.booted - 1))
+    assert world.executor.under_review.plan is None and "before the last stop, pause or reset" in world.refused[-1][1]
 
 
 def tool_message(tool: Gripper) -> ToolState:
