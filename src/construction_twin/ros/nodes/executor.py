@@ -90,7 +90,7 @@ def _do(_what: str, part: Callable[..., _Result], *arguments: object) -> _Result
 
 
 class ExecutorNode:
-    """ROS around an `Executor`, whose lock it holds for every use."""
+    """ROS around an `Executor`, whose lock it holds for every use. A method for each of 18 topics and services."""
 
     def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
         self._robot, self._ports, self._diagnostics = robot, ports, ports.diagnostics
@@ -209,13 +209,9 @@ class ExecutorNode:
         who, unchecked = message.responsible, tuple(message.not_checked)
         self._log.on_responsible(Responsibility(who, message.session, unchecked) if who else None)
 
-    def on_session_request(self, message: msg.SessionRequest) -> None:
-        """Record who has lifted a stop or fault, or armed."""
-        self._log.defer(from_msg(SessionRequest, message))
-
-    def on_speed_change(self, message: msg.SpeedChange) -> None:
-        """Record who has set the speed limit of people."""
-        self._log.defer(from_msg(SpeedChange, message))
+    def record(self, request: SessionRequest | SpeedChange) -> None:
+        """Record who has lifted a stop or fault, or armed; or has set the speed limit of people."""
+        self._log.defer(request)
 
     # -- services
 
@@ -423,14 +419,20 @@ INTERFACE = Interface(
         Subscription(
             "speed_limit_in_force", msg.SpeedLimitInForce, ExecutorNode.on_limit, queue_size=5, tcp_nodelay=True
         ),
-        Subscription("speed_change", msg.SpeedChange, ExecutorNode.on_speed_change, queue_size=50),
+        Subscription(
+            "speed_change", msg.SpeedChange, lambda node, said: node.record(from_msg(SpeedChange, said)), queue_size=50
+        ),
         Subscription(
             "conflict", msg.Conflict, ExecutorNode.on_conflict, queue_size=20, tcp_nodelay=True,
             when=lambda settings: bool(settings.neighbour),
         ),
         Subscription("link", msg.Link, ExecutorNode.on_link, queue_size=5, when=has_arm),
         Subscription(
-            "session_request", msg.SessionRequest, ExecutorNode.on_session_request, queue_size=10, when=has_arm
+            "session_request",
+            msg.SessionRequest,
+            lambda node, said: node.record(from_msg(SessionRequest, said)),
+            queue_size=10,
+            when=has_arm,
         ),
         Subscription("tool", msg.ToolState, ExecutorNode.on_tool, queue_size=20, tcp_nodelay=True, when=has_arm),
     ),
