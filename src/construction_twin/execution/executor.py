@@ -83,10 +83,10 @@ class Executor(ExecutorMachine):
 
         playback = self._played
         if self.state is ExecutorState.STOPPING:
-            self.setpoint = playback.brake(stamp)
+            self.setpoint = playback.stop(stamp)
             self._stopping.append(self.setpoint)
         else:
-            self.setpoint = playback.advance(stamp, limit.rate if self.state is ExecutorState.PLAYING else 0.0)
+            self.setpoint = playback.play(stamp, limit.rate if self.state is ExecutorState.PLAYING else 0.0)
         self._setpoint_stamp = stamp
 
         if playback.goal_stamp and work is not None:

@@ -230,7 +230,7 @@ class ExecutorMachine:
             case Action.NOTE_PAUSE:
                 self._paused = True
             case Action.ARRIVE:
-                self._played.arrive()
+                self._played.stand()
                 self._work.arrive()
             case Action.ENTER:
                 self._played.enter(self._work.enter())

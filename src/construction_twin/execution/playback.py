@@ -157,11 +157,6 @@ class Progress:
         return self.elapsed >= self._bound
 
     @property
-    def elapsed_ns(self) -> float:
-        """Time along the trajectory [ns], to the last bit: what `rest_at` takes."""
-        return self._elapsed
-
-    @property
     def rate(self) -> float:
         """Present rate, 0 to 1."""
         return self._now.rate
@@ -178,7 +173,7 @@ class Progress:
         return other
 
     def rest_at(self, elapsed: float) -> None:
-        """Stand still at a time along the trajectory [ns]: the gate has brought the joints to rest there."""
+        """Stand still at a time along the trajectory [ns], to the last bit: the gate has brought the joints to rest there."""
         self._elapsed, self._now, self._goal = elapsed, _RampStep(0.0, 0.0, 0.0), 0.0
         self._ramp.clear()
         pose = self._ahead(0.0)
@@ -321,7 +316,7 @@ RECENT = 250
 SETPOINTS_AT_ONCE = 4
 
 
-class Playback:
+class Playback(Progress):
     """A plan that is played, paused, held and stopped, one setpoint per cycle, always on its path.
 
     Attributes:
@@ -331,69 +326,40 @@ class Playback:
     """
 
     def __init__(self, plan: Plan, robot: RobotModel):
+        super().__init__(plan.trajectory, robot.acceleration, robot.jerk)
         self.plan = plan
         self.start = 0
         self.goal_stamp = 0
-        self._progress = Progress(plan.trajectory, robot.acceleration, robot.jerk)
         self._begins = True
         #: Time along the trajectory at which it was seen to have moved first [ns].
         self._moved_at = math.inf
         if plan.segments:
             # it stands at its beginning until the first segment is entered
-            self._progress.bound(0.0)
+            self.bound(0.0)
         #: Stamp and time along the trajectory of the last setpoints [ns].
         self._history: deque[tuple[int, float]] = deque(maxlen=HISTORY)
 
     @property
-    def elapsed(self) -> float:
-        """Time along the trajectory [s]."""
-        return self._progress.elapsed
-
-    @property
     def moved(self) -> bool:
         """True from the setpoint on that left the start of the plan, or reached the end of a segment that stays there."""
-        return self._progress.elapsed_ns >= self._moved_at
+        return self._elapsed >= self._moved_at
 
-    @property
-    def rate(self) -> float:
-        """Present fraction of the planned speed, 0 to 1."""
-        return self._progress.rate if self.start else 0.0
-
-    @property
-    def steady(self) -> bool:
-        """True when the rate is what was asked for."""
-        return self._progress.steady
-
-    @property
-    def at_rest(self) -> bool:
-        """True when at rest, with no ramp planned."""
-        return self._progress.at_rest
-
-    def advance(self, stamp: int, rate: float) -> tuple[float, ...]:
+    def play(self, stamp: int, rate: float) -> tuple[float, ...]:
         """Return the setpoint [rad] for a cycle; the rate changes smoothly to `rate`, see `Progress.advance`."""
         if self._begins:
             self.start = self.start or stamp
             self._begins = False
-            setpoint = self._progress.begin(rate)
-        else:
-            setpoint = self._progress.advance(rate)
-        self._remember(stamp, setpoint)
-        return setpoint
+            return self._remember(stamp, self.begin(rate))
+        return self._remember(stamp, self.advance(rate))
 
-    def arrive(self) -> None:
-        """Rest at the end of a segment, which was reached."""
-        self._progress.stand()
+    def stop(self, stamp: int) -> tuple[float, ...]:
+        """Return the setpoint [rad] for a cycle in which it brakes as hard as the acceleration limits allow."""
+        return self._remember(stamp, self.brake())
 
     def enter(self, end: float) -> None:
         """Go on with the next setpoint, from rest, until the time along the trajectory at which the next segment ends [s]."""
-        self._progress.bound(end)
+        self.bound(end)
         self.goal_stamp, self._begins = 0, True
-
-    def brake(self, stamp: int) -> tuple[float, ...]:
-        """Return the setpoint [rad] for a cycle in which it brakes as hard as the acceleration limits allow."""
-        setpoint = self._progress.brake()
-        self._remember(stamp, setpoint)
-        return setpoint
 
     def knows(self, stamp: int) -> bool:
         """Return whether a setpoint of this execution had this nominal stamp [ns]; of those too long ago nothing is known."""
@@ -401,19 +367,20 @@ class Playback:
 
     def rest_where(self, stamp: int) -> None:
         """Stand, from the next setpoint on, where the setpoint with this nominal stamp [ns] was: one that it `knows`."""
-        self._progress.rest_at(next(elapsed for known, elapsed in self._history if known == stamp))
+        self.rest_at(next(elapsed for known, elapsed in self._history if known == stamp))
         self.goal_stamp = 0
 
-    def _remember(self, stamp: int, setpoint: tuple[float, ...]) -> None:
-        elapsed = self._progress.elapsed_ns
+    def _remember(self, stamp: int, setpoint: tuple[float, ...]) -> tuple[float, ...]:
+        elapsed = self._elapsed
         self._history.append((stamp, elapsed))
         if elapsed < self._moved_at and elapsed > 0.0:
             start = self.plan.trajectory.positions[0]
-            if self._progress.finished or outside_tolerance(start, setpoint, START_TOLERANCE) is not None:
+            if self.finished or outside_tolerance(start, setpoint, START_TOLERANCE) is not None:
                 # the next segment begins at the end of this one, which the last step may pass by a part of a cycle
-                self._moved_at = min(elapsed, self._progress.elapsed * NANOSECONDS)
-        if self.goal_stamp == 0 and self._progress.finished:
+                self._moved_at = min(elapsed, self.elapsed * NANOSECONDS)
+        if self.goal_stamp == 0 and self.finished:
             self.goal_stamp = stamp
+        return setpoint
 
     def braking(self, lag: float) -> StopForecaster:
         """Return what is needed to forecast a stop that begins now; nothing is computed yet.
@@ -426,7 +393,7 @@ class Playback:
             lag = 0.0
         cycles = min(-int(-lag * NANOSECONDS // CYCLE_NS), len(self._history) - 1)
         in_flight = [elapsed for _, elapsed in list(self._history)[len(self._history) - 1 - cycles :]]
-        return StopForecaster(self._progress.copy(), in_flight, lag)
+        return StopForecaster(self.copy(), in_flight, lag)
 
 
 class StopForecaster:
