@@ -24,8 +24,7 @@ from construction_twin.gateway.service import GatewayService
 from construction_twin.gateway.states import Mode
 from construction_twin.gateway.stop_file import StopFile
 from construction_twin.gateway.trace import TraceWriter, check_trace
-from construction_twin.mqtt.account import load_account
-from construction_twin.mqtt.client import Broker
+from construction_twin.mqtt.client import Broker, load_account
 from construction_twin.mqtt.messages import Topics
 
 #: Lines that may wait for a terminal or a pipe that takes none.

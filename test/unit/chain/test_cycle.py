@@ -10,7 +10,7 @@ from simulation import SimulatedChain, SimulatedLink
 from construction_twin.evaluation.alignment import LAG_TOLERANCE_NS
 from construction_twin.evaluation.summary import evaluate
 from construction_twin.evaluation.tables import error_table
-from construction_twin.link.states import LinkState
+from construction_twin.link.observations import LinkState
 
 
 def table(chain: SimulatedChain) -> tuple[float, float]:

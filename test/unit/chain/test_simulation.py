@@ -17,7 +17,7 @@ from construction_twin.evaluation.summary import evaluate
 from construction_twin.evaluation.tables import error_table, paper_error
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.gateway.playout import CALM
-from construction_twin.link.states import LinkState
+from construction_twin.link.observations import LinkState
 from construction_twin.mock.faults import Fault
 from construction_twin.monitor.states import SyncState
 
