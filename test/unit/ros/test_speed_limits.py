@@ -22,7 +22,6 @@ from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.link.requests import LEAST_SPEED
 from construction_twin.ros.nodes import pca_monitor
 from construction_twin.ros.nodes.pca_monitor import PROGRAM
-from construction_twin.ros.shared import speed_limits as module
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN
 
 BOOT = "c0ffee00"
@@ -41,9 +40,9 @@ class Bench:
         self.server = {"executor": executor, "gateway": gateway, PROGRAM: ""}
         self.file = home / "construction_twin" / "speed_limits" / f"{ROBOT.name}.json"
         monkeypatch.setenv("ROS_HOME", str(home))
-        patch(module.time, "monotonic_ns", lambda: round(self.now * NANOSECONDS))
-        patch(module, "now_ns", lambda: round(self.now * NANOSECONDS))
-        patch(module, "present", lambda: Moment(BOOT, round(self.now * NANOSECONDS)))
+        patch(pca_monitor.time, "monotonic_ns", lambda: round(self.now * NANOSECONDS))
+        patch(pca_monitor, "now_ns", lambda: round(self.now * NANOSECONDS))
+        patch(pca_monitor, "present", lambda: Moment(BOOT, round(self.now * NANOSECONDS)))
         # what it records of its gate is another file, of which one process has one
         record = SimpleNamespace(add=lambda _: None, flush=lambda: None, problem="", values=dict)
         patch(pca_monitor, "TransitionLog", lambda *_: record)
