@@ -165,10 +165,10 @@ class Disk:
 
 def test_the_answer_to_a_lower_limit_waits_for_a_disk_that_is_quick_and_not_for_one_that_hangs(bench, monkeypatch):
     """So a kill right behind the answer raises nothing, and one lower limit holds up no other."""
-    monkeypatch.setattr(module, "PATIENCE", 30.0)
+    monkeypatch.setattr(pca_monitor, "PATIENCE", 30.0)
     assert bench.sets(0.3).success and json.loads(bench.file.read_text())["limit"] == 0.3
     disk = Disk(monkeypatch)
-    monkeypatch.setattr(module, "PATIENCE", 0.05)
+    monkeypatch.setattr(pca_monitor, "PATIENCE", 0.05)
     assert bench.sets(0.2).success and bench.sets(0.1).success and bench.limit == 0.1
     disk.works.set()
     wait_until(lambda: json.loads(bench.file.read_text())["limit"] == 0.1, what="the newest limit on the disk")
@@ -178,7 +178,7 @@ def test_while_a_raise_waits_for_the_disk_setpoints_sync_and_lower_limits_go_on(
     bench.sets(0.5)
     bench.later(1.0)
     disk = Disk(monkeypatch)
-    monkeypatch.setattr(module, "PATIENCE", 0.0)
+    monkeypatch.setattr(pca_monitor, "PATIENCE", 0.0)
     answers = []
     raising = threading.Thread(target=lambda: answers.append(bench.sets(0.8, moment=bench.shown())))
     raising.start()
@@ -301,7 +301,7 @@ def test_a_raise_that_is_overtaken_while_it_is_written_is_void_also_on_the_disk(
     bench.speed.write()
     bench.later(1.0)
     write, seen = os.write, bench.shown()
-    monkeypatch.setattr(module, "PATIENCE", 0.0)
+    monkeypatch.setattr(pca_monitor, "PATIENCE", 0.0)
 
     def overtaken(*given):
         monkeypatch.setattr(os, "write", write)
