@@ -57,11 +57,7 @@ class BoundedQueueHandler(QueueHandler):
 
 
 def log_beside_the_loop() -> QueueListener:
-    """Write the log from a thread of its own: the loop must not wait for a terminal or a full pipe (docs/architecture.md, law 1).
-
-    Returns:
-        Started; stop it at the end.
-    """
+    """Write the log from a thread of its own: the loop waits for no terminal or full pipe (docs/architecture.md, law 1)."""
     handler = logging.StreamHandler()
     handler.setFormatter(logging.Formatter("%(asctime)s %(name)s %(levelname)s %(message)s"))
     records: SimpleQueue = SimpleQueue()

@@ -13,7 +13,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 from processes import ROOT, BrokerProcess, wait_until
 from service_cell import PATIENT, cell, motion, stream
 
-from construction_twin.gateway import service as gateway_service
+from construction_twin.gateway import mqtt_side
 from construction_twin.mqtt import fast_client
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.failures import ConnectionReport
@@ -134,7 +134,7 @@ def test_an_armed_gateway_carries_out_the_stream_and_reports_states(broker, topi
         made.append(make_client(*given, **more))
         return made[-1]
 
-    monkeypatch.setattr(gateway_service, "make_client", make)
+    monkeypatch.setattr(mqtt_side, "make_client", make)
     with cell(broker, topics, config=PATIENT) as (service, controller, client):
         assert [isinstance(one, FastClient) for one in made] == [kind == "fast"]
         assert client.arm(PATIENT)["ok"]
