@@ -1,4 +1,7 @@
-"""Gate and executor under random sequences: never a changed command while not IN_SYNC, never motion without approval."""
+"""Gate and executor under random sequences: never a changed command while not IN_SYNC, never motion without approval.
+
+What goes out is checked with a motion check of the test's own: a stream that may be executed, rounded to the wire.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ from hypothesis.stateful import (
 )
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.core.limits import MotionLimits
+from construction_twin.core.limits import MotionCheck, MotionLimits
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.monitor.gate import REPLAN, RESUME, STOP, Gate, GateSettings
@@ -81,6 +84,12 @@ class Cell(RuleBasedStateMachine):
             assert self.gate.state is SyncState.WAITING or self.gate.mirrored or self.command is None
             return
         reference = self.twin if self.command is None else self.command
+        if self.command is None:
+            self.check = MotionCheck(LIMITS, CODEC.decimals)
+            self.check.start(self.stamp - CYCLE_NS, reference)
+        # whatever came in, what goes out can be executed
+        self.check.accept(self.stamp, command)
+        assert CODEC.quantise(command) == command
         if self.gate.state is not SyncState.IN_SYNC:
             assert command == reference
         distance = max(abs(a - b) for a, b in zip(command, reference))
