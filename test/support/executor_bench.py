@@ -16,7 +16,7 @@ from construction_twin.execution.approval import Approval
 from construction_twin.execution.engagement import Engagement
 from construction_twin.execution.executor import Executor, ExecutorState
 from construction_twin.execution.segment_run import ToolOrder
-from construction_twin.monitor.gate import SyncState
+from construction_twin.monitor.states import SyncState
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.executed_path import ExecutedPath
 from construction_twin.robot.plan import Plan, content_hash

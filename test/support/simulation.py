@@ -32,7 +32,8 @@ from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.link.tool_link import ToolLink
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.faults import FaultBoard, ImpairedLine
-from construction_twin.monitor.gate import REPLAN, Gate, GateSettings
+from construction_twin.monitor.gate import Gate
+from construction_twin.monitor.settings import REPLAN, GateSettings
 from construction_twin.monitor.states import SyncEvent, SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, StateProperties

@@ -16,7 +16,8 @@ from construction_twin.execution.machine import ExecutorMachine, TwinPose
 from construction_twin.execution.playback import StopForecaster
 from construction_twin.execution.segment_run import ToolOrder
 from construction_twin.execution.states import ACTIVE, ROWS, SURVIVED, ExecutorEvent, ExecutorState
-from construction_twin.monitor.gate import REPLAN, RESUME, SyncState
+from construction_twin.monitor.settings import REPLAN, RESUME
+from construction_twin.monitor.states import SyncState
 from construction_twin.review.plan_under_review import Ending, Verdict
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan

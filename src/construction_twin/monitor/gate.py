@@ -7,8 +7,7 @@ put off every time-out. Stamps are on a clock of their own. Angles in rad, prism
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from construction_twin.core.errors import ConfigurationError, MotionRefused, PayloadError
 from construction_twin.core.limits import MotionCheck, MotionLimits
@@ -16,8 +15,9 @@ from construction_twin.core.sentences import Quantity, Sentence, Value
 from construction_twin.core.state_table import row_of
 from construction_twin.core.travel_time import TravelTime
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS, axis_name, from_people, to_people
-from construction_twin.monitor.comparison import Comparison, ComparisonSettings, PoseComparison, RoundTrips
+from construction_twin.monitor.comparison import Comparison, PoseComparison, RoundTrips
 from construction_twin.monitor.servo_watch import ServoDifference, ServoWatch
+from construction_twin.monitor.settings import STOP, GateSettings
 from construction_twin.monitor.states import (
     HELD_STATES,
     ROWS,
@@ -31,8 +31,6 @@ from construction_twin.monitor.states import (
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.servo.model import ServoModel
 
-#: What may happen after a violation.
-REPLAN, RESUME, STOP = "replan", "resume", "stop"
 #: A setpoint may be this much later than the quickest one [ns]: an executor that catches up sends what is 80 ms late, and what is
 #: later the gateway has bridged and braked for.
 LATEST = NANOSECONDS // 10
@@ -42,51 +40,6 @@ _IN_TIME = Sentence(
     "at most {latest:g} s: the monitor was not run, or the executor's clock was set back (then call reset)",
     latest=LATEST / NANOSECONDS,
 )
-
-
-@dataclass(frozen=True)
-class GateSettings:
-    """How strict the gate is.
-
-    Attributes:
-        threshold, threshold_linear: Agreement at rest of revolute joints [rad], and of prismatic ones [m].
-        thresholds: Other values for single joints, by joint name.
-        aligned: Compare by command stamp where there is one; otherwise always with the twin's present pose.
-        lag_allowance, lag_margin: [s], see `ComparisonSettings`.
-        feedback_timeout: Physical feedback older than this counts as out of sync [s].
-        agree_share: Fraction of the threshold, up to 1, that every error must stay below for the poses to agree again.
-        agree_time: They must do so this long before the gate opens [s].
-        policy: What happens after a violation: ``replan``, ``resume`` or ``stop``.
-        give_up_time: A gate that is closed this long stays closed until there is a new command session [s].
-        escalate_count, escalate_time: So does one that closes this often within this time, but not for stale feedback [s].
-        compares: False without a physical arm: the gate then only checks the motion.
-    """
-
-    threshold: float = 0.01
-    threshold_linear: float = 0.005
-    thresholds: Mapping[str, float] = field(default_factory=dict)
-    aligned: bool = True
-    lag_allowance: float = 0.05
-    lag_margin: float = 0.02
-    feedback_timeout: float = 0.1
-    agree_share: float = 0.8
-    agree_time: float = 0.1
-    policy: str = REPLAN
-    give_up_time: float = 30.0
-    escalate_count: int = 5
-    escalate_time: float = 30.0
-    compares: bool = True
-
-    def comparison(self, limits: MotionLimits) -> ComparisonSettings:
-        """Return the part that the comparison needs, for the joints of `limits` in their order."""
-        foreign = [name for name in self.thresholds if name not in limits.names]
-        if foreign:
-            raise ConfigurationError("thresholds", foreign[0], f"names of joints: {', '.join(limits.names)}")
-        threshold = tuple(
-            self.thresholds.get(name, self.threshold_linear if slides else self.threshold)
-            for name, slides in zip(limits.names, limits.linear)
-        )
-        return ComparisonSettings(threshold, self.lag_allowance, self.lag_margin, self.aligned)
 
 
 @dataclass(frozen=True)
@@ -106,6 +59,7 @@ class Gate:
     Args:
         codec: The wire's; everything that passes is rounded by it, so that both robots execute identical numbers.
         servos: How the arm's servos answer; None: unknown, and the arm is compared with the twin alone.
+        compares: False without a physical arm: the gate then only checks the motion.
     """
 
     def __init__(
@@ -115,10 +69,11 @@ class Gate:
         settings: GateSettings,
         now: int = 0,
         servos: ServoModel | None = None,
+        compares: bool = True,
     ):
-        self._limits = limits
+        self._limits, self._compares = limits, compares
         #: Compares the arm with where its servos should have it; None: nobody knows these.
-        self.watch_of_servos = ServoWatch(servos, settings.comparison(limits).threshold) if servos is not None else None
+        self.watch_of_servos = ServoWatch(servos, settings.compared(limits).threshold) if servos is not None else None
         self._codec = codec
         self.settings = settings
         self.violations = 0
@@ -132,7 +87,7 @@ class Gate:
         self.fire(SyncEvent.STARTED, Sentence("started"), now)
 
     def _forget(self) -> None:
-        self.comparison = PoseComparison(self.settings.comparison(self._limits))
+        self.comparison = PoseComparison(self.settings.compared(self._limits))
         if self.watch_of_servos is not None:
             self.watch_of_servos.restart()
         #: Nominal stamp of the last setpoint that passed [ns]; 0 when none.
@@ -273,7 +228,7 @@ class Gate:
     def configure(self, settings: GateSettings, reason: str, now: int) -> None:
         """Go on with other settings, from rest; the change is a transition."""
         self.check_rest(now)
-        comparison = settings.comparison(self._limits)
+        comparison = settings.compared(self._limits)
         if self.watch_of_servos is not None:
             self.watch_of_servos.configure(comparison.threshold)
         self.comparison.configure(comparison)
@@ -301,7 +256,7 @@ class Gate:
         round_trip = self._round_trips.since(command_stamp, now)
         comparison = self.comparison.compare(q, command_stamp, now if received is None else received, round_trip)
         servos = None
-        if self.watch_of_servos is not None and self.settings.compares:
+        if self.watch_of_servos is not None and self._compares:
             in_sync = self.state is SyncState.IN_SYNC and comparison is not None and comparison.agrees
             servos = self.watch_of_servos.on_pose(q, seq, command_stamp, in_sync)
         if comparison is None:
@@ -325,7 +280,7 @@ class Gate:
     def _on_difference(self, comparison: Comparison, servos: ServoDifference | None, now: int) -> None:
         """Take that the poses differ, or the servos have the arm elsewhere; close the gate where that closes it."""
         closes = self._row(SyncEvent.POSE_DIFFERS, now) is not None
-        if not self.settings.compares or (self._difference is not None and not closes):
+        if not self._compares or (self._difference is not None and not closes):
             return
         if servos is None:
             worst = comparison.worst()
@@ -342,7 +297,7 @@ class Gate:
 
     def agreed(self, now: int) -> bool:
         """True when fresh feedback agrees with the twin, and once did so for `agree_time` within `agree_share` of the threshold."""
-        if not self.settings.compares:
+        if not self._compares:
             return self.comparison.twin.latest is not None
         return self._agreed and self._fresh(now)
 
@@ -381,7 +336,7 @@ class Gate:
     def watch(self, now: int) -> None:
         """Close an open gate when feedback has gone stale, give up on a closed one: also while no theta_next comes."""
         if self.state is SyncState.IN_SYNC:
-            if self.settings.compares and not self._fresh(now) and self._last_feedback is not None:
+            if self._compares and not self._fresh(now) and self._last_feedback is not None:
                 age = (now - self._last_feedback) / NANOSECONDS
                 stale = Sentence("last comparable feedback is {age:.3f} s old", age=age)
                 self._close(SyncEvent.FEEDBACK_STALE, stale, now)

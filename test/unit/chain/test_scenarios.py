@@ -32,7 +32,7 @@ from construction_twin.gateway.states import State
 from construction_twin.gateway.trace import TraceEntry
 from construction_twin.mock.faults import KINDS, Fault
 from construction_twin.mock.program import MockSettings, axis_angles, build_controller, joint_angles
-from construction_twin.monitor.monitor import Behaviour
+from construction_twin.monitor.settings import GateSettings
 from construction_twin.mqtt.messages import Control
 from construction_twin.planning.timing import time_path
 from construction_twin.review.rehearsal_report import RehearsalCheck
@@ -80,13 +80,13 @@ class ScenarioRun:
         mock = MockSettings(gateway_host="simulated", gateway_port=1, **mock_file)
         monitor = yaml.safe_load((ROOT / "config/pca_monitor.yaml").read_text()) | {"lag_margin": LAG_MARGIN}
         monitor |= content.get("pca_monitor", {})
-        behaviour = Behaviour(**{key: value for key, value in monitor.items() if key in Behaviour.model_fields})
+        gate = GateSettings(**{key: value for key, value in monitor.items() if key in GateSettings.model_fields})
         controller = build_controller(mock, ROBOT)
         self.chain = SimulatedChain(
             ROBOT,
             config,
             controller,
-            behaviour.gate_settings(True),
+            gate,
             planner=self._replan,
             restart_after=mock.restart_after,
         )

@@ -36,7 +36,7 @@ from construction_twin.execution.engagement import (
     read_engagement,
     write_engagement,
 )
-from construction_twin.monitor.gate import SyncState
+from construction_twin.monitor.states import SyncState
 from construction_twin.review.rehearsal_report import RehearsalCheck
 from construction_twin.robot.executed_path import LARGEST_ENTRY, WAY_BACK_TOLERANCE, ExecutedPath
 from construction_twin.robot.segments import Switch

@@ -14,7 +14,7 @@ from construction_twin.core.errors import ExecutionError
 from construction_twin.core.units import CYCLE, CYCLE_NS
 from construction_twin.execution.executor import TWIN_TIMEOUT, Executor, ExecutorState
 from construction_twin.execution.playback import HISTORY
-from construction_twin.monitor.gate import SyncState
+from construction_twin.monitor.states import SyncState
 from construction_twin.robot.trajectory import Trajectory
 
 

@@ -14,7 +14,7 @@ from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.approval import AUTO_APPROVE, SCENE_DELAY, Approval, WithoutPerson
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.execution.playback import START_TOLERANCE
-from construction_twin.monitor.gate import SyncState
+from construction_twin.monitor.states import SyncState
 from construction_twin.robot.trajectory import Trajectory
 
 #: Cycles in a second.

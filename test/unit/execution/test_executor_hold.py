@@ -13,7 +13,7 @@ from construction_twin.core.limits import MotionCheck, MotionLimits
 from construction_twin.core.units import CYCLE, CYCLE_NS
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.execution.playback import START_TOLERANCE
-from construction_twin.monitor.gate import SyncState
+from construction_twin.monitor.states import SyncState
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.trajectory import Trajectory

@@ -35,7 +35,8 @@ from construction_twin.execution.segment_run import (
     ToolOrder,
 )
 from construction_twin.execution.states import ACTIVE
-from construction_twin.monitor.gate import RESUME, SyncState
+from construction_twin.monitor.settings import RESUME
+from construction_twin.monitor.states import SyncState
 from construction_twin.review.plan_under_review import Verdict
 from construction_twin.robot.segments import Segment, Switch
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from construction_twin.core.units import CYCLE
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.execution.playback import SETPOINTS_AT_ONCE, StoppingForecast, StoppingPath, distance_along
-from construction_twin.monitor.gate import SyncState
+from construction_twin.monitor.states import SyncState
 
 
 def way(rows) -> np.ndarray:

@@ -10,7 +10,6 @@ from gate_bench import CODEC, FIRST_STEP, SETTINGS, START, Bench, moved
 
 from construction_twin.core.sentences import told
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
-from construction_twin.monitor.gate import GateSettings
 from construction_twin.monitor.states import SyncState
 from construction_twin.mqtt.joint_string import JointStringCodec
 
@@ -92,7 +91,7 @@ class TestOpening:
         assert bench.cycle(moved(START, FIRST_STEP)) == CODEC.quantise(moved(START, FIRST_STEP))
 
     def test_without_an_arm_only_the_motion_is_checked(self):
-        bench = Bench(GateSettings(compares=False))
+        bench = Bench(compares=False)
         bench.feedback = False
         assert bench.cycle() == START and bench.state is SyncState.IN_SYNC
         bench.gate.watch(bench.stamp + NANOSECONDS)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import pytest
@@ -11,7 +10,8 @@ from gate_bench import CODEC, LIMITS, SETTINGS, START, Bench, moved, states
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
-from construction_twin.monitor.gate import REST, Gate, GateSettings
+from construction_twin.monitor.gate import REST, Gate
+from construction_twin.monitor.settings import GateSettings
 from construction_twin.monitor.states import SyncEvent, SyncState
 
 
@@ -30,12 +30,12 @@ def held_often(gate: Gate) -> tuple[int, float]:
 
 class TestThresholds:
     def test_one_value_holds_for_all_joints_and_others_are_given_by_name(self):
-        settings = GateSettings(threshold=0.02, thresholds={"joint_a2": 0.005}).comparison(LIMITS)
+        settings = GateSettings(threshold=0.02, thresholds={"joint_a2": 0.005}).compared(LIMITS)
         assert settings.threshold == (0.02, 0.005)
 
     def test_linear_joints_have_a_value_of_their_own(self):
         limits = MotionLimits(("joint_a1", "track"), (-2.0, 0.0), (2.0, 3.0), (2.0, 1.0), (3.0, 1.0), (False, True))
-        assert GateSettings(threshold=0.02, threshold_linear=0.003).comparison(limits).threshold == (0.02, 0.003)
+        assert GateSettings(threshold=0.02, threshold_linear=0.003).compared(limits).threshold == (0.02, 0.003)
 
     def test_a_name_that_is_no_joint_is_refused(self):
         with pytest.raises(ConfigurationError, match="joint_a9"):
@@ -181,7 +181,7 @@ class TestPolicy:
     def test_a_closed_gate_keeps_the_settings_that_it_closed_with(self):
         cell = bench(policy="resume")
         cell.gate.on_physical(moved(START, 0.2), 0, cell.stamp)
-        stricter = dataclasses.replace(cell.gate.settings, policy="stop")
+        stricter = cell.gate.settings.model_copy(update={"policy": "stop"})
         with pytest.raises(ConfigurationError, match="HOLDING"):
             cell.gate.configure(stricter, "Ada", cell.stamp)
         assert cell.gate.policy == "resume"
@@ -197,8 +197,8 @@ class TestPolicy:
         assert command != START and gate.state is SyncState.IN_SYNC
         for now in (stamp, stamp + REST - 1):
             with pytest.raises(ConfigurationError, match="the gate.*a command that has not changed for"):
-                gate.configure(dataclasses.replace(gate.settings, threshold=0.3), "Ada", now)
-        gate.configure(dataclasses.replace(gate.settings, threshold=0.3), "Ada", stamp + REST)
+                gate.configure(gate.settings.model_copy(update={"threshold": 0.3}), "Ada", now)
+        gate.configure(gate.settings.model_copy(update={"threshold": 0.3}), "Ada", stamp + REST)
         assert gate.settings.threshold == 0.3
 
     def test_a_re_plan_is_a_state_of_its_own_until_the_poses_agree(self):

@@ -9,7 +9,7 @@ from construction_twin.monitor.monitor import KEPT, Monitor, ReplanGoal
 
 
 def monitor() -> Monitor:
-    return Monitor(None, None, ())
+    return Monitor(None, ())
 
 
 def test_asks_for_the_goal_of_what_plays_at_its_largest_shares():

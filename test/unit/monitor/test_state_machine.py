@@ -25,7 +25,8 @@ from construction_twin.core.errors import ConfigurationError, ConstructionTwinEr
 from construction_twin.core.limits import MotionCheck, MotionLimits
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.executor import ExecutorState
-from construction_twin.monitor.gate import REPLAN, RESUME, STOP, Gate, GateSettings
+from construction_twin.monitor.gate import Gate
+from construction_twin.monitor.settings import REPLAN, RESUME, STOP, GateSettings
 from construction_twin.monitor.states import HELD_STATES, ROWS, SyncEvent, SyncState
 from construction_twin.mqtt.joint_string import JointStringCodec
 

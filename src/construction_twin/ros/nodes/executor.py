@@ -31,7 +31,7 @@ from construction_twin.execution.engagement import read_engagement
 from construction_twin.execution.executor import Executor
 from construction_twin.execution.segment_run import NO_ARM
 from construction_twin.execution.upkeep import Disk, News, Permission
-from construction_twin.monitor.gate import SyncState
+from construction_twin.monitor.states import SyncState
 from construction_twin.review.plan_under_review import EXECUTOR, REJECTED, Verdict
 from construction_twin.review.record import Responsibility, ReviewLog
 from construction_twin.review.rehearsal_report import RehearsalCheck, RehearsalReport, is_whole

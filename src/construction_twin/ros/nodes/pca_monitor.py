@@ -26,7 +26,8 @@ from construction_twin.core.speed_limit import LimitState, SpeedLimit
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.speed_limits import NOBODY, UNKNOWN, SpeedLimits, read_people, write_people
 from construction_twin.monitor.gate import Cause, Gate
-from construction_twin.monitor.monitor import SYNC_RATE, Behaviour, Monitor, Replan, TransitionLog
+from construction_twin.monitor.monitor import SYNC_RATE, Monitor, Replan, TransitionLog
+from construction_twin.monitor.settings import GateSettings
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.robot.description import RobotModel
@@ -72,7 +73,7 @@ _WARNED = (SyncState.HOLDING, SyncState.REPLANNING, SyncState.STALE)
 _SERIOUS = (SyncState.STOPPED, SyncState.FAULT)
 
 
-class Settings(NodeSettings, Behaviour):
+class Settings(NodeSettings, GateSettings):
     """Private parameters; see config/pca_monitor.yaml."""
 
     arm: Literal["mock", "real", "none"]
@@ -198,9 +199,8 @@ class PcaMonitorNode:
         self._command = ports.publishers["command/joint_states"]
         # without a model of the arm's servos nothing is expected
         self._expected = ports.publishers.get("expected/joint_states")
-        behaviour = Behaviour.model_validate(settings.model_dump(include=set(Behaviour.model_fields)))
         self._gate = make_gate(settings, robot, now)
-        self._monitor = Monitor(self._gate, behaviour, robot.joint_names, stopped_in, now)
+        self._monitor = Monitor(self._gate, robot.joint_names, stopped_in, now)
         transitions = robot_file(settings.transition_file, robot.name)
         rospy.loginfo("transitions are recorded in %s", transitions)
         self._transitions = TransitionLog(transitions, robot.joint_names)
@@ -392,7 +392,8 @@ def make_gate(settings: Settings, robot: RobotModel, now: int) -> Gate:
     """Return the gate of a robot; ConfigurationError where the parameters do not fit it."""
     codec = JointStringCodec.of(robot, settings.decimals)
     servos = read_servos(settings.servo_model, robot.joint_names) if knows_servos(settings) else None
-    return Gate(MotionLimits.of(robot), codec, settings.gate_settings(settings.arm != "none"), now, servos)
+    given = GateSettings.model_validate(settings.model_dump(include=set(GateSettings.model_fields)))
+    return Gate(MotionLimits.of(robot), codec, given, now, servos, settings.arm != "none")
 
 
 def knows_servos(settings: Settings) -> bool:
