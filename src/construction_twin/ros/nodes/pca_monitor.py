@@ -18,7 +18,7 @@ import rospy
 from construction_twin import msg, srv
 from construction_twin.core.errors import ConfigurationError, ExpiredError, PayloadError
 from construction_twin.core.files import check_writable
-from construction_twin.core.freshness import TOO_OLD
+from construction_twin.core.freshness import TOO_OLD, present
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.reports import HoldReport, SpeedChange
 from construction_twin.core.sentences import Sentence
@@ -32,14 +32,11 @@ from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.records import to_msg
-from construction_twin.ros.shared.deferred_log import DeferredLog
-from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
-from construction_twin.ros.shared.node_shell import NodeShell
-from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.params import NodeSettings, robot_file, ros_home, settings_of
-from construction_twin.ros.shared.ports import (
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, DeferredLog, Report
+from construction_twin.ros.shared.node_shell import (
     Every,
     Interface,
+    NodeShell,
     Ports,
     PosePublication,
     PoseSubscription,
@@ -50,7 +47,8 @@ from construction_twin.ros.shared.ports import (
     Subscription,
     has_arm,
 )
-from construction_twin.ros.shared.robot_clock import present
+from construction_twin.ros.shared.outcome import Outcome
+from construction_twin.ros.shared.params import NodeSettings, robot_file, ros_home, settings_of
 from construction_twin.ros.shared.stop_memory import PARAMETER, StopMemory
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
 from construction_twin.ros.transport.subscriber import caller_of

@@ -21,11 +21,9 @@ from construction_twin.core.network import reaches_itself
 from construction_twin.core.share import share_folder
 from construction_twin.msg import Feedback, Scene, StartRefused
 from construction_twin.robot.description import RobotModel, other_joints_text
-from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
-from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report, warn_of_refusals
+from construction_twin.ros.shared.node_shell import Every, Interface, NodeShell, Ports, Shared, Subscription
 from construction_twin.ros.shared.params import PrivateSettings
-from construction_twin.ros.shared.ports import Every, Interface, Ports, Shared, Subscription
-from construction_twin.ros.shared.refusal_log import warn_of_refusals
 from construction_twin.ros.shared.robot_listener import REPORTS, RobotListener
 from construction_twin.ros.shared.start_refusal import AGAIN, TOPIC, launch
 from construction_twin.ros.transport.subscriber import Subscriber, caller_of

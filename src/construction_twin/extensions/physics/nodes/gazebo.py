@@ -25,9 +25,8 @@ from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.node_shell import Interface, NodeShell, Ports, Shared, Subscription
 from construction_twin.ros.shared.params import PrivateSettings, ros_home
-from construction_twin.ros.shared.ports import Interface, Ports, Shared, Subscription
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene
 

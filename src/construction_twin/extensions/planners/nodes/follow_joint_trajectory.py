@@ -50,10 +50,9 @@ from construction_twin.msg import Execution, Feedback, PlanCaller, Review
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import BY_ACTION
 from construction_twin.ros.shared.diagnostics import OK, Report
-from construction_twin.ros.shared.node_shell import NodeShell
-from construction_twin.ros.shared.params import PrivateSettings
-from construction_twin.ros.shared.ports import (
+from construction_twin.ros.shared.node_shell import (
     Interface,
+    NodeShell,
     Ports,
     PoseSubscription,
     Publication,
@@ -61,6 +60,7 @@ from construction_twin.ros.shared.ports import (
     Subscription,
     has_arm,
 )
+from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.transport.joint_stream import from_time
 from construction_twin.ros.transport.persistent_service import NO_ANSWER
 from construction_twin.ros.transport.subscriber import caller_of
