@@ -7,6 +7,8 @@ in m.
 
 from __future__ import annotations
 
+import cmath
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +18,6 @@ import pydantic
 import yaml
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.servo_lag import transition_matrix
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.core.validation import configuration_error
 
@@ -32,6 +33,16 @@ def keeps_pace(advance: int, elapsed: int) -> bool:
 
 
 _Matrix = tuple[tuple[float, float], tuple[float, float]]
+
+
+def transition_matrix(omega: float, zeta: float, period: float) -> _Matrix:
+    """Return exp(A * period) of (x - u, x') for x'' = -omega^2 (x - u) - 2 zeta omega x', u constant, any damping."""
+    centre = -zeta * omega
+    root = omega * cmath.sqrt(zeta * zeta - 1.0)
+    even = cmath.cosh(root * period).real
+    odd = (cmath.sinh(root * period) / root).real if root else period
+    scale = math.exp(centre * period)
+    return ((scale * (even - centre * odd), scale * odd), (-scale * omega * omega * odd, scale * (even + centre * odd)))
 
 
 @dataclass(frozen=True)

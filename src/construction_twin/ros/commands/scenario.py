@@ -24,7 +24,7 @@ from rich.text import Text
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, ScenarioError, spoken
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, spoken
 from construction_twin.core.extensions import node_modules
 from construction_twin.core.files import check_writable
 from construction_twin.core.limits import MotionLimits
@@ -53,7 +53,7 @@ from construction_twin.ros.shared.node import ending_on_signals
 from construction_twin.ros.shared.params import Parameters, PrivateSettings, robot_from_parameters, settings_of
 from construction_twin.ros.transport.persistent_service import PersistentService
 from construction_twin.ros.transport.subscriber import Subscriber
-from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, Step, make_scenario
+from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, ScenarioError, Step, make_scenario
 from construction_twin.scenario.judge import Judgement, judge
 from construction_twin.scenario.timeline import Change, GatewayStop, Run, SyncMoment
 from construction_twin.srv import InjectFault, PlanToJoints, ReviewPlan

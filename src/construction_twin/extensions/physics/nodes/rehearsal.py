@@ -6,11 +6,9 @@ what happens to it is an answer: a rehearsal that breaks off, or takes too long,
 
 from __future__ import annotations
 
-import hashlib
 import threading
 import time
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Annotated, Literal
 
 import pydantic
@@ -24,7 +22,7 @@ from construction_twin.core.worker import Worker
 from construction_twin.extensions.physics.drive import read_drives
 from construction_twin.extensions.physics.mass import payload_of
 from construction_twin.extensions.physics.nodes.element_masses import element_masses, placed_elements, tool_mass
-from construction_twin.extensions.physics.process import PROGRAM, Question, digest
+from construction_twin.extensions.physics.process import PROGRAM, Question, digest, file_digest
 from construction_twin.msg import Plan as PlanMsg
 from construction_twin.msg import Rehearsal, Review, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
@@ -95,7 +93,7 @@ class RehearsalNode:
             rospy.loginfo("%s", self._absent)
         self._tool, self._of_tool = tool_hash(settings.tool), tool_mass(settings.tool)
         payload = [settings.payload] if settings.payload else []
-        self._constant = digest(_hash_of(settings.drives), _hash_of(settings.self_collision), *payload)
+        self._constant = digest(file_digest(settings.drives), file_digest(settings.self_collision), *payload)
         self._news = threading.Condition()
         self._scenes: dict[str, Scene] = {}
         self._masses, self._placed = dict(self._of_tool), frozenset[str]()
@@ -277,16 +275,11 @@ def _put_newest(kept: dict, key: str, value: object) -> None:
         del kept[next(iter(kept))]
 
 
-def _hash_of(path: str) -> str:
-    return hashlib.sha256(Path(path).read_bytes()).hexdigest() if path else ""
-
-
 def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
     """Check packages and files before anything starts; see `NodeShell`."""
     if settings.mode != "auto":
         check_extras("physics")
-    if settings.drives:
-        read_drives(settings.drives, robot)
+    read_drives(settings.drives, robot)
     if settings.tool:
         read_tool(settings.tool)
     read_self_collision(settings.self_collision, robot)

@@ -18,10 +18,9 @@ import pydantic
 import rospy
 from actionlib import ServerGoalHandle
 
-from construction_twin.core.errors import GoalError, GoalJointsError
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.extensions.planners.goal_states import GoalState
-from construction_twin.extensions.planners.joint_tolerances import Tolerances
+from construction_twin.extensions.planners.joint_tolerances import GoalError, GoalJointsError, Tolerances
 from construction_twin.extensions.planners.nodes.joint_goals import (
     LONGEST,
     GoalDefaults,
