@@ -28,7 +28,6 @@ from work_samples import (
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.work_errors import LedgerError
 from construction_twin.extensions.work import process
-from construction_twin.extensions.work.check import Checker
 from construction_twin.extensions.work.following import after_restart
 from construction_twin.extensions.work.heard import GripReading
 from construction_twin.extensions.work.ledger import Ledger
@@ -37,6 +36,7 @@ from construction_twin.extensions.work.recipes import read_recipes
 from construction_twin.extensions.work.schedule import Job, Schedule
 from construction_twin.extensions.work.site_scene import StockPlan
 from construction_twin.extensions.work.task_memory import Entry, NotNow, TaskMemory, TaskState
+from construction_twin.extensions.work.worker_functions import Checker
 from construction_twin.planning.planner import PlanRequest
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.work_plan import plan_work

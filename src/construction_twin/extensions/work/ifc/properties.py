@@ -1,39 +1,147 @@
-"""Property sets, quantities, materials and masses. Measures become SI; values that are lists become texts."""
+"""Units, property sets, quantities, materials and masses. Measures become SI; values that are lists become texts."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from dataclasses import dataclass
 
 import ifcopenshell
 import ifcopenshell.util.element
+import ifcopenshell.util.unit
 
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.extensions.work.building import Body, Value
 from construction_twin.extensions.work.ifc.notes import Notes, Where, label
-from construction_twin.extensions.work.ifc.units import KINDS, Units, si_factor
 
 Sets = dict[str, dict[str, Value]]
 
 #: Names of quantities that are the mass of what is delivered, in the order in which they are believed.
 _WEIGHTS = ("NetWeight", "GrossWeight", "Weight", "Mass")
-#: Densities [kg/m³] of what is built with, from insulation to lead, with much room.
-_LIGHTEST, HEAVIEST = 1.0, 25000.0
 _LONGEST_TEXT = 4000
-#: What a number in a project of feet or inches may mean that does not say its unit of mass: pounds [kg], and per cubic foot [m³].
-_POUND, _CUBIC_FOOT = 0.45359237, 0.3048**3
-#: Values of `Status` of what is to be made, or of which nothing is said.
-_MADE = {"NEW", "NOTKNOWN", "UNSET", "NOTDEFINED", ""}
-#: Values of `Status` of what stands, and the beginnings of those of what is to go.
-_STANDS = ("EXISTING", "BESTAND", "VORHANDEN")
-_GOES = ("DEMOLISH", "REMOVE", "ABBRUCH", "ABRISS", "RÜCKBAU")
-#: Parts of the names of properties in which programs write a status of their own, those that name when something goes, and values
-#: that say nothing.
-_STATUS_NAMES = ("status", "phase", "renovation", "umbau", "abbruch", "demol")
-_GONE_NAMES = ("demol", "abbruch", "abgebrochen")
-_NOTHING = ("", "none", "keine", "false", "no", "nein", "unset", "notdefined")
+#: Values of `Status`, and what they mean here; empty: nothing is said.
+_STATUS = {
+    "EXISTING": "existing", "DEMOLISH": "demolish", "NEW": "new", "NOTKNOWN": "", "UNSET": "", "NOTDEFINED": "", "": "",
+}  # fmt: skip
 #: Densities between which a mass is believed [kg/m³]: what is hollow, and lead.
 _LIKELY = (5.0, 23000.0)
+#: Metres per length unit that a building may be drawn in, with much room.
+_SMALLEST, _LARGEST = 1e-7, 1e5
+#: Which of `Units` holds for a measure or quantity.
+_FACTORS = {
+    "length": ("IfcLengthMeasure", "IfcPositiveLengthMeasure", "IfcNonNegativeLengthMeasure", "IfcQuantityLength"),
+    "area": ("IfcAreaMeasure", "IfcQuantityArea"),
+    "volume": ("IfcVolumeMeasure", "IfcQuantityVolume"),
+    "mass": ("IfcMassMeasure", "IfcQuantityWeight"),
+    "angle": ("IfcPlaneAngleMeasure", "IfcPositivePlaneAngleMeasure"),
+    "time": ("IfcTimeMeasure", "IfcQuantityTime"),
+    "density": ("IfcMassDensityMeasure",),
+}
+#: Powers of the prefix of an SI unit whose name has one.
+_POWERS = {"SQUARE_METRE": 2, "CUBIC_METRE": 3}
+#: Kinds of units of quantities of weight and the like, whose own unit must be of their kind.
+_UNIT_KINDS = {
+    "IfcQuantityLength": "LENGTHUNIT", "IfcQuantityArea": "AREAUNIT", "IfcQuantityVolume": "VOLUMEUNIT",
+    "IfcQuantityWeight": "MASSUNIT", "IfcQuantityTime": "TIMEUNIT", "IfcMassMeasure": "MASSUNIT",
+    "IfcMassDensityMeasure": "MASSDENSITYUNIT",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Units:
+    """SI units per unit of the file.
+
+    Attributes:
+        length, area, volume, mass, angle: [m], [m²], [m³], [kg], [rad]
+        time: [s]; None: the project has no unit of time.
+        density: [kg/m³]; None: the project has no unit of density.
+        weighs: The project has a unit of mass; else it is the kilogram.
+    """
+
+    length: float
+    area: float
+    volume: float
+    mass: float
+    angle: float
+    time: float | None
+    density: float | None = None
+    weighs: bool = True
+
+    def factor(self, measure: str) -> float:
+        """Return SI units per unit of a measure or quantity of the schema; 1 for what has no unit or one that is not converted."""
+        name = next((name for name, measures in _FACTORS.items() if measure in measures), "")
+        factor = getattr(self, name) if name else None
+        return 1.0 if factor is None else factor
+
+
+def read_units(file: ifcopenshell.file, name: str, notes: Notes) -> Units:
+    """Read the project's units."""
+    projects = file.by_type("IfcProject")
+    if len(projects) != 1:
+        found = str(len(projects) or "none")
+        raise BuildingError(name, "IFCPROJECT", found, "one project, which says in which units the model is")
+    with Where(name, projects[0]):
+        assignment = projects[0].UnitsInContext
+        given = [getattr(unit, "UnitType", None) for unit in assignment.Units] if assignment else []
+    if given.count("LENGTHUNIT") != 1:
+        found = "several length units" if "LENGTHUNIT" in given else "no length unit"
+        raise BuildingError(name, "units of the project", found, "one, or no length of the model has a meaning")
+    length = _scale(file, name, "LENGTHUNIT")
+    if not _SMALLEST <= length <= _LARGEST:
+        expected = "a unit of length that buildings are drawn in"
+        raise BuildingError(name, "length unit of the project", f"{length:g} m", expected)
+    if "PLANEANGLEUNIT" not in given:
+        notes.add("The project has no unit of angles; radians are assumed")
+    return Units(
+        length,
+        _scale(file, name, "AREAUNIT") if "AREAUNIT" in given else length**2,
+        _scale(file, name, "VOLUMEUNIT") if "VOLUMEUNIT" in given else length**3,
+        # ifcopenshell's unit of mass is SI's root, the gram; without a unit IFC's is the kilogram
+        _scale(file, name, "MASSUNIT") / 1e3 if "MASSUNIT" in given else 1.0,
+        _scale(file, name, "PLANEANGLEUNIT") if "PLANEANGLEUNIT" in given else 1.0,
+        _scale(file, name, "TIMEUNIT") if "TIMEUNIT" in given else None,
+        _density_unit(assignment, name) if "MASSDENSITYUNIT" in given else None,
+        "MASSUNIT" in given,
+    )
+
+
+def _density_unit(assignment: ifcopenshell.entity_instance, name: str) -> float:
+    unit = next(unit for unit in assignment.Units if getattr(unit, "UnitType", None) == "MASSDENSITYUNIT")
+    with Where(name, unit):
+        factor = si_factor(unit)
+    if factor is None or not (math.isfinite(factor) and factor > 0):
+        raise BuildingError(name, "MASSDENSITYUNIT of the project", str(factor), "a unit of known units")
+    return factor
+
+
+def si_factor(unit: ifcopenshell.entity_instance) -> float | None:
+    """Return SI units (of mass: kilograms) per unit; None: only people know what it is."""
+    if unit.is_a("IfcSIUnit"):
+        factor = ifcopenshell.util.unit.get_prefix_multiplier(unit.Prefix) ** _POWERS.get(unit.Name, 1)
+        return float(factor) / 1e3 if unit.Name == "GRAM" else float(factor)
+    if unit.is_a("IfcConversionBasedUnit"):
+        of = unit.ConversionFactor
+        base = si_factor(of.UnitComponent)
+        return None if base is None else float(of.ValueComponent.wrappedValue) * base
+    if unit.is_a("IfcDerivedUnit"):
+        whole = 1.0
+        for element in unit.Elements:
+            factor = si_factor(element.Unit)
+            if factor is None:
+                return None
+            whole *= factor**element.Exponent
+        return whole
+    return None
+
+
+def _scale(file: ifcopenshell.file, name: str, kind: str) -> float:
+    with Where(name, f"{kind} of the project"):
+        scale = float(ifcopenshell.util.unit.calculate_unit_scale(file, kind))
+    if not (math.isfinite(scale) and scale > 0):
+        raise BuildingError(name, f"{kind} of the project", f"{scale:g}", "a finite factor above 0")
+    return scale
+
+
+# -- of products and tasks
 
 
 def read_properties(product: ifcopenshell.entity_instance, at: str, units: Units, notes: Notes) -> Sets:
@@ -85,7 +193,7 @@ def _factor(holder: ifcopenshell.entity_instance, measure: str, units: Units) ->
     own = getattr(holder, "Unit", None)
     if own is None:
         return units.factor(measure)
-    kind = KINDS.get(measure)
+    kind = _UNIT_KINDS.get(measure)
     if kind is not None and getattr(own, "UnitType", kind) != kind:
         return None
     factor = si_factor(own)
@@ -106,42 +214,18 @@ def read_material(product: ifcopenshell.entity_instance, at: str, notes: Notes) 
 def read_status(product: ifcopenshell.entity_instance, at: str, sets: Sets, notes: Notes) -> str:
     """Return ``existing``, ``demolish``, ``new`` or nothing: the property `Status` of a set ``Pset_...Common``, in any case.
 
-    What an author says elsewhere, in a set of his own or as a phase, is noted where it is not that of a new element.
+    Another word is noted, and its element is still to be made.
     """
-    about = product.Name or at
-    found = ""
+    found: set[str] = set()
     for name, values in sets.items():
-        common = name.casefold().startswith("pset_") and name.casefold().endswith("common")
-        for key, given in values.items():
-            if not isinstance(given, str):
-                continue
-            if common and key == "Status":
-                words = {word.strip(" .").upper() for word in given.split(",")}
-                status = _status(words)
-                found = found or status or ("new" if words == {"NEW"} else "")
-                for word in () if status else sorted(words - _MADE):
-                    notes.add(f"Elements with the status {word!r}, taken as still to be made", about, at)
-            elif any(word in key.casefold() for word in _STATUS_NAMES) and _stands(key, given):
-                where = name if key == "Status" else f"{name} ({key})"
-                said = (
-                    f"Elements with the status {given[:40]!r} in {where}, which is no `Status` of a set Pset_...Common"
-                )
-                notes.add(f"{said}: not used, taken as still to be made", about, at)
-    return found
-
-
-def _status(words: Collection[str]) -> str:
-    if any(word.startswith(_GOES) for word in words):
-        return "demolish"
-    return "existing" if any(word in _STANDS for word in words) else ""
-
-
-def _stands(name: str, given: str) -> bool:
-    """Return whether a value of a name like ``Phase Demolished`` says that an element stands already, or is to go."""
-    low = given.casefold()
-    if any(word in name.casefold() for word in _GONE_NAMES):
-        return low.strip(" .-") not in _NOTHING
-    return any(word.casefold() in low for word in (*_STANDS, *_GOES))
+        given, low = values.get("Status"), name.casefold()
+        if not isinstance(given, str) or not (low.startswith("pset_") and low.endswith("common")):
+            continue
+        for word in (each.strip(" .").upper() for each in given.split(",")):
+            found.add(_STATUS.get(word, ""))
+            if word not in _STATUS:
+                notes.add(f"Elements with the status {word!r}, taken as still to be made", product.Name or at, at)
+    return next((status for status in ("demolish", "existing", "new") if status in found), "")
 
 
 def read_mass(
@@ -184,43 +268,28 @@ def _weight(product: ifcopenshell.entity_instance, at: str, sets: Sets, units: U
 
 
 def _density(product: ifcopenshell.entity_instance, at: str, units: Units, notes: Notes) -> float | None:
+    """Return the density of an element's only material [kg/m³]; None: not known, or in a unit that nobody says."""
     try:
         with Where("", product):
             materials = ifcopenshell.util.element.get_materials(product)
             found = _material_density(materials[0]) if len({each.id() for each in materials}) == 1 else None
-            factor = None if found is None else _density_factor(found, units)
+            if found is None:
+                return None
+            density, holder = found
+            if holder is not None:
+                factor = _factor(holder, "IfcMassDensityMeasure", units)
+            elif units.density is not None:
+                factor = units.density
+            else:
+                # in a metric project authors write kg/m³, whatever its units of length and mass are
+                factor = 1.0 if _is_power_of_ten(units.length) and _is_power_of_ten(units.mass) else None
     except BuildingError:
         # told when its name was read
         return None
-    if found is None:
-        return None
-    shown = f"{found[0]:g}"
     if factor is None:
-        said = f"The mass is not known: a density of {shown} without a unit can be kg/m³ or of the project's units"
-        notes.add(f"{said} of mass and volume, or is none of either", product.Name or label(product), at)
-        return None
-    metric = _is_power_of_ten(units.length) and _is_power_of_ten(units.mass)
-    if units.density is None and found[1] is None and factor == 1.0 and not metric:
-        notes.add(f"The project has no unit of density; {shown} is taken as kg/m³")
-    return float(found[0] * factor)
-
-
-def _density_factor(found: tuple[float, ifcopenshell.entity_instance | None], units: Units) -> float | None:
-    """Return kg/m³ per unit of a density that was found; None: nobody can say, or no material is so light or heavy."""
-    density, holder = found
-    if holder is not None:
-        candidates = [_factor(holder, "IfcMassDensityMeasure", units)]
-    elif units.density is not None:
-        candidates = [units.density]
-    else:
-        # most authors write kg/m³ whatever the project's units are; the others mean the project's
-        metric = _is_power_of_ten(units.length)
-        mass = units.mass if units.weighs or metric else _POUND
-        candidates = [1.0, mass / units.volume, *([] if metric else [mass / _CUBIC_FOOT])]
-    likely = [each for each in candidates if each is not None and _LIGHTEST <= density * each <= HEAVIEST]
-    if any(not math.isclose(likely[0], other, rel_tol=0.01) for other in likely):
-        return None
-    return likely[0] if likely else None
+        said = f"The mass is not known: a density of {density:g} has no unit, and the project none of density"
+        notes.add(said, product.Name or label(product), at)
+    return None if factor is None else density * factor
 
 
 def _has_own_unit(product: ifcopenshell.entity_instance, set_name: str, name: str) -> bool:

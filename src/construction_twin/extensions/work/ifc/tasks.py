@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from functools import partial
 
@@ -21,17 +21,14 @@ import numpy as np
 from construction_twin.core.work_errors import BuildingError
 from construction_twin.extensions.work.building import Element, Sequence, Task
 from construction_twin.extensions.work.ifc.notes import Notes, Where, label
-from construction_twin.extensions.work.ifc.properties import read_properties
+from construction_twin.extensions.work.ifc.properties import Units, read_properties
 from construction_twin.extensions.work.ifc.relations import Relations
-from construction_twin.extensions.work.ifc.units import Units
 from construction_twin.extensions.work.recipe import PROPERTY_SET, RECIPE
 from construction_twin.kinematics.chain import Pose
 
 _NO_TIME = "The project has no unit of time: a lag or duration that is a number is taken as seconds"
 #: Adds a note on one task or order.
 _Note = Callable[[str], None]
-#: A ratio above this is counted in percent: nobody waits ten times as long as something took.
-_MOST_RATIO = 10.0
 #: Dates of a task, the first that is said counts.
 _DATES = ("Schedule", "Early", "Late")
 _KINDS = ("FINISH_START", "START_START", "FINISH_FINISH", "START_FINISH")
@@ -43,25 +40,14 @@ _OTHER_SCHEDULES = ("ACTUAL", "BASELINE")
 _MAKES = ("CONSTRUCTION", "INSTALLATION")
 #: Kinds of tasks after which what is assigned to them is no longer there.
 _TAKES_DOWN = ("DEMOLITION", "DISMANTLE", "DISPOSAL", "REMOVAL")
-#: The same in the words of an author's own kind.
-_TAKES_DOWN_WORDS = (
-    *("demol", "dismantl", "dispos", "remov", "tear", "strip out"),
-    *("abbruch", "abbau", "abriss", "rückbau", "rueckbau", "demontage", "entfern", "entsorg"),
-)
 #: Kinds that place nothing, by which an author calls his own (of IFC2x3, which has no kinds): the schema's words.
 _OTHER_KINDS = ("ATTENDANCE", "INSPECTION", "LOGISTIC", "MAINTENANCE", "MOVE", "OPERATION", "RENOVATION", "TESTING")
 #: Kinds with which nothing is said, or only by the author's own word.
 _OPEN = (None, "NOTDEFINED", "USERDEFINED")
-#: Words of the status of a task, see `_status_word`: done, not to be done any more, and not begun.
-_DONE_WORDS = (
-    *("COMPLETED", "COMPLETE", "DONE", "FINISHED", "CLOSED"),
-    *("FERTIGGESTELLT", "FERTIG", "ERLEDIGT", "ABGESCHLOSSEN"),
-)
-_CANCELLED_WORDS = ("CANCELLED", "CANCELED", "ENTFALLEN", "ENTFÄLLT", "STORNIERT")
-_NOT_BEGUN_WORDS = (
-    *("", "NOTSTARTED", "NOTYETSTARTED", "PLANNED", "SCHEDULED", "OPEN", "READY", "TODO", "NOTDEFINED"),
-    *("GEPLANT", "OFFEN", "NICHTBEGONNEN"),
-)
+#: Words of the status of a task: done, not to be done any more, and not begun.
+_DONE_WORDS = ("COMPLETED", "COMPLETE", "DONE", "FINISHED", "CLOSED")
+_CANCELLED_WORDS = ("CANCELLED", "CANCELED")
+_NOT_BEGUN_WORDS = ("", "NOTSTARTED", "NOTYETSTARTED", "PLANNED", "SCHEDULED", "OPEN", "READY", "NOTDEFINED")
 
 
 @dataclass
@@ -74,9 +60,6 @@ class _Assigned:
     parents: dict[int, ifcopenshell.entity_instance] = field(default_factory=dict)
     schedules: dict[int, ifcopenshell.entity_instance] = field(default_factory=dict)
     times: dict[int, ifcopenshell.entity_instance] = field(default_factory=dict)
-    calendars: dict[int, str] = field(default_factory=dict)
-    #: A `Completion` of this is all of a task: 100 where the file counts in percent.
-    whole: float = 1.0
 
 
 class Groups:
@@ -112,20 +95,15 @@ def read_tasks(
     assigned = _assigned(file, name, notes)
     every = sorted(file.by_type("IfcTask"), key=lambda task: task.id())
     entities = _scheduled(every, assigned, notes)
-    recorded = _recorded(every, entities, assigned, groups)
     task_ids: dict[int, str] = {}
     for entity in entities:
         with Where(name, entity):
             task_ids[entity.id()] = unique_id(entity, task_ids.values(), notes)
     tasks = {}
     for entity in entities:
-        about, at = entity.Name or task_ids[entity.id()], task_ids[entity.id()]
-        if calendar := _calendar(entity, assigned):
-            said = "lags and durations count around the clock, holidays and nights included, of tasks of one"
-            notes.add(f"Calendars are not read: {said} ({calendar})", about, at)
         with Where(name, entity):
             task = _task(entity, task_ids, assigned, groups, set(given), units, notes)
-            tasks[task.id] = _as_recorded(task, recorded, partial(notes.add, about=about, at=at))
+            tasks[task.id] = task
     sequences = []
     for relation in file.by_type("IfcRelSequence") if tasks else ():
         with Where(name, relation):
@@ -179,19 +157,12 @@ def _assigned(file: ifcopenshell.file, name: str, notes: Notes) -> _Assigned:
     for relation in file.by_type("IfcRelAssignsToControl"):
         with Where(name, relation):
             for each in relation.RelatedObjects:
-                if relation.RelatingControl.is_a("IfcWorkCalendar"):
-                    found.calendars[each.id()] = relation.RelatingControl.Name or label(relation.RelatingControl)
                 if not each.is_a("IfcTask"):
                     continue
                 if relation.RelatingControl.is_a("IfcWorkControl"):
                     found.schedules.setdefault(each.id(), relation.RelatingControl)
                 if getattr(relation, "TimeForTask", None) is not None:
                     found.times[each.id()] = relation.TimeForTask
-    with Where(name, "the file"):
-        times = [*found.times.values(), *(getattr(each, "TaskTime", None) for each in file.by_type("IfcTask"))]
-        if any((_completion(time) or 0.0) > 1.0 for time in times):
-            found.whole = 100.0
-            notes.add("Parts that are done are counted in percent, as one of them is more than 1: 1 is 1 %")
     return found
 
 
@@ -236,48 +207,9 @@ def _scheduled(
     return [entity for entity in entities if entity.id() in wanted]
 
 
-def _calendar(entity: ifcopenshell.entity_instance, assigned: _Assigned) -> str:
-    """Return the name of the calendar of a task, of what it nests in, or of its schedule; empty: it has none."""
-    above = [*_above(entity, assigned)]
-    schedule = assigned.schedules.get(above[-1].id())
-    holders = [*above, *([] if schedule is None else [schedule])]
-    return next((assigned.calendars[each.id()] for each in holders if each.id() in assigned.calendars), "")
-
-
 def _schedule_kind(schedule: ifcopenshell.entity_instance | None) -> str:
     # the second is IFC2x3's
     return getattr(schedule, "PredefinedType", None) or getattr(schedule, "WorkControlType", None) or ""
-
-
-def _recorded(
-    every: list[ifcopenshell.entity_instance],
-    kept: list[ifcopenshell.entity_instance],
-    assigned: _Assigned,
-    groups: Groups,
-) -> set[str]:
-    """Return the elements that are made by completed tasks of a schedule of the kind ``ACTUAL`` that is left out."""
-    kept_ids = {entity.id() for entity in kept}
-    found: set[str] = set()
-    for entity in (each for each in every if each.id() not in kept_ids):
-        above = [*_above(entity, assigned)]
-        if _schedule_kind(assigned.schedules.get(above[-1].id())) != "ACTUAL":
-            continue
-        if any(_says_completed(each, assigned) for each in above):
-            found |= {groups.named(each) for each in assigned.products[entity.id()]} - {""}
-    return found
-
-
-def _as_recorded(task: Task, recorded: set[str], note: _Note) -> Task:
-    """Return a task, completed where a record of what was done says so of everything that it makes."""
-    made = recorded.intersection(task.products)
-    if task.kind != "makes" or task.completed or not made:
-        return task
-    if made == set(task.products):
-        note("Tasks that a schedule of the kind ACTUAL says are completed: not done again, what they made stands")
-        return replace(task, completed=True)
-    part = "TASKS OF WHICH A SCHEDULE OF THE KIND ACTUAL SAYS THAT A PART IS DONE"
-    note(f"{part}, taken as still to be done; skip what stands already")
-    return task
 
 
 def _task(
@@ -325,7 +257,7 @@ def _kind(entity: ifcopenshell.entity_instance, assigned: _Assigned, by_recipe: 
     """
     said = next(filter(None, map(_said_kind, _above(entity, assigned))), "")
     shown = said if said and said == _said_kind(entity) else f"{said} (said of what they nest in)"
-    if said in _TAKES_DOWN or any(word in said.casefold() for word in _TAKES_DOWN_WORDS):
+    if said in _TAKES_DOWN:
         note(f"Tasks of the kind {shown}: the arm takes nothing down, a person says when it is gone")
         return "takes_down"
     if by_recipe:
@@ -340,14 +272,10 @@ def _kind(entity: ifcopenshell.entity_instance, assigned: _Assigned, by_recipe: 
 
 
 def _said_kind(entity: ifcopenshell.entity_instance) -> str:
-    """Return the kind that a task or its type says, the schema's or the author's own that is understood; empty: it says none."""
+    """Return the kind that a task or its type says, by the schema or in a word of it; empty: it says none."""
     given = _given_kind(entity)
-    if given not in _OPEN:
-        return str(given)
-    own = _own_word(entity)
-    if own.upper() in (*_MAKES, *_TAKES_DOWN, *_OTHER_KINDS):
-        return own.upper()
-    return own if any(word in own.casefold() for word in _TAKES_DOWN_WORDS) else ""
+    own = _own_word(entity).upper()
+    return str(given) if given not in _OPEN else own if own in (*_MAKES, *_TAKES_DOWN, *_OTHER_KINDS) else ""
 
 
 def _given_kind(entity: ifcopenshell.entity_instance) -> str | None:
@@ -389,11 +317,9 @@ def _time_of(entity: ifcopenshell.entity_instance, assigned: _Assigned) -> ifcop
 def _says_completed(entity: ifcopenshell.entity_instance, assigned: _Assigned) -> bool:
     """Return whether a task says of itself that it is done: by its status, or by its times."""
     time = _time_of(entity, assigned)
-    return (
-        _status_word(entity) in _DONE_WORDS
-        or (_completion(time) or 0.0) >= assigned.whole
-        or getattr(time, "ActualFinish", None) is not None
-    )
+    # above 1 it is no part, whatever its author counts in
+    whole = math.isclose(_completion(time) or 0.0, 1.0, abs_tol=1e-6)
+    return _status_word(entity) in _DONE_WORDS or whole or getattr(time, "ActualFinish", None) is not None
 
 
 def _completed(entity: ifcopenshell.entity_instance, assigned: _Assigned, note: _Note) -> bool:
@@ -401,8 +327,6 @@ def _completed(entity: ifcopenshell.entity_instance, assigned: _Assigned, note: 
     time, status = _time_of(entity, assigned), _status_word(entity)
     if _says_completed(entity, assigned):
         note("Tasks that the file says are completed: not done again, what they made stands")
-        if status and status not in _DONE_WORDS:
-            note(f"Tasks with the status {entity.Status!r} whose times say that they are completed")
         return True
     begun = getattr(time, "ActualStart", None) is not None or (_completion(time) or 0.0) > 0.0
     said = f"status {entity.Status!r}" if status else "a start or a part that is done"
@@ -548,9 +472,6 @@ def _lag(lag: ifcopenshell.entity_instance | float | None, before: Task, time_un
         elif before.duration is None:
             note("A lag that is a part of a duration that is not known is left out")
             return 0.0
-        elif value.wrappedValue > _MOST_RATIO:
-            note("A lag that is more than ten times the duration of the task before is taken as percent of it")
-            seconds = value.wrappedValue * before.duration / 100.0
         else:
             note("A lag that is a part of the duration of the task before")
             seconds = value.wrappedValue * before.duration
