@@ -116,7 +116,7 @@ page_inputs() {
   (
     cd "$root/web"
     cat package.json package-lock.json ./*.js
-    find src locale ../docs ../scripts/schemas.py ../src/construction_twin/{core,link,views,physics,mqtt} -type f -not -path '*/images/*' -not -name schemas.js -not -name '*.pyc' -print0 | sort -z | xargs -0 sha256sum
+    find src locale ../docs ../scripts/schemas.py ../src/construction_twin/{core,link,views,review,mqtt,extensions} -type f -not -path '*/images/*' -not -name schemas.js -not -name '*.pyc' -print0 | sort -z | xargs -0 sha256sum
     declare -f build_page
   ) | sha256sum
 }

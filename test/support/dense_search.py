@@ -13,7 +13,6 @@ from ik_figures import Problem
 
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.closed_form import ClosedFormInverse
-from construction_twin.kinematics.opw import NotOpw
 from construction_twin.kinematics.rail import find_rail
 from construction_twin.kinematics.solution import IkSettings, residual
 
@@ -39,8 +38,8 @@ def dense_search(chain: Chain) -> Callable[[Problem], float]:
         ValueError: If the chain is no such arm.
     """
     found = find_rail(chain)
-    if isinstance(found, NotOpw):
-        raise ValueError(f"the arm is not one of the OPW kind on a linear axis: {found.reason}")
+    if isinstance(found, str):
+        raise ValueError(f"the arm is not one of the OPW kind on a linear axis: {found}")
     carriage, model = found
     arm = ClosedFormInverse(carriage.arm, model, IkSettings())
     lower, upper = np.array(chain.robot.lower), np.array(chain.robot.upper)

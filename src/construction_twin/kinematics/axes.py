@@ -5,7 +5,6 @@ Lengths [m], directions are unit vectors, all in the chain's base.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,26 +45,6 @@ def joint_axes(chain: Chain) -> list[Axis]:
             axes.append(Axis(np.array(list(point)), np.array(list(direction))))
         base_T_parent = base_T_parent * segment.pose(0.0)
     return axes
-
-
-@dataclass(frozen=True)
-class Alignment:
-    """How the cosine between two axes depends on the joint q between them: ``constant + cosine cos(q) + sine sin(q)``."""
-
-    constant: float
-    cosine: float
-    sine: float
-
-    @property
-    def size(self) -> float:
-        """By how much the cosine changes with the joint, to either side of `constant`."""
-        return math.hypot(self.cosine, self.sine)
-
-
-def alignment(first: np.ndarray, turning: np.ndarray, last: np.ndarray) -> Alignment:
-    """Return how the angle between two axes depends on the joint between them; all are directions, shape (3,), at zero."""
-    constant = float(first @ turning) * float(turning @ last)
-    return Alignment(constant, float(first @ last) - constant, float(first @ np.cross(turning, last)))
 
 
 def intersection(first: Axis, second: Axis) -> np.ndarray | None:

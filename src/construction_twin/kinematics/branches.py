@@ -95,18 +95,3 @@ class BranchInverse(InverseKinematics, abc.ABC):
             if solution is not None:
                 return solution
             del left[number], kinds[number]
-
-    def turned(
-        self,
-        branch: np.ndarray,
-        pose: Pose,
-        seed: JointValues,
-        configuration: Configuration | None,
-        kept: Sequence[int] = (),
-    ) -> list[IkSolution]:
-        """Return a branch with every choice of whole turns but of the joints `kept`, where forward kinematics confirms it."""
-        if not np.isfinite(branch).all():
-            return []
-        every = self.ranges.turned(branch.tolist(), self.settings.tolerance_rad, kept)
-        found = (self.confirmed(q, pose, seed, configuration) for q in every)
-        return [solution for solution in found if solution is not None]

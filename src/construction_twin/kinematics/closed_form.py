@@ -33,67 +33,6 @@ from construction_twin.robot.description import JointValues
 _EDGE_ROUNDING = 1e-7
 
 
-class SingularWrist:
-    """Chooses joints 4 and 6 where axes 4 and 6 are in line."""
-
-    def __init__(self, chain: Chain, model: OpwModel):
-        self._chain = chain
-        self._model = model
-        self._lower, self._upper = np.array(chain.robot.lower)[[3, 5]], np.array(chain.robot.upper)[[3, 5]]
-        self._tip_R_flange = model.flange_T_tip[:3, :3].T
-
-    def families(self, branch: np.ndarray, pose: Pose, seed: JointValues) -> list[np.ndarray]:
-        """Return solutions with axes 4 and 6 in line, one for each choice of whole turns, the nearest to the seed first.
-
-        Args:
-            branch: Shape (6,). [rad]. Used are joints 1 to 3, and whether joint 5 is closer to parallel or to opposed axes 4 and 6.
-            pose: Target ``base_T_tip``.
-            seed: Length 6. [rad]
-
-        Returns:
-            Each of shape (6,). With joints 4 and 6 within their ranges except for rounding, whole turns included; joints 1 to 3
-            unchanged.
-        """
-        signs, offsets = self._model.signs, self._model.offsets
-        theta = np.asarray(signs) * branch - offsets
-        opposed = math.cos(theta[4]) < 0.0
-        q = branch.copy()
-        q[4] = signs[4] * ((math.copysign(math.pi, theta[4]) if opposed else 0.0) + offsets[4])
-        # the sense in which joints 4 and 6 contribute to the missing angle
-        fraction = np.array([signs[3], -signs[5] if opposed else signs[5]], dtype=float)
-        missing = self._missing_turn(q, pose, seed, opposed)
-        start = np.array([seed[3], seed[5]])
-        lower, upper = self._lower - start, self._upper - start
-        turns = math.ceil(float((upper - lower).sum()) / TURN) + 1
-        found = []
-        for total in (missing + TURN * turn for turn in range(-turns, turns + 1)):
-            # joint 4 takes t and joint 6 takes total - t; both must stay in range
-            ends = np.sort(
-                [
-                    [lower[0] * fraction[0], upper[0] * fraction[0]],
-                    [total - lower[1] * fraction[1], total - upper[1] * fraction[1]],
-                ]
-            )
-            low, high = float(ends[:, 0].max()), float(ends[:, 1].min())
-            if low <= high + _EDGE_ROUNDING:
-                t = min(max(0.5 * total, low), high)
-                solution = q.copy()
-                solution[[3, 5]] = start + fraction * (t, total - t)
-                found.append(solution)
-        return sorted(found, key=lambda solution: math.dist(solution, seed))
-
-    def _missing_turn(self, q: np.ndarray, pose: Pose, seed: JointValues, opposed: bool) -> float:
-        """Return the angle about axis 6 from the tip to the target, with joints 4 and 6 at the seed [rad]."""
-        held = q.copy()
-        held[[3, 5]] = seed[3], seed[5]
-        reached = self._chain.forward(held).rotation @ self._tip_R_flange
-        target = pose.rotation @ self._tip_R_flange
-        turned = reached.T @ target
-        angle = math.atan2(turned[1, 0], turned[0, 0])
-        # the angle counts about axis 4, and opposed axes have the opposite sense
-        return -angle if opposed else angle
-
-
 #: The package's branch slots: 4 * (wrist turned over) + 2 * (shoulder back) + (elbow angle negative). Facing back, a
 #: negative elbow angle is the upper elbow.
 SLOTS = tuple(
@@ -155,7 +94,6 @@ class ClosedFormInverse(BranchInverse):
         self._tip_T_flange = np.linalg.inv(model.flange_T_tip)
         self._target = np.eye(4)
         self._elements, self._ones = self._target.reshape(16), np.ones(16)
-        self._singular_wrist = SingularWrist(chain, model)
 
     @property
     def kind(self) -> ArmKind:
@@ -193,11 +131,9 @@ class ClosedFormInverse(BranchInverse):
             for slot, have in enumerate(SLOTS):
                 if configuration is None or have.matches(configuration):
                     singular = wrist[slot] < _WRIST_SINGULAR
-                    members = (
-                        self._singular_wrist.families(branches[slot], pose, start) if singular else [branches[slot]]
-                    )
+                    members = self._families(branches[slot], pose, start) if singular else [branches[slot]]
                     for member in members:
-                        # `SingularWrist` has chosen the turns of joints 4 and 6 already
+                        # `_families` has chosen the turns of joints 4 and 6 already
                         found += self.turned(member, pose, start, have, (3, 5) if singular else ())
         if not found:
             self._explain(pose, start, configuration)
@@ -314,11 +250,63 @@ class ClosedFormInverse(BranchInverse):
         rows = branches.tolist()
         for slot, angle in enumerate(wrist):
             if angle < _WRIST_SINGULAR:
-                rows[slot] = next(iter(self._singular_wrist.families(branches[slot], pose, seed)), rows[slot])
+                rows[slot] = next(iter(self._families(branches[slot], pose, seed)), rows[slot])
         if configuration is None:
             return self.nearest_confirmed(rows, pose, seed, SLOTS)
         wanted = [slot for slot, have in enumerate(SLOTS) if have.matches(configuration)]
         return self.nearest_confirmed([rows[slot] for slot in wanted], pose, seed, [SLOTS[slot] for slot in wanted])
+
+    def _families(self, branch: np.ndarray, pose: Pose, seed: JointValues) -> list[np.ndarray]:
+        """Return solutions with axes 4 and 6 in line, one for each choice of whole turns, the nearest to the seed first.
+
+        Args:
+            branch: Shape (6,). [rad]. Used are joints 1 to 3, and whether joint 5 is closer to parallel or to opposed axes 4 and 6.
+            pose: Target ``base_T_tip``.
+            seed: Length 6. [rad]
+
+        Returns:
+            Each of shape (6,). With joints 4 and 6 within their ranges except for rounding, whole turns included; joints 1 to 3
+            unchanged.
+        """
+        signs, offsets = self.model.signs, self.model.offsets
+        theta = np.asarray(signs) * branch - offsets
+        opposed = math.cos(theta[4]) < 0.0
+        q = branch.copy()
+        q[4] = signs[4] * ((math.copysign(math.pi, theta[4]) if opposed else 0.0) + offsets[4])
+        # the sense in which joints 4 and 6 contribute to the missing angle
+        fraction = np.array([signs[3], -signs[5] if opposed else signs[5]], dtype=float)
+        missing = self._missing_turn(q, pose, seed, opposed)
+        start = np.array([seed[3], seed[5]])
+        lower, upper = self.ranges.lower[[3, 5]] - start, self.ranges.upper[[3, 5]] - start
+        turns = math.ceil(float((upper - lower).sum()) / TURN) + 1
+        found = []
+        for total in (missing + TURN * turn for turn in range(-turns, turns + 1)):
+            # joint 4 takes t and joint 6 takes total - t; both must stay in range
+            ends = np.sort(
+                [
+                    [lower[0] * fraction[0], upper[0] * fraction[0]],
+                    [total - lower[1] * fraction[1], total - upper[1] * fraction[1]],
+                ]
+            )
+            low, high = float(ends[:, 0].max()), float(ends[:, 1].min())
+            if low <= high + _EDGE_ROUNDING:
+                t = min(max(0.5 * total, low), high)
+                solution = q.copy()
+                solution[[3, 5]] = start + fraction * (t, total - t)
+                found.append(solution)
+        return sorted(found, key=lambda solution: math.dist(solution, seed))
+
+    def _missing_turn(self, q: np.ndarray, pose: Pose, seed: JointValues, opposed: bool) -> float:
+        """Return the angle about axis 6 from the tip to the target, with joints 4 and 6 at the seed [rad]."""
+        tip_R_flange = self._tip_T_flange[:3, :3]
+        held = q.copy()
+        held[[3, 5]] = seed[3], seed[5]
+        reached = self.chain.forward(held).rotation @ tip_R_flange
+        target = pose.rotation @ tip_R_flange
+        turned = reached.T @ target
+        angle = math.atan2(turned[1, 0], turned[0, 0])
+        # the angle counts about axis 4, and opposed axes have the opposite sense
+        return -angle if opposed else angle
 
     def _explain(self, pose: Pose, seed: JointValues, configuration: Configuration | None) -> NoReturn:
         """Raise the error that says why there is no solution."""

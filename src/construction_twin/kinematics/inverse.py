@@ -8,15 +8,13 @@ from __future__ import annotations
 import numpy as np
 
 from construction_twin.core.clock import MONOTONIC, Clock
-from construction_twin.kinematics.axes import joint_axes
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.closed_form import ClosedFormInverse
-from construction_twin.kinematics.decomposition import ClosedForm, find_closed_form
 from construction_twin.kinematics.numeric import NumericInverse
-from construction_twin.kinematics.opw import NotOpw, OpwModel, find_opw
+from construction_twin.kinematics.opw import OpwModel, find_opw
 from construction_twin.kinematics.rail import RailInverse, find_rail
 from construction_twin.kinematics.solution import Configuration, IkSettings, IkSolution, InverseKinematics
-from construction_twin.kinematics.subproblems import SubproblemInverse
+from construction_twin.kinematics.subproblems import ClosedForm, SubproblemInverse, find_closed_form
 
 __all__ = ["Configuration", "IkSettings", "IkSolution", "InverseKinematics", "inverse_kinematics"]
 
@@ -29,7 +27,7 @@ def inverse_kinematics(
 ) -> InverseKinematics:
     """Return the inverse kinematics that fits an arm; not for use from several threads at once.
 
-    The first that fits: of the OPW kind (`opw`), another closed form (`decomposition`), an arm of the OPW kind on a linear axis
+    The first that fits: of the OPW kind (`opw`), another closed form (`subproblems`), an arm of the OPW kind on a linear axis
     (`rail`), the search (`numeric`). Its `kind` says why. A search starts from random points of `rng`, by default of a fixed seed,
     and keeps its budget by the clock [s].
     """
@@ -39,11 +37,11 @@ def inverse_kinematics(
     if isinstance(model, OpwModel):
         return ClosedFormInverse(chain, model, settings)
     if chain.robot.linear == (False,) * 6:
-        form = find_closed_form(chain, joint_axes(chain))
+        form = find_closed_form(chain)
         if isinstance(form, ClosedForm):
             return SubproblemInverse(chain, form, NumericInverse(chain, settings, rng, clock))
-        return NumericInverse(chain, settings, rng, clock, form.reason)
+        return NumericInverse(chain, settings, rng, clock, form)
     rail = find_rail(chain)
-    if not isinstance(rail, NotOpw):
+    if not isinstance(rail, str):
         return RailInverse(chain, *rail, NumericInverse(chain, settings, rng, clock))
-    return NumericInverse(chain, settings, rng, clock, rail.reason)
+    return NumericInverse(chain, settings, rng, clock, rail)

@@ -185,7 +185,6 @@ class _Search:
         self._target = to_frame(pose)
         self._seed = np.array(seed, dtype=float)
         self._outside: list[np.ndarray] = []
-        self._isolated: list[np.ndarray] = []
         self._unmoved: list[np.ndarray] = []
         self._residual = (math.inf, math.inf)
         self._tried = 0
@@ -219,7 +218,7 @@ class _Search:
                 break
         if not found:
             self._explain()
-        turned = [other for solution in found for other in self._turned(solution)]
+        turned = [other for one in found for other in self._inverse.turned(one.q, self._pose, self._seed)]
         turned += self._spaced(found)
         return sorted(turned, key=lambda solution: solution.distance)
 
@@ -259,7 +258,7 @@ class _Search:
             # on an arm of metres a radian is about a metre
             self._residual = min(self._residual, error, key=lambda error: math.hypot(*error))
             return None
-        if inverse._redundant or self._is_free(q):
+        if inverse._redundant or inverse.is_singular(q):
             if inverse.ranges.excesses(q).max() <= 0.0:
                 self._unmoved.append(q)
             moved = inverse.towards(q, self._seed, self._pose)
@@ -270,23 +269,6 @@ class _Search:
             self._outside.append(q)
             return None
         return IkSolution(q, *error, math.dist(q, self._seed), None)
-
-    def _is_free(self, q: np.ndarray) -> bool:
-        """Return whether a singular solution leaves the arm free to move; solutions known not to are not examined again."""
-        if any(math.dist(q, other) < _SAME for other in self._isolated):
-            return False
-        if self._inverse.is_singular(q):
-            return True
-        self._isolated.append(q)
-        return False
-
-    def _turned(self, solution: IkSolution) -> Iterator[IkSolution]:
-        """Yield a solution with every choice of whole turns within the ranges."""
-        inverse = self._inverse
-        for q in inverse.ranges.turned(solution.q.tolist(), self._settings.tolerance_rad):
-            other = inverse.confirmed(q, self._pose, self._seed)
-            if other is not None:
-                yield other
 
     def _check_reach(self) -> None:
         chain = self._inverse.chain

@@ -24,13 +24,6 @@ _CHECKS = 50
 _CHECK_SEED = 2014
 
 
-@dataclass(frozen=True)
-class NotOpw:
-    """Why a chain is not of the OPW kind: part of a sentence that states what was found."""
-
-    reason: str
-
-
 class Margins(NamedTuple):
     """How far a wrist centre is inside a shoulder's reach [m]; negative: outside. Unpacked for every target.
 
@@ -103,29 +96,28 @@ class OpwModel:
         return [direction / np.linalg.norm(direction) for direction in directions]
 
 
-def find_opw(chain: Chain) -> OpwModel | NotOpw:
+def find_opw(chain: Chain) -> OpwModel | str:
     """Decide whether a chain is of the OPW kind.
 
     It is one if it has six revolute joints, axes 2 and 3 are parallel and perpendicular to axes 1 and 4, axes 4, 5 and 6 meet
     in one point, and each of them is perpendicular to the next. The base and the tip may have any offset.
 
     Returns:
-        A model's forward kinematics agrees with KDL's on seeded random poses.
+        A model, whose forward kinematics agrees with KDL's on seeded random poses; or why it is not of that kind: part of a
+        sentence.
     """
     if any(chain.robot.linear) or len(chain.robot.linear) != 6:
         revolute = chain.robot.linear.count(False)
-        return NotOpw(
-            f"it has {revolute} revolute and {len(chain.robot.linear) - revolute} prismatic joints, not six revolute ones"
-        )
+        return f"it has {revolute} revolute and {len(chain.robot.linear) - revolute} prismatic joints, not six revolute ones"
     axes = joint_axes(chain)
     wrist = intersection(axes[3], axes[4])
     reason = _difference(axes, wrist)
     if reason or wrist is None:
-        return NotOpw(reason)
+        return reason
     model = _measure(axes, wrist, chain)
     gap = _largest_gap(model, chain)
     if gap > TOLERANCE:
-        return NotOpw(f"its forward kinematics differs from the OPW model's by {gap:.3g}")
+        return f"its forward kinematics differs from the OPW model's by {gap:.3g}"
     return model
 
 

@@ -19,7 +19,7 @@ from construction_twin.core.motion_errors import KinematicsError, UnreachableErr
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
 from construction_twin.kinematics.numeric import NumericInverse
-from construction_twin.kinematics.opw import NotOpw, OpwModel, find_opw
+from construction_twin.kinematics.opw import OpwModel, find_opw
 from construction_twin.kinematics.solution import (
     TURN,
     ArmKind,
@@ -88,13 +88,13 @@ class Carriage:
         return Pose(self.rotation.T @ (pose.position - origin), self.rotation.T @ pose.rotation)
 
 
-def find_rail(chain: Chain) -> tuple[Carriage, OpwModel] | NotOpw:
+def find_rail(chain: Chain) -> tuple[Carriage, OpwModel] | str:
     """Return the carriage of an arm on a linear axis, with the arm's model, or why the chain is not one."""
     if chain.robot.linear != (True,) + (False,) * 6:
-        return NotOpw("its joints are neither six revolute ones nor a prismatic one followed by six revolute ones")
+        return "its joints are neither six revolute ones nor a prismatic one followed by six revolute ones"
     carriage = Carriage(chain)
     model = find_opw(carriage.arm)
-    return model if isinstance(model, NotOpw) else (carriage, model)
+    return model if isinstance(model, str) else (carriage, model)
 
 
 class _Rows(NamedTuple):
@@ -163,9 +163,7 @@ class RailInverse(InverseKinematics):
         found = []
         for slot in rows.slots.tolist():
             for one in self._first_confirmed((each for each in best if each.slot == slot), pose, start):
-                turned = self.ranges.turned(one.q.tolist(), self.settings.tolerance_rad)
-                solutions = (self.confirmed(q, pose, start, one.configuration) for q in turned)
-                found += [solution for solution in solutions if solution is not None]
+                found += self.turned(one.q, pose, start, one.configuration)
         for position in (start[0], *singular):
             try:
                 of_arm = self._arm.all(self._carriage.seen_from(pose, position), start[1:], configuration)

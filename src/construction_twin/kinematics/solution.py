@@ -254,6 +254,21 @@ class InverseKinematics(abc.ABC):
                 return None
         return IkSolution(np.array(q), *error, math.dist(q, seed), configuration)
 
+    def turned(
+        self,
+        q: np.ndarray,
+        pose: Pose,
+        seed: JointValues,
+        configuration: Configuration | None = None,
+        kept: Sequence[int] = (),
+    ) -> list[IkSolution]:
+        """Return joint values with every choice of whole turns but of the joints `kept`, where forward kinematics confirms it."""
+        if not np.isfinite(q).all():
+            return []
+        every = self.ranges.turned(q.tolist(), self.settings.tolerance_rad, kept)
+        found = (self.confirmed(each, pose, seed, configuration) for each in every)
+        return [solution for solution in found if solution is not None]
+
 
 def check_pose(pose: Pose) -> None:
     """Check that a target is a position and a rotation."""

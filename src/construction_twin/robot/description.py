@@ -144,16 +144,6 @@ class RobotModel:
                 raise JointRangeError(joint, float(value), lower, upper, linear)
 
 
-@dataclass(frozen=True)
-class _JointSettings:
-    """What the YAML says of one joint, in SI."""
-
-    home: float
-    acceleration: float
-    jerk: float
-    offset: float
-
-
 class _JointDescription(pydantic.BaseModel):
     """The keys that revolute and prismatic joints have in common; see the comments in config/kr120.yaml for every key's meaning."""
 
@@ -161,10 +151,6 @@ class _JointDescription(pydantic.BaseModel):
 
     rsi: Annotated[str, pydantic.Field(pattern=r"^[AE][1-6]$")]
     sign: Literal[1, -1]
-
-    def si(self) -> _JointSettings:
-        """Return the values in SI."""
-        raise NotImplementedError
 
 
 class _RevoluteJoint(_JointDescription):
@@ -174,9 +160,10 @@ class _RevoluteJoint(_JointDescription):
     jerk_deg_s3: _Positive
     offset_deg: _Finite
 
-    def si(self) -> _JointSettings:
-        """Return the values in rad."""
-        return _JointSettings(*radians((self.home_deg, self.acceleration_deg_s2, self.jerk_deg_s3, self.offset_deg)))
+    @property
+    def si(self) -> tuple[float, ...]:
+        """Home, acceleration, jerk and offset in rad."""
+        return radians((self.home_deg, self.acceleration_deg_s2, self.jerk_deg_s3, self.offset_deg))
 
 
 class _PrismaticJoint(_JointDescription):
@@ -185,10 +172,10 @@ class _PrismaticJoint(_JointDescription):
     jerk_mm_s3: _Positive
     offset_mm: _Finite
 
-    def si(self) -> _JointSettings:
-        """Return the values in m."""
-        values = (self.home_mm, self.acceleration_mm_s2, self.jerk_mm_s3, self.offset_mm)
-        return _JointSettings(*(value / 1e3 for value in values))
+    @property
+    def si(self) -> tuple[float, ...]:
+        """Home, acceleration, jerk and offset in m."""
+        return tuple(mm / 1e3 for mm in (self.home_mm, self.acceleration_mm_s2, self.jerk_mm_s3, self.offset_mm))
 
 
 class _RobotDescription(pydantic.BaseModel):
@@ -215,21 +202,21 @@ def load_robot(urdf: str, description: Mapping) -> RobotModel:
     for joint in joints:
         check_joint(joint)
     described = _describe_joints(parsed, joints)
-    settings = [joint.si() for joint in described]
-    ranges = [_range(joint, said) for joint, said in zip(joints, described)]
+    home, acceleration, jerk, offsets = zip(*(joint.si for joint in described))
+    lower, upper = zip(*(_range(joint, said) for joint, said in zip(joints, described)))
     robot = RobotModel(
         name=parsed.name,
         urdf=urdf,
         base_link=parsed.base_link,
         tip_link=parsed.tip_link,
         joint_names=tuple(joint.name for joint in joints),
-        lower=tuple(lower for lower, _ in ranges),
-        upper=tuple(upper for _, upper in ranges),
+        lower=lower,
+        upper=upper,
         velocity=tuple(float(joint.limit.velocity) for joint in joints),
-        acceleration=tuple(si.acceleration for si in settings),
-        jerk=tuple(si.jerk for si in settings),
-        home=tuple(si.home for si in settings),
-        axes=tuple(AxisMapping(joint.rsi, joint.sign, si.offset) for joint, si in zip(described, settings)),
+        acceleration=acceleration,
+        jerk=jerk,
+        home=home,
+        axes=tuple(AxisMapping(joint.rsi, joint.sign, offset) for joint, offset in zip(described, offsets)),
         linear=tuple(joint.joint_type == "prismatic" for joint in joints),
         other_joints=find_other_joints(model, [joint.name for joint in joints], parsed.other_joints),
         estimates=parsed.estimates,
@@ -240,14 +227,10 @@ def load_robot(urdf: str, description: Mapping) -> RobotModel:
 
 def read_robot_files(urdf_path: str | Path, yaml_path: str | Path, xacro_args: str = "") -> RobotModel:
     """Build a robot from files, without ROS."""
-    return load_robot(expand_xacro(urdf_path, xacro_arguments(xacro_args)), _read_description(yaml_path))
-
-
-def _read_description(yaml_path: str | Path) -> dict:
     description = read_yaml(yaml_path)
     if not isinstance(description, dict):
         raise ConfigurationError(str(yaml_path), description, "a mapping of the robot's keys")
-    return description
+    return load_robot(expand_xacro(urdf_path, xacro_arguments(xacro_args)), description)
 
 
 _Model = TypeVar("_Model", bound=pydantic.BaseModel)
@@ -274,10 +257,14 @@ def check_joint(joint: Joint) -> None:
             found = None if limit is None else limit.velocity
             raise ConfigurationError(f"{where} limit velocity", found, positive)
         return
-    if limit is None or limit.lower is None or limit.upper is None or not limit.lower < limit.upper:
-        raise ConfigurationError(f"{where} limit", _limit_text(limit), f"lower < upper [{unit}]")
-    if not (math.isfinite(limit.lower) and math.isfinite(limit.upper)):
-        raise ConfigurationError(f"{where} limit", _limit_text(limit), f"finite lower and upper [{unit}]")
+    if (
+        limit is None
+        or limit.lower is None
+        or limit.upper is None
+        or not -math.inf < limit.lower < limit.upper < math.inf
+    ):
+        found = None if limit is None else f"lower {limit.lower}, upper {limit.upper}"
+        raise ConfigurationError(f"{where} limit", found, f"finite ones, lower < upper [{unit}]")
     if not 0 < limit.velocity < math.inf:
         raise ConfigurationError(f"{where} limit velocity", limit.velocity, positive)
 
@@ -296,10 +283,6 @@ def _range(joint: Joint, described: _RevoluteJoint | _PrismaticJoint) -> tuple[f
         )
     lower, upper = radians(given)
     return lower, upper
-
-
-def _limit_text(limit) -> str | None:
-    return None if limit is None else f"lower {limit.lower}, upper {limit.upper}"
 
 
 def _describe_joints(parsed: _RobotDescription, joints: Sequence[Joint]) -> list[_RevoluteJoint | _PrismaticJoint]:

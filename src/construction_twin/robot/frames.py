@@ -65,14 +65,7 @@ def rpy_to_rotation(rpy_deg: Sequence[float]) -> np.ndarray:
 
 def rpy_to_quaternion(rpy_deg: Sequence[float]) -> np.ndarray:
     """Return the unit quaternion x, y, z, w with w >= 0 of roll, pitch and yaw about fixed axes [deg]."""
-    halves = [math.radians(angle) / 2.0 for angle in rpy_deg]
-    (sin_r, sin_p, sin_y), (cos_r, cos_p, cos_y) = map(math.sin, halves), map(math.cos, halves)
-    return _canonical(
-        sin_r * cos_p * cos_y - cos_r * sin_p * sin_y,
-        cos_r * sin_p * cos_y + sin_r * cos_p * sin_y,
-        cos_r * cos_p * sin_y - sin_r * sin_p * cos_y,
-        cos_r * cos_p * cos_y + sin_r * sin_p * sin_y,
-    )
+    return rotation_to_quaternion(rpy_to_rotation(rpy_deg))
 
 
 def rotation_to_quaternion(rotation: np.ndarray) -> np.ndarray:

@@ -10,6 +10,8 @@ import pytest
 from fuzz_gateway import Arm, Cycling, GatewayProcess, Mqtt, flood_mqtt, flood_rsi
 from processes import wait_until
 
+pytestmark = pytest.mark.realtime
+
 COUNT, SEED = int(os.environ.get("FUZZ_COUNT", "2000")), int(os.environ.get("FUZZ_SEED", "3"))
 #: The process may have grown by this much after the first tenth: allocator noise. And the status stays this small [bytes].
 GROWTH, STATUS = 8 << 20, 8192

@@ -29,6 +29,8 @@ from construction_twin.core.udp import bind
 from construction_twin.core.units import CYCLE, format_allowance
 from construction_twin.rsi.ethernet_xml import load_ethernet_xml
 
+pytestmark = pytest.mark.realtime
+
 
 @pytest.fixture
 def config_file(tmp_path):

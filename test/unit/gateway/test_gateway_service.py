@@ -29,6 +29,8 @@ from service_cell import (
 from construction_twin.mqtt.messages import Control, arm_value, read_state_properties
 from construction_twin.mqtt.plain_client import received_pairs
 
+pytestmark = pytest.mark.realtime
+
 
 def test_an_armed_gateway_carries_out_the_stream_and_reports_states(broker, topics):
     with cell(broker, topics, config=PATIENT) as (service, controller, client):

@@ -20,6 +20,8 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.udp import MAX_TELEGRAM, address_of, bind
 from construction_twin.mqtt.fast_client import FastClient
 
+pytestmark = pytest.mark.realtime
+
 
 def test_every_telegram_is_answered_without_any_broker(topics):
     with serving(free_port(), topics) as (service, address), controller_of(address) as controller:

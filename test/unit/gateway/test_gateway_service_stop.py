@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 
+import pytest
 from processes import wait_until
 from service_cell import PATIENT, START, assert_still, cell, motion, stream
+
+pytestmark = pytest.mark.realtime
 
 
 def answers(client, topics) -> list[dict]:

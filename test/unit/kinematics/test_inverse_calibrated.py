@@ -53,7 +53,7 @@ def test_all_solutions_are_given_where_no_branch_of_the_nominal_model_leads_to_o
     for number in WITHOUT_BRANCH:
         q, seed = DRAWS[number]
         pose = inverse.chain.forward(q)
-        rows = [refine(inverse.chain, np.array(row), pose, 12, within=False) for row in inverse.branches(pose)]
+        rows = [refine(inverse.chain, np.array(row), pose, 12, within=False) for row in inverse.branches(pose)[0]]
         solved = [inverse.is_solved(*residual(inverse.chain, row, pose)) for row in rows]
         assert rows and not any(solved), "a branch leads there, so this draw shows nothing"
         found = inverse.all(pose, seed)

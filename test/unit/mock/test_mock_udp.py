@@ -15,6 +15,8 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.units import CYCLE_NS, radians
 from construction_twin.mock.faults import Fault
 
+pytestmark = pytest.mark.realtime
+
 
 def wait_for(condition, timeout=3.0):
     deadline = time.monotonic() + timeout

@@ -20,6 +20,8 @@ from construction_twin.ros.nodes import mock_rsi as module
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN
 from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
 
+pytestmark = pytest.mark.realtime
+
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 ETHERNET = (ROOT / "krl/ethernet/ctwin_ethernet.xml").read_text()
 ZERO = (0.0,) * 6

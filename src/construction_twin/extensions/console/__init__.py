@@ -1,5 +1,5 @@
-"""The console's program: static pages over HTTP, and a pipe from WebSocket to the broker's TCP port.
+"""The console: the page's server with its pipe to the broker, and the node from which the page gets what it shows.
 
-In: requests of browsers, a folder of files, the broker's address. Out: files with their hashes, MQTT bytes in both directions,
-unchanged. It has no rights of its own: who may do what is the broker's decision alone. May import ``core``.
+In: requests of browsers and by MQTT, reports of the robot on ROS. Out: files, MQTT bytes unchanged; `view`, `plan` and what else is
+retained, calls of services, answers. It has no rights of its own: the broker decides who may do what. May import the core.
 """

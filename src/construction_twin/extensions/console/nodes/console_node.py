@@ -1,7 +1,7 @@
 """console_node: what operators and programs elsewhere see of a robot by MQTT, and what they ask for there.
 
 A node of its own: reading a long motion takes longer than the bridge's 4 ms, and checking one takes seconds. What people do (stop,
-pause, verdicts, ...) has a connection and threads of its own, see `ros.console.acts`.
+pause, verdicts, ...) has a connection and threads of its own, see `acts`.
 """
 
 from __future__ import annotations
