@@ -107,25 +107,6 @@ def test_an_assembly_within_another_has_a_task_of_its_own(read):
     assert jobs(read(model)) == ["own"]
 
 
-# -- orders
-
-
-@pytest.mark.parametrize("dated", [0, 1, 2])
-def test_dates_that_are_not_used_and_an_order_that_nobody_says_are_told(read, dated):
-    model = IfcModel()
-    for k, name in enumerate(("a", "b")):
-        task = model.task(name, [model.box(name, STUD, at=(k, 0, 0))])
-        if k < dated:
-            task.TaskTime = model.make("IfcTaskTime", ScheduleStart=f"2027-01-0{2 - k}T08:00:00")
-    found = read(model)
-    notes = Schedule.of(found).notes
-    if dated == 2:
-        assert (jobs(found), notes) == (["b", "a"], ())
-    else:
-        (note,) = notes
-        assert ("The file says no order", "Dates are not used for the order")[dated] in note
-
-
 # -- what the parser and the kernel lose
 
 

@@ -27,7 +27,7 @@ from work_samples import (
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.work_errors import LedgerError
-from construction_twin.extensions.work import process
+from construction_twin.extensions.work import decisions, process
 from construction_twin.extensions.work.following import after_restart
 from construction_twin.extensions.work.heard import GripReading
 from construction_twin.extensions.work.ledger import Ledger
@@ -166,7 +166,7 @@ def test_a_stop_at_the_element_asks_whether_it_was_done(bench, answer, state):
     assert "carried out?" in bench.row.question
     assert work_bench.PLACED.name in bench.scene.names
     board = bench.board
-    board.answer(work_bench.TASK, answer, "eva", "looked")
+    decisions.answer(board, work_bench.TASK, answer, "eva", "looked")
     assert board.book.tasks[work_bench.TASK].state.value == state
 
 

@@ -200,17 +200,6 @@ def _factor(holder: ifcopenshell.entity_instance, measure: str, units: Units) ->
     return factor if factor is not None and math.isfinite(factor) and factor > 0 else None
 
 
-def read_material(product: ifcopenshell.entity_instance, at: str, notes: Notes) -> str:
-    """Return the names of the materials, those of layers and constituents from the first to the last, without repeats."""
-    try:
-        with Where("", product):
-            materials = ifcopenshell.util.element.get_materials(product)
-            return ", ".join(dict.fromkeys(material.Name for material in materials if material.Name))
-    except BuildingError:
-        notes.add("Materials that cannot be read are left out", label(product), at)
-    return ""
-
-
 def read_status(product: ifcopenshell.entity_instance, at: str, sets: Sets, notes: Notes) -> str:
     """Return ``existing``, ``demolish``, ``new`` or nothing: the property `Status` of a set ``Pset_...Common``, in any case.
 
@@ -284,7 +273,7 @@ def _density(product: ifcopenshell.entity_instance, at: str, units: Units, notes
                 # in a metric project authors write kg/m³, whatever its units of length and mass are
                 factor = 1.0 if _is_power_of_ten(units.length) and _is_power_of_ten(units.mass) else None
     except BuildingError:
-        # told when its name was read
+        notes.add("Materials that cannot be read are left out", label(product), at)
         return None
     if factor is None:
         said = f"The mass is not known: a density of {density:g} has no unit, and the project none of density"

@@ -26,7 +26,6 @@ from construction_twin.extensions.work.ifc.notes import Misread, Notes, Where, l
 from construction_twin.extensions.work.ifc.properties import (
     Units,
     read_mass,
-    read_material,
     read_properties,
     read_status,
     read_units,
@@ -183,7 +182,7 @@ def read_ifc(path: str | Path, most_bytes: int) -> BuildingModel:
         title = project.Name or getattr(project, "LongName", None) or ""
     names = {one: element.name for one, element in elements.items()} | {one: task.name for one, task in tasks.items()}
     return BuildingModel(
-        name, digest, file.schema, title, found.units.length, elements, tasks, sequences, notes.sentences(names),
+        name, digest, title, elements, tasks, sequences, notes.sentences(names),
         notes.remarks({*elements, *tasks}),
     )  # fmt: skip
 
@@ -389,7 +388,6 @@ def _element(
     wholes = (product, *found.relations.wholes(product))
     doubt = doubt or next((why for each in wholes if (why := found.doubts.related.get(each.id()))), "")
     properties = read_properties(product, element_id, found.units, found.notes)
-    material = read_material(product, element_id, found.notes)
     kind = ifcopenshell.util.element.get_type(product)
     assembly = next((ids[whole.id()] for whole in found.relations.wholes(product) if whole.id() in ids), "")
     mass = read_mass(product, element_id, properties, () if doubt else bodies, found.units, found.notes)
@@ -399,8 +397,6 @@ def _element(
         name=product.Name or "",
         type_name=(kind.Name if kind is not None else product.ObjectType) or "",
         tag=getattr(product, "Tag", None) or "",
-        storey=found.relations.storey(product),
-        material=material,
         assembly=assembly,
         model_T_element=Pose(matrix[:3, 3].copy(), matrix[:3, :3].copy()),
         bodies=bodies,

@@ -35,7 +35,7 @@ from construction_twin.core.work_errors import BuildingError
 from construction_twin.extensions.work.building import BuildingModel, Element
 
 #: Of the form of its file and of what the reader understands: another number, and what is in a cache is read anew.
-VERSION = 8
+VERSION = 9
 #: Largest file [bytes].
 MOST_BYTES = 1 << 30
 #: Longest text about what is wrong with one [characters].

@@ -82,7 +82,7 @@ class Groups:
             own = unique_id(entity, self._ids.values(), self._notes)
             self._ids[entity.id()] = own
             self.elements[own] = Element(
-                own, entity.is_a(), entity.Name or "", "", "", "", "", "", Pose(np.zeros(3), np.eye(3)), (), {}, None,
+                own, entity.is_a(), entity.Name or "", "", "", "", Pose(np.zeros(3), np.eye(3)), (), {}, None,
                 members=members,
             )  # fmt: skip
         return self._ids[entity.id()]
@@ -236,7 +236,6 @@ def _task(
     return Task(
         id=task_id,
         name=entity.Name or "",
-        description=entity.Description or "",
         parent="" if parent is None else task_ids.get(parent.id(), ""),
         products=tuple(products),
         inputs=tuple(inputs),
