@@ -77,7 +77,7 @@ def element(
     """Return a box whose frame is in the middle of its underside."""
     body = Body(_BOX * size, np.empty((0, 3), dtype=int))
     pose = Pose(np.array(position), np.eye(3))
-    return Element(name, ifc_class, name, type_name, "", "", "", "", pose, (body,), properties or {}, mass)
+    return Element(name, ifc_class, name, type_name, "", "", pose, (body,), properties or {}, mass)
 
 
 def building(*elements: Element) -> BuildingModel:
