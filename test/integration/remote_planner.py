@@ -11,8 +11,7 @@ from pathlib import Path
 
 from twin_client import wait
 
-from construction_twin.mqtt.account import load_account
-from construction_twin.mqtt.client import Broker, make_client, unique_id
+from construction_twin.mqtt.client import Broker, load_account, make_client, unique_id
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import TRAJECTORY
 

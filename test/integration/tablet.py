@@ -8,8 +8,7 @@ from pathlib import Path
 
 from twin_client import wait
 
-from construction_twin.mqtt.account import load_account
-from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
+from construction_twin.mqtt.client import Broker, load_account, make_client, subscriptions, unique_id
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import REVIEW
 from construction_twin.ros.shared.robot_clock import present

@@ -11,7 +11,7 @@ from gateway_cell import CONFIG, RUN, START
 from unplugged import ask
 
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.states import LinkState
+from construction_twin.link.observations import LinkState
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import PROTOCOL, Topics, parse_control

@@ -17,7 +17,7 @@ from construction_twin.core.travel_time import StateCheck
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.gateway_status import parse_status
-from construction_twin.link.states import LinkState
+from construction_twin.link.observations import LinkState
 from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.client import Broker, make_client, unique_id
 from construction_twin.mqtt.fast_client import UserProperties

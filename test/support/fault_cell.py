@@ -27,7 +27,7 @@ from construction_twin.core.errors import ReviewError
 from construction_twin.core.udp import bind
 from construction_twin.core.units import CYCLE, radians
 from construction_twin.gateway.trace import TraceEntry, read_trace
-from construction_twin.link.states import LinkState
+from construction_twin.link.observations import LinkState
 from construction_twin.mqtt.messages import Topics
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.description import read_robot_files

@@ -14,7 +14,7 @@ from gateway_cell import START, Cell
 from construction_twin.core.errors import ReviewError
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.gateway import Gateway, State
-from construction_twin.link.states import LinkState
+from construction_twin.link.observations import LinkState
 from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.messages import Control, Intervention
 

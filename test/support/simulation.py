@@ -27,7 +27,7 @@ from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.executor import Executor, ExecutorState
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.gateway import Gateway
-from construction_twin.link.states import LinkState
+from construction_twin.link.observations import LinkState
 from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.link.tool_link import ToolLink
 from construction_twin.mock.controller import MockController

@@ -13,8 +13,7 @@ from processes import ROOT, listens, wait_until
 
 from construction_twin.broker.access import Site
 from construction_twin.broker.make_site import SiteFolder
-from construction_twin.mqtt.account import Account, load_account
-from construction_twin.mqtt.client import Broker, make_client, unique_id
+from construction_twin.mqtt.client import Account, Broker, load_account, make_client, unique_id
 
 HOSTS = ("localhost", "127.0.0.1")
 ROBOTS = ("one", "two")

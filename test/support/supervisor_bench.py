@@ -10,7 +10,7 @@ import pytest
 
 from construction_twin.core.units import NANOSECONDS, last_digit
 from construction_twin.link.bare_supervisor import BareSupervisor
-from construction_twin.link.states import LinkState
+from construction_twin.link.observations import LinkState
 from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.messages import PROTOCOL
 

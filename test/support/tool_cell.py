@@ -10,8 +10,8 @@ from processes import ROOT
 from construction_twin.controller.tool import GatewayTool, ToolOutput
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
+from construction_twin.gateway.controller_socket import TelegramInbox
 from construction_twin.gateway.gateway import Gateway, State
-from construction_twin.gateway.inbox import TelegramInbox
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.gripper import Gripper
 from construction_twin.mock.servo import IdealServo
@@ -65,7 +65,7 @@ class ToolCell:
         """Start the gateway, anew."""
         self.gateway = Gateway(self.config, run, commissioning)
         self._waiting = []
-        self._inbox = TelegramInbox(self.gateway, self._receive, lambda: self.now)
+        self._inbox = TelegramInbox(self.gateway, self._receive)
 
     def _receive(self):
         if not self._waiting:
@@ -102,7 +102,7 @@ class ToolCell:
             if packet is None or not self.answering:
                 continue
             self._waiting.append(packet)
-            telegram = self._inbox.newest().telegram
+            telegram = self._inbox.newest(self.now).telegram
             correction = self.gateway.on_telegram(telegram, self.source, self.now)
             if correction is None:
                 continue

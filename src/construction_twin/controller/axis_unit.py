@@ -1,7 +1,4 @@
-"""The units in which an axis appears in telegrams: the only place besides a make's codec where degrees and millimetres appear.
-
-Standard library only.
-"""
+"""The units in which an axis appears in telegrams: the only place besides a make's codec where degrees and millimetres appear."""
 
 from __future__ import annotations
 

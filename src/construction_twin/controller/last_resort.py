@@ -2,7 +2,7 @@
 
 It is small and is built at the start. From the code that may have failed it uses only the text of a reply, copied beforehand. A
 make brings the functions that find a telegram's stamp and fill in such a text, and no decoder, session, playout or encoder.
-Pure. Standard library only; rad, m for linear axes.
+rad, m for linear axes.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The makes of controller by their names: the one place that names a make's folder. Standard library only."""
+"""The makes of controller by their names: the one place that names a make's folder."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 A make is one folder beside this one. It offers a `Make`; `makes` finds it by its name. Each function of a `Make` is asked at the
 start, and what it returns is bound there: nothing is looked up per telegram. Targets are absolute, or corrections to an origin that
-stays, never increments (docs/architecture.md, law 2). Standard library only; rad, m, ms.
+stays, never increments (docs/architecture.md, law 2). rad, m, ms.
 """
 
 from __future__ import annotations
@@ -182,12 +182,8 @@ class SessionRules(Protocol):
     ) -> str:
         """Return what shows that a session was ended and begun again faster than silence does; "" when nothing.
 
-        Asked where cycles are missing, which that cannot do without.
-
-        Args:
-            origin: Length n. [rad]; () while it is not known.
-            correction: Length n. What the last reply commanded, less the origin [rad]; () for nothing.
-            moving: Whether that is being changed.
+        Asked where cycles are missing, which that cannot do without. `correction` is that of the last reply, () for none;
+        `moving`: it is being changed.
         """
 
 
@@ -207,8 +203,7 @@ class MockSetup(Axes[_LayoutOut], Protocol[_LayoutOut]):
 class MockStatus:
     """What a mock controller is to say of itself, in the make's numbers, override in percent; None: what is.
 
-    Attributes:
-        slow: Whether the controller limits the tool's speed.
+    `slow`: it limits the tool's speed.
     """
 
     mode: int | None = None

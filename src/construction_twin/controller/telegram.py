@@ -1,6 +1,6 @@
 """What a telegram of any robot controller tells, and how far its clock is on from one to another.
 
-rad and m; the controller's clock in ms. Standard library only.
+rad and m; the controller's clock in ms.
 """
 
 from __future__ import annotations

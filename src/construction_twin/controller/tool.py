@@ -1,4 +1,4 @@
-"""A tool as gateway and controller know it: its outputs and inputs, and what telegrams tell of them. Standard library only."""
+"""A tool as gateway and controller know it: its outputs and inputs, and what telegrams tell of them."""
 
 from __future__ import annotations
 
@@ -36,11 +36,7 @@ class ToolOutput:
 
 @dataclass(frozen=True)
 class GatewayTool:
-    """A tool.
-
-    Attributes:
-        name: Of the tool file.
-    """
+    """A tool; its name is that of the tool file."""
 
     name: str
     outputs: tuple[ToolOutput, ...]
@@ -71,11 +67,7 @@ class GatewayTool:
 
 @dataclass(frozen=True, slots=True)
 class ToolReading:
-    """What a telegram tells of a tool.
-
-    Attributes:
-        outputs, inputs: In the order of the reader's names.
-    """
+    """What a telegram tells of a tool, in the order of the reader's names."""
 
     outputs: tuple[bool, ...]
     inputs: tuple[bool, ...]

@@ -1,4 +1,4 @@
-"""Which commands are played: those of the armed session, in order, in time, inside the limits. Standard library only; rad, ns."""
+"""Which commands are played: those of the armed session, in order, in time, inside the limits. rad, ns."""
 
 from __future__ import annotations
 
@@ -132,11 +132,7 @@ class CommandStream:
 
 
 class StreamBroken(Exception):
-    """The stream cannot go on, though nothing is wrong with the command itself.
-
-    Attributes:
-        event: ``STREAM_SILENT``, ``SPEED_IGNORED`` or ``REPLIES_LOST``: what the gateway brakes for.
-    """
+    """The stream cannot go on, though nothing is wrong with the command: ``STREAM_SILENT``, ``SPEED_IGNORED``, ``REPLIES_LOST``."""
 
     def __init__(self, event: Event, reason: Sentence):
         super().__init__(reason)
@@ -155,6 +151,7 @@ class CommandIntake:
         self._player = player
         #: Who may command, and which commands are read.
         self.stream = CommandStream(config, codec)
+        self._longest_gap = round(config.silence * NANOSECONDS)
         self._check = MotionCheck(self._limits, config.decimals)
 
     def start(self, held: tuple[float, ...], stamp: int, q: tuple[float, ...], waited: int, now: int) -> None:
@@ -177,20 +174,20 @@ class CommandIntake:
 
         Raises:
             MotionRefused: ``lead`` or a reason of `MotionCheck`.
-            StreamBroken: When too much of the stream is missing, the sender does not obey the speed limit, or replies do not
-                arrive.
+            StreamBroken: See there.
         """
-        player = self._player
+        player, playout = self._player, self._player.playout
         # the time since the last telegram is subtracted: playout time advances only with telegrams
-        lead = player.lead(stamp) - waited / NANOSECONDS
+        lead = (playout.lead(stamp) - waited) / NANOSECONDS
         if lead > self._config.max_age:
             # a clock that was set, or a sender faster than time: it would be played in slow motion, and never fall silent
             raise MotionRefused("lead", "", lead, self._config.max_age, "s")
-        hole = player.hole(stamp)
-        if hole:
-            # too long to guess what the motion was in between
-            raise StreamBroken(Event.STREAM_SILENT, Sentence("{seconds:.3f} s of the stream are missing", seconds=hole))
-        behind = player.backlog
+        gap = stamp - playout.newest
+        if gap > self._longest_gap:
+            # too long to guess what the motion was in between, whatever the delay is
+            why = Sentence("{seconds:.3f} s of the stream are missing", seconds=gap / NANOSECONDS)
+            raise StreamBroken(Event.STREAM_SILENT, why)
+        behind = playout.backlog / NANOSECONDS
         if behind > self._config.speed_limit_backlog:
             event, cause = Event.SPEED_IGNORED, Sentence("speed limit {limit:g} not obeyed", limit=player.fraction)
             if player.stood:

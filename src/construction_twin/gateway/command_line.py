@@ -24,8 +24,7 @@ from construction_twin.gateway.service import GatewayService
 from construction_twin.gateway.states import Mode
 from construction_twin.gateway.stop_file import StopFile
 from construction_twin.gateway.trace import TraceWriter, check_trace
-from construction_twin.mqtt.account import load_account
-from construction_twin.mqtt.client import Broker
+from construction_twin.mqtt.client import Broker, load_account
 from construction_twin.mqtt.messages import Topics
 
 #: Lines that may wait for a terminal or a pipe that takes none.
@@ -58,11 +57,7 @@ class BoundedQueueHandler(QueueHandler):
 
 
 def log_beside_the_loop() -> QueueListener:
-    """Write the log from a thread of its own: the loop must not wait for a terminal or a full pipe (docs/architecture.md, law 1).
-
-    Returns:
-        Started; stop it at the end.
-    """
+    """Write the log from a thread of its own: the loop waits for no terminal or full pipe (docs/architecture.md, law 1)."""
     handler = logging.StreamHandler()
     handler.setFormatter(logging.Formatter("%(asctime)s %(name)s %(levelname)s %(message)s"))
     records: SimpleQueue = SimpleQueue()

@@ -2,7 +2,7 @@
 
 The gateway has neither URDF nor YAML at hand on the cell PC, so `rosrun construction_twin export_gateway_config` writes this
 file. The `motion` part decides what the arm may do and is what the hash covers; hosts and ports are given on the gateway's
-command line. What is fixed about the controller's telegrams is part of it. Standard library only. SI units throughout.
+command line. What is fixed about the controller's telegrams is part of it. SI units throughout.
 """
 
 from __future__ import annotations
@@ -22,6 +22,18 @@ from construction_twin.core.limits import MotionLimits
 
 #: Written into the file; another number means another meaning of its keys.
 FORMAT = 2
+_POSITIVE = (
+    *(
+        "start_tolerance",
+        "start_tolerance_linear",
+        "playout_delay",
+        "playout_delay_min",
+        "playout_delay_max",
+        "silence",
+    ),
+    *("max_age", "speed_limit_deadline", "speed_limit_grace", "speed_limit_backlog", "timeout"),
+    *("e1_feedback_scale", "e1_correction_scale"),
+)
 
 
 @dataclass(frozen=True)
@@ -87,65 +99,45 @@ class GatewayConfig:
     tool: GatewayTool | None = None
 
     def __post_init__(self):
+        def need(holds: object, name: str, expected: str) -> None:
+            if not holds:
+                raise ConfigurationError(name, getattr(self, name), expected)
+
         count = len(self.axes)
-        if not count or not isinstance(self.axes, tuple) or not all(isinstance(axis, str) for axis in self.axes):
-            raise ConfigurationError("axes", self.axes, "at least one axis name")
+        names = isinstance(self.axes, tuple) and all(isinstance(axis, str) for axis in self.axes)
+        need(count and names, "axes", "at least one axis name")
         for name in ("lower", "upper", "velocity", "acceleration"):
             values = getattr(self, name)
-            if len(values) != count or not all(isinstance(v, (int, float)) and math.isfinite(v) for v in values):
-                raise ConfigurationError(name, values, f"{count} finite numbers, one per axis")
-        if any(low >= high for low, high in zip(self.lower, self.upper)):
-            raise ConfigurationError("lower", self.lower, f"values below upper {self.upper}")
-        if min(self.velocity) <= 0 or min(self.acceleration) <= 0:
-            raise ConfigurationError("velocity, acceleration", (self.velocity, self.acceleration), "positive limits")
+            fit = len(values) == count and all(isinstance(v, (int, float)) and math.isfinite(v) for v in values)
+            need(fit, name, f"{count} finite numbers, one per axis")
+        need(all(low < high for low, high in zip(self.lower, self.upper)), "lower", f"values below upper {self.upper}")
+        need(min(self.velocity) > 0, "velocity", "positive limits")
+        need(min(self.acceleration) > 0, "acceleration", "positive limits")
         if self.layout is None:
             object.__setattr__(self, "layout", make_of(DEFAULT).plain(self.axes))
-        if not self.reference and self.make.references:
-            object.__setattr__(self, "reference", self.make.references[0])
-        cycles = self.make.cycles
-        if type(self.cycle) is not int or self.cycle not in cycles:
-            expected = f"{' or '.join(map(str, cycles))} ms: {self.make.words.cycles}"
-            raise ConfigurationError("cycle", self.cycle, expected)
-        if type(self.decimals) is not int or not 1 <= self.decimals <= 6:
-            raise ConfigurationError("decimals", self.decimals, "1 to 6")
-        if not isinstance(self.properties, bool):
-            raise ConfigurationError("properties", self.properties, "true or false")
-        for name in (
-            "start_tolerance",
-            "start_tolerance_linear",
-            "playout_delay",
-            "playout_delay_min",
-            "playout_delay_max",
-            "silence",
-            "max_age",
-            "speed_limit_deadline",
-            "speed_limit_grace",
-            "speed_limit_backlog",
-            "timeout",
-            "e1_feedback_scale",
-            "e1_correction_scale",
-        ):
+        make = self.make
+        if not self.reference and make.references:
+            object.__setattr__(self, "reference", make.references[0])
+        cycles = f"{' or '.join(map(str, make.cycles))} ms: {make.words.cycles}"
+        need(type(self.cycle) is int and self.cycle in make.cycles, "cycle", cycles)
+        need(type(self.decimals) is int and 1 <= self.decimals <= 6, "decimals", "1 to 6")
+        need(isinstance(self.properties, bool), "properties", "true or false")
+        for name in _POSITIVE:
             value = getattr(self, name)
-            if not isinstance(value, (int, float)) or not 0 < value < math.inf:
-                raise ConfigurationError(name, value, "a positive number")
-        if not self.playout_delay_min <= self.playout_delay <= self.playout_delay_max:
-            bounds = f"{self.playout_delay_min} (playout_delay_min) to {self.playout_delay_max} (playout_delay_max)"
-            raise ConfigurationError("playout_delay", self.playout_delay, bounds)
-        if self.playout_delay_max >= self.max_age:
-            raise ConfigurationError("playout_delay_max", self.playout_delay_max, f"less than max_age, {self.max_age}")
+            need(isinstance(value, (int, float)) and 0 < value < math.inf, name, "a positive number")
+        bounds = f"{self.playout_delay_min} (playout_delay_min) to {self.playout_delay_max} (playout_delay_max)"
+        need(self.playout_delay_min <= self.playout_delay <= self.playout_delay_max, "playout_delay", bounds)
+        need(self.playout_delay_max < self.max_age, "playout_delay_max", f"less than max_age, {self.max_age}")
         fraction = self.speed_limit_silent
-        if isinstance(fraction, bool) or not isinstance(fraction, (int, float)) or not 0 <= fraction <= 1:
-            raise ConfigurationError("speed_limit_silent", fraction, "a fraction of the velocity limits, 0 to 1")
-        if type(self.e1_sign) is not int or self.e1_sign not in (1, -1):
-            raise ConfigurationError("e1_sign", self.e1_sign, "1 or -1")
-        if not isinstance(self.e1_offset, (int, float)) or not math.isfinite(self.e1_offset):
-            raise ConfigurationError("e1_offset", self.e1_offset, "a finite number [rad] or [m]")
-        if not set(self.linear) <= set(self.axes):
-            raise ConfigurationError("linear", self.linear, f"some of the axes {', '.join(self.axes)}")
-        known = self.make.references
-        if known and self.reference not in known:
-            raise ConfigurationError("reference", self.reference, f"one of {', '.join(known)}")
-        self.make.check(self)
+        is_fraction = not isinstance(fraction, bool) and isinstance(fraction, (int, float)) and 0 <= fraction <= 1
+        need(is_fraction, "speed_limit_silent", "a fraction of the velocity limits, 0 to 1")
+        need(type(self.e1_sign) is int and self.e1_sign in (1, -1), "e1_sign", "1 or -1")
+        offset = self.e1_offset
+        need(isinstance(offset, (int, float)) and math.isfinite(offset), "e1_offset", "a finite number [rad] or [m]")
+        need(set(self.linear) <= set(self.axes), "linear", f"some of the axes {', '.join(self.axes)}")
+        known = make.references
+        need(not known or self.reference in known, "reference", f"one of {', '.join(known)}")
+        make.check(self)
 
     @property
     def make(self) -> Make:

@@ -3,7 +3,7 @@
 Motion is played, limited and braked per cycle, so a controller with another cycle must be named before it is commanded: limits and
 watchdogs would mean something else. Only medians are judged: lost telegrams, stalls of either machine and jitter shift single steps
 and times by any amount, but not half of them. A clock that is off by less than that refuses nothing, but is named with its figure
-after half a minute, because it changes every speed by as much (docs/rsi.md, section 1). Standard library only; stamps in ms, times
+after half a minute, because it changes every speed by as much (docs/rsi.md, section 1). stamps in ms, times
 of arrival in ns.
 """
 
@@ -49,9 +49,14 @@ _MEASURED = re.compile(r"\d+\.\d+")
 
 
 class ControllerClock:
-    """What one session shows of the clock of a controller whose cycle is expected to be `cycle_ms`."""
+    """What one session shows of the clock of a controller whose cycle is expected to be `cycle_ms`.
 
-    def __init__(self, make: Make, cycle_ms: int):
+    Args:
+        measures: False: telegrams come on a simulated clock, and none is noted.
+    """
+
+    def __init__(self, make: Make, cycle_ms: int, measures: bool = True):
+        self.measures = measures
         self._cycle = cycle_ms
         self._modes, self._words = make.cycles, make.words
         self._first, self._patient, self._base = FIRST // cycle_ms, PATIENT // cycle_ms, BASE // cycle_ms
@@ -90,6 +95,8 @@ class ControllerClock:
     def note(self, stamp: int, arrived: int) -> None:
         """Take a telegram by its stamp [ms] and arrival on any clock that runs in real time [ns], also one that is not answered."""
         arrivals = self._arrivals
+        if not self.measures:
+            return
         if arrivals:
             step = stamp_step(self._stamp, stamp, PATIENT)
             if not 0 < step <= PATIENT:
@@ -151,10 +158,19 @@ class ControllerClock:
         self._refused = True
         return self._sentence(step, rate)
 
-    def is_new(self, wrong: str) -> bool:
-        """Take note of what `judge` has returned; return whether it is another thing: a measured rate that wavers makes none."""
+    def news(self, rates: bool = True) -> str | None:
+        """Return what `judge` does, without `rates` also what `changed` says; None for what was said last.
+
+        A measured rate that wavers is no news.
+        """
+        wrong = self.judge(rates)
+        if wrong is None and not rates:
+            wrong = self.changed or None
+        if not wrong:
+            self._judged = self._judged if wrong is None else ""
+            return wrong
         before, self._judged = self._judged, _MEASURED.sub("", wrong)
-        return self._judged != before
+        return wrong if self._judged != before else None
 
     def measure_rate(self) -> bool:
         """Measure how far the clock is off; return whether `off_sentence` came or went. It costs something once a second only."""

@@ -1,6 +1,6 @@
-"""The controller's side of the gateway: which telegrams count, when a session begins, and where its corrections stand.
+"""The controller's side of the gateway: which telegrams count, when a session begins, where its corrections stand, its answers.
 
-Standard library only; rad and ns.
+rad and ns.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 
+from construction_twin.controller.port import ControllerStatus
 from construction_twin.controller.telegram import STAMP_NS, Telegram, stamp_step
 from construction_twin.core.limits import distance_off
 from construction_twin.core.sentences import Sentence
@@ -39,10 +40,64 @@ class Taken:
     drifted_to: tuple[float, ...]
 
 
+class Replies:
+    """The answers to one controller, as far as the next one depends on them.
+
+    They carry corrections to an origin, or `absolute` positions of the axes; with `zero` no correction, whatever is computed.
+    """
+
+    def __init__(self, absolute: bool, zero: bool):
+        self._absolute, self._zero = absolute, zero
+        # an answer carries the correction as it is
+        self._plain = not absolute and not zero
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget the session before."""
+        #: The last correction, as it would be without commissioning mode [rad]; () before the first.
+        self.correction: tuple[float, ...] = ()
+        #: What the last answer carried as a correction, if it was a computed one [rad]; () for nothing.
+        self.sent: tuple[float, ...] = ()
+        #: The one that the controller had before it, and keeps if it does not arrive [rad]; () before the first.
+        self.kept: tuple[float, ...] = ()
+        #: How long no answer has arrived while telegrams went on [ns].
+        self.lost_for = 0
+
+    def record(self, lost: bool, elapsed: int) -> None:
+        """Take note of whether the last answer was lost, `elapsed` [ns] of the controller's time ago."""
+        if lost:
+            self.lost_for += elapsed
+        else:
+            self.kept, self.lost_for = self.correction, 0
+
+    def answer(self, position: tuple[float, ...], origin: tuple[float, ...]) -> tuple[float, ...]:
+        """Return what the answer carries that is to bring the axes to a position [rad]."""
+        correction = tuple([value - start for value, start in zip(position, origin)])
+        self.correction = correction
+        if not self._zero:
+            self.sent = correction
+        return correction if self._plain else self.carried(correction, origin)
+
+    def carried(self, correction: tuple[float, ...], origin: tuple[float, ...]) -> tuple[float, ...]:
+        """Return what an answer carries for a correction [rad]."""
+        if self._zero:
+            correction = (0.0,) * len(correction)
+        return moved(origin, correction) if self._absolute else correction
+
+
+def moved(origin: tuple[float, ...], correction: tuple[float, ...]) -> tuple[float, ...]:
+    """Return where a correction to an origin is [rad]."""
+    return tuple([start + value for start, value in zip(origin, correction)])
+
+
 class ControllerSession:
     """One session of the controller after the other."""
 
-    def __init__(self, config: GatewayConfig, counters: Counter[str]):
+    def __init__(self, config: GatewayConfig, counters: Counter[str], zero: bool = False):
+        #: What it was answered.
+        self.replies = Replies(config.make.absolute, zero)
+        #: What the controller says of itself, where its telegrams tell.
+        self.status = self._no_status = config.make.no_status
         self._limits = config.limits
         self._tolerances = config.start_tolerances
         self._rules = config.make.rules(config)
@@ -79,14 +134,10 @@ class ControllerSession:
         """Return whether the controller has been silent for its timeout."""
         return self.alive and now - self.heard_at > self._timeout
 
-    def take(
-        self, telegram: Telegram, source: object, now: int, sent: tuple[float, ...] = (), moving: bool = False
-    ) -> Taken | None:
+    def take(self, telegram: Telegram, source: object, now: int, moving: bool = False) -> Taken | None:
         """Take a telegram; None when it came twice, or behind a newer one: it was answered, or an answer comes too late.
 
-        Args:
-            sent: Shape (n,). The correction that the last answer carried [rad]; () for nothing.
-            moving: Whether that correction is being changed.
+        `moving`: whether the correction is being changed.
         """
         step = stamp_step(self.stamp, telegram.controller_ms, self._timeout_ms)
         goes_on = self.alive and source == self._source
@@ -95,7 +146,7 @@ class ControllerSession:
         elapsed = step * STAMP_NS
         begins = False
         if not goes_on or elapsed != self._cycle:
-            begins = self._is_another(goes_on, step) or self._is_restarted(telegram, sent, moving)
+            begins = self._is_another(goes_on, step) or self._is_restarted(telegram, moving)
         if begins:
             self._begin(telegram)
             elapsed = self._cycle
@@ -130,6 +181,18 @@ class ControllerSession:
         """End the session."""
         self.alive = False
         self.origin = self.measured = ()
+        self.status = self._no_status
+
+    @property
+    def kept(self) -> tuple[float, ...]:
+        """The target that the controller has until the last answer arrives, as it was sent [rad], [m]; () before the first."""
+        return self.replies.carried(self.replies.kept, self.origin)
+
+    def note_status(self, status: ControllerStatus, unreadable: int) -> None:
+        """Take what a telegram says on its optional channels, and how many of these cannot be read; it changes no answer."""
+        self.status = status
+        if unreadable:
+            self._counters["status_channels_unreadable"] += unreadable
 
     def take_measured(self, telegram: Telegram) -> None:
         """Take the measured pose of a telegram, where it has one."""
@@ -204,9 +267,9 @@ class ControllerSession:
         self._rules.begin()
         return True
 
-    def _is_restarted(self, telegram: Telegram, sent: tuple[float, ...], moving: bool) -> bool:
+    def _is_restarted(self, telegram: Telegram, moving: bool) -> bool:
         """Return whether the make's own signs show that a session was ended and begun anew while cycles are missing."""
-        sign = self._rules.restarted(telegram, self.origin, sent, moving)
+        sign = self._rules.restarted(telegram, self.origin, self.replies.sent, moving)
         if sign:
             jump, protocol = self.jump_ms, self._words.protocol
             self.began = Sentence(

@@ -1,16 +1,145 @@
-"""From buffered commands to positions: playout and follower of one gateway. Standard library only; rad and ns."""
+"""From buffered commands to positions: playout and follower of one gateway, and how the arm comes to rest.
+
+rad, m, and ns.
+"""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from construction_twin.core.follower import Follower
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.playout import Playout, PlayoutBounds
-from construction_twin.gateway.speed_governor import Governor
-from construction_twin.gateway.stop_report import Braking
+from construction_twin.gateway.playout_rate import PlayoutRate
+
+
+class Braking:
+    """Braking of a follower from its present step on, as the arm will carry it out.
+
+    Args:
+        measured: Shape (n,). Where the arm is, behind the follower by what its servos trail [rad], [m]; empty when it does not do
+            what the follower does, or is not known: then the distance is the follower's.
+    """
+
+    def __init__(self, follower: Follower, measured: tuple[float, ...]):
+        distances, cycles = follower.braking()
+        #: Where the arm was when it began [rad], [m].
+        self.start = measured or follower.position
+        #: Distance of each axis to rest, including the lag behind the correction [rad], [m].
+        self.distance = tuple(
+            [distance + abs(q - at) for distance, q, at in zip(distances, follower.position, self.start)]
+        )
+        #: Time until the corrections rest [s].
+        self.time = cycles * follower.cycle
+        #: What it has taken so far [ns].
+        self.elapsed = 0
+
+
+class StopReport:
+    """The last stop of one gateway."""
+
+    def __init__(self, linear: tuple[bool, ...]):
+        self._linear = linear
+        #: What the gateway braked for: ``silence``, ``refused``, ``stop``, ``speed_limit``, ``drift``; "" before the first stop.
+        self.cause = ""
+        #: Account whose stop it was, "" for every other cause and way.
+        self.by = ""
+        #: Distance of each axis and time to rest, as stated when braking began [rad], [m]; [s].
+        self.distance: tuple[float, ...] = ()
+        self.time = 0.0
+        #: The same as it was in the end, from where the arm was to where it is told to rest; empty and None until then.
+        self.moved: tuple[float, ...] = ()
+        self.took: float | None = None
+        self._braking: Braking | None = None
+
+    def begin(
+        self,
+        cause: str,
+        follower: Follower,
+        measured: tuple[float, ...],
+        under_way: Braking | None = None,
+        by: str = "",
+    ) -> None:
+        """State the distance to rest; call it when braking begins, or with the braking that was `under_way` before."""
+        braking = under_way or Braking(follower, measured)
+        self.cause, self.by, self._braking = cause, by, braking
+        self.distance, self.time = braking.distance, braking.time
+        self.moved, self.took = (), None
+        if under_way and follower.at_rest:
+            self._end(braking, follower)
+
+    def advance(self, follower: Follower, elapsed: int) -> None:
+        """Take note of a step of braking that took `elapsed` [ns] of the controller's time."""
+        braking = self._braking
+        if self.took is not None or braking is None:
+            return
+        braking.elapsed += elapsed
+        if follower.at_rest:
+            self._end(braking, follower)
+
+    def _end(self, braking: Braking, follower: Follower) -> None:
+        self.moved = tuple([abs(end - start) for start, end in zip(braking.start, follower.position)])
+        self.took = braking.elapsed / NANOSECONDS
+
+    def report(self) -> dict:
+        """Return what the status says: deg, mm for linear axes, and s."""
+        return {
+            "cause": self.cause,
+            "by": self.by,
+            "distance_deg": self._for_people(self.distance),
+            "time_s": self.time,
+            "moved_deg": self._for_people(self.moved),
+            "took_s": self.took,
+        }
+
+    def _for_people(self, distances: tuple[float, ...]) -> list[float]:
+        # rounded up: what is stated is never less than what it stands for
+        return [
+            math.ceil(1e6 * (1e3 * distance if linear else math.degrees(distance))) / 1e6
+            for distance, linear in zip(distances, self._linear)
+        ]
+
+
+class SubCycleInterpolator:
+    """Spreads the steps of whole cycles over the telegrams within them.
+
+    A controller that is switched to a shorter cycle is noticed after some telegrams only, and an arm that is braked then is still
+    moving. A whole step of the longer cycle in each of them would be several times the speed, and many times the braking.
+    """
+
+    def __init__(self, cycle_ns: int):
+        self._cycle = cycle_ns
+        #: Controller time interpolated so far in the present step [ns]; 0: all of it.
+        self.interpolated = 0
+        self._before: tuple[float, ...] = ()
+
+    def restart(self) -> None:
+        """Begin with a whole step."""
+        self.interpolated = 0
+
+    def position(
+        self, elapsed: int, now: tuple[float, ...], step: Callable[[], tuple[float, ...]]
+    ) -> tuple[float, ...]:
+        """Return where to be after `elapsed` more controller time [ns].
+
+        The present step ends at `now`, shape (n,); `step` takes that of one cycle and returns where it ends.
+        """
+        begun = self.interpolated > 0
+        self.interpolated += elapsed
+        if not begun:
+            self._before, now = now, step()
+        while self.interpolated > self._cycle:
+            self._before, now = now, step()
+            self.interpolated -= self._cycle
+        part = self.interpolated / self._cycle
+        if self.interpolated == self._cycle:
+            self.interpolated = 0
+            return now
+        return tuple([start + part * (end - start) for start, end in zip(self._before, now)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,9 +157,10 @@ class Player:
     def __init__(self, config: GatewayConfig, counters: Counter[str]):
         self._config = config
         self._counters = counters
-        governor = Governor(config.limits, config.decimals, config.cycle_ns)
-        self._playout = Playout(PlayoutBounds.of(config), governor, config.cycle_ns)
-        self._longest_hole = round(config.silence * NANOSECONDS)
+        rate = PlayoutRate(config.limits, config.decimals, config.cycle_ns)
+        self.playout = Playout(PlayoutBounds.of(config), rate)
+        #: For telegrams that come faster than one a cycle.
+        self.parts = SubCycleInterpolator(config.cycle_ns)
         self._stalled: _Stall | None = None
         #: Fraction of the velocity limits at which the arm may move.
         self.fraction = 1.0
@@ -44,20 +174,10 @@ class Player:
         #: Braking since the stream ran dry; None while it has not.
         self.braking: Braking | None = None
 
-    @property
-    def overdue(self) -> int:
-        """How long the next command is overdue [ns]; 0 while there is one. A speed limit does not make it later."""
-        return self._playout.overdue
-
-    @property
-    def backlog(self) -> float:
-        """How much motion a speed limit, or replies that did not arrive, have put off [s], in the sender's time."""
-        return self._playout.backlog / NANOSECONDS
-
     def limit(self, fraction: float) -> None:
         """Play so slowly that every joint keeps to this fraction of its velocity limit, 0 to 1."""
         self.fraction = fraction
-        self._playout.limit(fraction)
+        self.playout.rate.limit(fraction)
         if self.follower is not None:
             self.follower.limit(fraction)
 
@@ -74,25 +194,13 @@ class Player:
 
     def clear(self) -> None:
         """Forget the stream; what was learned about the link stays."""
-        self._playout.clear()
+        self.playout.clear()
         self.stamp = self._stamp_before = self.stood = 0
         self.braking = None
 
-    def lead(self, stamp: int) -> float:
-        """Return how far `stamp` [ns] lies ahead of playout time [s]."""
-        return self._playout.lead(stamp) / NANOSECONDS
-
-    def hole(self, stamp: int) -> float:
-        """Return how much of the stream is missing before `stamp` [ns], if that is too much to bridge; else 0 [s].
-
-        How much that is does not depend on the delay: a playout that has run dry meanwhile knows no more of what is missing.
-        """
-        hole = stamp - self._playout.newest
-        return hole / NANOSECONDS if hole > self._longest_hole else 0.0
-
     def push(self, stamp: int, q: tuple[float, ...], waited: int) -> None:
         """Take a command that passed every check: stamp [ns], pose [rad], time since the last telegram [ns]."""
-        if not self._playout.push(stamp, q, waited):
+        if not self.playout.push(stamp, q, waited):
             self._counters["commands_late"] += 1
 
     def play(self, follower: Follower, elapsed: int, measured: tuple[float, ...]) -> tuple[float, ...]:
@@ -101,8 +209,8 @@ class Player:
         `measured` is where the arm is [rad]; () when it is not known.
         """
         self._stamp_before = self.stamp
-        self.stamp, target = self._playout.advance(elapsed)
-        if self._playout.silence:
+        self.stamp, target = self.playout.advance(elapsed)
+        if self.playout.silence:
             # the rest of the motion is unknown
             self._counters["cycles_without_command"] += 1
             return self._brake(follower, elapsed, measured)
@@ -114,10 +222,10 @@ class Player:
 
     def stand(self, pause: int, taken_back: bool) -> None:
         """Go on from where HOLDON keeps the arm, while a stream is followed, after a pause without a reply; see `Playout.stand`."""
-        self._playout.stand(pause, taken_back)
+        self.playout.stand(pause, taken_back)
         if taken_back:
             self.stamp = self._stamp_before
-        self.stood = self.stood + 1 if self._playout.backlog else 0
+        self.stood = self.stood + 1 if self.playout.backlog else 0
 
     def _brake(self, follower: Follower, elapsed: int, measured: tuple[float, ...]) -> tuple[float, ...]:
         if self.braking is None:
@@ -128,7 +236,7 @@ class Player:
 
     def give_up(self, session: str, now: int) -> None:
         """Note that the stream of `session` is given up because of its silence; call it before `clear`."""
-        self._stalled = _Stall(session, self._playout.shortfall, now)
+        self._stalled = _Stall(session, self.playout.shortfall, now)
 
     def learn_from_stall(self, session: str | None, now: int) -> None:
         """Take note of a command that comes after its stream was given up: the stream did not end, it was held up.
@@ -138,9 +246,5 @@ class Player:
         stall = self._stalled
         if stall is None or session not in (None, stall.session):
             return
-        self._playout.learn(stall.shortfall + now - stall.since)
+        self.playout.learn(stall.shortfall + now - stall.since)
         self._stalled = None
-
-    def report(self) -> dict:
-        """Return what `status` says about the playout."""
-        return self._playout.report()

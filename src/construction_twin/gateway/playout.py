@@ -1,104 +1,144 @@
 """Playout: from stamped commands with jitter to one target per controller cycle.
 
-Playout time runs on the command sender's clock and advances with stamps, never with packet arrival (docs/architecture.md, law 1).
-It stays a delay behind the newest command. The delay is what the link's jitter asks for, within bounds, and is changed by whole
-cycles of 4 ms: a stream on that grid is then played exactly on its stamps, except while the delay is being changed. So it is by a
-controller whose cycle is 12 ms, which plays every third of them.
-Clock drift shows as a delay that grows or shrinks, and is corrected in the same way. Standard library only; stamps in ns, angles in
-rad.
+Everything lies on one axis, that of the sender's stamps:
+
+        played                      held in the buffer                      still on their way
+    ──o───────o───────o───────o───────o───────o───────o───────o───────o ─ ─ ─ o ─ ─ ─ o ─ ─ ─►  stamp
+              │    ▲  │                                               │
+        _before    │  _commands[0]                              newest: _commands[-1]
+                  now ◄────────────────── delay ──────────────────────►
+                   │
+                   ├ now - elapsed: `_advanced_from`, whereto time goes back when the reply does not arrive
+                   ├ now + put_off: where it would be without speed limit and standstills; lead and overdue count from there
+                   └ now + remaining: where `PlayoutRate` is bringing it, a little each cycle
+
+Playout time, now, advances with the controller's stamps, never with packet arrival (docs/architecture.md, law 1). It stays a delay
+behind the newest command. The delay is what the link's jitter asks for, within bounds, and is changed by whole cycles of 4 ms: a
+stream on that grid is then played exactly on its stamps, except while the delay is being changed. So it is by a controller whose
+cycle is 12 ms, which plays every third of them. Clock drift shows as a delay that grows or shrinks, and is corrected in the same
+way. stamps in ns, angles in rad.
 """
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from dataclasses import dataclass
 
 from construction_twin.core.interpolation import Pose, interpolate
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
-from construction_twin.gateway.arrivals import Arrivals
-from construction_twin.gateway.speed_governor import Governor, TargetChanges
+from construction_twin.gateway.playout_rate import PlayoutRate
+
+#: Length of the pieces whose extremes are kept [ns].
+PIECE = NANOSECONDS
+#: Pieces that count for the jitter: what is not seen again for 20 s is forgotten.
+JITTER_PIECES = 20
+#: Pieces that count for the drift, and how many of them it takes.
+DRIFT_PIECES = 60
+DRIFT_MINIMUM = 10
+_FAR = 1 << 63
 
 
-@dataclass(frozen=True)
-class SlewLimit:
-    """How fast playout time may be moved.
+class Arrivals:
+    """Observes how far the newest command is ahead of the controller's clock, as every telegram finds it.
 
-    Played at a rate 1 + r, a motion's velocity is multiplied by 1 + r and its acceleration by (1 + r)^2, and a change of r adds
-    velocity times dr/dt. How much of that the motion leaves room for in a cycle is `TargetChanges`' to say.
-
-    Attributes:
-        back, ahead: Largest shift per cycle [ns], backwards and forwards.
-        change: Largest change of that shift from one cycle to the next [ns].
+    This is the difference of two clocks, so only its changes mean anything. At its largest value a command travelled fastest; at
+    its smallest one came late, after a stall or after lost ones. The end of a stream is not lateness: the smallest value counts
+    only once a command follows.
     """
 
-    back: int
-    ahead: int
-    change: int
+    def __init__(self, assumed: int) -> None:
+        #: Jitter to assume for the window's length: at first that of the configuration, then that of the stream before [ns].
+        self.learned = assumed
+        self.restart()
 
-    @classmethod
-    def of(cls, back: float, ahead: float, slope: float) -> SlewLimit:
-        """Return the limit of these rates and of their largest change, `slope` [1/s]."""
-        return cls(round(back * CYCLE_NS), round(ahead * CYCLE_NS), round(slope * CYCLE_NS * CYCLE_NS / 1_000_000_000))
-
-    def of_cycle(self, cycle_ns: int) -> SlewLimit:
-        """Return the same rates per cycle of another length [ns]; this one's are per cycle of 4 ms."""
-        times = cycle_ns / CYCLE_NS
-        return SlewLimit(round(self.back * times), round(self.ahead * times), round(self.change * times * times))
-
-
-#: For clock drift, and to shrink a delay: 0.5 %, changing by 0.005 per second. At 2 rad/s that adds 0.01 rad/s^2; it takes 1.8 s
-#: to move a cycle.
-CALM = SlewLimit.of(0.005, 0.005, 0.005)
-#: For a delay that has become too short: 5 %, changing by 0.1 per second. At 2 rad/s that adds 0.2 rad/s^2, 8 % of what axis 1 may,
-#: so it changes more slowly where the motion itself brakes at its limit. It takes 1.1 s to gain 30 ms.
-URGENT = SlewLimit.of(0.05, 0.005, 0.1)
-
-#: To make up for what a speed limit has put off: 0.8 %, changing by 0.1 per second. A motion at 0.992 of its velocity and 0.98 of
-#: its acceleration limits keeps inside them.
-CATCH_UP = SlewLimit.of(0.05, 0.008, 0.1)
-
-
-class Slew:
-    """Carries a shift out, cycle by cycle, beginning and ending at rate zero; limits are per cycle."""
-
-    def __init__(self, cycle_ns: int = CYCLE_NS) -> None:
-        self._cycle = cycle_ns
-        self.clear()
-
-    def clear(self) -> None:
-        """Stand still, with nothing left to do."""
-        #: What remains to be shifted [ns].
-        self.remaining = 0
-        #: The shift of the last cycle [ns].
-        self.shift = 0
+    def restart(self) -> None:
+        """Begin with another stream; what was seen of the link counts for another window."""
+        self._highs: deque[int] = deque(maxlen=JITTER_PIECES)
+        self._lows: deque[int] = deque(maxlen=JITTER_PIECES)
+        self._offsets: deque[tuple[int, int]] = deque(maxlen=DRIFT_PIECES)
+        self._piece_ends = PIECE
+        self._quickest: int | None = None
+        self._started = self._changed = False
+        self.high = self.low = 0
+        self._high = self._low = 0
 
     @property
-    def moving(self) -> bool:
-        """True while something is shifted."""
-        return bool(self.remaining or self.shift)
+    def jitter(self) -> int:
+        """The jitter to reckon with [ns]."""
+        return max(self.observed, self.learned)
 
     @property
-    def rate(self) -> float:
-        """Present deviation of playout time's rate from 1."""
-        return self.shift / self._cycle
+    def observed(self) -> int:
+        """How much later than the quickest the latest command of the window came [ns]."""
+        return self.high - self.low
 
-    def step(self, limit: SlewLimit) -> int:
-        """Return the shift of this cycle [ns], at most `limit` allows; the sum of all is exactly what was asked for."""
-        distance = abs(self.remaining)
-        # the largest shift after which slowing down still ends in time
-        cycles = (math.isqrt(1 + 8 * distance // limit.change) - 1) // 2
-        wanted = (distance + limit.change * cycles * (cycles + 1) // 2) // (cycles + 1)
-        wanted = min(wanted, limit.ahead) if self.remaining > 0 else -min(wanted, limit.back)
-        shift = min(max(wanted, self.shift - limit.change), self.shift + limit.change)
-        self.remaining -= shift
-        self.shift = shift
-        return shift
+    def remember(self) -> None:
+        """Keep the jitter for the next stream."""
+        self.learned = self.jitter
 
-    def replace(self, shift: int) -> None:
-        """Carry out another shift [ns] in place of the last step's; what it leaves remains."""
-        self.remaining += self.shift - shift
-        self.shift = shift
+    def learn(self, jitter: int) -> None:
+        """Take a jitter [ns] that was seen by other means."""
+        if jitter > self.learned:
+            self.learned, self._changed = jitter, True
+
+    def note_telegram(self, lead: int, clock: int) -> bool:
+        """Take how far the newest command is ahead of the clock at a telegram; return whether the extremes have changed since.
+
+        The clock is the controller's, 0 at the stream's first command [ns].
+        """
+        if not self._started:
+            self._started = True
+            self.high = self.low = self._high = self._low = lead
+            return True
+        if lead > self._high:
+            self._high = lead
+            if lead > self.high:
+                self.high, self._changed = lead, True
+        if clock >= self._piece_ends:
+            self._close_piece(clock)
+        changed, self._changed = self._changed, False
+        return changed
+
+    def note_command(self, lead: int, offset: int) -> None:
+        """Take a command's arrival [ns].
+
+        Args:
+            lead: Stamp of the command before it, minus the controller's clock at the last telegram: how far what was there reached.
+            offset: Its own stamp minus the controller's clock, the latter interpolated to its arrival.
+        """
+        if self._quickest is None or offset > self._quickest:
+            self._quickest = offset
+        if self._started and lead < self._low:
+            self._low = lead
+            if lead < self.low:
+                self.low, self._changed = lead, True
+
+    def drift_ppm(self) -> float | None:
+        """Return by how much the sender's clock is faster than the controller's; None before it can be told.
+
+        The slope of a line through the quickest arrivals of each second, by least squares.
+        """
+        count = len(self._offsets)
+        if count < DRIFT_MINIMUM:
+            return None
+        mean_time = sum(time for time, _ in self._offsets) / count
+        mean_offset = sum(offset for _, offset in self._offsets) / count
+        covariance = sum((time - mean_time) * (offset - mean_offset) for time, offset in self._offsets)
+        return 1e6 * covariance / sum((time - mean_time) ** 2 for time, _ in self._offsets)
+
+    def _close_piece(self, clock: int) -> None:
+        self._highs.append(self._high)
+        self._lows.append(self._low)
+        if len(self._highs) == JITTER_PIECES:
+            self.learned = 0
+        if self._quickest is not None:
+            self._offsets.append((clock, self._quickest))
+        self._quickest = None
+        self._piece_ends = clock + PIECE
+        self.high, self.low = max(self._highs), min(self._lows)
+        # worse than anything: the next telegram and the next command set them
+        self._high, self._low = -_FAR, _FAR
+        self._changed = True
 
 
 #: Part of the delay that is not for jitter: the newest command is up to 4 ms old when a telegram finds it, and the cubic needs the
@@ -139,31 +179,25 @@ class Playout:
     """Buffer of commands, played a delay behind the newest.
 
     Args:
-        governor: Slows playout time while a speed limit asks for it; None: nothing can.
-        cycle_ns: The controller's cycle [ns]. Commands come every 4 ms whatever it is, and what depends on them counts in 4 ms: the
-            margin, and the delay's grid.
+        rate: How fast playout time runs. Commands come every 4 ms whatever the controller's cycle is, and what depends on them
+            counts in 4 ms: the margin, and the delay's grid.
     """
 
-    def __init__(self, bounds: PlayoutBounds, governor: Governor | None = None, cycle_ns: int = CYCLE_NS):
+    def __init__(self, bounds: PlayoutBounds, rate: PlayoutRate):
         self.bounds = bounds
-        self._governor = governor
-        self._governed = False
+        self.rate = rate
         # stamp and pose; plain tuples, and no records: they are made and unpacked in every cycle of 4 ms
         self._commands: deque[tuple[int, Pose]] = deque()
         # the last one that was played
         self._before: tuple[int, Pose] | None = None
         self._arrivals = Arrivals(max(0, bounds.start - MARGIN))
-        self._cycle_ns = cycle_ns
-        self._slew = Slew(cycle_ns)
-        self._calm, self._urgent, self._catch_up = [limit.of_cycle(cycle_ns) for limit in (CALM, URGENT, CATCH_UP)]
         self.clear()
 
     def clear(self) -> None:
         """Forget the stream; the next command starts another. What was learned about the link stays."""
         self._arrivals.remember()
         self._arrivals.restart()
-        self._slew.clear()
-        self._slew_limit = self._calm
+        self.rate.clear()
         self._commands.clear()
         self._before = None
         self._newest = 0
@@ -172,11 +206,6 @@ class Playout:
         self._advanced_from = 0
         self._clock = 0
         self._resting = 0
-        self._put_off = 0
-        if self._governor is not None:
-            self._governor.restart()
-            self._governor.changes.clear()
-            self._governed = self._governor.active
         self.delay = self.bounds.delay(self._arrivals.learned)
 
     @property
@@ -195,26 +224,20 @@ class Playout:
 
         A sender that falls silent is noticed no later because the arm trails it.
         """
-        return max(0, self._now + self._put_off - self._newest)
+        return max(0, self._now + self.rate.put_off - self._newest)
 
     @property
     def backlog(self) -> int:
         """How much motion, in the sender's time, a speed limit or a standstill has put off [ns]; rest to come does not count."""
         commands = self._commands
-        if not self._put_off or not commands:
+        if not self.rate.put_off or not commands:
             return 0
         moving, last = 0, commands[0]
         for command in commands:
             if command[1] != last[1]:
                 moving += command[0] - max(last[0], self._now)
             last = command
-        return min(self._put_off, max(0, moving))
-
-    def limit(self, fraction: float) -> None:
-        """Allow every joint this fraction of its velocity limit, 0 to 1; the path stays the same."""
-        if self._governor is not None:
-            self._governor.limit(fraction)
-            self._governed = self._governor.active
+        return min(self.rate.put_off, max(0, moving))
 
     @property
     def shortfall(self) -> int:
@@ -223,7 +246,7 @@ class Playout:
 
     def lead(self, stamp: int) -> int:
         """Return how far `stamp` [ns] lies ahead of playout time [ns], without what a speed limit has put off."""
-        return stamp - self._now - self._put_off
+        return stamp - self._now - self.rate.put_off
 
     def push(self, stamp: int, q: Pose, waited: int = 0) -> bool:
         """Append a command that is newer than all before, `waited` after the last telegram [ns].
@@ -237,7 +260,7 @@ class Playout:
             self._now = self._advanced_from = stamp - self.delay - waited // CYCLE_NS * CYCLE_NS
             self._newest = stamp
         self._resting = self._resting + 1 if commands and commands[-1][1] == q else 0
-        if self._put_off and self._resting > 3 and len(commands) > 3:
+        if self.rate.put_off and self._resting > 3 and len(commands) > 3:
             # of a delayed rest only the first and last command are kept: a limit of 0 may hold for hours
             self._resting -= 1
             commands[-2] = commands[-1]
@@ -271,31 +294,21 @@ class Playout:
             stamp: Stamp of the target on the sender's clock [ns], between the oldest and the newest command held.
             q: Shape (n,). Target [rad].
         """
-        commands = self._commands
+        commands, rate = self._commands, self.rate
         while len(commands) > 1 and commands[1][0] <= self._now:
             self._before = commands.popleft()
-        if self._put_off:
+        if rate.put_off:
             self._skip_rest()
         before = self._advanced_from = self._now
-        self._now += elapsed
         self._clock += elapsed
         if self._arrivals.note_telegram(self._newest - self._clock, self._clock):
-            self._choose_delay()
-        governor = self._governor
-        if governor is not None and elapsed != self._cycle_ns:
-            # what comes after missed telegrams cannot be compared with what was before them
-            governor.changes.clear()
-        steady = self._slew.shift
-        if self._slew.moving:
-            self._move()
-        if self._governed and governor is not None:
-            self._hold_back(governor, before, elapsed)
-        # what the governor held back it has brought into the limits itself
-        if governor is not None and self._slew.shift != steady and self._now == before + elapsed + self._slew.shift:
-            self._keep_room(governor.changes, steady)
+            self._choose_delay(before + elapsed)
+        if rate.steady and elapsed == rate.cycle_ns:
+            self._now += elapsed
+        else:
+            self._now += rate.advance(elapsed, commands, before >= commands[0][0], self._rests, self._ahead)
         stamp, target = self._at(self._now)
-        if governor is not None:
-            governor.changes.note(target)
+        rate.note(target)
         return stamp, target
 
     def report(self) -> dict:
@@ -305,9 +318,9 @@ class Playout:
             "delay_ms": self.delay / 1e6,
             "jitter_ms": self._arrivals.observed / 1e6,
             "lead_ms": (self._newest - self._now) / 1e6,
-            "to_move_ms": self._slew.remaining / 1e6,
-            "put_off_ms": self._put_off / 1e6,
-            "rate_percent": 100.0 * self._slew.rate,
+            "to_move_ms": self.rate.remaining / 1e6,
+            "put_off_ms": self.rate.put_off / 1e6,
+            "rate_percent": self.rate.percent,
             "drift_ppm": None if drift is None else round(drift, 1),
         }
 
@@ -316,53 +329,16 @@ class Playout:
         """True when all that is held, and what came before it, is one pose."""
         return self._resting > len(self._commands)
 
-    def _choose_delay(self) -> None:
+    def _choose_delay(self, now: int) -> None:
         """Set out for another delay behind the quickest commands when this one is too short, or much too long."""
-        arrivals, slew = self._arrivals, self._slew
         # the newest command is up to 4 ms old when a telegram finds it
-        at_end = arrivals.high + CYCLE_NS + self._clock - self._now - slew.remaining
-        wanted = self.bounds.delay(arrivals.jitter)
+        at_end = self._arrivals.high + CYCLE_NS + self._clock - now - self.rate.remaining
+        wanted = self.bounds.delay(self._arrivals.jitter)
         cycles = round((at_end - wanted) / CYCLE_NS)
         if cycles < 0 or cycles >= (1 if self._rests else SLACK_CYCLES):
-            if not slew.moving or cycles <= -SLACK_CYCLES:
-                # a move that has begun is not slowed down to another limit: it would overshoot
-                self._slew_limit = self._urgent if cycles <= -SLACK_CYCLES else self._calm
-            slew.remaining += cycles * CYCLE_NS
+            self.rate.move(cycles * CYCLE_NS, urgent=cycles <= -SLACK_CYCLES)
             at_end -= cycles * CYCLE_NS
         self.delay = at_end
-
-    def _move(self) -> None:
-        if self._rests:
-            # at rest every stamp has the same pose: playout time can be set at once
-            self._now += self._slew.remaining
-            self._slew.clear()
-        else:
-            self._now += self._slew.step(self._slew_limit)
-        if self._put_off:
-            self._put_off = max(0, min(self._put_off, self._slew.remaining))
-
-    def _keep_room(self, changes: TargetChanges, steady: int) -> None:
-        """Let the rate of playout time change only as far as the motion itself leaves room for; `steady` is the last shift [ns]."""
-        unmoved, wanted = self._now - self._slew.shift, self._slew.shift
-        shift = changes.fit(wanted, steady, lambda moved: self._target(unmoved + moved))
-        if shift != wanted:
-            self._slew.replace(shift)
-            self._now = unmoved + shift
-
-    def _hold_back(self, governor: Governor, before: int, elapsed: int) -> None:
-        """Take back what of a cycle's advance the speed limit does not allow; it is made up for as a delay that is too long."""
-        commands = self._commands
-        if before < commands[0][0] or self._rests:
-            governor.restart()
-        else:
-            wanted = self._now - before
-            advance = governor.advance(commands, wanted, elapsed, lambda step: self._target(before + step))
-            if advance < wanted:
-                self._now = before + advance
-                self._slew.remaining += wanted - advance
-                self._put_off += wanted - advance
-                self._slew_limit = self._catch_up
-        self._governed = governor.active
 
     def stand(self, pause: int, taken_back: bool) -> None:
         """Begin anew from a standstill: the arm was not told to move on.
@@ -378,16 +354,11 @@ class Playout:
             put_off += self._now - self._advanced_from
             self._now = self._advanced_from
         self._clock += pause
-        self._slew.remaining += put_off
-        self._put_off += put_off
-        self._slew_limit = self._catch_up
-        if self._governor is not None:
-            self._governor.stand()
-            self._governed = True
+        self.rate.stand(put_off)
 
-    def _target(self, stamp: int) -> Pose:
-        """Return the pose at a stamp [ns] not far ahead of playout time, without moving on."""
-        return self._at(stamp)[1]
+    def _ahead(self, advance: int) -> Pose:
+        """Return the pose at an advance [ns] of the present cycle, without moving on."""
+        return self._at(self._advanced_from + advance)[1]
 
     def _at(self, stamp: int) -> tuple[int, Pose]:
         """Return stamp and pose at a stamp [ns] not far ahead of the oldest command, between the oldest and the newest one."""
@@ -405,13 +376,12 @@ class Playout:
     def _skip_rest(self) -> None:
         """Skip a rest that has been put off: while every stamp has the same pose, playout time can be set without a motion."""
         commands = self._commands
-        while self._put_off and len(commands) > 2 and self._before is not None and self._now >= commands[0][0]:
+        while self.rate.put_off and len(commands) > 2 and self._before is not None and self._now >= commands[0][0]:
             if not self._before[1] == commands[0][1] == commands[1][1] == commands[2][1]:
                 return
-            hop = min(self._put_off, commands[1][0] - self._now)
+            hop = min(self.rate.put_off, commands[1][0] - self._now)
             self._now += hop
-            self._put_off -= hop
-            self._slew.remaining -= hop
+            self.rate.skip(hop)
             if self._now < commands[1][0]:
                 return
             self._before = commands.popleft()

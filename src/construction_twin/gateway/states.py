@@ -1,7 +1,7 @@
 """The gateway's states and modes, and its state machine: one table of state, event, guard, action and next state.
 
 The table says what may follow what. What a guard asks and what an action does is the gateway's (`gateway.Gateway`), which gives the
-machine a function for each. Standard library only.
+machine a function for each.
 """
 
 from __future__ import annotations
@@ -9,7 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+from construction_twin.controller.port import Words
 from construction_twin.core import state_table
+from construction_twin.core.sentences import Sentence
 from construction_twin.gateway.config import GatewayConfig
 
 
@@ -26,6 +28,17 @@ class Mode(Enum):
         if not config.layout.answered:
             return cls.READ_ONLY
         return cls.COMMISSIONING if commissioning else cls.NORMAL
+
+    def noted(self, sentence: str, words: Words) -> str:
+        """Return a sentence with what the mode means for the arm."""
+        if self is Mode.NORMAL:
+            return sentence
+        if self is Mode.COMMISSIONING:
+            return Sentence(
+                "{what}; commissioning: every correction is sent as zero, the arm does not move", what=sentence
+            )
+        why = words.read_only
+        return Sentence("{what}; {why}, so nothing is answered and no motion can be commanded", what=sentence, why=why)
 
 
 class State(Enum):

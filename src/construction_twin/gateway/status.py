@@ -1,51 +1,94 @@
-"""What the gateway tells on MQTT: the content of `status`, when it is due, and the messages of `state`.
+"""What the gateway tells on MQTT: what it refuses, when its `status` is due, and the messages of `state`.
 
-It takes values and knows nothing of the gateway. Standard library only; rad and ns.
+It takes values and knows nothing of the gateway. rad and ns.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.records import left_out
+from construction_twin.core.sentences import Sentence
+from construction_twin.core.units import NANOSECONDS
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import StateProperties
 
 #: Without a telegram for this long no controller waits for an answer [s].
 QUIET = 0.05
+#: What is quoted of a refused message in `status` [characters]: the status stays small, whatever was sent.
+LONGEST_REFUSAL = 300
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Status:
-    """The content of the `status` topic, key by key; each is explained in docs/reference/mqtt.md."""
+class Refusals:
+    """Counts refusals and keeps the last one's sentence."""
 
-    tool: dict | None = left_out()
-    state: str
-    reason: str
-    session: str
-    fault: bool
-    fault_number: int
-    mode: str
-    correction: Sequence[float]
-    controller: dict
-    last_ipoc_jump_ms: int
-    cycle: dict
-    run: str
-    protocol: int
-    hash: str
-    decimals: int
-    properties: bool
-    playout: dict
-    speed_limit: dict
-    stop: dict
-    intruder: dict
-    last_refusal: str
-    later_refusal: str
-    counters: dict[str, int]
+    def __init__(self, counters: Counter[str]):
+        self._counters = counters
+        #: Reason and sentence of the last one that is no mere consequence of a stop; of the one that stopped the arm, until
+        #: `forgive`; "" for none yet.
+        self.last = ""
+        #: Of the last one since the one that stopped the arm; "" for none.
+        self.later = ""
+        #: Datagrams refused since the last telegram that could be read; the last one's reason and sentence, "" before the first.
+        self.unread, self.unread_reason, self.unread_why = 0, "", ""
+        self._keeps = self._stopped = False
+        self._told_at = -NANOSECONDS
+        self.begin_session()
+
+    def begin_session(self) -> None:
+        """Begin anew with what cannot be read: a telegram could be."""
+        self._told_reason, self._told_count = "", 0
+
+    def message(self, reason: str, why: object, follows: bool = False) -> None:
+        """Count a message on MQTT as ``refused_<reason>``.
+
+        Args:
+            why: The sentence.
+            follows: It is refused only because nobody is armed, as what is still under way when a stop comes: its sentence takes
+                the place of no other.
+        """
+        if follows and self._keeps:
+            self._counters[f"refused_{reason}"] += 1
+            return
+        self._note(f"refused_{reason}", reason, why)
+        self._keeps = not follows
+
+    def stopped(self) -> None:
+        """Keep the last one: the arm was stopped for it."""
+        self._stopped, self.later = True, ""
+
+    def telegram(self, reason: str, why: object) -> None:
+        """Count a datagram on RSI's port as ``telegram_refused_<reason>``."""
+        self._note(f"telegram_refused_{reason}", f"telegram {reason}", why)
+        self._keeps = True
+        self.unread += 1
+        self.unread_reason, self.unread_why = reason, str(why)[:LONGEST_REFUSAL]
+
+    def forgive(self) -> None:
+        """After a reset, or with another command session: what stopped the one before is no longer the cause of anything."""
+        self.last, self.later = self.later or self.last, ""
+        self._keeps = self._stopped = False
+
+    def unread_news(self, now: int) -> tuple[str, bool]:
+        """Return what cannot be read, once a second, "" for nothing, and whether it is refused for another reason than before."""
+        if now < self._told_at + NANOSECONDS or self.unread == self._told_count:
+            return "", False
+        reason, is_new = self.unread_reason, self.unread_reason != self._told_reason
+        self._told_at, self._told_count, self._told_reason = now, self.unread, reason
+        count, why = self.unread, self.unread_why
+        said = Sentence(
+            "datagrams refused: {count}, the last one for {reason}: {why}", count=count, reason=reason, why=why
+        )
+        return said, is_new
+
+    def _note(self, counter: str, reason: str, why: object) -> None:
+        self._counters[counter] += 1
+        said = f"{reason}: {why}"[:LONGEST_REFUSAL]
+        if self._stopped:
+            self.later = said
+        else:
+            self.last = said
 
 
 class StateReport:

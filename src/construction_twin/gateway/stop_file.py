@@ -1,7 +1,6 @@
 """The file in which a stop or fault that nobody has reset outlasts the gateway's program (docs/architecture.md, law 5).
 
-It is written beside the loop, which waits for no disk, and in place: a disk that is full later takes every stop. Standard library
-only.
+It is written beside the loop, which waits for no disk, and in place: a disk that is full later takes every stop.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ the end of the command session or of the controller session, outputs that are no
 void, and what is void fires no more. An output that is off without RSI, and that a missed reply has switched off on the controller,
 stays off: the next reply that arrives must not switch it on again.
 
-It knows no clock: cycles are counted in telegrams, stamps are the playout's [ns]. Standard library only.
+It knows no clock: cycles are counted in telegrams, stamps are the playout's [ns].
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 The file gets all its blocks at the start, and is mapped into memory: recording is one write into memory, without a system call in
 the cycle, and nothing is lost when the process is killed. A disk without room for all of it is refused at the start: a block that
 is missing later would end the process in the middle of a motion, without an exception (SIGBUS). For the same reason a file that
-exists is replaced, not emptied: another gateway may record in it. Standard library only; rad and ns.
+exists is replaced, not emptied: another gateway may record in it. rad and ns.
 """
 
 from __future__ import annotations

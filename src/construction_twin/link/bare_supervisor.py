@@ -6,13 +6,9 @@ side arms it, and everything that a gateway would have checked or told stands in
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from construction_twin.core.errors import ReviewError
 from construction_twin.core.sentences import Sentence
-from construction_twin.core.state_table import Occasion
-from construction_twin.link.observations import FRESH, LinkObservations
-from construction_twin.link.states import BARE_ROWS, Action, LinkEvent, LinkState, Row
+from construction_twin.link.observations import ABSENT, FRESH, LinkObservations, LinkState
 from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.messages import OFFLINE, PLC
 
@@ -49,57 +45,70 @@ class BareObservations(LinkObservations):
         """Return an empty sentence: what is said there is either the PLC's word, or a gateway's, which ends it."""
         return ""
 
-    def obstacle(self, now: int, mirrors: bool) -> tuple[LinkEvent, str] | None:
+    def obstacle(self, now: int, mirrors: bool) -> tuple[LinkState, str] | None:
         """Return what is missing for a link that commands, or in mirror mode for one that follows, and one sentence."""
         if not self._connected:
-            return LinkEvent.BROKER_LOST, Sentence("not connected to the broker")
+            return LinkState.DISCONNECTED, Sentence("not connected to the broker")
         if self.status.get("kind", PLC) != PLC and self.gateway != OFFLINE:
-            return LinkEvent.MISMATCHED, Sentence(
+            return LinkState.MISMATCH, Sentence(
                 "rsi_gateway answers on the broker, no bare PLC: start with gateway_kind:=rsi, or stop that gateway"
             )
         if not self.status:
-            return LinkEvent.GATEWAY_LOST, Sentence("no PLC has said `ready` on its `status` topic, retained")
+            return LinkState.GATEWAY_OFFLINE, Sentence("no PLC has said `ready` on its `status` topic, retained")
         if self.offline_heard or self.gateway == OFFLINE:
-            return LinkEvent.GATEWAY_LOST, Sentence("the PLC says `offline`: it takes no strings; see to the PLC")
+            return LinkState.GATEWAY_OFFLINE, Sentence("the PLC says `offline`: it takes no strings; see to the PLC")
         if self._pose is None or now - self._pose_at >= FRESH:
             why = self.why_no_pose(now) or Sentence("no joint string comes on its `state` topic")
-            return LinkEvent.CONTROLLER_LOST, Sentence("the PLC says `ready`, but {why}", why=why)
+            return LinkState.NO_CONTROLLER, Sentence("the PLC says `ready`, but {why}", why=why)
         return None
 
 
 class BareSupervisor(LinkSupervisor):
-    """Decides by `states.BARE_TABLE`; takes no configuration's hash into account, because a bare PLC tells none."""
+    """Arms in a person's name alone, and asks nothing of the PLC; takes no configuration's hash into account."""
 
     kind, sends_control = PLC, False
     not_checked = NOT_CHECKED
     inputs: BareObservations
     _observations = BareObservations
-    _rows = BARE_ROWS
 
     def __init__(self, *arguments, **options):
         super().__init__(*arguments, **options)
         # the first one that is armed must be another, so that twin and gate start over with it
         self.session = self._new_id()
 
-    def _actions(self) -> dict[Action, Callable[[Row, Occasion], str]]:
-        return super()._actions() | {
-            Action.BEGIN_NAMED_SESSION: lambda row, at: self._begin_session(at.reason),
-            Action.NOTE_RESPONSIBLE: lambda row, at: self._responsible_sentence,
-            Action.TELL_PERSON: lambda row, at: Sentence(
-                "a bare PLC is armed by a person, by name: {command}", command=ARM_COMMAND
-            ),
-        }
-
     def poll(self, now: int) -> None:
         """Update the state; there is never anything to send."""
         super().poll(now)
         self.inputs.offline_heard = False
 
-    def take(self, event: LinkEvent, now: int, reason: str = "") -> None:
-        """Carry out the table's row; the responsibility ends with the session."""
-        super().take(event, now, reason)
-        if self.state not in (LinkState.RESYNC, LinkState.ARMED):
+    def _go(self, state: LinkState, reason: str) -> None:
+        super()._go(state, reason)
+        # it ends with the session
+        if state not in (LinkState.RESYNC, LinkState.ARMED):
             self.responsible = ""
+
+    def _judge(self, now: int) -> None:
+        if self.mirrors:
+            super()._judge(now)
+        elif self.state in (*ABSENT, LinkState.MIRROR):
+            self._go(
+                LinkState.NEEDS_RESET,
+                Sentence("a bare PLC is armed by a person, by name: {command}", command=ARM_COMMAND),
+            )
+
+    def _take_turn(self, now: int) -> None:
+        # a stream in motion may pass the arm's pose; no gateway would refuse what begins at speed
+        known = self.inputs
+        together = known.within_tolerance(now) and known.at_rest(now) and known.stream_rests(now)
+        if self.state is LinkState.RESYNC and together:
+            topics = ", ".join(sentence.partition(":")[0] for sentence in self.not_checked)
+            armed = Sentence(
+                "bare PLC, session {session}; {name} is responsible for what is not checked: {topics}",
+                session=self.session,
+                name=self.responsible,
+                topics=topics,
+            )
+            self._go(LinkState.ARMED, armed)
 
     def request_arm(self, now: int, person: str = "") -> None:
         """Begin a session in the name of the person who is responsible for what is not checked; ReviewError where it cannot.
@@ -129,7 +138,7 @@ class BareSupervisor(LinkSupervisor):
         self.responsible = name
         self.requests += 1
         taken = Sentence("{name} has taken the responsibility; twin and arm take the same pose", name=name)
-        self.take(LinkEvent.RESPONSIBILITY_TAKEN, now, taken)
+        self._begin_session(taken)
 
     def withdraw(self, request: int, reason: str) -> None:
         """Give up arming, because the poses do not meet in time: it must not happen later, when the person is gone."""
@@ -140,24 +149,5 @@ class BareSupervisor(LinkSupervisor):
         return Sentence("mirror mode has ended; a person arms the PLC again: {command}", command=ARM_COMMAND)
 
     def request_reset(self, now: int) -> None:
-        """Raise ReviewError: a person's name is needed; it says why nothing could be armed either."""
-        refusal = Sentence("cannot reset a bare PLC without a name: {command}", command=ARM_COMMAND)
-        if self.state in (LinkState.RESYNC, LinkState.ARMED):
-            ends = Sentence(
-                "{refusal}; first end what {name} has armed, with halt", refusal=refusal, name=self.responsible
-            )
-            raise ReviewError(ends)
-        problem = self.inputs.why_no_pose(now) if self.state is LinkState.NEEDS_RESET else self.reason
-        if problem:
-            refusal = Sentence("{refusal}; now it could not either: {problem}", refusal=refusal, problem=problem)
-        raise ReviewError(refusal)
-
-    @property
-    def _responsible_sentence(self) -> str:
-        topics = ", ".join(sentence.partition(":")[0] for sentence in self.not_checked)
-        return Sentence(
-            "bare PLC, session {session}; {name} is responsible for what is not checked: {topics}",
-            session=self.session,
-            name=self.responsible,
-            topics=topics,
-        )
+        """Raise ReviewError: a person's name is needed."""
+        raise ReviewError(Sentence("cannot reset a bare PLC without a name: {command}", command=ARM_COMMAND))

@@ -23,9 +23,7 @@ from construction_twin.link.gateway_status import (
     status_values,
     without_counts,
 )
-from construction_twin.link.observations import SeenStops
-from construction_twin.link.speed_limits import SpeedForwarder
-from construction_twin.link.states import LinkState
+from construction_twin.link.observations import LinkState, SeenStops
 from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.link.tool_link import ToolLink
 from construction_twin.mqtt.joint_string import JointStringCodec
@@ -41,8 +39,8 @@ from construction_twin.mqtt.messages import (
 
 #: So long a failed request waits for the gateway's word that nothing of it is in force [ns].
 WITHDRAWAL = NANOSECONDS
-#: Between two reports of an unchanged link [ns].
-_REPEAT = NANOSECONDS
+#: Between two reports of an unchanged link, and two messages of an unchanged speed limit [ns].
+_REPEAT, LIMIT_PERIOD = NANOSECONDS, NANOSECONDS // 5
 #: What `halt` comes to with a bare PLC.
 PLC_HALTED = Sentence(
     "no more strings are sent to the PLC, and the plan is dropped: a lawful PLC brakes on silence; a person arms again, by name"
@@ -167,7 +165,6 @@ class Bridge:
     ):
         kind = BareSupervisor if bare else LinkSupervisor
         self.supervisor: LinkSupervisor = kind(config, new_id, mirrors, waits)
-        self.speed = SpeedForwarder(config.speed_limit_deadline)
         #: Id of the plan that the executor plays, or has played last: only its switches are armed.
         self.played = ""
         self._strings, self._timeout, self._new_id = strings, timeout, new_id
@@ -180,22 +177,29 @@ class Bridge:
         self._values: dict[str, str] = {}
         self._told: tuple[LinkState, str, str] | None = None
         self._told_at = 0
+        # session and speed limit that were sent last, when, and how many were
+        self._limit, self._limit_at, self._limits = ("", 1.0), 0, 0
 
     # -- the gateway
 
-    def poll(self, now: int, present: Moment) -> list[Control]:
+    def poll(self, now: int, present: Moment) -> Control | None:
         """Update the link; return what is to be sent now."""
         supervisor = self.supervisor
         control = supervisor.poll(now)
         self._note_stops(present)
-        limit = self.speed.poll(supervisor.session if self._takes_control else "", now)
         # the first sentence stays until nobody is waited for: figures may waver in those that follow
         waits = supervisor.waits_for
         self.waits = waits and (self.waits or waits)
-        sent = [control] if control is not None else []
-        if limit is not None:
-            sent.append(Control(str(self.speed.number), supervisor.session, "speed_limit", limit))
-        return sent
+        return control
+
+    def on_speed_limit(self, limit: float, now: int) -> Control | None:
+        """Return the message for the speed limit in force; None where it was sent lately. Its silence is silence at the gateway."""
+        wanted = self.supervisor.session, limit
+        if not self._takes_control or (wanted == self._limit and now - self._limit_at < LIMIT_PERIOD):
+            return None
+        # numbered, because the gateway takes none that is not newer than all before
+        self._limit, self._limit_at, self._limits = wanted, now, self._limits + 1
+        return Control(str(self._limits), self.supervisor.session, "speed_limit", limit)
 
     @property
     def _takes_control(self) -> bool:

@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, FailFast, Field, ValidationError
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
 from construction_twin.core.sentences import LONGEST, Sentence, heard
 from construction_twin.gateway.tool_switches import MOST_REPORTED
 from construction_twin.mqtt.messages import FIRST_PROTOCOL, OFFLINE, PLC, READY, RSI, is_short_text, parse_object
@@ -167,19 +166,5 @@ def _text(value: Any) -> str:
 
 
 def cut(text: str) -> str:
-    """Return a text, or its beginning where it is too long to be told."""
+    """Return a text, or its beginning where it is too long to be told: a sentence that fits stays one."""
     return text if len(text) <= _LONGEST else text[:_LONGEST]
-
-
-def tool_report(status: Mapping[str, Any]) -> ToolReport:
-    """Return what a parsed status says of the gateway's tool."""
-    if "tool" not in status:
-        return ToolReport(reason=Sentence("the gateway's configuration has no tool: a robot without hands"))
-    tool = status["tool"]
-    states = {state.word: state for state in SwitchState}
-    switches = {
-        each["id"][:_LONGEST]: SwitchReport(states[each["state"]], cut(each["reason"]))
-        for each in tool.get("switches", [])
-    }
-    name, reason = tool["name"][:_LONGEST], cut(tool["reason"])
-    return ToolReport(tool["known"], name, tool["outputs"], tool["inputs"], switches, reason)

@@ -1,4 +1,4 @@
-"""What the bridge knows of the broker, the gateway, the arm and the command stream, and which link event follows.
+"""What the bridge knows of the broker, the gateway, the arm and the command stream, and what is missing for a link.
 
 Pure: time is an argument [ns]. Angles in rad (axis space).
 """
@@ -6,13 +6,13 @@ Pure: time is an argument [ns]. Angles in rad (axis space).
 from __future__ import annotations
 
 from dataclasses import replace
+from enum import Enum
 
 from construction_twin.core.freshness import Moment, is_newer
 from construction_twin.core.limits import outside_tolerance
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
-from construction_twin.link.states import LinkEvent
 from construction_twin.mqtt.messages import OFFLINE, PLC, PROTOCOL, other_protocol, protocol_of
 
 #: A pose or command older than this is not used for a decision [ns].
@@ -32,6 +32,23 @@ ONLY_POSES = ("read_only", "measuring", "other_cycle")
 SHOWN_AFTER = NANOSECONDS // 4
 
 
+class LinkState(Enum):
+    """State of the link; values are those of `Link.msg`."""
+
+    DISCONNECTED = 0
+    GATEWAY_OFFLINE = 1
+    NO_CONTROLLER = 2
+    MISMATCH = 3
+    RESYNC = 4
+    ARMED = 5
+    NEEDS_RESET = 6
+    MIRROR = 7
+
+
+#: States without broker, gateway or arm.
+ABSENT = (LinkState.DISCONNECTED, LinkState.GATEWAY_OFFLINE, LinkState.NO_CONTROLLER, LinkState.MISMATCH)
+
+
 class SeenStops:
     """When the last stop became known; it has to be noted at least as often as it is asked for."""
 
@@ -49,7 +66,85 @@ class SeenStops:
         return is_newer(seen, self._shown_from)
 
 
-class LinkObservations:
+class ArmAndStream:
+    """The newest pose of the arm and the newest command, and whether they rest and meet."""
+
+    def __init__(self, config: GatewayConfig):
+        self._tolerances = tuple(config.start_tolerances)
+        # an arm that rests between two values of the wire flickers by one digit
+        digits = config.limits.last_digits(config.decimals)
+        self._rest_bands = tuple(max(most / 50, 1.5 * digit) for most, digit in zip(self._tolerances, digits))
+        self._pose: tuple[float, ...] | None = None
+        self._rest_pose: tuple[float, ...] = ()
+        self._pose_at = self._moved_at = 0
+        self._refusals, self._refusal, self._refused_at = 0, "", 0
+        self._command: tuple[float, ...] | None = None
+        self._command_at, self._command_rests_since = -FRESH, 0
+
+    def on_pose(self, q: tuple[float, ...], now: int) -> None:
+        """Take the arm's pose [rad]."""
+        if self._pose is None or outside_tolerance(q, self._rest_pose, self._rest_bands) is not None:
+            self._rest_pose, self._moved_at = q, now
+        self._pose, self._pose_at = q, now
+        self._refusals = 0
+
+    def on_pose_refused(self, sentence: str, now: int) -> None:
+        """Take why a string of the arm's pose was refused."""
+        self._refusals, self._refusal, self._refused_at = self._refusals + 1, sentence, now
+
+    def on_command(self, q: tuple[float, ...], now: int) -> None:
+        """Take a command that wants to be sent [rad]."""
+        # before the first one, and after a pause, it is not known how it moved
+        if q != self._command or now - self._command_at >= FRESH:
+            self._command_rests_since = now
+        self._command, self._command_at = q, now
+
+    def forget_command(self) -> None:
+        """Wait for the next command: the last one belongs to another session."""
+        self._command = None
+
+    def at_rest(self, now: int) -> bool:
+        """Return whether the arm's pose is known, and has not changed for `REST`."""
+        return self._pose is not None and now - self._pose_at < FRESH and now - self._moved_at >= REST
+
+    def why_not_at_rest(self, now: int) -> str:
+        """Return why the arm does not count as at rest, or why its strings are refused; empty when it is at rest."""
+        if self.at_rest(now):
+            return ""
+        return self.why_no_pose(now) or Sentence("the arm's pose is unknown or still changing; wait until it rests")
+
+    def why_no_pose(self, now: int) -> str:
+        """Return why the strings that come from the arm are not its pose; empty when they are, or when none come."""
+        if not self._refusals or now - self._refused_at >= REFUSED_RECENTLY:
+            return ""
+        return Sentence(
+            "the arm's pose is unknown: {count} of its strings are refused: {reason}",
+            count=self._refusals,
+            reason=self._refusal,
+        )
+
+    def stream_may_move(self, now: int) -> bool:
+        """Return whether commands come, of whatever session, that have not been the same for `REST`, or not long enough to know."""
+        return now - self._command_at < FRESH and not self.stream_rests(now)
+
+    def stream_rests(self, now: int) -> bool:
+        """Return whether commands come, and have been the same for `REST`; a stream that has just begun must still show it."""
+        is_fresh = self._command is not None and now - self._command_at < FRESH
+        return is_fresh and self._command_at - self._command_rests_since >= REST
+
+    def within_tolerance(self, now: int) -> bool:
+        """Return whether the newest command and the newest pose are fresh and within the start tolerance of each other."""
+        if (
+            self._command is None
+            or self._pose is None
+            or now - self._command_at >= FRESH
+            or now - self._pose_at >= FRESH
+        ):
+            return False
+        return outside_tolerance(self._command, self._pose, self._tolerances) is None
+
+
+class LinkObservations(ArmAndStream):
     """The newest of everything that the link is decided by.
 
     Attributes:
@@ -57,29 +152,16 @@ class LinkObservations:
     """
 
     def __init__(self, config: GatewayConfig):
+        super().__init__(config)
         self._hash, self._decimals = config.hash, config.decimals
-        self._tolerances = tuple(config.start_tolerances)
-        # an arm that rests between two values of the wire flickers by one digit
-        digits = config.limits.last_digits(config.decimals)
-        self._rest_bands = tuple(max(most / 50, 1.5 * digit) for most, digit in zip(self._tolerances, digits))
         self.status: dict = {}
         self._status_at = 0
+        self._connected = False
         # gateways that answer beside the one whose status is taken: run, and when it was heard last
         self._other_runs: dict[str, int] = {}
         # the number in the last status without a fault, in its run; and what was stopped since, in the newest run that told it
         self._clear: tuple[str, int] = ("", 0)
         self._stopped_in, self._stop_told = "", ""
-        self._connected = False
-        self._pose: tuple[float, ...] | None = None
-        self._pose_at = 0
-        self._rest_pose: tuple[float, ...] = ()
-        self._moved_at = 0
-        self._refused_at = 0
-        self._refusal = ""
-        self._refusals = 0
-        self._command: tuple[float, ...] | None = None
-        self._command_at = -FRESH
-        self._command_rests_since = 0
 
     # -- what comes in
 
@@ -149,29 +231,6 @@ class LinkObservations:
         """The link is armed: whatever was stopped before, a person has asked for that."""
         self._stopped_in = ""
 
-    def on_pose(self, q: tuple[float, ...], now: int) -> None:
-        """Take the arm's pose [rad]."""
-        if self._pose is None or outside_tolerance(q, self._rest_pose, self._rest_bands) is not None:
-            self._rest_pose, self._moved_at = q, now
-        self._pose, self._pose_at = q, now
-        self._refusals = 0
-
-    def on_pose_refused(self, sentence: str, now: int) -> None:
-        """Take note that a string of the arm's pose came and was refused, and why."""
-        self._refusal, self._refused_at = sentence, now
-        self._refusals += 1
-
-    def on_command(self, q: tuple[float, ...], now: int) -> None:
-        """Take a command that wants to be sent [rad]."""
-        # before the first one, and after a pause, it is not known how it moved
-        if q != self._command or now - self._command_at >= FRESH:
-            self._command_rests_since = now
-        self._command, self._command_at = q, now
-
-    def forget_command(self) -> None:
-        """Wait for the next command: the last one belongs to another session."""
-        self._command = None
-
     # -- the gateway
 
     @property
@@ -234,91 +293,46 @@ class LinkObservations:
         """Return whether the gateway is armed for another session than this one, or follows it."""
         return self.gateway in ("armed", "following") and self.status.get("session") != session
 
-    def obstacle(self, now: int, mirrors: bool) -> tuple[LinkEvent, str] | None:
+    def obstacle(self, now: int, mirrors: bool) -> tuple[LinkState, str] | None:
         """Return what is missing for a link that commands, or in mirror mode for one that follows, and one sentence."""
         if not self._connected:
-            return LinkEvent.BROKER_LOST, Sentence("not connected to the broker")
+            return LinkState.DISCONNECTED, Sentence("not connected to the broker")
         if self.status.get("kind") == PLC and self.gateway != OFFLINE:
-            return LinkEvent.MISMATCHED, Sentence(
+            return LinkState.MISMATCH, Sentence(
                 "a bare PLC answers on the broker, no rsi_gateway: start with gateway_kind:=plc (docs/broker.md)"
             )
         if self.gateway == "offline" or now - self._status_at > STATUS_TIMEOUT:
-            return LinkEvent.GATEWAY_LOST, Sentence(
+            return LinkState.GATEWAY_OFFLINE, Sentence(
                 "no gateway answers on the broker; start rsi_gateway on the cell PC"
             )
         others = sorted(run for run, heard in self._other_runs.items() if now - heard <= STATUS_TIMEOUT)
         if others:
             runs = " and ".join(f"run {run}" if run else "one without a run" for run in sorted([self.run, *others]))
-            return LinkEvent.MISMATCHED, Sentence(
+            return LinkState.MISMATCH, Sentence(
                 "more than one gateway answers on the broker: {runs} (each logs its run when it starts): end all but one",
                 runs=runs,
             )
         if sentence := other_protocol(protocol_of(self.status), PROTOCOL):
-            return LinkEvent.MISMATCHED, sentence
+            return LinkState.MISMATCH, sentence
         if self.status.get("decimals") != self._decimals:
-            return LinkEvent.MISMATCHED, Sentence(
+            return LinkState.MISMATCH, Sentence(
                 "gateway uses {gateway} decimals, the bridge {bridge}: give both the same number",
                 gateway=str(self.status.get("decimals")),
                 bridge=self._decimals,
             )
         if self.status.get("hash") != self._hash:
-            return LinkEvent.MISMATCHED, Sentence(
+            return LinkState.MISMATCH, Sentence(
                 "gateway runs another configuration (its hash differs); export_gateway_config, then restart the gateway"
             )
         if not self.run or self.fault_number is None:
-            return LinkEvent.MISMATCHED, Sentence(
+            return LinkState.MISMATCH, Sentence(
                 "gateway names no run, or no fault_number, in its status; install the same version on both sides"
             )
         if self.gateway in NO_SESSION or (self.gateway in ONLY_POSES and not mirrors):
-            return LinkEvent.CONTROLLER_LOST, Sentence(
+            return LinkState.NO_CONTROLLER, Sentence(
                 "gateway has no RSI session to command: {reason}", reason=self.gateway_reason
             )
         return None
-
-    # -- arm and stream
-
-    def at_rest(self, now: int) -> bool:
-        """Return whether the arm's pose is known, and has not changed for `REST`."""
-        return self._pose is not None and now - self._pose_at < FRESH and now - self._moved_at >= REST
-
-    def why_not_at_rest(self, now: int) -> str:
-        """Return why the arm does not count as at rest, or why its strings are refused; empty when it is at rest."""
-        if self.at_rest(now):
-            return ""
-        return self.why_no_pose(now) or Sentence("the arm's pose is unknown or still changing; wait until it rests")
-
-    def why_no_pose(self, now: int) -> str:
-        """Return why the strings that come from the arm are not its pose; empty when they are, or when none come."""
-        if not self._refusals or now - self._refused_at >= REFUSED_RECENTLY:
-            return ""
-        return Sentence(
-            "the arm's pose is unknown: {count} of its strings are refused: {reason}",
-            count=self._refusals,
-            reason=self._refusal,
-        )
-
-    def stream_may_move(self, now: int) -> bool:
-        """Return whether commands come, of whatever session, that have not been the same for `REST`, or not long enough to know."""
-        return now - self._command_at < FRESH and not self.stream_rests(now)
-
-    def stream_rests(self, now: int) -> bool:
-        """Return whether commands come, and have been the same for `REST`; a stream that has just begun must still show it."""
-        return (
-            self._command is not None
-            and now - self._command_at < FRESH
-            and self._command_at - self._command_rests_since >= REST
-        )
-
-    def within_tolerance(self, now: int) -> bool:
-        """Return whether the newest command and the newest pose are fresh and within the start tolerance of each other."""
-        if (
-            self._command is None
-            or self._pose is None
-            or now - self._command_at >= FRESH
-            or now - self._pose_at >= FRESH
-        ):
-            return False
-        return outside_tolerance(self._command, self._pose, self._tolerances) is None
 
 
 def _run_of(status: dict) -> str:

@@ -20,35 +20,8 @@ from construction_twin.core.freshness import Moment, is_newer, parse_moment, sta
 from construction_twin.core.reports import SpeedChange, SpeedReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.speed_limit import LimitState, SpeedLimit
-from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.observations import SHOWN_AFTER
 from construction_twin.link.requests import LEAST_SPEED
-
-#: An unchanged limit is forwarded no faster than this [ns].
-PERIOD = NANOSECONDS // 5
-
-
-class SpeedForwarder(SpeedLimit):
-    """Forwards a limit while its source is heard: each message at most once to a session, so that its silence is silence there."""
-
-    def __init__(self, deadline: float):
-        super().__init__(deadline)
-        #: How many were sent: the last message's id, because the gateway takes none that is not newer than all before.
-        self.number = 0
-        # session and limit that were sent last, when that limit was heard, and when it was sent
-        self._sent = ("", 1.0), 0, 0
-
-    def poll(self, session: str, now: int) -> float | None:
-        """Return the limit to send now to the armed session `session` ("" for none), or None."""
-        if not session or not self.is_heard(now):
-            return None
-        wanted, (sent, heard_at, sent_at) = (session, self.fraction), self._sent
-        if wanted == sent and (self._heard_at <= heard_at or now - sent_at < PERIOD):
-            return None
-        self._sent = wanted, self._heard_at, now
-        self.number += 1
-        return self.fraction
-
 
 #: Largest file that is read, and the least that it has [bytes].
 MOST, ROOM = 1 << 16, 4096

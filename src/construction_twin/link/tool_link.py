@@ -7,13 +7,14 @@ Whether it is armed, has fired or is void only the gateway knows; what it told l
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.gateway.tool_switches import MOST_REPORTED
-from construction_twin.link.gateway_status import cut, tool_report
+from construction_twin.link.gateway_status import cut
 from construction_twin.mqtt.messages import Control
 
 
@@ -117,3 +118,14 @@ class ToolLink:
         if obstacle:
             return replace(status, known=False, switches=switches, reason=obstacle)
         return replace(status, switches=switches, reason=status.reason or self._refused)
+
+
+def tool_report(status: Mapping[str, Any]) -> ToolReport:
+    """Return what a parsed status says of the gateway's tool."""
+    if "tool" not in status:
+        return ToolReport(reason=Sentence("the gateway's configuration has no tool: a robot without hands"))
+    tool, states = status["tool"], {state.word: state for state in SwitchState}
+    switches = {
+        cut(each["id"]): SwitchReport(states[each["state"]], cut(each["reason"])) for each in tool.get("switches", [])
+    }
+    return ToolReport(tool["known"], cut(tool["name"]), tool["outputs"], tool["inputs"], switches, cut(tool["reason"]))

@@ -15,11 +15,9 @@ from construction_twin.mqtt.client import Broker, watch_answer
 from construction_twin.mqtt.plain_client import PlainClient
 
 #: OpenSSL's numbers of what is wrong with a certificate (X509_V_ERR_...).
-_NOT_YET_VALID, _EXPIRED = 9, 10
-_UNKNOWN_CA = (2, 18, 19, 20, 21)
-_WRONG_NAME = (62, 64)
+_NOT_YET_VALID, _EXPIRED, _UNKNOWN_CA, _WRONG_NAME = 9, 10, (2, 18, 19, 20, 21), (62, 64)
 #: Reason codes of MQTT 5 that mean the account; paho translates those of 3.1.1 into them.
-_BAD_CREDENTIALS, _NOT_AUTHORIZED = 134, 135
+_ACCOUNT = (134, 135)
 #: The one that means the version of MQTT; paho makes it of return code 1 too, with which brokers of 3.1.1 refuse MQTT 5.
 _UNSUPPORTED_VERSION = 132
 #: That a client with the same id has taken the connection away; mosquitto 2.0 does not tell.
@@ -34,35 +32,34 @@ _OLDER = (
 
 def connection_failure(broker: Broker, error: OSError) -> str:
     """Return the sentence for a connection that was not made, for what connecting raised: of TLS and name resolution, too."""
-    where = f"broker {broker.host}:{broker.port}"
     if isinstance(error, ssl.SSLCertVerificationError):
-        return f"{where}: {_certificate_failure(broker, error)}"
-    if isinstance(error, ssl.SSLError):
-        return f"{where}: {_tls_failure(error)}"
-    if isinstance(error, socket.gaierror):
-        return f"{where}: no such host ({error.strerror}); check the name and the name server"
-    if isinstance(error, ConnectionRefusedError):
-        return f"{where}: nobody listens there; start the broker, or check host and port"
-    if isinstance(error, TimeoutError):
-        return f"{where}: no answer; check the cable, the address and the firewall"
-    if isinstance(error, ConnectionResetError):
-        return f"{where}: hung up while connecting; does this port speak {'TLS' if broker.encrypted else 'plain TCP'}?"
-    return f"{where}: {error.strerror or error}"
+        why = f"its certificate {_certificate_failure(broker, error)}"
+    elif isinstance(error, ssl.SSLError):
+        why = _tls_failure(error)
+    elif isinstance(error, socket.gaierror):
+        why = f"no such host ({error.strerror}); check the name and the name server"
+    elif isinstance(error, ConnectionRefusedError):
+        why = "nobody listens there; start the broker, or check host and port"
+    elif isinstance(error, TimeoutError):
+        why = "no answer; check the cable, the address and the firewall"
+    elif isinstance(error, ConnectionResetError):
+        why = f"hung up while connecting; does this port speak {'TLS' if broker.encrypted else 'plain TCP'}?"
+    else:
+        why = error.strerror or str(error)
+    return f"broker {broker.host}:{broker.port}: {why}"
 
 
 def _certificate_failure(broker: Broker, error: ssl.SSLCertVerificationError) -> str:
-    ca_file = broker.account.ca_file if broker.account else ""
     if error.verify_code == _EXPIRED:
-        return "its certificate has expired; renew it with make_site --renew, or check this machine's clock"
+        return "has expired; renew it with make_site --renew, or check this machine's clock"
     if error.verify_code == _NOT_YET_VALID:
-        return "its certificate is not valid yet; check the clocks of both machines"
+        return "is not valid yet; check the clocks of both machines"
     if error.verify_code in _WRONG_NAME:
-        return f"its certificate is not for {broker.host!r} ({error.verify_message}); add it with make_site --host"
+        return f"is not for {broker.host!r} ({error.verify_message}); add it with make_site --host"
     if error.verify_code in _UNKNOWN_CA:
-        return (
-            f"its certificate is not signed by the CA in {ca_file} ({error.verify_message}); take ca.crt from its site"
-        )
-    return f"its certificate is refused: {error.verify_message}"
+        ca_file = broker.account.ca_file if broker.account else ""
+        return f"is not signed by the CA in {ca_file} ({error.verify_message}); take ca.crt from its site"
+    return f"is refused: {error.verify_message}"
 
 
 def _tls_failure(error: ssl.SSLError) -> str:
@@ -72,52 +69,6 @@ def _tls_failure(error: ssl.SSLError) -> str:
     if "CERTIFICATE" in reason or "UNKNOWN_CA" in reason:
         return f"the broker refuses this client's certificate ({reason}); take one from this broker's site, or renew it"
     return f"TLS failed ({reason})"
-
-
-def refused_connection(broker: Broker, reason_code: ReasonCode) -> str:
-    """Return the sentence for a connection that the broker refused in its answer (CONNACK)."""
-    where = f"broker {broker.host}:{broker.port}"
-    if reason_code.value == _UNSUPPORTED_VERSION:
-        if broker.protocol == "5":
-            return f"{where} does not speak MQTT 5, only an older version: {_OLDER}"
-        return f"{where} does not speak MQTT {broker.protocol}: start with protocol:=5, or use another broker"
-    if reason_code.value not in (_BAD_CREDENTIALS, _NOT_AUTHORIZED):
-        return f"{where} refused the connection: {reason_code}"
-    if broker.account is None or not broker.account.user:
-        return f"{where} refused the connection: {reason_code}; it wants an account, give an account file"
-    account = f"user {broker.account.user!r}"
-    return f"{where} refused {account}: {reason_code}; check it, and the password in {broker.account.password_file}"
-
-
-def lost_connection(broker: Broker, reason_code: ReasonCode) -> str:
-    """Return the sentence for a connection that ended; a broker that refuses a client certificate shows itself only here."""
-    if reason_code.value == _TAKEN_OVER:
-        why = "taken away by a client with the same id, which an account there knows: see the broker's log (docs/broker.md)"
-    else:
-        why = f"lost: {'the broker or the network has closed it' if reason_code.value == _CLOSED else reason_code}"
-    return f"connection to broker {broker.host}:{broker.port} {why}; trying again{_maybe_certificate(broker)}"
-
-
-def no_welcome(broker: Broker) -> str:
-    """Return the sentence for a connection that was closed before a broker's answer (CONNACK) had come."""
-    where = f"broker {broker.host}:{broker.port}"
-    spoken = f"MQTT {broker.protocol} {'with' if broker.encrypted else 'without'} TLS"
-    # so does RabbitMQ 3.10, which fails on a CONNECT of MQTT 5
-    older = f"; one without MQTT 5 may do so (RabbitMQ before 3.13): {_OLDER}" if broker.protocol == "5" else ""
-    return f"{where} closed the connection without an answer: does the port speak {spoken}{older}{_maybe_certificate(broker)}"
-
-
-def _maybe_certificate(broker: Broker) -> str:
-    if broker.account is None or not broker.account.cert_file:
-        return ""
-    return " (if it never lasts: the broker may refuse the client certificate)"
-
-
-def refused_publish(broker: Broker, topic: str, reason_code: ReasonCode) -> str:
-    """Return the sentence for a message that the broker's access rules did not let through."""
-    who = broker.account.user or broker.account.cert_file if broker.account else "somebody without an account"
-    where = f"broker {broker.host}:{broker.port}"
-    return f"{where} does not let {who} publish on {topic}: {reason_code}; this program needs the account of its role"
 
 
 class ConnectionReport:
@@ -132,9 +83,8 @@ class ConnectionReport:
     """
 
     def __init__(self, broker: Broker, say: Callable[[str], None], first: bool = True):
-        self._broker = broker
-        self._say = say
-        self._spoken = first
+        self._broker, self._say, self._spoken = broker, say, first
+        self._where = f"broker {broker.host}:{broker.port}"
         self._welcomed = False
         self.sentence = ""
 
@@ -160,18 +110,51 @@ class ConnectionReport:
         self._report(connection_failure(self._broker, error))
 
     def refused(self, reason_code: ReasonCode) -> None:
-        """Report a connection that the broker refused."""
-        self._report(refused_connection(self._broker, reason_code))
+        """Report a connection that the broker refused in its answer (CONNACK)."""
+        where, account, protocol = self._where, self._broker.account, self._broker.protocol
+        if reason_code.value == _UNSUPPORTED_VERSION and protocol == "5":
+            self._report(f"{where} does not speak MQTT 5, only an older version: {_OLDER}")
+        elif reason_code.value == _UNSUPPORTED_VERSION:
+            self._report(f"{where} does not speak MQTT {protocol}: start with protocol:=5, or use another broker")
+        elif reason_code.value not in _ACCOUNT:
+            self._report(f"{where} refused the connection: {reason_code}")
+        elif account is None or not account.user:
+            self._report(f"{where} refused the connection: {reason_code}; it wants an account, give an account file")
+        else:
+            check = f"check it, and the password in {account.password_file}"
+            self._report(f"{where} refused user {account.user!r}: {reason_code}; {check}")
 
     def lost(self, reason_code: ReasonCode) -> None:
         """Report the unwanted end of a connection; what the broker said when it refused one stays."""
         welcomed, self._welcomed = self._welcomed, False
-        if reason_code.is_failure and not self.sentence:
-            self._report(lost_connection(self._broker, reason_code) if welcomed else no_welcome(self._broker))
+        if not reason_code.is_failure or self.sentence:
+            return
+        broker, where = self._broker, self._where
+        # a broker that refuses a client certificate shows itself only here
+        certificate = " (if it never lasts: the broker may refuse the client certificate)"
+        more = certificate if broker.account is not None and broker.account.cert_file else ""
+        if not welcomed:
+            spoken = f"MQTT {broker.protocol} {'with' if broker.encrypted else 'without'} TLS"
+            # so does RabbitMQ 3.10, which fails on a CONNECT of MQTT 5
+            older = f"; one without MQTT 5 may do so (RabbitMQ before 3.13): {_OLDER}" if broker.protocol == "5" else ""
+            self._report(f"{where} closed the connection without an answer: does the port speak {spoken}{older}{more}")
+            return
+        if reason_code.value == _TAKEN_OVER:
+            why = "taken away by a client with the same id, which an account there knows: see the broker's log (docs/broker.md)"
+        else:
+            why = f"lost: {'the broker or the network has closed it' if reason_code.value == _CLOSED else reason_code}"
+        self._report(f"connection to {where} {why}; trying again{more}")
 
     def watch_publish(self, client: paho.Client, topic: str, mid: int) -> None:
         """Report when the broker's access rules refuse a message; see `watch_answer`."""
-        watch_answer(client, mid, lambda reason_code: self._say(refused_publish(self._broker, topic, reason_code)))
+        account = self._broker.account
+        who = account.user or account.cert_file if account else "somebody without an account"
+
+        def refused(reason_code: ReasonCode) -> None:
+            found = f"{self._where} does not let {who} publish on {topic}: {reason_code}"
+            self._say(f"{found}; this program needs the account of its role")
+
+        watch_answer(client, mid, refused)
 
     def _report(self, sentence: str) -> None:
         if sentence != self.sentence:

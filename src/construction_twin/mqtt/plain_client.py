@@ -16,6 +16,8 @@ from paho.mqtt.properties import Properties
 
 #: How paho begins the name of its thread; the client's id follows.
 _PAHO_THREAD = "paho-mqtt-client-"
+#: Most that a packet holds beside topic and payload, without properties [bytes].
+_AROUND = 10
 #: What a stream's callback takes: payload, user properties, whether the message was retained.
 StreamCallback = Callable[[bytes, list[tuple[str, str]], bool], None]
 
@@ -26,7 +28,7 @@ def received_pairs(message: paho.MQTTMessage) -> list[tuple[str, str]]:
 
 
 class PlainClient(paho.Client):
-    """A paho client with streams: topics of which many messages come or go per second. It sends nothing that is too large.
+    """A paho client with streams: topics of which many messages come or go per second. It publishes nothing that is too large.
 
     Attributes:
         largest: Longest packet that the broker takes, as it said last [bytes]; None: any.
@@ -42,25 +44,17 @@ class PlainClient(paho.Client):
 
     def publish(self, topic, payload=None, qos=0, retain=False, properties=None) -> paho.MQTTMessageInfo:
         """Publish as paho does; what is too large for the broker gets `MQTT_ERR_PAYLOAD_SIZE`."""
-        if self.largest is not None:
-            content = payload.encode() if isinstance(payload, str) else payload or b""
-            beside = len(properties.pack()) if properties else int(self.protocol == MQTTProtocolVersion.MQTTv5)
-            length = 2 + len(topic.encode()) + 2 * bool(qos) + beside + len(content)
-            if self.is_too_large(topic, length + 2 + (length > 127) + (length > 16383) + (length > 2097151)):
-                info = paho.MQTTMessageInfo(0)
-                info.rc = MQTTErrorCode.MQTT_ERR_PAYLOAD_SIZE
-                return info
-        return super().publish(topic, payload, qos, retain, properties)
-
-    def is_too_large(self, topic: str, size: int) -> bool:
-        """Return whether a packet [bytes] is longer than what the broker takes, and say so the first time."""
+        size = len(topic) + len(payload or b"") + _AROUND
         if self.largest is None or size <= self.largest:
-            return False
+            return super().publish(topic, payload, qos, retain, properties)
         if topic not in self._too_large and self.on_too_large is not None:
             self._too_large.add(topic)
-            said = f"{topic} is not sent: {size} bytes, and the broker takes {self.largest} (its max_packet_size)"
-            self.on_too_large(said)
-        return True
+            self.on_too_large(
+                f"{topic} is not sent: {size} bytes, and the broker takes {self.largest} (its max_packet_size)"
+            )
+        info = paho.MQTTMessageInfo(0)
+        info.rc = MQTTErrorCode.MQTT_ERR_PAYLOAD_SIZE
+        return info
 
     def loop_start(self) -> MQTTErrorCode:
         """Serve the connection in a thread of paho's."""

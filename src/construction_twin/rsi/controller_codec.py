@@ -1,6 +1,6 @@
 """RSI telegrams as the controller writes and reads them: for the mock and the tests.
 
-Rad and m on this side, degrees and millimetres on the other, as in `gateway_codec`. Standard library only.
+Rad and m on this side, degrees and millimetres on the other, as in `gateway_codec`.
 """
 
 from __future__ import annotations
@@ -148,11 +148,7 @@ class SensorDecoder:
         )
 
     def parse(self, data: bytes) -> Reply:
-        """Read a reply.
-
-        Returns:
-            Corrections in rad and m; `stop` is None where the element is not declared, or not there.
-        """
+        """Read a reply; its `stop` is None where the element is not declared, or not there."""
         root = read_document(data, "Sen")
         if root.get("Type") != self._sentype:
             raise TelegramError(

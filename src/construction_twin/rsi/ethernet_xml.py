@@ -1,7 +1,7 @@
 """Reads KUKA's RSI Ethernet XML, the file that a user copies to the controller: the one source of what stands in the telegrams.
 
 `read_ethernet_xml` asks what the controller asks of the file; the mock is built from its answer. `check_gateway` asks what
-the gateway needs beyond that. Both say in one sentence which element does not fit and what was expected. Standard library only.
+the gateway needs beyond that. Both say in one sentence which element does not fit and what was expected.
 
     <ROOT>
       <CONFIG> IP_NUMBER, PORT, SENTYPE, ONLYSEND </CONFIG>

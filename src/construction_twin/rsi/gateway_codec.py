@@ -127,9 +127,6 @@ class RobotDecoder:
 
         The root's attribute and unknown elements are ignored; a packet holding only `IPOC` is legal, and so are an XML declaration
         and numbers with an exponent, as senders write them that are no controller.
-
-        Returns:
-            Positions in rad and m.
         """
         known = self._of_shape(self._shape, data) if self._shape is not None else None
         if known:

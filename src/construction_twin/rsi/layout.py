@@ -1,6 +1,6 @@
 """What an Ethernet XML fixes about the telegrams of one controller.
 
-Both ends are built from this: the gateway and the mock read it from the same file (`ethernet_xml`). Standard library only.
+Both ends are built from this: the gateway and the mock read it from the same file (`ethernet_xml`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""RSI as a make of controller: the functions behind the port, each bound once at the start. Standard library only."""
+"""RSI as a make of controller: the functions behind the port, each bound once at the start."""
 
 from __future__ import annotations
 

@@ -2,7 +2,6 @@
 
 None of them is built in: somebody wires an object STATUS or OV_PRO to a channel of SEND and names it (docs/rsi.md, sections 2 and
 9). Read beside the telegram and after it, so that a file without them costs nothing, and one that cannot be read ends no answers.
-Standard library only.
 """
 
 from __future__ import annotations

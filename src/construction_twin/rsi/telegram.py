@@ -1,4 +1,4 @@
-"""RSI telegrams as values, and what both directions share: strict reading of XML; names, channels and units. Standard library only.
+"""RSI telegrams as values, and what both directions share: strict reading of XML; names, channels and units.
 
 A refused telegram raises `TelegramError` with one of these reasons: ``size``, ``encoding`` (not ASCII text), ``markup``
 (declaration of types, entity, comment, processing instruction), ``xml`` (not well-formed), ``root``, ``sentype``, ``ipoc``,

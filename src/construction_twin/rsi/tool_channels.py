@@ -7,7 +7,7 @@ Names of user channels are free; these mean a tool, ``<name>`` being that of the
     SEND     Out.<output>         the output as read back, 0 or 1
     SEND     In.<input>           the input, 0 or 1
 
-Read beside the telegram, as `status_channels` is, so that an arm without a tool pays nothing. Standard library only.
+Read beside the telegram, as `status_channels` is, so that an arm without a tool pays nothing.
 """
 
 from __future__ import annotations

@@ -27,8 +27,7 @@ from construction_twin.extensions.console.nodes import endpoint as module
 from construction_twin.extensions.console.nodes.acts import WAITING, Acts, Services
 from construction_twin.extensions.console.nodes.endpoint import Connection
 from construction_twin.extensions.console.nodes.shown_plan import ShownPlan
-from construction_twin.mqtt.account import Account
-from construction_twin.mqtt.client import Broker
+from construction_twin.mqtt.client import Account, Broker
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import ANSWERS, PRESSED
 from construction_twin.review.rehearsal_report import FAILED, PASSED, RehearsalReport, finished

@@ -217,17 +217,3 @@ def test_a_server_that_stops_does_not_wait_for_a_slow_reader(page):
         writer.transport.abort()
 
     asyncio.run(scene())
-
-
-def test_only_the_head_where_that_is_asked_for_and_no_other_method(page):
-    async def scene() -> None:
-        async with running(settings(page)):
-            for method, status in (("HEAD", b"200"), ("POST", b"405"), ("DELETE", b"405")):
-                reader, writer = await ask(get(method=method))
-                head, _, body = (await rest(reader)).partition(b"\r\n\r\n")
-                assert head.split()[1] == status
-                assert (f"Content-Length: {len(LARGE)}".encode() in head) == (method == "HEAD")
-                assert (body == b"") == (method == "HEAD")
-                writer.close()
-
-    asyncio.run(scene())

@@ -17,7 +17,7 @@ from construction_twin.broker import certificates
 from construction_twin.broker.certificates import Authority, expiry
 from construction_twin.broker.make_site import main
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.mqtt.account import load_account
+from construction_twin.mqtt.client import load_account
 
 ROBOT = ["--robot", "kr120"]
 HOST = ["--host", "broker.example"]

@@ -10,7 +10,7 @@ from simulation import SimulatedChain, SimulatedLink
 from construction_twin.evaluation.alignment import LAG_TOLERANCE_NS
 from construction_twin.evaluation.summary import evaluate
 from construction_twin.evaluation.tables import error_table
-from construction_twin.link.states import LinkState
+from construction_twin.link.observations import LinkState
 
 
 def table(chain: SimulatedChain) -> tuple[float, float]:
@@ -51,19 +51,3 @@ def test_where_the_controllers_cycle_begins_does_not_matter(phase):
     assert table(chain)[0] <= 1.1e-8
     assert chain.gateway.status()["playout"]["delay_ms"] == 20.0
     assert_corrections_inside_limits(chain)
-
-
-def test_a_silent_stream_brakes_the_arm_and_reset_brings_everything_back():
-    chain = make_chain(6, cycle=12)
-    chain.play(make_plan(chain, REACH, speed_scale=0.6))
-    chain.run_for(1.5)
-    chain.supervisor.inputs.on_connection(False)
-    assert chain.run_until(lambda: chain.gateway.state.value == "holding", 3.0)
-    assert chain.gateway.status()["stop"]["cause"] == "silence"
-    assert_corrections_inside_limits(chain)
-    chain.supervisor.inputs.on_connection(True)
-    chain.run_for(0.5)
-    chain.supervisor.request_reset(chain.now)
-    assert chain.run_until(lambda: chain.ready, 5.0), chain.supervisor.reason
-    play_to_the_end(chain, make_plan(chain, REACH, speed_scale=0.6))
-    assert np.allclose(chain.controller.measured, REACH, atol=1e-7)

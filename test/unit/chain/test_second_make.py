@@ -19,7 +19,7 @@ from construction_twin.execution.executor import ExecutorState
 from construction_twin.gateway.config import parse_config
 from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.states import State
-from construction_twin.link.states import LinkState
+from construction_twin.link.observations import LinkState
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.faults import Fault
 from construction_twin.mock.program import MockSettings, build_controller, gateway_address, make_forward_kinematics

@@ -14,7 +14,7 @@ from simulation import SimulatedChain, SimulatedLink
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS, radians
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.gateway.states import State
-from construction_twin.link.states import LinkState
+from construction_twin.link.observations import LinkState
 from construction_twin.mock.faults import Fault
 from construction_twin.monitor.gate import GateSettings
 from construction_twin.monitor.states import SyncEvent, SyncState, Transition

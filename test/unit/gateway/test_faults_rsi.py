@@ -11,7 +11,7 @@ from fault_cell import FaultCell
 from impairment_profiles import Profile
 
 from construction_twin.gateway.states import State
-from construction_twin.link.states import LinkState
+from construction_twin.link.observations import LinkState
 
 
 def missed(cell, since=0):

@@ -10,8 +10,10 @@ from gateway_cell import Cell, following, slow
 
 from construction_twin.controller.last_resort import LONGEST_GAP_MS
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE_NS, format_allowance
 from construction_twin.gateway.playout import Playout, PlayoutBounds
+from construction_twin.gateway.playout_rate import PlayoutRate
 from construction_twin.gateway.states import State
 
 PERIOD = 0.012
@@ -112,7 +114,8 @@ def test_only_the_cycles_of_rsi_are_taken(cycle):
 
 
 def test_jitter_between_telegrams_makes_the_delay_no_longer_than_it_must_be():
-    playout = Playout(PlayoutBounds(20_000_000, 20_000_000, 250_000_000), None, 12_000_000)
+    limits = MotionLimits(("A1",), (-9.0,), (9.0,), (9.0,), (9.0,))
+    playout = Playout(PlayoutBounds(20_000_000, 20_000_000, 250_000_000), PlayoutRate(limits, 3, 12_000_000))
     for k in range(3000):
         playout.push(10**18 + k * CYCLE_NS, (k * 1e-4,), 0)
         if k % 3 == 2:

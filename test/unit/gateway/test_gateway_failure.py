@@ -39,26 +39,26 @@ def broken_once(original):
 
 #: Part of the service and name of the method that begins to raise in motion, and how many replies may be missing.
 PARTS = {
-    "inbox": lambda service: (service._inbox, "newest"),
-    "telegram decoder": lambda service: (service._inbox, "_parse"),
-    "controller session": lambda service: (service.gateway._controller, "take"),
-    "playout": lambda service: (service.gateway._player._playout, "advance"),
+    "inbox": lambda service: (service.controller.inbox, "newest"),
+    "telegram decoder": lambda service: (service.controller.inbox, "parse"),
+    "controller session": lambda service: (service.gateway.controller, "take"),
+    "playout": lambda service: (service.gateway.player.playout, "advance"),
     # the class: a reply that did not arrive places another follower, at rest where the arm stands
     "follower": lambda service: (Follower, "follow"),
-    "reply's encoder": lambda service: (service._encoder, "encode"),
-    "reply's socket": lambda service: (service, "_answer"),
-    "state publisher": lambda service: (service._mqtt.client, "send_stream"),
+    "reply's encoder": lambda service: (service.controller.encoder, "encode"),
+    "reply's socket": lambda service: (service.controller, "_send"),
+    "state publisher": lambda service: (service.mqtt.polled.client, "send_stream"),
     "state's codec": lambda service: (service.gateway._states, "message"),
     "status": lambda service: (service.gateway, "status"),
-    "status publisher": lambda service: (service._mqtt.client, "publish"),
-    "status clock": lambda service: (service._status, "is_due"),
-    "histogram": lambda service: (service.reply_time, "add"),
+    "status publisher": lambda service: (service.mqtt.polled.client, "publish"),
+    "status clock": lambda service: (service.mqtt.status_clock, "is_due"),
+    "histogram": lambda service: (service.controller.reply_time, "add"),
     "poll": lambda service: (service.gateway, "poll"),
     "command callback": lambda service: (service.gateway, "on_command"),
-    "command's codec": lambda service: (service.gateway._intake.stream, "read"),
-    "MQTT connection": lambda service: (service._mqtt, "service"),
-    "MQTT reading": lambda service: (service._mqtt, "read"),
-    "MQTT library": lambda service: (service._mqtt.client, "loop_read"),
+    "command's codec": lambda service: (service.gateway.intake.stream, "read"),
+    "MQTT connection": lambda service: (service.mqtt.polled, "service"),
+    "MQTT reading": lambda service: (service.mqtt.polled, "read"),
+    "MQTT library": lambda service: (service.mqtt.polled.client, "loop_read"),
     "selector": lambda service: (service._selector, "select"),
 }
 #: Parts without which nothing can be said on MQTT any more: the log says it.
@@ -128,7 +128,7 @@ def test_a_slow_disk_and_a_broken_state_machine_hold_no_reply_up(broker, topics,
         stream(client, controller, (motion(k) for k in range(80)))
         begin = len(controller.replies)
         service.gateway.fail = broken
-        service.gateway._player._playout.advance = broken
+        service.gateway.player.playout.advance = broken
         assert_it_brakes_and_holds(controller, begin)
         assert "injected" in service.failure and service.gateway.counters["failures"] >= 2
         assert client.wait_for_status(state="failed")

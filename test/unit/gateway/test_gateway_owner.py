@@ -8,8 +8,8 @@ import pytest
 from gateway_cell import START, Cell, following, slow
 
 from construction_twin.core.units import CYCLE_NS
+from construction_twin.gateway.control import MEMORY, Ownership
 from construction_twin.gateway.gateway import Gateway, State
-from construction_twin.gateway.ownership import MEMORY, Ownership
 from construction_twin.mqtt.messages import CommandProperties, Control
 
 

@@ -3,26 +3,17 @@
 from __future__ import annotations
 
 import pytest
-from gateway_cell import Cell, following
+from gateway_cell import RUN, Cell, following
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.gateway.gateway import State
+from construction_twin.gateway.gateway import Gateway, State
 from construction_twin.mqtt.messages import Control, Intervention
 from construction_twin.mqtt.requests import ANSWERS
 
 
 def press(cell: Cell, account: str = "arm-stopper-bob", id_: str = "1"):
     return cell.gateway.on_stop(Intervention(account, id_), cell.now)
-
-
-def test_it_says_who_it_was():
-    cell = following()
-    press(cell)
-    status = cell.gateway.status()
-    assert status["reason"] == "stop: asked for by account arm-stopper-bob"
-    assert (status["stop"]["cause"], status["stop"]["by"]) == ("stop", "arm-stopper-bob")
-    assert (status["fault"], status["session"], status["counters"]["stops_stop"]) == (True, "", 1)
 
 
 def test_it_brakes_exactly_as_the_verb_does():
@@ -48,7 +39,7 @@ def test_without_a_session_and_at_rest_it_is_not_forgotten_either(prepare):
 
 def test_what_a_run_before_this_one_was_stopped_for_needs_a_reset_and_says_so():
     cell = Cell()
-    cell.gateway.recall("stop: asked for by account anna")
+    cell.gateway = Gateway(cell.config, RUN, stopped="stop: asked for by account anna")
     cell.cycle(5)
     assert cell.gateway.fault and cell.gateway.fault_number == 1 and "account anna" in cell.gateway.reason
     assert not cell.arm()[0] and cell.state is State.READY

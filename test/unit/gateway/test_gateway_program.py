@@ -286,20 +286,20 @@ def test_with_a_paho_that_was_not_tested_it_runs_on_the_public_interface_and_say
 _BROKEN = {
     "loop": "service.Gateway.poll = broken",
     "log's thread": "logging.handlers.QueueListener.handle = broken",
-    "connecting thread": "service.PolledClient._try_connect = broken",
+    "connecting thread": "mqtt_side.PolledClient._try_connect = broken",
 }
 
 
 @pytest.mark.parametrize("part", _BROKEN)
 def test_a_program_that_has_failed_holds_on_and_says_so(broker, topics, config_file, part):
     code = (
-        "import logging.handlers, sys; from construction_twin.gateway import command_line, service\n"
+        "import logging.handlers, sys; from construction_twin.gateway import command_line, mqtt_side, service\n"
         "calls = []\n"
         "def broken(self, *arguments):\n"
         "    calls.append(self)\n"
         "    if len(calls) == 1: raise ZeroDivisionError('injected')\n"
         "    if ORIGINAL is not None: ORIGINAL(self, *arguments)\n"
-        "ORIGINAL = getattr(service.PolledClient, '_try_connect') if CONNECTS else None\n".replace(
+        "ORIGINAL = getattr(mqtt_side.PolledClient, '_try_connect') if CONNECTS else None\n".replace(
             "CONNECTS", str(part == "connecting thread")
         )
         + _BROKEN[part]

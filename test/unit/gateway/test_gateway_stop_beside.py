@@ -11,10 +11,10 @@ from processes import wait_until
 from service_cell import PATIENT, assert_still, cell, motion, stream
 
 from construction_twin.core.rate_limit import LineLimiter, SenderLimits
+from construction_twin.gateway.control import Ownership
 from construction_twin.gateway.gateway import Gateway, State
-from construction_twin.gateway.ownership import Ownership
-from construction_twin.gateway.player import Player
-from construction_twin.gateway.stop_report import StopReport
+from construction_twin.gateway.player import StopReport
+from construction_twin.gateway.playout import Playout
 from construction_twin.mqtt.messages import Intervention
 
 WAYS = ("control", "account")
@@ -100,7 +100,7 @@ def test_a_running_gateway_answers_counts_and_says_it(
 
 
 @pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("owner, name", [(Player, "report"), (Gateway, "status")])
+@pytest.mark.parametrize("owner, name", [(Playout, "report"), (Gateway, "status")])
 def test_a_status_that_cannot_be_made_fails_no_gateway_that_stops(broker, topics, monkeypatch, way, owner, name):
     with cell(broker, topics, config=PATIENT) as (service, controller, client):
         assert client.arm(PATIENT)["ok"]

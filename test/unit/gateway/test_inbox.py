@@ -8,10 +8,10 @@ from collections import deque
 import pytest
 from gateway_cell import CONFIG, RUN, START
 
+from construction_twin.gateway.controller_socket import DRAIN_LIMIT, TelegramInbox
 from construction_twin.gateway.gateway import Gateway
-from construction_twin.gateway.inbox import DRAIN_LIMIT, TelegramInbox
-from construction_twin.gateway.refusals import LONGEST_REFUSAL
 from construction_twin.gateway.states import State
+from construction_twin.gateway.status import LONGEST_REFUSAL
 from construction_twin.rsi.controller_codec import RobotEncoder
 
 HERE, THERE = ("192.168.1.20", 49152), ("192.168.1.20", 49153)
@@ -28,7 +28,7 @@ class Line:
     def __init__(self, controller=None):
         self.gateway = Gateway(CONFIG, RUN)
         self.waiting: deque = deque()
-        self.inbox = TelegramInbox(self.gateway, self._receive, lambda: 10**9, controller)
+        self.inbox = TelegramInbox(self.gateway, self._receive, controller)
         self.arrivals = itertools.count(1)
 
     def _receive(self):
@@ -42,7 +42,7 @@ class Line:
     def newest(self, *things):
         """Put these in and read; return the IPOC of what is answered, its source and which datagram it was."""
         self.waiting.extend(thing if isinstance(thing, tuple) else (thing, HERE) for thing in things)
-        found = self.inbox.newest()
+        found = self.inbox.newest(10**9)
         return found and (found.telegram.controller_ms, found.source, found.arrived)
 
     def counted(self) -> dict:
@@ -101,7 +101,7 @@ def test_every_refused_datagram_has_a_counter_and_a_reason_in_the_status(thing, 
 def test_while_a_controller_is_alive_nobody_else_is_read():
     line = Line()
     line.waiting.append((1000, HERE))
-    found = line.inbox.newest()
+    found = line.inbox.newest(10**9)
     read, source = found.telegram, found.source
     line.gateway.on_telegram(read, source, 10**9)
     assert line.newest((1004, THERE)) is None
@@ -146,7 +146,7 @@ def test_a_telegram_that_can_be_read_ends_the_count():
     line.newest(b"garbage", (1000, ("10.0.0.1", 1)))
     assert told(line, 1.0)
     line.waiting.append((1000, HERE))
-    found = line.inbox.newest()
+    found = line.inbox.newest(10**9)
     line.gateway.on_telegram(found.telegram, found.source, 2 * 10**9)
     line.gateway.take_change()
     line.newest((1004, ("10.0.0.1", 1)))

@@ -9,13 +9,26 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
-from construction_twin.gateway.playout import CALM, MARGIN, URGENT, Playout, PlayoutBounds, Slew
+from construction_twin.gateway.playout import MARGIN, Playout, PlayoutBounds
+from construction_twin.gateway.playout_rate import CALM, URGENT, PlayoutRate
 
 DELAY = 5 * CYCLE_NS
 LONGEST = 60 * CYCLE_NS
 #: Any time on the sender's clock, here late in 2025.
 T0 = 1_764_000_000_000_000_000
+
+
+#: Change of a rate from one cycle to the next.
+CALM_CHANGE, URGENT_CHANGE = CALM.change * 0.004, URGENT.change * 0.004
+
+
+def playout(start=DELAY):
+    """A playout of joints that may do anything."""
+    anything = (1e9, 1e9)
+    limits = MotionLimits(("A1", "A2"), (-1e9, -1e9), anything, anything, anything)
+    return Playout(PlayoutBounds(start, DELAY, LONGEST), PlayoutRate(limits, 3))
 
 
 def pose(k):
@@ -31,7 +44,7 @@ class Link:
     """A sender and a controller on simulated clocks."""
 
     def __init__(self, delay=DELAY):
-        self.playout = Playout(PlayoutBounds(delay, DELAY, LONGEST))
+        self.playout = playout(delay)
         self.sent = 0
 
     def send(self, q=None):
@@ -66,7 +79,7 @@ def test_several_commands_at_once_play_at_the_controllers_pace():
     for _ in range(4):
         link.send()
     stamps = [link.playout.advance(CYCLE_NS)[0] for _ in range(4)]
-    assert stamps == pytest.approx([before + k * CYCLE_NS for k in (1, 2, 3, 4)], abs=10 * CALM.change)
+    assert stamps == pytest.approx([before + k * CYCLE_NS for k in (1, 2, 3, 4)], abs=10 * CALM_CHANGE * CYCLE_NS)
 
 
 def test_after_an_underflow_playing_goes_on_where_time_is():
@@ -79,7 +92,7 @@ def test_after_an_underflow_playing_goes_on_where_time_is():
         link.send()
     # what was due during the underflow is not played late: time went on
     stamp, q = link.playout.advance(CYCLE_NS)
-    assert stamp == T0 + 14 * CYCLE_NS - URGENT.change
+    assert stamp == T0 + 14 * CYCLE_NS - round(URGENT_CHANGE * CYCLE_NS)
     assert q == pytest.approx(pose(14), abs=1e-6)
 
 
@@ -109,7 +122,7 @@ class Network:
     """A sender on its own clock, a link of changing delay, and a controller; all times in ns on the controller's clock."""
 
     def __init__(self, travel, drift_ppm=0.0, phase=1_700_000, motion=lambda t: (t, -2.0 * t)):
-        self.playout = Playout(PlayoutBounds(DELAY, DELAY, LONGEST))
+        self.playout = playout()
         self.motion = motion
         self._travel, self._drift, self._phase = travel, drift_ppm * 1e-6, phase
         self._sent, self._arrived, self._arrival = 0, 0, 0
@@ -160,7 +173,7 @@ def test_drifting_clocks_are_followed_without_a_step_and_without_running_dry(ppm
     # the drift alone would have moved it by 30 ms, or by 6 ms
     assert MARGIN - 2 * CYCLE_NS <= min(leads) <= max(leads) <= DELAY + 2 * CYCLE_NS
     change = [abs(b - a) for a, b in zip(rates(stamps), rates(stamps)[1:])]
-    assert max(map(abs, rates(stamps))) <= CALM.ahead / CYCLE_NS and max(change) <= CALM.change / CYCLE_NS + 1e-12
+    assert max(map(abs, rates(stamps))) <= CALM.ahead and max(change) <= CALM_CHANGE + 1e-12
     assert network.playout.report()["drift_ppm"] == pytest.approx(ppm, abs=1.0)
     # between two moves it is played on the stamps
     assert sum((stamp - T0) % CYCLE_NS == 0 for stamp in stamps) > 0.9 * len(stamps)
@@ -197,8 +210,8 @@ def test_rising_jitter_slows_playout_at_once_and_speeds_it_up_late_and_gently():
     assert network.dry == 0 and playout.report()["delay_ms"] <= 24.0
     stamps = times[10:]
     slowest, fastest = min(rates(stamps)), max(rates(stamps))
-    assert -URGENT.back / CYCLE_NS <= slowest < -CALM.back / CYCLE_NS
-    assert 0.0 < fastest <= CALM.ahead / CYCLE_NS
+    assert -URGENT.back <= slowest < -CALM.back
+    assert 0.0 < fastest <= CALM.ahead
 
 
 @pytest.mark.parametrize("stall", [0.2, 3.0])
@@ -232,7 +245,7 @@ def test_delays_are_bounded_and_whole_cycles_from_the_start(start, below, above,
 
 @pytest.mark.parametrize("phase", [0, 700_000, 2_000_000, 3_999_999])
 def test_velocity_is_continuous_over_lost_commands(phase):
-    playout = Playout(PlayoutBounds(DELAY + phase, DELAY, LONGEST))
+    played_out = playout(DELAY + phase)
 
     def q(stamp):
         return (math.sin((stamp - T0) * 2e-9),)
@@ -240,8 +253,8 @@ def test_velocity_is_continuous_over_lost_commands(phase):
     played = []
     for k in range(500):
         if k % 7 not in (2, 3):
-            playout.push(T0 + k * CYCLE_NS, q(T0 + k * CYCLE_NS))
-        played.append(playout.advance(CYCLE_NS))
+            played_out.push(T0 + k * CYCLE_NS, q(T0 + k * CYCLE_NS))
+        played.append(played_out.advance(CYCLE_NS))
     worst = max(abs(value[0] - q(stamp)[0]) for stamp, value in played[20:])
     assert worst < 2e-7
     steps = [b[1][0] - a[1][0] for a, b in zip(played[20:], played[21:])]
@@ -265,17 +278,23 @@ def test_targets_stay_within_the_commands_and_never_run_backwards(rounds):
 @settings(deadline=None)
 @given(
     st.lists(st.tuples(st.integers(-60_000_000, 60_000_000), st.integers(0, 400)), min_size=1, max_size=6),
-    st.sampled_from((CALM, URGENT)),
+    st.booleans(),
 )
 def test_a_shift_of_playout_time_is_carried_out_whole_and_within_its_pace_also_when_it_is_changed_on_the_way(
-    changes, pace
+    changes, urgent
 ):
-    slew, shifts = Slew(), [0]
+    pace, rate, shifts = URGENT if urgent else CALM, playout().rate, [0]
+
+    def step():
+        shifts.append(rate.advance(CYCLE_NS, (), begun=True, rests=False, target=lambda _: (0.0, 0.0)) - CYCLE_NS)
+
     for wanted, cycles in changes:
-        slew.remaining += wanted
-        shifts += [slew.step(pace) for _ in range(cycles)]
-    while slew.moving and len(shifts) < 40_000:
-        shifts.append(slew.step(pace))
+        rate.move(wanted, urgent)
+        for _ in range(cycles):
+            step()
+    while (rate.remaining or rate.shift) and len(shifts) < 40_000:
+        step()
     assert sum(shifts) == sum(wanted for wanted, _ in changes)
-    assert all(-pace.back <= shift <= pace.ahead for shift in shifts)
-    assert all(abs(b - a) <= pace.change for a, b in zip(shifts, [*shifts[1:], 0]))
+    assert all(-pace.back <= shift / CYCLE_NS <= pace.ahead for shift in shifts)
+    change = (URGENT_CHANGE if urgent else CALM_CHANGE) * CYCLE_NS
+    assert all(abs(b - a) <= change + 1e-9 for a, b in zip(shifts, [*shifts[1:], 0]))

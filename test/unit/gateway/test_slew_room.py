@@ -14,7 +14,7 @@ from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE, CYCLE_NS, format_allowance
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.player import Player
-from construction_twin.gateway.speed_governor import TargetChanges
+from construction_twin.gateway.playout_rate import CALM, CATCH_UP, URGENT, PlayoutRate
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.planning.timing import time_path
 
@@ -24,7 +24,7 @@ AHEAD = 150
 #: At rest before and after the motion [cycles].
 REST = 60
 T0 = 1_764_000_000_000_000_000
-PACES = ("_calm", "_urgent", "_catch_up")
+PACES = (CALM, URGENT, CATCH_UP)
 
 places = st.lists(st.floats(0.05, 0.95), min_size=6, max_size=6)
 #: When playout time is to be moved [cycles], by how much [ns], and at which pace.
@@ -66,12 +66,12 @@ def play(rows, decimals: int, changes=(), limits=()) -> tuple[np.ndarray, Counte
     due, limited, sent = at_cycles(changes), at_cycles(limits), []
     for cycle, (number, row) in enumerate(ahead):
         player.push(T0 + number * CYCLE_NS, row, 0)
-        playout = player._playout
+        playout = player.playout
         # the delay is the test's to move
-        playout._choose_delay = lambda: None
+        playout._choose_delay = lambda now: None
         for shift, pace in due.get(cycle - 2 * AHEAD - REST, ()):
-            playout._slew.remaining += shift
-            playout._slew_limit = getattr(playout, pace)
+            playout.rate.remaining += shift
+            playout.rate._pace = playout.rate._paces[pace]
         for (fraction,) in limited.get(cycle - 2 * AHEAD - REST, ()):
             player.limit(fraction)
         sent.append(player.play(follower, CYCLE_NS, ()))
@@ -95,7 +95,7 @@ def test_whatever_moves_playout_time_the_limits_hold_in_every_cycle(decimals, po
 def test_without_the_room_that_is_left_the_pace_would_be_too_much(monkeypatch):
     points = [[0.1, 0.1, 0.1, 0.5, 0.5, 0.5], [0.9, 0.9, 0.9, 0.5, 0.5, 0.5]]
     rows = commands(points, 6)
-    changes = [(20 * k, -3_000_000 * (-1) ** k, "_urgent") for k in range(30)]
+    changes = [(20 * k, -3_000_000 * (-1) ** k, URGENT) for k in range(30)]
     assert play(rows, 6, changes)[1]["settling"] == 0
-    monkeypatch.setattr(TargetChanges, "fit", lambda self, wanted, steady, target: wanted)
+    monkeypatch.setattr(PlayoutRate, "_fit", lambda self, wanted, steady, target: wanted)
     assert play(rows, 6, changes)[1]["settling"] > 0

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from construction_twin.core.units import CYCLE, format_allowance
 from construction_twin.gateway.gateway import State
-from construction_twin.gateway.stop_report import StopReport
+from construction_twin.gateway.player import StopReport
 
 
 def stop(cell: Cell, verb: str = "stop") -> tuple[list, dict]:

@@ -8,7 +8,7 @@ from supervisor_bench import Bench
 
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.gateway import State
-from construction_twin.link.states import LinkState
+from construction_twin.link.observations import LinkState
 
 #: How long a stop is watched that must not be taken back [s].
 WATCHED = 3.0

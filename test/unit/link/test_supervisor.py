@@ -9,8 +9,7 @@ from supervisor_bench import FAULT, HASH, RUN, SILENCE, TOLERANCE, armed, bench,
 
 from construction_twin.core.errors import ReviewError
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.observations import FRESH, STATUS_TIMEOUT
-from construction_twin.link.states import LinkState
+from construction_twin.link.observations import FRESH, STATUS_TIMEOUT, LinkState
 from construction_twin.link.supervisor import RETRY
 from construction_twin.mqtt.messages import arm_value
 
@@ -273,3 +272,18 @@ class TestRefusedArm:
                 bench.refuse(control, "no")
         assert bench.state is LinkState.RESYNC
         assert 2 <= len(bench.sent) <= 200 * 0.02 / (RETRY / NANOSECONDS) + 1
+
+
+@pytest.mark.parametrize("state", LinkState)
+def test_halt_leads_from_everywhere_to_where_only_a_person_leads_on(armed, state):
+    armed.supervisor.state = state
+    armed.supervisor.halt("halted")
+    armed.run(1.0)
+    assert (armed.state, armed.supervisor.reason, armed.verbs) == (LinkState.NEEDS_RESET, "halted", [])
+
+
+def test_values_are_those_of_the_message():
+    assert [(state.name, state.value) for state in LinkState] == [
+        ("DISCONNECTED", 0), ("GATEWAY_OFFLINE", 1), ("NO_CONTROLLER", 2), ("MISMATCH", 3), ("RESYNC", 4),
+        ("ARMED", 5), ("NEEDS_RESET", 6), ("MIRROR", 7),
+    ]  # fmt: skip

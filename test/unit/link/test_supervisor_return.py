@@ -10,8 +10,7 @@ from supervisor_bench import DECIMALS, FAULT, POLL, POSE, SILENCE, STOP, TOLERAN
 
 from construction_twin.core.errors import ReviewError
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.observations import FRESH, REST
-from construction_twin.link.states import LinkState
+from construction_twin.link.observations import FRESH, REST, LinkState
 
 #: Fixtures of the bench.
 __all__ = ["armed", "bench"]
@@ -157,17 +156,6 @@ class TestReturn:
 
 
 class TestStop:
-    def test_stays_stopped_until_a_reset(self, armed):
-        armed.supervisor.halt("stopped on request")
-        assert armed.state is LinkState.NEEDS_RESET and not armed.supervisor.on_command(POSE, armed.now)
-        for state, reason in (("following", ""), ("braking", STOP), ("holding", STOP)):
-            armed.set_gateway(state, reason)
-            armed.run(2.0)
-            assert armed.state is LinkState.NEEDS_RESET and armed.sent == []
-        armed.supervisor.request_reset(armed.now)
-        armed.run(1.0)
-        assert armed.state is LinkState.ARMED
-
     @pytest.mark.parametrize("state, reason", [("holding", SILENCE), ("ready", "RSI session began"), ("armed", "")])
     def test_stays_stopped_whatever_the_gateway_says_afterwards(self, armed, state, reason):
         armed.supervisor.halt("stopped on request")
@@ -188,22 +176,6 @@ class TestStop:
         bench.command = POSE
         bench.run(2.0)
         assert bench.state is LinkState.NEEDS_RESET and bench.sent == []
-
-    def test_a_stop_takes_back_what_was_asked_for_just_before(self, armed):
-        armed.set_gateway("holding", STOP, fault=True)
-        armed.run(0.5)
-        armed.supervisor.request_reset(armed.now)
-        armed.supervisor.halt("stopped on request")
-        armed.run(2.0)
-        assert armed.state is LinkState.NEEDS_RESET and armed.sent == []
-
-    def test_a_stop_overtakes_an_arming_under_way(self, bench):
-        bench.answering = False
-        bench.run(0.3)
-        bench.supervisor.halt("stopped on request")
-        bench.answer(bench.sent[0])
-        bench.poll()
-        assert bench.state is LinkState.NEEDS_RESET and not bench.forwarded
 
 
 class TestArm:
@@ -239,19 +211,6 @@ class TestArm:
 
 class TestFault:
     """The gateway remembers what stopped it, also for a bridge that was not there then."""
-
-    def test_a_restarted_bridge_does_not_begin_by_itself(self, bench):
-        bench.set_gateway("ready", "new RSI session", fault=True)
-        bench.run(5.0)
-        assert bench.state is LinkState.NEEDS_RESET and bench.sent == [] and bench.supervisor.session == ""
-        assert "new RSI session" in bench.supervisor.reason
-
-    def test_a_bridge_that_stayed_does_not_go_on_by_itself(self, armed):
-        armed.set_gateway("holding", FAULT, session="", fault=True)
-        armed.run(0.1)
-        armed.set_gateway("ready", "new RSI session")
-        armed.run(5.0)
-        assert armed.state is LinkState.NEEDS_RESET and armed.sent == []
 
     @pytest.mark.parametrize("state", ["ready", "holding"])
     def test_reset_clears_it_at_the_gateway_before_arming(self, bench, state):

@@ -8,8 +8,7 @@ import pytest
 from tool_cell import ToolCell
 
 from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
-from construction_twin.link.gateway_status import tool_report
-from construction_twin.link.tool_link import ToolLink
+from construction_twin.link.tool_link import ToolLink, tool_report
 
 _, ARMED, FIRED, VOID, REFUSED = SwitchState
 

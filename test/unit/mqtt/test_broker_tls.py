@@ -15,8 +15,7 @@ from site_broker import Listener, SiteBroker
 
 from construction_twin.broker.certificates import Authority, openssl, write_private
 from construction_twin.gateway.config import GatewayConfig
-from construction_twin.mqtt.account import Account
-from construction_twin.mqtt.client import Broker, make_client, unique_id
+from construction_twin.mqtt.client import Account, Broker, make_client, unique_id
 from construction_twin.mqtt.failures import ConnectionReport, connection_failure
 
 

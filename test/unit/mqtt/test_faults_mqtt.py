@@ -12,7 +12,7 @@ import pytest
 from fault_cell import GOAL, FaultCell
 from impairment_profiles import TCP_PROFILES, Profile
 
-from construction_twin.link.states import LinkState
+from construction_twin.link.observations import LinkState
 
 HOME = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
 

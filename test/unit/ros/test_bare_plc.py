@@ -24,7 +24,7 @@ from site_broker import Listener, SiteBroker
 from unplugged import ask
 
 from construction_twin.core.units import CYCLE
-from construction_twin.link.states import LinkState
+from construction_twin.link.observations import LinkState
 from construction_twin.mqtt.client import Broker, make_client, unique_id
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import Topics

@@ -15,7 +15,7 @@ from gateway_cell import CONFIG
 from processes import wait_until
 
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.states import LinkState
+from construction_twin.link.observations import LinkState
 from construction_twin.ros.nodes import mqtt_bridge
 from construction_twin.ros.shared.deferred_log import DeferredLog
 from construction_twin.ros.shared.diagnostics import WARN

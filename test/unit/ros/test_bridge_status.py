@@ -15,8 +15,7 @@ from processes import wait_until
 
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.bare_supervisor import NOT_CHECKED
-from construction_twin.link.observations import STATUS_TIMEOUT
-from construction_twin.link.states import LinkState
+from construction_twin.link.observations import STATUS_TIMEOUT, LinkState
 from construction_twin.ros.nodes import mqtt_bridge
 from construction_twin.ros.shared import diagnostics
 from construction_twin.rsi.status_channels import RsiStatus
@@ -211,13 +210,16 @@ def test_a_wall_clock_that_is_set_makes_no_pose_old_and_none_at_rest(clocks):
 # -- speed limit, mirror mode, halt ------------------------------------------------------------------------------------
 
 
-def test_a_second_source_of_speed_limit_is_refused_as_by_the_executor(bench):
+def test_a_speed_limit_goes_to_an_armed_session_changes_at_once_and_repeats_five_times_a_second(bench, clocks):
+    bench.bridge.on_speed_limit(limit(0.5))
+    assert bench.client.controls == []
     bench.arm()
-    for source, value in (("/separation", 0.2), ("/other", 1.0), ("/separation", 2.0)):
-        bench.bridge.on_speed_limit(limit(value, source))
-    assert bench.refused == {"speed_limit_source": 1, "speed_limit": 1}
-    bench.bridge.poll()
-    assert [control.value for control in bench.client.controls if control.verb == "speed_limit"] == [0.2]
+    for k in range(50):
+        bench.bridge.on_speed_limit(limit(0.5 if k < 25 else 0.2))
+        clocks.run(0.02)
+    sent = [control for control in bench.client.controls if control.verb == "speed_limit"]
+    assert [control.value for control in sent] == [0.5] * 3 + [0.2] * 3
+    assert [control.id for control in sent] == list("123456")
 
 
 def test_mirror_mode_is_kept_where_the_next_process_finds_it(clocks):

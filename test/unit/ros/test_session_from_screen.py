@@ -10,8 +10,7 @@ from bridge_bench import BridgeBench, Clocks
 
 from construction_twin.core.freshness import LIFETIME, Moment
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.observations import SHOWN_AFTER, SeenStops
-from construction_twin.link.states import LinkState
+from construction_twin.link.observations import SHOWN_AFTER, LinkState, SeenStops
 from construction_twin.ros.nodes import mqtt_bridge
 
 BOOT = "c0ffee00"

@@ -13,8 +13,8 @@ from mock_cell import Cell as MockCell
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.units import NANOSECONDS
+from construction_twin.gateway.controller_socket import TelegramInbox
 from construction_twin.gateway.gateway import Gateway
-from construction_twin.gateway.inbox import TelegramInbox
 from construction_twin.gateway.states import State
 from construction_twin.mock.faults import Fault, FaultBoard
 from construction_twin.rsi.controller_codec import RobotEncoder
@@ -115,7 +115,7 @@ class Chain:
         self.gateway = Gateway(dataclasses.replace(CONFIG, layout=layout), RUN)
         self._waiting: deque[bytes] = deque()
         self._now = NANOSECONDS
-        self._inbox = TelegramInbox(self.gateway, self._receive, lambda: self._now)
+        self._inbox = TelegramInbox(self.gateway, self._receive)
 
     def _receive(self):
         if not self._waiting:
@@ -126,7 +126,7 @@ class Chain:
         """Take a telegram; return the corrections of the answer."""
         self._now += 4_000_000
         self._waiting.append(data)
-        arrival = self._inbox.newest()
+        arrival = self._inbox.newest(self._now)
         return self.gateway.on_telegram(arrival.telegram, arrival.source, self._now)
 
     def silence(self):

@@ -16,7 +16,7 @@ from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE, CYCLE_NS, format_allowance, radians
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.gateway.gateway import State
-from construction_twin.link.states import LinkState
+from construction_twin.link.observations import LinkState
 from construction_twin.monitor.gate import SyncState
 from construction_twin.twin.virtual_robot import DECIMALS, MirrorTwin, VirtualRobot
 

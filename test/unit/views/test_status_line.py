@@ -9,7 +9,7 @@ from construction_twin.core.reports import TaskReport, WorkReport
 from construction_twin.core.sentences import Sentence, told
 from construction_twin.execution.states import ExecutorState
 from construction_twin.extensions.work.task_memory import TaskState
-from construction_twin.link.states import LinkState
+from construction_twin.link.observations import LinkState
 from construction_twin.monitor.states import SyncState
 from construction_twin.views.startup import Deployment, Missing, Word
 from construction_twin.views.status_line import (

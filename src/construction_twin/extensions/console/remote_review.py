@@ -1,4 +1,4 @@
-"""`plan` and `path` on MQTT: what a tablet gets to see of a plan. SI: m, rad, s. Pure."""
+"""`plan`, `path` and `scene` on MQTT: what a tablet gets to see of a plan and of a scene. SI: m, rad, s. Pure."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pydantic import Field
 
 from construction_twin.core.records import OR_NULL
 from construction_twin.link.requests import rounded
+from construction_twin.scene.objects import Scene
 
 #: Most numbers of a trajectory that a plan carries, about 5000 waypoints of six joints: brokers limit a message (a site's: 4 MiB).
 MAX_TRAJECTORY_NUMBERS = 100_000
@@ -247,3 +248,62 @@ class PathView:
 
 
 _PATHS = pydantic.TypeAdapter(PathView)
+
+
+@dataclass(frozen=True)
+class ObjectView:
+    """One body of a scene.
+
+    Attributes:
+        size: As in `SceneObject.msg` [m]; of a mesh its scale.
+        mesh: SHA-256 of the file, because a console does not see this machine's; empty for other shapes.
+        position: In `link`, or in the scene's frame [m].
+        orientation: x, y, z, w.
+        padding: Distance to keep from it [m], added to the scene's own.
+        link: That carries it; empty: it stands in the scene's frame.
+        touch: Links and objects that may touch it.
+    """
+
+    name: str
+    shape: str
+    size: Sequence[float]
+    mesh: str
+    position: Annotated[Sequence[float], Field(min_length=3, max_length=3)]
+    orientation: Annotated[Sequence[float], Field(min_length=4, max_length=4)]
+    padding: float
+    link: str
+    touch: Sequence[str]
+
+
+@dataclass(frozen=True)
+class SceneView:
+    """A message on <prefix>/<robot>/scene: what the arm must not touch.
+
+    Attributes:
+        frame: The robot's base_link.
+        padding: Distance to keep from every object [m].
+    """
+
+    hash: str
+    frame: str
+    padding: float
+    objects: Sequence[ObjectView]
+
+
+def scene_view(scene: Scene, frame: str) -> SceneView:
+    """Return what is shown of a scene; `frame` is the robot's base_link. `core.records` writes it."""
+    objects = [
+        ObjectView(
+            each.name,
+            each.shape,
+            each.size,
+            each.mesh_digest,
+            each.position,
+            each.quaternion,
+            each.padding,
+            each.link,
+            each.touch,
+        )
+        for each in scene.objects
+    ]
+    return SceneView(scene.hash, frame, scene.padding, objects)

@@ -21,7 +21,7 @@ from construction_twin.core.side_effects import SideEffects
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.bridge import PLC_HALTED, Asked, Bridge, JointStrings
 from construction_twin.link.gateway_status import parse_presence, parse_status
-from construction_twin.link.states import LinkState
+from construction_twin.link.observations import LinkState
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import PLC, BridgeStatus, Control, Topics
@@ -52,7 +52,6 @@ from construction_twin.ros.shared.ports import (
 from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.shared.stop_memory import StopMemory
 from construction_twin.ros.transport.joint_stream import now_ns
-from construction_twin.ros.transport.subscriber import caller_of
 from construction_twin.srv import ActAsSeen, TakeResponsibility
 
 #: Period at which the link is polled, and at which the log is written [s].
@@ -143,9 +142,9 @@ class MqttBridge:
         """Update the link, and publish what follows from it."""
         now = time.monotonic_ns()
         with self._lock:
-            controls = self._bridge.poll(now, present())
+            control = self._bridge.poll(now, present())
             kept = self._supervisor.mirrors, self._bridge.waits
-        for control in controls:
+        if control is not None:
             self._send(control)
         for memory, value in zip(self._kept, kept):
             memory.keep(value, now)
@@ -185,12 +184,8 @@ class MqttBridge:
         self._client.send_stream(self._topics.command, payload, beside)
 
     def on_speed_limit(self, message: SpeedLimitInForce) -> None:
-        """Take the speed limit in force; it is sent with the next poll."""
-        try:
-            with self._lock:
-                self._bridge.speed.accept(message.limit, caller_of(message), time.monotonic_ns())
-        except PayloadError as error:
-            self._refuse(error)
+        """Pass the speed limit in force on."""
+        self._decide(self._bridge.on_speed_limit, message.limit, time.monotonic_ns())
 
     def on_tool_command(self, message: ToolCommand) -> None:
         """Take a switch, or the request that none of those that are armed fires."""

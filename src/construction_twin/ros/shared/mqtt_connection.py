@@ -10,8 +10,7 @@ import pydantic
 import rospy
 from paho.mqtt.client import MQTTMessage
 
-from construction_twin.mqtt.account import load_account
-from construction_twin.mqtt.client import Broker
+from construction_twin.mqtt.client import Broker, load_account
 from construction_twin.mqtt.failures import ConnectionReport
 from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.robot.description import RobotModel

@@ -20,8 +20,7 @@ from construction_twin import msg, srv
 from construction_twin.extensions.console.nodes.acts import Acts, Services
 from construction_twin.extensions.console.nodes.endpoint import Connection
 from construction_twin.extensions.console.nodes.feed import ConsoleFeed, Others, Poses, deployment_of
-from construction_twin.extensions.console.nodes.pose_judge import PoseJudge
-from construction_twin.extensions.console.nodes.requests import ConsoleRequests, RobotContext
+from construction_twin.extensions.console.nodes.requests import ConsoleRequests, PoseJudge, RobotContext
 from construction_twin.extensions.console.nodes.shown_plan import ShownPlan
 from construction_twin.extensions.console.remote_view import ViewWriter
 from construction_twin.link.requests import Joints

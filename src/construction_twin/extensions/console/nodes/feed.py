@@ -35,10 +35,9 @@ from construction_twin.extensions.console.message_history import APPROVED, REJEC
 from construction_twin.extensions.console.nodes.endpoint import Connection
 from construction_twin.extensions.console.nodes.messages import MessageBoard
 from construction_twin.extensions.console.nodes.shown_plan import PATH_POINTS, segment_ends
-from construction_twin.extensions.console.remote_review import PathView
+from construction_twin.extensions.console.remote_review import PathView, scene_view
 from construction_twin.extensions.console.remote_view import ClosestView, PlanProgress, PoseView, Shown, ViewWriter
 from construction_twin.extensions.console.remote_view import Seen as ViewInputs
-from construction_twin.extensions.console.scene_view import scene_view
 from construction_twin.msg import (
     Execution,
     Hold,
@@ -150,7 +149,8 @@ class ConsoleFeed:
         self._topics, self._base_link = connection.topics, base_link
         self._connection, self._writer, self._poses, self._others = connection, writer, poses, others
         self._deployment, self._files = deployment, files
-        self._lock, self._writing, self._telling = threading.Lock(), threading.Lock(), threading.Lock()
+        # of the plan's progress, of the writer, of what is retained
+        self._lock, self._writing, self._telling = threading.Lock(), threading.Lock(), threading.RLock()
         self._sync: _Newest[SyncReport] = _Newest()
         self._link: _Newest[LinkReport] = _Newest()
         self._execution: _Newest[ExecutionReport] = _Newest()
@@ -172,12 +172,13 @@ class ConsoleFeed:
 
     def on_plan(self, message: Plan) -> None:
         """Take a plan for review."""
-        with self._lock:
+        path = _path_of(message)
+        with self._telling:
             self._paths.pop(message.id, None)
-            self._paths[message.id] = _path_of(message)
+            self._paths[message.id] = path
             while len(self._paths) > PATHS:
                 del self._paths[next(iter(self._paths))]
-        self._tell_path()
+            self._tell_path()
 
     def on_review(self, message: Review, rehearsal: RehearsalReport | None) -> None:
         """Take a verdict, and the newest rehearsal, which may be of that plan."""
@@ -216,17 +217,15 @@ class ConsoleFeed:
         with self._lock:
             self._progress.on_report(report)
         self._execution.take(report)
-        self._playing = report.plan_id if report.text in _UNDER_WAY else ""
-        self._tell_path()
+        with self._telling:
+            self._playing = report.plan_id if report.text in _UNDER_WAY else ""
+            self._tell_path()
 
     def _tell_path(self) -> None:
         # a node that was started in the middle of a motion may hear of the plan after it has heard that it is played
-        with self._telling:
-            with self._lock:
-                payload = self._paths.get(self._playing, b"")
-                told = self._retained.get(self._topics.path, b"")
-            if payload != told:
-                self._keep(self._topics.path, payload)
+        payload = self._paths.get(self._playing, b"")
+        if payload != self._retained.get(self._topics.path, b""):
+            self._keep(self._topics.path, payload)
 
     def on_session_request(self, message: SessionRequestMessage) -> None:
         """Take that a person has lifted a stop or fault, or armed."""
@@ -267,28 +266,23 @@ class ConsoleFeed:
 
     def publish_retained(self) -> None:
         """Tell everything again: the broker may have been started anew."""
-        with self._lock:
-            retained = dict(self._retained)
+        with self._telling:
             self._told_at = float("-inf")
-        for topic, payload in retained.items():
-            self._connection.publish(topic, payload, retain=True)
-            newest = self._retained[topic]
-            if newest is not payload:
-                # it came meanwhile, and what is retained must not be the older one, which may have been sent behind it
-                self._connection.publish(topic, newest, retain=True)
+            for topic, payload in self._retained.items():
+                self._connection.publish(topic, payload, retain=True)
 
     def publish_offline(self) -> None:
         """Say that nothing is known, and take away what is retained: nobody keeps it up to date any more."""
         self._connection.publish(self._topics.view, self._writer.offline())
-        with self._lock:
-            topics = list(self._retained)
-        for topic in topics:
-            self._connection.publish(topic, b"", retain=True)
+        with self._telling:
+            for topic in self._retained:
+                self._connection.publish(topic, b"", retain=True)
 
     def _keep(self, topic: str, payload: bytes) -> None:
-        with self._lock:
+        # what is retained must not be the older one, which another thread has sent behind it
+        with self._telling:
             self._retained[topic] = payload
-        self._connection.publish(topic, payload, retain=True)
+            self._connection.publish(topic, payload, retain=True)
 
     @property
     def scene(self) -> Scene | None:

@@ -1,0 +1,162 @@
+"""The arm as the gateway has it: what the gateway consists of, its state, and how the arm is stopped.
+
+Both sides of the gateway stand on it: `Gateway`, which answers telegrams, and `CommandSide`, which takes commands. rad and ns.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from functools import partial
+
+from construction_twin.core.sentences import Sentence
+from construction_twin.core.side_effects import SideEffects
+from construction_twin.core.state_table import Machine
+from construction_twin.gateway.command_intake import CommandIntake
+from construction_twin.gateway.config import GatewayConfig
+from construction_twin.gateway.controller_clock import ControllerClock
+from construction_twin.gateway.controller_session import ControllerSession
+from construction_twin.gateway.player import Player, StopReport
+from construction_twin.gateway.states import CAUSES, Action, Event, Guard, Mode, Occasion, Row, State
+from construction_twin.gateway.status import Refusals
+from construction_twin.gateway.tool_switches import ToolSwitches
+from construction_twin.mqtt.joint_string import JointStringCodec
+
+
+class ArmSide:
+    """The parts of a gateway, its state, and what every side of it may ask: to brake, stop and end.
+
+    Args:
+        run: An id that no other run of the gateway has had; an `arm` must name it.
+        commissioning: True: everything runs and is reported as usual, but every correction that leaves is zero.
+        measures: Whether a session can be commanded only after its controller's cycle was measured, from what `clock` is told of
+            arrivals. False: telegrams come on a simulated clock.
+        stopped: Why the run before this one was stopped, where nobody has reset that.
+    """
+
+    #: What may follow what; made by `Gateway`, which knows the functions of all guards and actions.
+    machine: Machine[State, Event, Guard, Action, Occasion]
+
+    def __init__(self, config: GatewayConfig, run: str, commissioning: bool, measures: bool, stopped: str):
+        self.config = config
+        self.run = run
+        self.mode = Mode.of(config, commissioning)
+        self.codec = JointStringCodec.of_config(config)
+        self.counters: Counter[str] = Counter()
+        #: What was refused, and why; inbox and service, which stand before the gateway, count here too.
+        self.refusals = Refusals(self.counters)
+        #: True after any stop but one by silence, until a `reset`; outlives the controller session.
+        self.fault = False
+        #: Number of the last stop or fault of this run, but of one by silence; 0 before the first. A `reset` must name it.
+        self.fault_number = 0
+        #: Why it was stopped, "" once somebody has reset that; the end of the program is no stop.
+        self.stopped = stopped
+        #: What tells of a stop, and cannot fail it.
+        self.side_effects = SideEffects()
+        #: Called with every answered telegram: its stamp, number of the session, state, stamp of the target [ns] (0: none),
+        #: position [rad], which is origin plus correction, whether the reply before this one did not arrive. None costs nothing.
+        self.trace: Callable[[int, int, State, int, tuple[float, ...], bool], None] | None = None
+        #: Is told of every telegram that is read, by what reads them.
+        self.clock = ControllerClock(config.make, config.cycle, measures)
+        self.controller = ControllerSession(config, self.counters, zero=self.mode is not Mode.NORMAL)
+        self.player = Player(config, self.counters)
+        #: The tool's outputs; None without a tool.
+        self.tool = ToolSwitches(config.tool, config.layout, config.cycle_ns, self.counters) if config.tool else None
+        self.intake = CommandIntake(config, self.codec, self.player)
+        #: Returns a sentence with what the mode means for the arm, so that one at rest is not taken for a fault.
+        self.noted = partial(self.mode.noted, words=config.make.words)
+        #: Stamp of the target in the last answer [ns]; 0 for none.
+        self.command_stamp = 0
+        #: The end of the controller's program was asked for.
+        self.ending = False
+        self.stopping = StopReport(config.limits.linear)
+
+    @property
+    def state(self) -> State:
+        """What the gateway is doing."""
+        return self.machine.state
+
+    @property
+    def reason(self) -> str:
+        """Why, in one sentence."""
+        return self.machine.reason
+
+    @property
+    def session(self) -> str:
+        """Id of the session that may command; "" for none."""
+        return "" if self.machine.state is State.FAILED else self.intake.stream.session
+
+    @property
+    def sentence(self) -> Sentence:
+        """State and reason, as a refusal says them."""
+        return Sentence("gateway is {state}: {reason}", state=self.state.value, reason=self.reason)
+
+    def on_brake(self, row: Row, occasion: Occasion) -> None:
+        """Brake, and say how far that goes; drop the command session."""
+        cause, state, follower = CAUSES[row.event], row.state, self.player.follower
+        if row.action is Action.BRAKE_TO_FAULT:
+            self.on_fault(row, occasion)
+        self.counters[f"stops_{cause}"] += 1
+        if state is not State.BRAKING and follower is not None:
+            # a second stop while braking keeps the first report; after a silent stream, braking began in the first cycle without a
+            # command
+            begun = self.player.braking if cause == "silence" else None
+            follows = self.mode is Mode.NORMAL and state is State.FOLLOWING and cause != "drift"
+            measured = self.controller.measured if follows else ()
+            report = self.stopping.begin, cause, follower, measured, begun, occasion.account
+            self.side_effects.run("the way to rest", *report)
+        self.disarm(occasion.reason)
+
+    def on_fault(self, row: Row, occasion: Occasion) -> None:
+        """Be at fault until a `reset`."""
+        self.fault = self.machine.changed = True
+        if not occasion.ending:
+            self.fault_number += 1
+            self.stopped = self.stopped or occasion.reason
+
+    def on_reset(self, row: Row, occasion: Occasion) -> None:
+        """Drop the command session, clear the fault."""
+        self.disarm(Sentence("reset"))
+        self.fault, self.stopped, self.ending = False, "", False
+        self.refusals.forgive()
+        if self.mode is Mode.COMMISSIONING or not any(self.controller.replies.correction):
+            # the arm stands at its origin, or where a program of the controller took it: the next stream begins there
+            self.controller.renew_origin()
+            self.player.place(self.controller.origin)
+
+    def disarm(self, why: str) -> None:
+        """Drop the command session, its stream and its switches."""
+        if self.tool is not None:
+            self.tool.void(why)
+        self.intake.stream.begin("")
+        self.command_stamp = 0
+        self.player.clear()
+
+    def brake(self, event: Event, reason: str, account: str = "", ending: bool = False) -> None:
+        """Take an event of `states.CAUSES`, for a `reason`."""
+        why = Sentence("{cause}: {reason}", cause=CAUSES[event], reason=reason)
+        self.machine.on(event, Occasion(why, account=account, ending=ending))
+
+    def stop(self, reason: str, account: str = "", ending: bool = False) -> None:
+        """Brake, whatever the state, and stay stopped until a `reset`: also a stop of an arm at rest must not be forgotten."""
+        self.brake(Event.STOP, reason, account, ending)
+
+    def end(self, reason: str, program: bool = False) -> None:
+        """Brake as in `stop`, and once at rest end the controller's program where a reply can.
+
+        Where this `program` ends, and asks for it itself, that is no stop of anybody's, and gets no number.
+        """
+        self.stop(reason, ending=program)
+        self.ending = self.config.layout.stop
+
+    @property
+    def ends(self) -> bool:
+        """True when replies must end the controller's program: the end was asked for, and the arm is at rest."""
+        return self.ending and self.state in (State.HOLDING, State.MEASURING, State.OTHER_CYCLE)
+
+    def fail(self, reason: str) -> None:
+        """Take note of an unexpected exception; from now on the last resort answers (`last_resort`), for good.
+
+        Touches nothing but state and fault: what else is here may be what has failed.
+        """
+        self.machine.on(Event.FAILURE, Occasion(reason))

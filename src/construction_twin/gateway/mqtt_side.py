@@ -1,0 +1,248 @@
+"""What the gateway hears and says on MQTT: commands, control and stops in; states, status and answers out.
+
+Nothing here waits: the service's loop reads and writes in the pause behind an answer to the controller. Standard library and
+paho-mqtt only; `now` in ns.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Callable
+from functools import partial
+
+from paho.mqtt import client as paho
+
+from construction_twin.core.errors import PayloadError
+from construction_twin.core.histogram import Histogram
+from construction_twin.core.rate_limit import LineLimiter
+from construction_twin.core.records import SPACED, dumped
+from construction_twin.core.sentences import Sentence, told
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.gateway.gateway import Gateway
+from construction_twin.gateway.states import State
+from construction_twin.gateway.status import StatusClock
+from construction_twin.gateway.stop_file import StopFile
+from construction_twin.mqtt import requests
+from construction_twin.mqtt.client import Broker, make_client, offline_word, subscriptions, unique_id
+from construction_twin.mqtt.failures import ConnectionReport
+from construction_twin.mqtt.messages import (
+    PROTOCOL,
+    VERBS,
+    CommandProperties,
+    ControlAnswer,
+    Topics,
+    account_of,
+    identity_of,
+    parse_control,
+    parse_intervention,
+    read_command_properties,
+)
+from construction_twin.mqtt.polled_client import PolledClient
+
+log = logging.getLogger("rsi_gateway")
+
+_STATUS_PERIOD = 1.0
+
+
+class MqttSide:
+    """One gateway's connection to the broker.
+
+    Args:
+        polled: Has a client served by the loop.
+        guarded: Runs a part and takes its unexpected exception: paho would handle a message again whose callback raised.
+        stops: Keeps a stop beyond this run; None: it is forgotten.
+        reply_time: Told in the status.
+
+    Attributes:
+        now: Of the loop's present turn [ns]: what is read in it has come by then.
+        failure: What has failed, in one sentence; "" while nothing has.
+        ending: True: where all is ended together the broker may be gone first, and nobody has to look after that.
+    """
+
+    def __init__(
+        self,
+        gateway: Gateway,
+        broker: Broker,
+        topics: Topics,
+        polled: Callable[..., PolledClient],
+        guarded: Callable,
+        stops: StopFile | None,
+        reply_time: Histogram,
+    ):
+        self.now = 0
+        self.failure = ""
+        self.ending = False
+        self.status_clock = StatusClock(_STATUS_PERIOD)
+        self._gateway = gateway
+        self._topics = topics
+        self._guarded = guarded
+        self._stops = stops
+        self._reply_time = reply_time
+        # a last will may come late, when another run, or this one over another connection, speaks already: it says whose it is
+        self._number = 1
+        will = offline_word(gateway.run, self._number)
+        client = make_client(broker, unique_id(topics.robot, "gateway"), topics.status, will)
+        self._connection = ConnectionReport(broker, self._say_connection)
+        client.on_connect = partial(guarded, self._on_connect)
+        client.on_disconnect = partial(guarded, self._on_disconnect)
+        client.on_stream(topics.command, partial(guarded, self._on_command))
+        client.message_callback_add(topics.control, partial(guarded, self._on_control))
+        client.message_callback_add(topics.stop_by("+"), partial(guarded, self._on_stop))
+        client.connect_async(broker.host, broker.port, broker.keepalive)
+        self.polled = polled(client, on_failure=self._connection.failed)
+        self._client = client
+        self._state_properties = broker.protocol == "5"
+        self._lines = LineLimiter()
+        self._speed_answer: tuple = ()
+
+    # -- heard
+
+    def _on_connect(self, client, userdata, flags, reason_code, properties) -> None:
+        if reason_code.is_failure:
+            self._connection.refused(reason_code)
+            return
+        self._connection.connected(client, properties)
+        log.info("connected to the broker")
+        topics = [(self._topics.command, 0), (self._topics.control, 1), (self._topics.stop_by("+"), 1)]
+        client.subscribe(subscriptions(client, topics))
+        info = self.publish_status()
+        # the client sends again what was not acknowledged before: an older status, behind this one, would be the one that is kept
+        self.status_clock.hurry()
+        if info is not None:
+            self._connection.watch_publish(client, self._topics.status, info.mid)
+
+    def _say_connection(self, sentence: str) -> None:
+        log.log(logging.INFO if self.ending else logging.ERROR, "%s", sentence)
+
+    def _on_disconnect(self, client, userdata, flags, reason_code, properties) -> None:
+        self._connection.lost(reason_code)
+        self._number += 1
+        client.will_set(self._topics.status, offline_word(self._gateway.run, self._number), qos=1, retain=True)
+
+    def _on_command(self, payload: bytes, pairs: list[tuple[str, str]], retained: bool) -> None:
+        if retained:
+            self._refuse_retained("command")
+            return
+        properties: CommandProperties | PayloadError | None
+        try:
+            properties = read_command_properties(pairs) if pairs else None
+        except PayloadError as error:
+            properties = error
+        self._gateway.on_command(payload, properties, self.now)
+
+    def _refuse_retained(self, name: str) -> None:
+        why = f"a message on {name} with the retain flag: its age is unknown"
+        self._gateway.refusals.message("retained", why)
+
+    def _on_control(self, client, userdata, message: paho.MQTTMessage) -> None:
+        if message.retain:
+            self._refuse_retained("control")
+            return
+        try:
+            control = parse_control(bytes(message.payload))
+        except PayloadError as error:
+            self._gateway.refusals.message(error.reason, error)
+            self.say(logging.WARNING, f"refused on {error.reason}", str(error))
+            return
+        done = self._gateway.on_control(control, self.now)
+        ok, reason = done.ok, done.reason
+        if not reason:
+            return
+        if control.verb == "speed_limit":
+            # repeated several times a second: only what is new is worth a line and an answer
+            before, self._speed_answer = self._speed_answer, (control.session, ok, reason)
+            if self._speed_answer == before:
+                return
+        verb = control.verb if control.verb in VERBS else "unknown verb"
+        answer = ControlAnswer(control.id, control.verb, ok, reason, control.session)
+        of_stop = control.verb == "stop"
+        self._answer(self._topics.control_ack, partial(dumped, answer, SPACED, said=True), of_stop)
+        level, kind = (logging.INFO, verb) if ok else (logging.WARNING, f"refused {verb}")
+        self._gateway.side_effects.run("the log", self.say, level, kind, f"session {control.session}: {reason}")
+
+    def _on_stop(self, client, userdata, message: paho.MQTTMessage) -> None:
+        account, payload = "", bytes(message.payload)
+        try:
+            account = account_of(message.topic)
+            if not account:
+                # an answer: this gateway's, or the executor's
+                return
+            stop = parse_intervention(account, payload, message.retain)
+        except PayloadError as error:
+            done = self._gateway.refuse_stop(account, error, self.now)
+            line = logging.WARNING, f"refused on {error.reason}", str(error)
+        else:
+            done = self._gateway.on_stop(stop, self.now)
+            line = logging.INFO, "stop by a person", f"account {account}: {done.reason or 'again'}"
+        if done.reason:
+            known = {"account": account, "ok": done.ok, "reason": done.reason, "by": requests.GATEWAY}
+            self._answer(
+                self._topics.stop_ack, lambda: requests.STOP.payload(**identity_of(payload), **known), of_stop=True
+            )
+        self._gateway.side_effects.run("the log", self.say, *line)
+
+    # -- said
+
+    def _answer(self, topic: str, payload: Callable[[], bytes], of_stop: bool) -> None:
+        """Publish the status, then an answer: its reader must not act on an older status.
+
+        That of a stop is not guarded: one that cannot be made is counted beside the stop, which the gateway carries out to its end.
+        """
+        effects = self._gateway.side_effects
+        effects.run("the status", partial(self._send_status, self._document) if of_stop else self.publish_status)
+        effects.run("the answer", lambda: self._client.publish(topic, payload(), qos=1))
+
+    def publish_state(self, now: int) -> None:
+        """Publish the pose of the last telegram."""
+        if not self.polled.connected:
+            return
+        message = self._gateway.state_message(now)
+        if message is None:
+            return
+        payload, properties = message
+        beside = properties.pairs() if self._state_properties else None
+        self._client.send_stream(self._topics.state, payload, beside)
+
+    def publish_status(self, final: bool = False) -> paho.MQTTMessageInfo | None:
+        """Publish the status; where it cannot be made the gateway has failed, and says what is certain."""
+        return self._send_status(lambda: self._guarded(self._document) or self._document_of_failure(), final)
+
+    def _send_status(self, document: Callable[[], dict], final: bool = False) -> paho.MQTTMessageInfo | None:
+        self.status_clock.sent(self.now / NANOSECONDS)
+        if self._stops is not None:
+            self._stops.keep(self._gateway.stopped or self.failure)
+        if not self.polled.connected:
+            return None
+        status = document() | {"connection": self._number}
+        if final:
+            status |= {"state": "offline", "reason": Sentence("gateway stopped")}
+        status["said"] = told(status)
+        return self._client.publish(self._topics.status, json.dumps(status), qos=1, retain=True)
+
+    def _document(self) -> dict:
+        status = self._gateway.status() | {"reply_us": self._reply_time.summary()}
+        # said here once more, because the gateway's own state may be what has failed
+        return status | {"state": State.FAILED.value, "reason": self.failure, "fault": True} if self.failure else status
+
+    def _document_of_failure(self) -> dict:
+        gateway, config = self._gateway, self._gateway.config
+        return {
+            "state": State.FAILED.value,
+            "reason": self.failure,
+            "session": "",
+            "fault": True,
+            "fault_number": gateway.fault_number,
+            "mode": gateway.mode.value,
+            "run": gateway.run,
+            "protocol": PROTOCOL,
+            "hash": config.hash,
+            "decimals": config.decimals,
+            "properties": config.properties,
+        }
+
+    def say(self, level: int, kind: str, text: str) -> None:
+        """Write a line of a kind, not too often."""
+        note = self._lines.note(kind, self.now)
+        if note is not None:
+            log.log(level, "%s: %s%s", kind, text, note)
