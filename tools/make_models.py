@@ -115,7 +115,7 @@ def timber_panel() -> Design:
         made = () if product is None else (global_id("timber_panel", "element", product.name),)
         robots = () if product is None else (ROBOT,)
         duration = None if product is None else 60.0
-        return Task(_task_id("timber_panel", name), name, "", parent, made, (), robots, milestone, duration=duration)
+        return Task(_task_id("timber_panel", name), name, parent, made, (), robots, milestone, duration=duration)
 
     root = task("Panel W1", "")
     frame, sheathing = task("Frame", root.id), task("Sheathing", root.id)
@@ -147,7 +147,7 @@ def brick_wall() -> Design:
     tasks.append(root)
     last_course = ""
     for course, count in enumerate(COURSES):
-        parent = Task(_task_id("brick_wall", f"Course {course + 1}"), f"Course {course + 1}", "", root.id)
+        parent = Task(_task_id("brick_wall", f"Course {course + 1}"), f"Course {course + 1}", root.id)
         tasks.append(parent)
         if last_course:
             order.append(Sequence(last_course, parent.id))
@@ -158,7 +158,7 @@ def brick_wall() -> Design:
             parts.append(Part(name, "IfcBuildingElementPart", "", "NF 240x115x71", "Clay brick", BRICK, at))
             made = (global_id("brick_wall", "element", name),)
             lay = Task(
-                _task_id("brick_wall", name), f"Lay {name.lower()}", "", parent.id, made, (), (ROBOT,), duration=40.0
+                _task_id("brick_wall", name), f"Lay {name.lower()}", parent.id, made, (), (ROBOT,), duration=40.0
             )
             tasks.append(lay)
             if last_brick:

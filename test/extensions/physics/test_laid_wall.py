@@ -13,7 +13,6 @@ from physics_samples import plan_of
 from construction_twin.extensions.physics.process import Question, rehearse
 from construction_twin.extensions.work.process import TaskMotions
 from construction_twin.extensions.work.site import read_site
-from construction_twin.extensions.work.site_scene import WorkState
 from construction_twin.kinematics.chain import Pose
 from construction_twin.planning.work_plan import joined
 from construction_twin.review.rehearsal_report import PASSED
@@ -45,7 +44,7 @@ def laid(request) -> tuple[tuple[str, ...], TaskMotions]:
     ]  # fmt: skip
     layout = work_samples.layout(read_site(CONFIG / f"work/{name}.yaml"), work_samples.building(*elements))
     lying, own = layout.order[:count], layout.order[count]
-    scene = layout.scene(WorkState({one: layout.base_T_goal(one) for one in lying}))
+    scene = layout.scene({one: layout.base_T_goal(one) for one in lying})
     job = layout.job_for(own, scene)
     return lying, work_samples.planner().plan(job, work_samples.robot().home, scene)
 

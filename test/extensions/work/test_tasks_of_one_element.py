@@ -15,14 +15,12 @@ import yaml
 from building_models import box
 from building_models import building as of_boxes
 from building_models import element as of_box
-from construction_twin.extensions.work.build_report import TaskResult, summary
 from construction_twin.msg import Execution
 from ifc_models import IfcModel
 from touch_process import TOP, recipes_file
 from work_bench import CARRY, ELEMENT, LEAVE, Bench
 from work_samples import BRICK, ROOT, element, job, robot, site
 
-from construction_twin.core.reports import TaskReport
 from construction_twin.core.work_errors import ScheduleError
 from construction_twin.extensions.work import decisions, worker_functions
 from construction_twin.extensions.work.building import Sequence, Task
@@ -305,13 +303,6 @@ def test_what_was_taken_down_is_not_worked_on(tmp_path):
     assert one.next(NOW) == TOUCH and f"{ELEMENT}/0" in one.built.wanted_scene()[0]
     decisions.removed(one, "D", "eva", "")
     assert "was taken down" in one.obstacle(TOUCH, NOW) and f"{ELEMENT}/0" not in one.built.wanted_scene()[0]
-
-
-def test_the_mass_of_an_element_counts_once():
-    done = [
-        TaskReport(id="place", name="", element=one, state="done", reason="", after=(), mass_kg=3.5) for one in "eef"
-    ]
-    assert summary([*map(TaskResult, done)], 0)["placed_kg"] == 7.0
 
 
 # -- the node

@@ -10,7 +10,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -18,26 +18,26 @@ from typing import Any
 import numpy as np
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.work_errors import TaskPlanningError
+from construction_twin.core.work_errors import PlacementError, TaskPlanningError
 from construction_twin.core.worker import rss_mb, serve_parent
 from construction_twin.extensions.work.building import BuildingModel, Element
 from construction_twin.extensions.work.built import pose_of_tuple
-from construction_twin.extensions.work.element_bodies import element_shapes, element_triangles
+from construction_twin.extensions.work.element_bodies import box_of, element_shapes, element_triangles
 from construction_twin.extensions.work.ifc.reading import read_building
 from construction_twin.extensions.work.motions import TaskPlanner
+from construction_twin.extensions.work.names import first_few
 from construction_twin.extensions.work.prepared import ElementFacts, Prepared, Scheduled
 from construction_twin.extensions.work.process import TaskMotions, WorkJob, process_of
 from construction_twin.extensions.work.proposed_schedule import propose
 from construction_twin.extensions.work.recipe import DEFAULT
 from construction_twin.extensions.work.schedule import Schedule
-from construction_twin.extensions.work.site import Site, pose_of, read_site
-from construction_twin.extensions.work.site_scene import Layout, WorkState
-from construction_twin.extensions.work.standing import check_placement, standing
-from construction_twin.kinematics.chain import Chain
+from construction_twin.extensions.work.site import Site, inverse, pose_of, read_site
+from construction_twin.extensions.work.site_scene import Layout
+from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.planner import PlannerSettings
 from construction_twin.robot.description import RobotModel
-from construction_twin.scene.objects import Scene, product, tool_objects
+from construction_twin.scene.objects import Scene, SceneObject, product, tool_objects
 from construction_twin.scene.self_collision import read_self_collision
 
 #: By how much bodies may be larger than their element without being told [m].
@@ -138,7 +138,7 @@ class Checker:
         """Return scene and job when everything before it stands, of what has geometry."""
         before = [job.element for job in self._jobs[:number] if job.element in self._layout.order]
         gone = frozenset(job.element for job in self._schedule.removals) & self._before(number)
-        scene = self._layout.scene(WorkState({one: self._layout.base_T_goal(one) for one in before}, gone))
+        scene = self._layout.scene({one: self._layout.base_T_goal(one) for one in before}, gone)
         return scene, self._layout.job_for(self._jobs[number].element, scene, self._jobs[number].id)
 
     def _described(self, found: CheckedTask, plan: TaskMotions) -> CheckedTask:
@@ -304,6 +304,115 @@ def plan(task: str, element: str, start: tuple[float, ...], scene: Scene, held: 
 def check(number: int) -> tuple[CheckedTask, int, float]:
     """Return what was found for one job of the schedule, by its number from 0; this process, and its memory [MB]."""
     return _SESSIONS[0].checker.check(number), os.getpid(), rss_mb()
+
+
+# -- what stands, and where
+
+
+def check_placement(model: BuildingModel, model_T_base: Pose, reach: float, base: str = "") -> tuple[str, ...]:
+    """Return what is out of reach while others are not, as one sentence, or nothing.
+
+    Args:
+        reach: Largest distance of the tool's centre point from the base's origin, along a track and with the tool [m], above 0.
+        base: GlobalId of the element that stands for the robot's base, which is not compared; empty: none.
+    """
+    boxes = {one.id: _box(one) for one in model.elements.values() if one.bodies and one.id != base}
+    if not boxes:
+        raise PlacementError(f"{model.file}: no element has geometry, so nothing can be placed")
+    at = model_T_base.position
+    distances = {
+        identifier: float(np.linalg.norm(np.maximum(np.maximum(low - at, at - high), 0.0)))
+        for identifier, (low, high) in boxes.items()
+    }
+    far = tuple(one for one, distance in distances.items() if distance > reach)
+    if len(far) == len(boxes):
+        nearest = min(distances, key=lambda one: distances[one])
+        low = np.min([box[0] for box in boxes.values()], axis=0)
+        high = np.max([box[1] for box in boxes.values()], axis=0)
+        said = f"all {len(boxes)} elements are out of the robot's reach of {reach:.2f} m: the nearest"
+        away = f"{distances[nearest]:.2f} m from its base at {_figures(at)}"
+        stand = f"The elements stand at {_figures(low)} to {_figures(high)}."
+        raise PlacementError(f"{said}, {_named(model, (nearest,))}, is {away}. {stand}")
+    if not far:
+        return ()
+    most = max(distances[one] for one in far)
+    limits = f"up to {most:.2f} m from the base, reach {reach:.2f} m"
+    return (f"{_named(model, far)} out of reach whatever the arm does: {limits}.",)
+
+
+def _box(element: Element) -> np.ndarray:
+    """Return the lowest and highest coordinates in the model, shape (2, 3)."""
+    vertices = np.concatenate([body.vertices for body in element.bodies])
+    pose = element.model_T_element
+    points = vertices @ pose.rotation.T + pose.position
+    return np.array([points.min(axis=0), points.max(axis=0)])
+
+
+def _figures(values: np.ndarray) -> str:
+    return "(" + ", ".join(f"{value:.2f}" for value in values) + ") m"
+
+
+def _named(model: BuildingModel, ids: tuple[str, ...]) -> str:
+    if len(ids) == 1:
+        return f"element {model.labels.get(ids[0], ids[0])}"
+    return f"{len(ids)} elements ({first_few(model.labels.get(one, one) for one in ids)})"
+
+
+#: What is carried reaches further than the tool: half of the longest element that an arm carries, and something [m].
+_CARRIED = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """What stands.
+
+    Attributes:
+        pieces: Convex pieces of each element in its own frame, ``<GlobalId>/<number>``; for `site_scene.Layout`.
+        notes: One sentence for each element whose geometry is unusable: its box stands for it.
+    """
+
+    pieces: dict[str, tuple[SceneObject, ...]]
+    notes: tuple[str, ...]
+
+
+def standing(building: BuildingModel, made: Collection[str], site: Site, reach: float, folder: Path) -> Standing:
+    """Return what stands of a model within reach of the arm and what it carries.
+
+    Args:
+        reach: As of `check_placement`.
+        made: GlobalIds of the elements that tasks make; these, what they are parts of, and the element that stands for the base are
+            not among what stands.
+        folder: For mesh files, see `element_bodies.element_shapes`.
+    """
+    base_T_model = inverse(site.model_T_base(building))
+    near = []
+    for element in standing_elements(building, made, site):
+        pose = product(base_T_model, element.model_T_element)
+        points = np.concatenate([body.vertices for body in element.bodies]) @ pose.rotation.T + pose.position
+        nearest = np.maximum(np.maximum(points.min(axis=0), -points.max(axis=0)), 0.0)
+        if not np.linalg.norm(nearest) > reach + _CARRIED:
+            near.append(element)
+    shapes, failures = element_shapes(near, folder)
+    said = "cannot be divided into bodies, its box is the obstacle, and the arm does not place it"
+    notes = tuple(f"{name} {said}: {failure}" for name, failure in failures.items())
+    boxes = {name: (box_of(building.element(name)),) for name in failures}
+    return Standing({name: shape.objects for name, shape in shapes.items()} | boxes, notes)
+
+
+def standing_elements(building: BuildingModel, made: Collection[str], site: Site) -> tuple[Element, ...]:
+    """Return the elements with bodies that no task makes, wherever they are; see `standing`."""
+    left_out = set(made)
+    for identifier in made:
+        above: list[str] = []
+        parent = building.element(identifier).assembly
+        while parent in building.elements and parent not in above:
+            above.append(parent)
+            parent = building.elements[parent].assembly
+        # what exists stands, whatever new is a part of it
+        left_out |= {one for one in above if not building.elements[one].status}
+    if site.file.base_element:
+        left_out.add(site.base(building).id)
+    return tuple(one for one in building.elements.values() if one.bodies and one.id not in left_out)
 
 
 if __name__ == "__main__":

@@ -120,11 +120,11 @@ class Builder:
         missing = [task.name for task in tasks if task.state != "done"]
         if missing and not problem:
             problem = f"{len(missing)} of {len(wanted)} tasks are not done: {', '.join(missing)}"
-        self._console.print(table(tasks, self._efforts))
+        contents = {**figures(tasks, self._efforts), "held": self._held, "decisions": self._decisions}
+        self._console.print(table(contents))
         directory = results / time.strftime("%Y-%m-%d_%H-%M-%S_build")
         directory.mkdir(parents=True)
         file = directory / "work.json"
-        contents = {**figures(tasks, self._efforts), "held": self._held, "decisions": self._decisions}
         file.write_text(json.dumps(contents, indent=2, allow_nan=False) + "\n", encoding="utf-8")
         point_latest(results, directory)
         if problem:
@@ -310,81 +310,62 @@ def answer_of(
 # -- what it came to
 
 
-def passed(task: TaskReport) -> bool | None:
-    """Return whether an element stands within tolerance; None: it is not placed, or where was not measured."""
-    if not (math.isfinite(task.deviation_mm) and math.isfinite(task.deviation_deg)):
-        return None
-    return task.deviation_mm <= task.tolerance_mm and task.deviation_deg <= task.tolerance_deg
-
-
-def _built(tasks: Sequence[TaskReport]) -> list[str]:
-    """Return the tasks that are done, in the order in which they were."""
-    return [task.id for task in sorted(tasks, key=lambda one: one.settled) if task.state == "done"]
-
-
-def _took(task: TaskReport) -> float:
-    """Return the time from a task's beginning to its end [s]; NaN: one of them is not known."""
-    return (task.settled - task.begun) / NANOSECONDS if 0 < task.begun <= task.settled else math.nan
-
-
 def figures(tasks: Sequence[TaskReport], efforts: Mapping[str, Effort]) -> dict[str, Any]:
     """Return the figures of ``work.json``: of the session, then of each task's element; None for what is not known."""
-    order, deviations = _built(tasks), [task.deviation_mm for task in tasks if math.isfinite(task.deviation_mm)]
+    built = [task.id for task in sorted(tasks, key=lambda one: one.settled) if task.state == "done"]
+    elements = [_element(task, efforts[task.id], built) for task in tasks]
+    deviations = [each["deviation_mm"] for each in elements if each["deviation_mm"] is not None]
     return {
         "tasks": len(tasks),
-        "done": len(order),
+        "done": len(built),
         "replanned": sum(max(0, efforts[task.id].plans - 1) for task in tasks),
-        "deviation_mm": {"max": round(max(deviations), 3) if deviations else None},
-        "as_scheduled": [task.id for task in tasks if task.id in order] == order,
-        "elements": [
-            {
-                "element": task.element,
-                "name": task.element_name,
-                "state": task.state,
-                "order": order.index(task.id) + 1 if task.id in order else None,
-                "mass_kg": _rounded(task.mass_kg, 3),
-                "grip": task.grip,
-                "plans": efforts[task.id].plans,
-                "deviation_mm": _rounded(task.deviation_mm, 3),
-                "deviation_deg": _rounded(task.deviation_deg, 4),
-                "within_tolerance": passed(task),
-                "scheduled_start": task.scheduled_start or None,
-                "scheduled_s": _rounded(task.scheduled_duration, 1),
-                "begun": _moment(task.begun / NANOSECONDS) or None,
-                "settled": _moment(task.settled / NANOSECONDS) or None,
-                "took_s": _rounded(_took(task), 1),
-            }
-            for task in tasks
-        ],
+        "deviation_mm": {"max": max(deviations, default=None)},
+        "as_scheduled": [task.id for task in tasks if task.id in built] == built,
+        "elements": elements,
     }
 
 
-def table(tasks: Sequence[TaskReport], efforts: Mapping[str, Effort]) -> Table:
-    """Return the same for the terminal; `order` is the order in which the elements were placed."""
-    found = Table(
-        *("order", "task", "state", "mass kg", "grip", "plans", "planning s", "motion s", "deviation mm", "deviation deg"),
-        *("tolerance", "scheduled", "took s"),
-    )  # fmt: skip
-    order = _built(tasks)
-    for task in tasks:
-        effort = efforts[task.id]
-        found.add_row(
-            str(order.index(task.id) + 1) if task.id in order else "",
-            *(task.element_name, task.state, _shown(task.mass_kg, 1), task.grip, str(effort.plans)),
-            *(_shown(effort.planning if effort.plans else math.nan, 1), _shown(effort.motion or math.nan, 1)),
-            *(_shown(task.deviation_mm, 3), _shown(task.deviation_deg, 4)),
-            {True: "passed", False: "NOT passed", None: ""}[passed(task)],
-            *(task.scheduled_start, _shown(_took(task), 0)),
-        )
-    return found
+def _element(task: TaskReport, effort: Effort, built: Sequence[str]) -> dict[str, Any]:
+    """Return the figures of one element; `built`: the tasks that are done, in the order in which they were."""
+    took = (task.settled - task.begun) / NANOSECONDS if 0 < task.begun <= task.settled else math.nan
+    measured = math.isfinite(task.deviation_mm) and math.isfinite(task.deviation_deg)
+    within = task.deviation_mm <= task.tolerance_mm and task.deviation_deg <= task.tolerance_deg
+    return {
+        "order": built.index(task.id) + 1 if task.id in built else None,
+        "element": task.element,
+        "name": task.element_name,
+        "state": task.state,
+        "mass_kg": _rounded(task.mass_kg, 3),
+        "grip": task.grip,
+        "plans": effort.plans,
+        "planning_s": _rounded(effort.planning, 1) if effort.plans else None,
+        "motion_s": _rounded(effort.motion, 1) if effort.plans else None,
+        "deviation_mm": _rounded(task.deviation_mm, 3),
+        "deviation_deg": _rounded(task.deviation_deg, 4),
+        "within_tolerance": within if measured else None,
+        "scheduled_start": task.scheduled_start or None,
+        "scheduled_s": _rounded(task.scheduled_duration, 1),
+        "begun": _moment(task.begun / NANOSECONDS) or None,
+        "settled": _moment(task.settled / NANOSECONDS) or None,
+        "took_s": _rounded(took, 1),
+    }
+
+
+#: Figures of an element that the table in the terminal leaves out.
+_NOT_SHOWN = ("element", "scheduled_s", "begun", "settled")
+
+
+def table(found: Mapping[str, Any]) -> Table:
+    """Return the figures of the elements for the terminal, a row for each in the order of the schedule."""
+    rows = [{name: value for name, value in each.items() if name not in _NOT_SHOWN} for each in found["elements"]]
+    shown = Table(*(name.replace("_", " ") for name in next(iter(rows), {})))
+    for row in rows:
+        shown.add_row(*("" if value is None else str(value) for value in row.values()))
+    return shown
 
 
 def _rounded(value: float, decimals: int) -> float | None:
     return round(value, decimals) + 0.0 if math.isfinite(value) else None
-
-
-def _shown(value: float, decimals: int) -> str:
-    return f"{value:.{decimals}f}" if math.isfinite(value) else ""
 
 
 def _moment(since_1970: float) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import ifcopenshell
@@ -26,51 +27,35 @@ _STATUS = {
 _LIKELY = (5.0, 23000.0)
 #: Metres per length unit that a building may be drawn in, with much room.
 _SMALLEST, _LARGEST = 1e-7, 1e5
-#: Which of `Units` holds for a measure or quantity.
-_FACTORS = {
-    "length": ("IfcLengthMeasure", "IfcPositiveLengthMeasure", "IfcNonNegativeLengthMeasure", "IfcQuantityLength"),
-    "area": ("IfcAreaMeasure", "IfcQuantityArea"),
-    "volume": ("IfcVolumeMeasure", "IfcQuantityVolume"),
-    "mass": ("IfcMassMeasure", "IfcQuantityWeight"),
-    "angle": ("IfcPlaneAngleMeasure", "IfcPositivePlaneAngleMeasure"),
-    "time": ("IfcTimeMeasure", "IfcQuantityTime"),
-    "density": ("IfcMassDensityMeasure",),
-}
-#: Powers of the prefix of an SI unit whose name has one.
-_POWERS = {"SQUARE_METRE": 2, "CUBIC_METRE": 3}
-#: Kinds of units of quantities of weight and the like, whose own unit must be of their kind.
-_UNIT_KINDS = {
-    "IfcQuantityLength": "LENGTHUNIT", "IfcQuantityArea": "AREAUNIT", "IfcQuantityVolume": "VOLUMEUNIT",
-    "IfcQuantityWeight": "MASSUNIT", "IfcQuantityTime": "TIMEUNIT", "IfcMassMeasure": "MASSUNIT",
-    "IfcMassDensityMeasure": "MASSDENSITYUNIT",
-}  # fmt: skip
+#: Kinds of units whose measures become SI; of those of mass ifcopenshell's own unit is the gram.
+_CONVERTED = ("LENGTHUNIT", "AREAUNIT", "VOLUMEUNIT", "MASSUNIT", "PLANEANGLEUNIT", "TIMEUNIT", "MASSDENSITYUNIT")
+_OF_MASS = ("MASSUNIT", "MASSDENSITYUNIT")
 
 
 @dataclass(frozen=True)
 class Units:
     """SI units per unit of the file.
 
-    Attributes:
-        length, area, volume, mass, angle: [m], [m²], [m³], [kg], [rad]
-        time: [s]; None: the project has no unit of time.
-        density: [kg/m³]; None: the project has no unit of density.
-        weighs: The project has a unit of mass; else it is the kilogram.
+    `given`: By each kind of which the project has one: [m], [m²], [m³], [kg], [rad], [s], [kg/m³].
     """
 
-    length: float
-    area: float
-    volume: float
-    mass: float
-    angle: float
-    time: float | None
-    density: float | None = None
-    weighs: bool = True
+    given: Mapping[str, float]
+
+    @property
+    def length(self) -> float:
+        """Metres per unit."""
+        return self.given["LENGTHUNIT"]
+
+    @property
+    def is_metric(self) -> bool:
+        """Whether the unit of length is no foot or inch."""
+        return _is_power_of_ten(self.length)
 
     def factor(self, measure: str) -> float:
         """Return SI units per unit of a measure or quantity of the schema; 1 for what has no unit or one that is not converted."""
-        name = next((name for name, measures in _FACTORS.items() if measure in measures), "")
-        factor = getattr(self, name) if name else None
-        return 1.0 if factor is None else factor
+        kind = _kind(measure)
+        power = {"AREAUNIT": 2, "VOLUMEUNIT": 3}.get(kind)
+        return self.given.get(kind, self.length**power if power else 1.0)
 
 
 def read_units(file: ifcopenshell.file, name: str, notes: Notes) -> Units:
@@ -79,66 +64,43 @@ def read_units(file: ifcopenshell.file, name: str, notes: Notes) -> Units:
     if len(projects) != 1:
         found = str(len(projects) or "none")
         raise BuildingError(name, "IFCPROJECT", found, "one project, which says in which units the model is")
+    given: dict[str, float] = {}
     with Where(name, projects[0]):
         assignment = projects[0].UnitsInContext
-        given = [getattr(unit, "UnitType", None) for unit in assignment.Units] if assignment else []
-    if given.count("LENGTHUNIT") != 1:
-        found = "several length units" if "LENGTHUNIT" in given else "no length unit"
-        raise BuildingError(name, "units of the project", found, "one, or no length of the model has a meaning")
-    length = _scale(file, name, "LENGTHUNIT")
-    if not _SMALLEST <= length <= _LARGEST:
+        units = [(getattr(unit, "UnitType", ""), unit) for unit in assignment.Units] if assignment else []
+        for kind, unit in units:
+            if kind not in _CONVERTED:
+                continue
+            factor = _si_factor(unit)
+            if factor is None:
+                raise BuildingError(name, f"{kind} of the project", label(unit), "a unit of known units, above 0")
+            if kind == "LENGTHUNIT" and kind in given:
+                raise BuildingError(name, "units of the project", "several length units", "one")
+            given[kind] = factor
+    if "LENGTHUNIT" not in given:
+        raise BuildingError(
+            name, "units of the project", "no length unit", "one, or no length of the model has a meaning"
+        )
+    if not _SMALLEST <= given["LENGTHUNIT"] <= _LARGEST:
         expected = "a unit of length that buildings are drawn in"
-        raise BuildingError(name, "length unit of the project", f"{length:g} m", expected)
+        raise BuildingError(name, "length unit of the project", f"{given['LENGTHUNIT']:g} m", expected)
     if "PLANEANGLEUNIT" not in given:
         notes.add("The project has no unit of angles; radians are assumed")
-    return Units(
-        length,
-        _scale(file, name, "AREAUNIT") if "AREAUNIT" in given else length**2,
-        _scale(file, name, "VOLUMEUNIT") if "VOLUMEUNIT" in given else length**3,
-        # ifcopenshell's unit of mass is SI's root, the gram; without a unit IFC's is the kilogram
-        _scale(file, name, "MASSUNIT") / 1e3 if "MASSUNIT" in given else 1.0,
-        _scale(file, name, "PLANEANGLEUNIT") if "PLANEANGLEUNIT" in given else 1.0,
-        _scale(file, name, "TIMEUNIT") if "TIMEUNIT" in given else None,
-        _density_unit(assignment, name) if "MASSDENSITYUNIT" in given else None,
-        "MASSUNIT" in given,
-    )
+    return Units(given)
 
 
-def _density_unit(assignment: ifcopenshell.entity_instance, name: str) -> float:
-    unit = next(unit for unit in assignment.Units if getattr(unit, "UnitType", None) == "MASSDENSITYUNIT")
-    with Where(name, unit):
-        factor = si_factor(unit)
-    if factor is None or not (math.isfinite(factor) and factor > 0):
-        raise BuildingError(name, "MASSDENSITYUNIT of the project", str(factor), "a unit of known units")
-    return factor
+def _si_factor(unit: ifcopenshell.entity_instance) -> float | None:
+    """Return SI units (of mass: kilograms) per unit; None: only people know what it is, or it is none."""
+    if any(part.is_a("IfcContextDependentUnit") for part in unit.file.traverse(unit)):
+        return None
+    factor = float(ifcopenshell.util.unit.get_unit_scale(unit)) / (1e3 if unit.UnitType in _OF_MASS else 1.0)
+    return factor if math.isfinite(factor) and factor > 0 else None
 
 
-def si_factor(unit: ifcopenshell.entity_instance) -> float | None:
-    """Return SI units (of mass: kilograms) per unit; None: only people know what it is."""
-    if unit.is_a("IfcSIUnit"):
-        factor = ifcopenshell.util.unit.get_prefix_multiplier(unit.Prefix) ** _POWERS.get(unit.Name, 1)
-        return float(factor) / 1e3 if unit.Name == "GRAM" else float(factor)
-    if unit.is_a("IfcConversionBasedUnit"):
-        of = unit.ConversionFactor
-        base = si_factor(of.UnitComponent)
-        return None if base is None else float(of.ValueComponent.wrappedValue) * base
-    if unit.is_a("IfcDerivedUnit"):
-        whole = 1.0
-        for element in unit.Elements:
-            factor = si_factor(element.Unit)
-            if factor is None:
-                return None
-            whole *= factor**element.Exponent
-        return whole
-    return None
-
-
-def _scale(file: ifcopenshell.file, name: str, kind: str) -> float:
-    with Where(name, f"{kind} of the project"):
-        scale = float(ifcopenshell.util.unit.calculate_unit_scale(file, kind))
-    if not (math.isfinite(scale) and scale > 0):
-        raise BuildingError(name, f"{kind} of the project", f"{scale:g}", "a finite factor above 0")
-    return scale
+def _kind(measure: str) -> str:
+    """Return the kind of unit of a measure or quantity of the schema."""
+    measure = measure.replace("Quantity", "").replace("Weight", "Mass")
+    return ifcopenshell.util.unit.get_measure_unit_type(measure)  # type: ignore[arg-type]
 
 
 # -- of products and tasks
@@ -193,11 +155,8 @@ def _factor(holder: ifcopenshell.entity_instance, measure: str, units: Units) ->
     own = getattr(holder, "Unit", None)
     if own is None:
         return units.factor(measure)
-    kind = _UNIT_KINDS.get(measure)
-    if kind is not None and getattr(own, "UnitType", kind) != kind:
-        return None
-    factor = si_factor(own)
-    return factor if factor is not None and math.isfinite(factor) and factor > 0 else None
+    kind = _kind(measure)
+    return None if kind in _CONVERTED and getattr(own, "UnitType", kind) != kind else _si_factor(own)
 
 
 def read_status(product: ifcopenshell.entity_instance, at: str, sets: Sets, notes: Notes) -> str:
@@ -246,8 +205,8 @@ def _weight(product: ifcopenshell.entity_instance, at: str, sets: Sets, units: U
                 if value <= 0:
                     notes.add("Weights that are not above 0 are left out", about, at)
                     continue
-                if not units.weighs and not _has_own_unit(product, name, quantity):
-                    if not _is_power_of_ten(units.length):
+                if "MASSUNIT" not in units.given and not _has_own_unit(product, name, quantity):
+                    if not units.is_metric:
                         said = f"A weight of {value:.6g} without a unit can be kilograms or pounds, and is not used"
                         notes.add(f"{said}: the project has no unit of mass, and feet or inches", about, at)
                         continue
@@ -267,11 +226,10 @@ def _density(product: ifcopenshell.entity_instance, at: str, units: Units, notes
             density, holder = found
             if holder is not None:
                 factor = _factor(holder, "IfcMassDensityMeasure", units)
-            elif units.density is not None:
-                factor = units.density
             else:
                 # in a metric project authors write kg/m³, whatever its units of length and mass are
-                factor = 1.0 if _is_power_of_ten(units.length) and _is_power_of_ten(units.mass) else None
+                metric = units.is_metric and _is_power_of_ten(units.given.get("MASSUNIT", 1.0))
+                factor = units.given.get("MASSDENSITYUNIT", 1.0 if metric else None)
     except BuildingError:
         notes.add("Materials that cannot be read are left out", label(product), at)
         return None

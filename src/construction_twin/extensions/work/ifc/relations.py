@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
 
 import ifcopenshell
 
@@ -102,16 +103,10 @@ def _on(file: ifcopenshell.file, name: str, voided: dict[int, ifcopenshell.entit
 
 
 def _refuse_loops(file: ifcopenshell.file, name: str, whole: dict[int, ifcopenshell.entity_instance]) -> None:
-    good: set[int] = set()
-    for start in whole:
-        seen: dict[int, None] = {}
-        at: int | None = start
-        while at is not None and at not in good:
-            if at in seen:
-                loop = list(seen)[list(seen).index(at) :]
-                shown = " in ".join(label(file.by_id(each)) for each in loop[:4])
-                raise BuildingError(name, label(file.by_id(at)), f"part of itself ({shown} ...)", "no loop of parts")
-            seen[at] = None
-            parent = whole.get(at)
-            at = None if parent is None else parent.id()
-        good.update(seen)
+    try:
+        TopologicalSorter({part: (parent.id(),) for part, parent in whole.items()}).prepare()
+    except CycleError as error:
+        # from the part to its whole
+        loop = [label(file.by_id(each)) for each in reversed(error.args[1])]
+        found = f"part of itself ({' in '.join(loop[:4])} ...)"
+        raise BuildingError(name, loop[0], found, "no loop of parts") from error

@@ -92,7 +92,8 @@ def read_tasks(
     file: ifcopenshell.file, name: str, groups: Groups, given: Collection[str], units: Units, notes: Notes
 ) -> tuple[dict[str, Task], tuple[Sequence, ...]]:
     """Read tasks and sequences; `given`: ids of elements that a task builds where it has them as inputs only."""
-    assigned = _assigned(file, name, notes)
+    with Where(name, "the schedule"):
+        assigned = _assigned(file, name)
     every = sorted(file.by_type("IfcTask"), key=lambda task: task.id())
     entities = _scheduled(every, assigned, notes)
     task_ids: dict[int, str] = {}
@@ -102,13 +103,12 @@ def read_tasks(
     tasks = {}
     for entity in entities:
         with Where(name, entity):
-            task = _task(entity, task_ids, assigned, groups, set(given), units, notes)
-            tasks[task.id] = task
+            tasks[task_ids[entity.id()]] = _task(entity, task_ids, assigned, groups, set(given), units, notes)
     sequences = []
     for relation in file.by_type("IfcRelSequence") if tasks else ():
         with Where(name, relation):
             ends = [_end(each, assigned, task_ids, tasks, notes) for each in _ends(relation)]
-            sequence = _sequence(relation, ends, units.time, tasks, notes)
+            sequence = _sequence(relation, ends, units.given.get("TIMEUNIT"), tasks, notes)
         if sequence is not None:
             sequences.append(sequence)
     return tasks, tuple(sequences)
@@ -128,48 +128,45 @@ def unique_id(entity: ifcopenshell.entity_instance, taken: Collection[str], note
     return f"#{entity.id()}"
 
 
-def _assigned(file: ifcopenshell.file, name: str, notes: Notes) -> _Assigned:
+def _assigned(file: ifcopenshell.file, name: str) -> _Assigned:
     found = _Assigned()
+
+    def pairs(attribute: str, *kinds: str) -> Iterator[tuple[ifcopenshell.entity_instance, ...]]:
+        """Yield what relations of some kinds have in an attribute, each that they relate with it, and the relation."""
+        for relation in (each for kind in kinds for each in file.by_type(kind)):
+            with Where(name, relation):
+                found = [(getattr(relation, attribute), each, relation) for each in relation.RelatedObjects]
+            yield from found
+
     # IFC wants nesting; some authors aggregate
-    for relation in (*file.by_type("IfcRelNests"), *file.by_type("IfcRelAggregates")):
-        with Where(name, relation):
-            if relation.RelatingObject.is_a("IfcTask"):
-                for part in relation.RelatedObjects:
-                    found.parents.setdefault(part.id(), relation.RelatingObject)
-    for relation in file.by_type("IfcRelAssignsToProduct"):
-        with Where(name, relation):
-            for each in relation.RelatedObjects:
-                if each.is_a("IfcTask"):
-                    found.products[each.id()].append(relation.RelatingProduct)
-    for relation in file.by_type("IfcRelAssignsToProcess"):
-        with Where(name, relation):
-            for each in relation.RelatedObjects:
-                if each.is_a("IfcResource"):
-                    _work(found, relation.RelatingProcess, each)
-                else:
-                    found.inputs[relation.RelatingProcess.id()].append(each)
-    for relation in file.by_type("IfcRelAssignsToResource"):
-        with Where(name, relation):
-            for each in relation.RelatedObjects:
-                if each.is_a("IfcTask"):
-                    _work(found, each, relation.RelatingResource)
+    for whole, part, _ in pairs("RelatingObject", "IfcRelNests", "IfcRelAggregates"):
+        if whole.is_a("IfcTask"):
+            found.parents.setdefault(part.id(), whole)
+    for product, task, _ in pairs("RelatingProduct", "IfcRelAssignsToProduct"):
+        if task.is_a("IfcTask"):
+            found.products[task.id()].append(product)
+    for task, each, _ in pairs("RelatingProcess", "IfcRelAssignsToProcess"):
+        if each.is_a("IfcResource"):
+            _work(found, task, each)
+        else:
+            found.inputs[task.id()].append(each)
+    for resource, task, _ in pairs("RelatingResource", "IfcRelAssignsToResource"):
+        if task.is_a("IfcTask"):
+            _work(found, task, resource)
     # the subtype IfcRelAssignsTasks of IFC2x3 carries the times
-    for relation in file.by_type("IfcRelAssignsToControl"):
-        with Where(name, relation):
-            for each in relation.RelatedObjects:
-                if not each.is_a("IfcTask"):
-                    continue
-                if relation.RelatingControl.is_a("IfcWorkControl"):
-                    found.schedules.setdefault(each.id(), relation.RelatingControl)
-                if getattr(relation, "TimeForTask", None) is not None:
-                    found.times[each.id()] = relation.TimeForTask
+    for control, task, relation in pairs("RelatingControl", "IfcRelAssignsToControl"):
+        if task.is_a("IfcTask"):
+            if control.is_a("IfcWorkControl"):
+                found.schedules.setdefault(task.id(), control)
+            if getattr(relation, "TimeForTask", None) is not None:
+                found.times[task.id()] = relation.TimeForTask
     return found
 
 
-def _completion(time: ifcopenshell.entity_instance | None) -> float | None:
-    """Return what is done of a task, as the file counts; None: not said."""
+def _completion(time: ifcopenshell.entity_instance | None) -> float:
+    """Return what part of a task the file says is done; 0 where it says nothing."""
     part = getattr(time, "Completion", None)
-    return float(part) if isinstance(part, (int, float)) else None
+    return float(part) if isinstance(part, (int, float)) else 0.0
 
 
 def _work(found: _Assigned, task: ifcopenshell.entity_instance, resource: ifcopenshell.entity_instance) -> None:
@@ -232,7 +229,7 @@ def _task(
             note("Tasks whose workpieces are assigned as inputs only (IfcRelAssignsToProcess); taken as what they make")
         products, inputs = made, [each for each in inputs if each not in made]
     parent = assigned.parents.get(entity.id())
-    start, duration = _times(_time_of(entity, assigned), units.time, note)
+    start, duration = _times(_time_of(entity, assigned), units.given.get("TIMEUNIT"), note)
     return Task(
         id=task_id,
         name=entity.Name or "",
@@ -317,26 +314,23 @@ def _says_completed(entity: ifcopenshell.entity_instance, assigned: _Assigned) -
     """Return whether a task says of itself that it is done: by its status, or by its times."""
     time = _time_of(entity, assigned)
     # above 1 it is no part, whatever its author counts in
-    whole = math.isclose(_completion(time) or 0.0, 1.0, abs_tol=1e-6)
+    whole = math.isclose(_completion(time), 1.0, abs_tol=1e-6)
     return _status_word(entity) in _DONE_WORDS or whole or getattr(time, "ActualFinish", None) is not None
 
 
 def _completed(entity: ifcopenshell.entity_instance, assigned: _Assigned, note: _Note) -> bool:
-    """Return whether the file says that a task is done; one that is under way, or says both, is noted."""
+    """Return whether the file says that a task, or what it nests in, is done; one that is under way is noted."""
     time, status = _time_of(entity, assigned), _status_word(entity)
-    if _says_completed(entity, assigned):
+    done = next((each for each in _above(entity, assigned) if _says_completed(each, assigned)), None)
+    if done is not None and done is entity:
         note("Tasks that the file says are completed: not done again, what they made stands")
-        return True
-    begun = getattr(time, "ActualStart", None) is not None or (_completion(time) or 0.0) > 0.0
-    said = f"status {entity.Status!r}" if status else "a start or a part that is done"
-    whole = next((each for each in _above(entity, assigned) if _says_completed(each, assigned)), None)
-    if whole is not None:
-        because = f"what they nest in ({whole.Name or whole.GlobalId}) is"
-        doubt = f"TASKS THAT MAY NOT BE COMPLETED ({said}), taken" if status or begun else "Tasks taken"
-        note(f"{doubt} as completed because {because}: what they make counts as standing")
-    elif begun or (status and status not in _NOT_BEGUN_WORDS):
+    elif done is not None:
+        because = f"what they nest in ({done.Name or done.GlobalId}) is"
+        note(f"Tasks taken as completed because {because}: what they make counts as standing")
+    elif status not in _NOT_BEGUN_WORDS or getattr(time, "ActualStart", None) is not None or _completion(time) > 0.0:
+        said = f"status {entity.Status!r}" if status else "a start or a part that is done"
         note(f"TASKS THAT MAY HAVE BEGUN ({said}), taken as still to be done; if what they make stands, skip them")
-    return False
+    return done is not None
 
 
 def _elements(entities: list[ifcopenshell.entity_instance], groups: Groups, note: _Note) -> list[str]:
