@@ -170,6 +170,7 @@ class Client:
         self.paho.on_subscribe = lambda *_: subscribed.set()
         self.paho.on_message = lambda client, userdata, message: self.messages.append(message)
         self.paho.reconnect_delay_set(1, 1)
+        self.paho.max_inflight_messages_set(1000)
         self.paho.connect("127.0.0.1", port)
         self.paho.loop_start()
         assert subscribed.wait(10.0)

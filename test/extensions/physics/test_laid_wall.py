@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import make_models
-import numpy as np
 import pytest
 import work_samples
 from physics_samples import plan_of
 
 from construction_twin.extensions.physics.process import Question, rehearse
+from construction_twin.extensions.work.ifc.reading import read_building
 from construction_twin.extensions.work.process import TaskMotions
 from construction_twin.extensions.work.site import read_site
-from construction_twin.kinematics.chain import Pose
 from construction_twin.planning.work_plan import joined
 from construction_twin.review.rehearsal_report import PASSED
 from construction_twin.robot.segments import Segment
@@ -22,26 +20,12 @@ ROOT = work_samples.ROOT
 CONFIG = ROOT / "config"
 
 
-#: How its elements lie along the model's y.
-TURNED = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-
-
 @pytest.fixture(scope="module", params=[("brick_wall", 20), ("timber_panel", 13)], ids=lambda param: param[0])
 def laid(request) -> tuple[tuple[str, ...], TaskMotions]:
     """The elements of a sample that lie, and the motions that lay the next one on them."""
     name, count = request.param
-    design = make_models.DESIGNS[name]()
-    elements = [
-        replace(
-            work_samples.element(
-                make_models.global_id(name, "element", part.name), size=tuple(np.array(part.size) / 1e3),
-                ifc_class=part.ifc_class, type_name=part.type_name,
-            ),
-            name=part.name,
-            model_T_element=Pose(np.array(part.at) / 1e3, TURNED if part.turned else np.eye(3)),
-        )
-        for part in design.parts
-    ]  # fmt: skip
+    model = read_building(ROOT / f"models/{name}.ifc")
+    elements = [one for one in model.elements.values() if one.bodies]
     layout = work_samples.layout(read_site(CONFIG / f"work/{name}.yaml"), work_samples.building(*elements))
     lying, own = layout.order[:count], layout.order[count]
     scene = layout.scene({one: layout.base_T_goal(one) for one in lying})
