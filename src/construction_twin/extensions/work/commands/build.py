@@ -29,7 +29,7 @@ from construction_twin.ros.commands.experiment import point_latest
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.shared.node import ending_on_signals
 from construction_twin.ros.shared.operator_client import OperatorClient
-from construction_twin.ros.shared.params import PrivateSettings, read_parameters
+from construction_twin.ros.shared.params import Parameters, PrivateSettings, read_parameters
 from construction_twin.ros.shared.refusal_log import warn_of_refusals
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.srv import WorkDecide
@@ -103,7 +103,6 @@ class Builder:
             ConstructionTwinError: If the system does not get ready, or a task cannot be done.
         """
         results = Path(self._settings.results_dir).expanduser()
-        check_writable(results)
         began = time.monotonic()
         self._wait(self._ready, "the system to get ready")
         self._wait_for_model(began)
@@ -373,13 +372,20 @@ def _moment(since_1970: float) -> str:
     return time.strftime("%Y-%m-%dT%H:%M:%S%z", time.localtime(since_1970)) if since_1970 else ""
 
 
+def checked(parameters: Parameters = rospy) -> Settings:
+    """Return what the node starts with; raise the ConstructionTwinError that it is refused for."""
+    settings = read_parameters(Settings, parameters)
+    check_writable(Path(settings.results_dir).expanduser())
+    return settings
+
+
 def main() -> int:
     """Run the session; return the exit code."""
     console = Console()
     try:
         with ending_on_signals():
             rospy.init_node("build", disable_signals=True)
-            file = Builder(read_parameters(Settings, rospy), console).run()
+            file = Builder(checked(), console).run()
     except ConstructionTwinError as error:
         console.print(f"build: {error}", soft_wrap=True, highlight=False)
         return 1
