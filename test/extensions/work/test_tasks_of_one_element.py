@@ -70,7 +70,6 @@ def test_what_works_on_an_element_comes_after_its_placing_wherever_the_file_has_
     assert [one.id for one in made.jobs] == ["place", "fasten", "drill", "other"]
     assert [one.process for one in made.jobs] == ["place", "touch", "touch", "place"]
     assert made.job("drill").after == (Wait("place", True, 0.0),) and made.placing == {"e": "place", "f": "other"}
-    assert any("says no order of its tasks" in note for note in made.notes)
 
 
 def test_the_files_order_of_what_works_on_it_is_kept_with_its_lag():
