@@ -29,12 +29,12 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.extensions.console.nodes import feed as module
 from construction_twin.extensions.console.nodes.endpoint import Connection
 from construction_twin.extensions.console.nodes.feed import ConsoleFeed, Others, Poses, deployment_of
+from construction_twin.extensions.console.private_files import PrivateFiles
 from construction_twin.extensions.console.remote_view import ClosestView, ViewWriter
 from construction_twin.link.requests import Joints
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
 from construction_twin.ros.messages.scene_convert import scene_to_msg
-from construction_twin.ros.shared.private_files import PrivateFiles
 from construction_twin.ros.transport.joint_stream import to_time
 from construction_twin.ros.transport.latest_pose import StampedPose
 from construction_twin.scene.mesh_file import binary_stl, parse_mesh

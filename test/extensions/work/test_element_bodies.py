@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from construction_twin.core.work_errors import BodyError
 from construction_twin.extensions.work import element_bodies
 from construction_twin.extensions.work.building import Body, Element
 from construction_twin.extensions.work.convex_bodies import Pieces
 from construction_twin.extensions.work.element_bodies import ElementShape, element_shapes
+from construction_twin.extensions.work.errors import BodyError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.collision_bodies import scene_geometry
 from construction_twin.scene.convex_pieces import points_on

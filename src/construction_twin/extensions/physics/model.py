@@ -268,9 +268,9 @@ class _Builder:
             one, properties = pieces[0], of_object(pieces)
             if name in self._load.masses:
                 properties = properties.scaled_to(self._load.masses[name])
+            if properties.estimated and (one.joint or name in self._load.loose):
+                self._remarks.append(f"mass of {name} is an estimate from its volume: {properties.mass:.1f} kg")
             if one.joint:
-                if properties.estimated:
-                    self._remarks.append(f"mass of {name} is an estimate from its volume: {properties.mass:.1f} kg")
                 holder = joints[one.joint].add_body(
                     name=name, pos=one.placement.translation, quat=_quaternion(one.placement.rotation)
                 )
@@ -278,8 +278,6 @@ class _Builder:
                 self._add_geoms(holder, pieces, placed=False)
                 carried.append((one, properties))
             elif name in self._load.loose:
-                if properties.estimated:
-                    self._remarks.append(f"mass of {name} is an estimate from its volume: {properties.mass:.1f} kg")
                 self._add_loose(pieces, properties)
             elif name in apart:
                 self._add_geoms(self._spec.worldbody.add_body(name=name), pieces)

@@ -20,8 +20,8 @@ from scipy.spatial import ConvexHull
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.files import read_file, write_whole
-from construction_twin.core.work_errors import BodyError, WorkError
 from construction_twin.extensions.work.building import Body, Element
+from construction_twin.extensions.work.errors import BodyError, WorkError
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.scene.convex_pieces import convex_cells, convex_cover, excess, extra_volume, lost
 from construction_twin.scene.mesh_file import MOST_TRIANGLES

@@ -12,13 +12,13 @@ from dataclasses import replace
 
 from construction_twin.core.reports import TaskReport, WorkReport
 from construction_twin.core.sentences import Sentence
-from construction_twin.core.work_errors import WorkError
 from construction_twin.extensions.work.built import (
     OFF,
     OFF_ANGLE,
     AsBuilt,
     pose_tuple,
 )
+from construction_twin.extensions.work.errors import WorkError
 from construction_twin.extensions.work.ledger import Book, Ledger
 from construction_twin.extensions.work.names import labels, named
 from construction_twin.extensions.work.prepared import Prepared, Scheduled

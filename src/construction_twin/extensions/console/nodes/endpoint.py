@@ -22,8 +22,8 @@ from typing import Any, Protocol, TypeAlias
 import rospy
 from paho.mqtt.client import MQTTMessage
 
-from construction_twin.core.errors import PayloadError, ServiceSilentError
-from construction_twin.core.freshness import TOO_OLD, staleness
+from construction_twin.core.errors import PayloadError
+from construction_twin.core.freshness import TOO_OLD, present, staleness
 from construction_twin.core.rate_limit import Pace, SenderLimits
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.side_effects import SideEffects
@@ -32,10 +32,10 @@ from construction_twin.mqtt.client import Broker, subscriptions
 from construction_twin.mqtt.messages import MAX_IDENTITY_BYTES, Topics, account_of, identity_of
 from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.mqtt.requests import RequestKind, answer_limits
-from construction_twin.ros.shared.deferred_log import DeferredLog
+from construction_twin.ros.shared.diagnostics import DeferredLog
 from construction_twin.ros.shared.mqtt_connection import connect, report_of
 from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.robot_clock import present
+from construction_twin.ros.transport.persistent_service import ServiceSilentError
 
 Reader: TypeAlias = "type[Request] | Callable[[dict[str, Any]], Any]"
 Handler: TypeAlias = "Callable[[Any, Incoming], Outcome]"

@@ -10,8 +10,8 @@ import ifcopenshell
 import ifcopenshell.util.element
 import ifcopenshell.util.unit
 
-from construction_twin.core.work_errors import BuildingError
 from construction_twin.extensions.work.building import Body, Value
+from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.ifc.notes import Notes, Where, label
 
 Sets = dict[str, dict[str, Value]]

@@ -31,8 +31,8 @@ from pydantic import ConfigDict, TypeAdapter
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.files import read_file
-from construction_twin.core.work_errors import BuildingError
 from construction_twin.extensions.work.building import BuildingModel, Element
+from construction_twin.extensions.work.errors import BuildingError
 
 #: Of the form of its file and of what the reader understands: another number, and what is in a cache is read anew.
 VERSION = 9
