@@ -30,7 +30,6 @@ from construction_twin.extensions.work.ifc.properties import (
     read_status,
     read_units,
 )
-from construction_twin.extensions.work.ifc.reading import from_start
 from construction_twin.extensions.work.ifc.relations import Relations, read_relations
 from construction_twin.extensions.work.ifc.tasks import Groups, read_tasks, unique_id
 from construction_twin.extensions.work.wholes import in_one_piece, is_workpiece
@@ -472,7 +471,8 @@ def _in_ascii(contents: bytes, notes: Notes) -> bytes:
 
     They are taken as UTF-8 if all of them are, else as Latin-1 (Windows-1252).
     """
-    contents = from_start(contents)
+    # what may stand before its beginning is no part of it
+    contents = contents[max(contents.find(b"ISO-10303-21;"), 0) :]
     if contents.isascii():
         return contents
     try:

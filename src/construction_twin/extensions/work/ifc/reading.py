@@ -174,7 +174,7 @@ def _how_it_ended(code: int | None, bounds: Bounds) -> str:
 
 def check_form(contents: bytes, name: str) -> None:
     """Check that contents are a STEP file from its beginning to its end."""
-    begun = from_start(contents)
+    begun = _from_start(contents)
     if not begun.startswith(_MAGIC):
         found = f"{contents[:20]!r} at its beginning" if contents else "nothing in it"
         raise BuildingError(name, "the file", found, f"an IFC file, which begins with {_MAGIC.decode()}")
@@ -183,7 +183,7 @@ def check_form(contents: bytes, name: str) -> None:
         raise BuildingError(name, "the file", found, "a whole IFC file")
 
 
-def from_start(contents: bytes) -> bytes:
+def _from_start(contents: bytes) -> bytes:
     """Return contents without what may stand before the first line: a byte order mark, comments."""
     begun = contents.removeprefix(_MARK).lstrip()
     while begun.startswith(b"/*"):
