@@ -20,7 +20,7 @@ ALIVE = NANOSECONDS // 10
 
 
 @dataclass(frozen=True, slots=True)
-class Taken:
+class TelegramOutcome:
     """What a telegram means for its session.
 
     Attributes:
@@ -59,16 +59,16 @@ class Replies:
         #: What the last answer carried as a correction, if it was a computed one [rad]; () for nothing.
         self.sent: tuple[float, ...] = ()
         #: The one that the controller had before it, and keeps if it does not arrive [rad]; () before the first.
-        self.kept: tuple[float, ...] = ()
+        self.last_acknowledged: tuple[float, ...] = ()
         #: How long no answer has arrived while telegrams went on [ns].
         self.lost_for = 0
 
-    def record(self, lost: bool, elapsed: int) -> None:
+    def record_loss(self, lost: bool, elapsed: int) -> None:
         """Take note of whether the last answer was lost, `elapsed` [ns] of the controller's time ago."""
         if lost:
             self.lost_for += elapsed
         else:
-            self.kept, self.lost_for = self.correction, 0
+            self.last_acknowledged, self.lost_for = self.correction, 0
 
     def answer(self, position: tuple[float, ...], origin: tuple[float, ...]) -> tuple[float, ...]:
         """Return what the answer carries that is to bring the axes to a position [rad]."""
@@ -76,9 +76,9 @@ class Replies:
         self.correction = correction
         if not self._zero:
             self.sent = correction
-        return correction if self._plain else self.carried(correction, origin)
+        return correction if self._plain else self.to_target(correction, origin)
 
-    def carried(self, correction: tuple[float, ...], origin: tuple[float, ...]) -> tuple[float, ...]:
+    def to_target(self, correction: tuple[float, ...], origin: tuple[float, ...]) -> tuple[float, ...]:
         """Return what an answer carries for a correction [rad]."""
         if self._zero:
             correction = (0.0,) * len(correction)
@@ -124,7 +124,7 @@ class ControllerSession:
         self._refused = False
         self._last_missed = 0
         # what most telegrams mean
-        self._regular = Taken(self._cycle, False, "", False, False, ())
+        self._regular = TelegramOutcome(self._cycle, False, "", False, False, ())
 
     def accepts(self, source: object, now: int) -> bool:
         """Return whether a datagram from `source` may be read: while a controller is alive, only its own are."""
@@ -134,7 +134,7 @@ class ControllerSession:
         """Return whether the controller has been silent for its timeout."""
         return self.alive and now - self.heard_at > self._timeout
 
-    def take(self, telegram: Telegram, source: object, now: int, moving: bool = False) -> Taken | None:
+    def on_telegram(self, telegram: Telegram, source: object, now: int, moving: bool = False) -> TelegramOutcome | None:
         """Take a telegram; None when it came twice, or behind a newer one: it was answered, or an answer comes too late.
 
         `moving`: whether the correction is being changed.
@@ -166,7 +166,7 @@ class ControllerSession:
             drifted_to = self._take_poses(telegram)
         if elapsed == self._cycle and not (begins or missed or refusal or lost or drifted_to):
             return self._regular
-        return Taken(elapsed, begins, refusal, missed, lost, drifted_to)
+        return TelegramOutcome(elapsed, begins, refusal, missed, lost, drifted_to)
 
     def _begin(self, telegram: Telegram) -> None:
         self.alive = True
@@ -184,9 +184,9 @@ class ControllerSession:
         self.status = self._no_status
 
     @property
-    def kept(self) -> tuple[float, ...]:
+    def acknowledged_target(self) -> tuple[float, ...]:
         """The target that the controller has until the last answer arrives, as it was sent [rad], [m]; () before the first."""
-        return self.replies.carried(self.replies.kept, self.origin)
+        return self.replies.to_target(self.replies.last_acknowledged, self.origin)
 
     def note_status(self, status: ControllerStatus, unreadable: int) -> None:
         """Take what a telegram says on its optional channels, and how many of these cannot be read; it changes no answer."""

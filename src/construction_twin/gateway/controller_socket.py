@@ -141,7 +141,9 @@ class ControllerSocket:
             stop = True if gateway.ends else None
             switched = self._switched(self.encoder) if gateway.tool is not None else ()
             self._send(self.encoder.encode(carried, telegram.controller_ms, stop, switched), source)
-            self.last_resort.sent(telegram.controller_ms, source, carried, gateway.controller.kept, telegram.missed)
+            self.last_resort.sent(
+                telegram.controller_ms, source, carried, gateway.controller.acknowledged_target, telegram.missed
+            )
             self.reply_time.add((time.time_ns() - newest.arrived) / 1e3)
         return True
 

@@ -91,19 +91,19 @@ class Gateway(ArmSide):
         machine, controller, player, counters = self.machine, self.controller, self.player, self.counters
         # session: what does the telegram mean, does another session begin, may it be answered?
         state = machine.state
-        taken = controller.take(telegram, source, now, state is State.FOLLOWING or state is State.BRAKING)
-        if taken is None:
+        outcome = controller.on_telegram(telegram, source, now, state is State.FOLLOWING or state is State.BRAKING)
+        if outcome is None:
             counters["telegrams_repeated"] += 1
             return None
-        if taken.begins:
+        if outcome.begins:
             self._begin_session(telegram)
-        if taken.refusal:
-            machine.on(Event.ORIGIN_REFUSED, Occasion(taken.refusal))
+        if outcome.refusal:
+            machine.on(Event.ORIGIN_REFUSED, Occasion(outcome.refusal))
         state = machine.state
         if self.tool is not None:
             joined = state is State.JOINED
             why = Sentence("this session is not answered: {reason}", reason=machine.reason) if joined else ""
-            self.tool.hear(why, taken.missed)
+            self.tool.hear(why, outcome.missed)
         if state is State.JOINED or state is State.READ_ONLY or state is State.FAILED:
             counters["telegrams_unanswered"] += 1
             return None
@@ -114,14 +114,14 @@ class Gateway(ArmSide):
         counters["telegrams"] += 1
         # held pose: where the arm is held, after what a program of the controller did, and replies that did not arrive
         follower = player.follower or player.place(controller.origin)
-        if taken.drifted_to and state in HELD:
-            follower = player.place(controller.move_origin(taken.drifted_to, follower.position))
-        elif taken.drifted_to and state is State.FOLLOWING and (drift := controller.drift(taken.drifted_to)):
+        if outcome.drifted_to and state in HELD:
+            follower = player.place(controller.move_origin(outcome.drifted_to, follower.position))
+        elif outcome.drifted_to and state is State.FOLLOWING and (drift := controller.drift(outcome.drifted_to)):
             self.brake(Event.DRIFTED, drift)
-        controller.replies.record(taken.lost, taken.elapsed)
-        elapsed = taken.elapsed
-        if taken.lost or elapsed > self._cycle:
-            follower, elapsed = self._stand(follower, elapsed, taken.lost)
+        controller.replies.record_loss(outcome.lost, outcome.elapsed)
+        elapsed = outcome.elapsed
+        if outcome.lost or elapsed > self._cycle:
+            follower, elapsed = self._stand(follower, elapsed, outcome.lost)
         # where nothing has arrived for so long, nothing is played: the gate is to compare with the present
         self.command_stamp = player.stamp if controller.replies.lost_for <= self._silence else 0
         # playout with its one rate, or braking, and the limits of every joint
@@ -139,7 +139,7 @@ class Gateway(ArmSide):
             self.tool.play(player.stamp)
         if self.trace is not None:
             session = counters["rsi_sessions"]
-            self.trace(telegram.controller_ms, session, machine.state, player.stamp, position, taken.lost)
+            self.trace(telegram.controller_ms, session, machine.state, player.stamp, position, outcome.lost)
         # encode: a correction to the origin, or a position; the service writes the make's bytes
         return controller.replies.answer(position, controller.origin)
 
@@ -170,14 +170,14 @@ class Gateway(ArmSide):
         if player.parts.interpolated:
             # it stands within a step, not at its end
             player.parts.restart()
-            follower = player.place(moved(self.controller.origin, self.controller.replies.kept))
+            follower = player.place(moved(self.controller.origin, self.controller.replies.last_acknowledged))
         elif lost:
             follower.take_back()
         else:
             follower.rest()
         pause = max(0, elapsed - self._cycle)
         if self.machine.state is State.FOLLOWING:
-            player.stand(pause, lost)
+            player.restart_from_rest(pause, lost)
             self.counters["standstills"] += 1
         return follower, elapsed - pause
 

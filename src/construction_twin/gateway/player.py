@@ -220,9 +220,9 @@ class Player:
             self._counters["settling"] += 1
         return position
 
-    def stand(self, pause: int, taken_back: bool) -> None:
-        """Go on from where HOLDON keeps the arm, while a stream is followed, after a pause without a reply; see `Playout.stand`."""
-        self.playout.stand(pause, taken_back)
+    def restart_from_rest(self, pause: int, taken_back: bool) -> None:
+        """Go on from where HOLDON keeps the arm, while a stream is followed, after a pause without a reply."""
+        self.playout.restart_from_rest(pause, taken_back)
         if taken_back:
             self.stamp = self._stamp_before
         self.stood = self.stood + 1 if self.playout.backlog else 0

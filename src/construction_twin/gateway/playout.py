@@ -340,7 +340,7 @@ class Playout:
             at_end -= cycles * CYCLE_NS
         self.delay = at_end
 
-    def stand(self, pause: int, taken_back: bool) -> None:
+    def restart_from_rest(self, pause: int, taken_back: bool) -> None:
         """Begin anew from a standstill: the arm was not told to move on.
 
         What is not played now is put off, and the motion starts again on its path, with a rate that rises from 0.
@@ -354,7 +354,7 @@ class Playout:
             put_off += self._now - self._advanced_from
             self._now = self._advanced_from
         self._clock += pause
-        self.rate.stand(put_off)
+        self.rate.restart_from_rest(put_off)
 
     def _ahead(self, advance: int) -> Pose:
         """Return the pose at an advance [ns] of the present cycle, without moving on."""

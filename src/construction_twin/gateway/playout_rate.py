@@ -123,7 +123,7 @@ class PlayoutRate:
         self.put_off -= by
         self.remaining -= by
 
-    def stand(self, put_off: int) -> None:
+    def restart_from_rest(self, put_off: int) -> None:
         """Put off what was not played [ns]; time begins anew from a standstill, as fast as the acceleration limits allow."""
         self._put_off(put_off)
         self._limits = self._starting = True

@@ -41,7 +41,7 @@ def broken_once(original):
 PARTS = {
     "inbox": lambda service: (service.controller.inbox, "newest"),
     "telegram decoder": lambda service: (service.controller.inbox, "parse"),
-    "controller session": lambda service: (service.gateway.controller, "take"),
+    "controller session": lambda service: (service.gateway.controller, "on_telegram"),
     "playout": lambda service: (service.gateway.player.playout, "advance"),
     # the class: a reply that did not arrive places another follower, at rest where the arm stands
     "follower": lambda service: (Follower, "follow"),

@@ -16,19 +16,10 @@ from construction_twin.gateway.control import EnforcedSpeedLimit
 from construction_twin.gateway.gateway import State
 from construction_twin.mqtt.messages import Control
 
-MS = 1_000_000
-
-
-SECOND = NANOSECONDS
-
-
+MS, SECOND = 1_000_000, NANOSECONDS
 #: A motion of both axes along one curve: A1 and 3 times as much of A2.
 RATIO = 3.0
-
-
 FINE = {"decimals": 6, "silence": 0.5}
-
-
 #: Cycles after which the motion stands at its start again.
 PERIOD = 800
 
@@ -144,6 +135,79 @@ class TestDeadlineAndGrace:
             ends = [time for time, _ in history[1:]] + [now]
             stood = [value for (_, value), end in zip(history, ends) if end > now - 500 * MS or end == now]
             assert limit.fraction == max(stood)
+
+
+class TestNumbers:
+    """Limits are numbered within their session: a copy or a recording of one does nothing but be counted."""
+
+    def give(self, cell, number, value, session="s1"):
+        return cell.take(Control(str(number), session, "speed_limit", value))
+
+    def test_a_recorded_higher_limit_does_not_keep_a_lower_one_from_coming_into_force(self):
+        cell = armed(speed_limit_backlog=60.0)
+        recorded = [Control(str(1000 + k), "s1", "speed_limit", 1.0) for k in range(5)]
+        for control in recorded:
+            assert cell.take(control)[0]
+        cell.controls = 2000
+        for k in range(500):
+            # the source says 0.1 at 10 Hz, the recording 1.0 at 12.5 Hz: always one within the grace
+            if k % 25 == 0:
+                assert cell.control("speed_limit", value=0.1)[0]
+            if k % 20 == 10:
+                assert cell.take(recorded[k % 5]) == (False, "")
+            cell.send(curve(k))
+            cell.cycle()
+            cell.positions.append(cell.measured)
+        assert cell.gateway.status()["speed_limit"] == {"share": 0.1, "given": 0.1, "source": "s1"}
+        assert fastest(cell, 200) <= 0.1 + 1e-3
+        assert cell.count("refused_repeated") == 25 and cell.count("refused_speed_limit") == 0
+        said = "repeated: speed limit 1000 of session 's1', or a later one, came before"
+        assert cell.gateway.status()["last_refusal"] == said
+
+    def test_a_recording_does_not_keep_a_source_alive_that_has_died(self):
+        cell = armed()
+        for _ in range(40):
+            self.give(cell, 7, 1.0)
+            cell.stream([START] * 10)
+        assert cell.count("speed_limit_silent") == 1 and cell.count("refused_repeated") == 39
+        assert cell.gateway.status()["speed_limit"] == {"share": 0.1, "given": 0.1, "source": "silence"}
+
+    def test_only_a_higher_number_is_taken_and_what_was_refused_uses_none(self):
+        cell = armed()
+        answers = [
+            self.give(cell, *each)[0] for each in ((0, 0.5), (0, 0.5), (7, 0.4), (6, 1.0), (9, 1.1), (8, 0.3), (8, 0.3))
+        ]
+        assert answers == [True, False, True, False, False, True, False]
+        assert cell.gateway.status()["speed_limit"]["given"] == 0.3
+
+    def test_a_lower_limit_counts_whatever_its_number_a_source_may_have_been_started_again(self):
+        cell = armed()
+        assert self.give(cell, 1000, 1.0)[0]
+        assert self.give(cell, 1, 0.0)[0]
+        assert cell.gateway.status()["speed_limit"]["given"] == 0.0
+        # and it cannot be lifted by what was sent before
+        assert not self.give(cell, 1000, 1.0)[0] and not self.give(cell, 2, 0.5)[0]
+        assert cell.gateway.status()["speed_limit"]["given"] == 0.0
+        assert self.give(cell, 1001, 0.5)[0]
+
+    @pytest.mark.parametrize("number", ["", "a", "-1", "1.0", " 1", "1e3", "٣", "9" * 20, "cafe"])
+    def test_an_id_that_is_no_number_is_refused_with_the_reason(self, number):
+        cell = armed()
+        ok, reason = self.give(cell, number, 0.5)
+        assert not ok and "whole number" in reason and cell.count("refused_speed_limit") == 1
+        assert cell.gateway.status()["speed_limit"]["source"] == "none"
+
+    def test_the_next_session_begins_its_own_numbers_and_the_old_ones_stay_void(self):
+        cell = armed()
+        assert self.give(cell, 500, 0.5)[0]
+        cell.control("stop")
+        cell.cycle(10)
+        cell.controls += 1000
+        assert cell.control("reset")[0] and cell.arm("s2")[0]
+        # a bridge that was started again counts from the beginning
+        assert self.give(cell, 1, 0.4, "s2")[0]
+        assert not self.give(cell, 501, 1.0)[0] and not self.give(cell, 1, 1.0, "s2")[0]
+        assert cell.gateway.status()["speed_limit"]["given"] == 0.4
 
 
 class TestPlaying:
@@ -287,76 +351,3 @@ def test_whatever_limits_come_and_go_every_cycle_is_inside_the_arm_s_limits(limi
     assert_within_limits(cell)
     assert all(low <= q <= high for pose in cell.positions for q, low, high in zip(pose, CONFIG.lower, CONFIG.upper))
     assert cell.positions[-1] == cell.positions[-2]
-
-
-class TestNumbers:
-    """Limits are numbered within their session: a copy or a recording of one does nothing but be counted."""
-
-    def give(self, cell, number, value, session="s1"):
-        return cell.take(Control(str(number), session, "speed_limit", value))
-
-    def test_a_recorded_higher_limit_does_not_keep_a_lower_one_from_coming_into_force(self):
-        cell = armed(speed_limit_backlog=60.0)
-        recorded = [Control(str(1000 + k), "s1", "speed_limit", 1.0) for k in range(5)]
-        for control in recorded:
-            assert cell.take(control)[0]
-        cell.controls = 2000
-        for k in range(500):
-            # the source says 0.1 at 10 Hz, the recording 1.0 at 12.5 Hz: always one within the grace
-            if k % 25 == 0:
-                assert cell.control("speed_limit", value=0.1)[0]
-            if k % 20 == 10:
-                assert cell.take(recorded[k % 5]) == (False, "")
-            cell.send(curve(k))
-            cell.cycle()
-            cell.positions.append(cell.measured)
-        assert cell.gateway.status()["speed_limit"] == {"share": 0.1, "given": 0.1, "source": "s1"}
-        assert fastest(cell, 200) <= 0.1 + 1e-3
-        assert cell.count("refused_repeated") == 25 and cell.count("refused_speed_limit") == 0
-        said = "repeated: speed limit 1000 of session 's1', or a later one, came before"
-        assert cell.gateway.status()["last_refusal"] == said
-
-    def test_a_recording_does_not_keep_a_source_alive_that_has_died(self):
-        cell = armed()
-        for _ in range(40):
-            self.give(cell, 7, 1.0)
-            cell.stream([START] * 10)
-        assert cell.count("speed_limit_silent") == 1 and cell.count("refused_repeated") == 39
-        assert cell.gateway.status()["speed_limit"] == {"share": 0.1, "given": 0.1, "source": "silence"}
-
-    def test_only_a_higher_number_is_taken_and_what_was_refused_uses_none(self):
-        cell = armed()
-        answers = [
-            self.give(cell, *each)[0] for each in ((0, 0.5), (0, 0.5), (7, 0.4), (6, 1.0), (9, 1.1), (8, 0.3), (8, 0.3))
-        ]
-        assert answers == [True, False, True, False, False, True, False]
-        assert cell.gateway.status()["speed_limit"]["given"] == 0.3
-
-    def test_a_lower_limit_counts_whatever_its_number_a_source_may_have_been_started_again(self):
-        cell = armed()
-        assert self.give(cell, 1000, 1.0)[0]
-        assert self.give(cell, 1, 0.0)[0]
-        assert cell.gateway.status()["speed_limit"]["given"] == 0.0
-        # and it cannot be lifted by what was sent before
-        assert not self.give(cell, 1000, 1.0)[0] and not self.give(cell, 2, 0.5)[0]
-        assert cell.gateway.status()["speed_limit"]["given"] == 0.0
-        assert self.give(cell, 1001, 0.5)[0]
-
-    @pytest.mark.parametrize("number", ["", "a", "-1", "1.0", " 1", "1e3", "٣", "9" * 20, "cafe"])
-    def test_an_id_that_is_no_number_is_refused_with_the_reason(self, number):
-        cell = armed()
-        ok, reason = self.give(cell, number, 0.5)
-        assert not ok and "whole number" in reason and cell.count("refused_speed_limit") == 1
-        assert cell.gateway.status()["speed_limit"]["source"] == "none"
-
-    def test_the_next_session_begins_its_own_numbers_and_the_old_ones_stay_void(self):
-        cell = armed()
-        assert self.give(cell, 500, 0.5)[0]
-        cell.control("stop")
-        cell.cycle(10)
-        cell.controls += 1000
-        assert cell.control("reset")[0] and cell.arm("s2")[0]
-        # a bridge that was started again counts from the beginning
-        assert self.give(cell, 1, 0.4, "s2")[0]
-        assert not self.give(cell, 501, 1.0)[0] and not self.give(cell, 1, 1.0, "s2")[0]
-        assert cell.gateway.status()["speed_limit"]["given"] == 0.4
