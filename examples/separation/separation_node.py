@@ -14,8 +14,7 @@ from sensor_msgs.msg import Range
 from construction_twin.core.errors import PayloadError
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.node_shell import NodeShell
-from construction_twin.ros.shared.ports import Every, Interface, Ports, Publication, Subscription
+from construction_twin.ros.shared.node_shell import Every, Interface, NodeShell, Ports, Publication, Subscription
 from construction_twin.ros.transport.joint_stream import from_time
 from construction_twin.ros.transport.publisher import Sink
 

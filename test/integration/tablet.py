@@ -8,10 +8,10 @@ from pathlib import Path
 
 from twin_client import wait
 
+from construction_twin.core.freshness import present
 from construction_twin.mqtt.client import Broker, load_account, make_client, subscriptions, unique_id
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import REVIEW
-from construction_twin.ros.shared.robot_clock import present
 
 
 class Tablet:

@@ -17,14 +17,13 @@ import rostest
 from construction_twin.msg import Execution
 from twin_client import LEFT, RobotTest, Stream, TwinClient, wait
 
-from construction_twin.core.freshness import parse_moment, staleness
+from construction_twin.core.freshness import parse_moment, present, staleness
 from construction_twin.core.units import from_wire
 from construction_twin.extensions.console.remote_view import COMPATIBLE, VERSION
 from construction_twin.kinematics.chain import Chain
 from construction_twin.mqtt import requests
 from construction_twin.mqtt.messages import Topics
 from construction_twin.robot.frames import rotation_to_quaternion
-from construction_twin.ros.shared.robot_clock import present
 
 PORT = 28466
 TOPICS = Topics("twin", "kr120")

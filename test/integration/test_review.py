@@ -4,11 +4,14 @@
 import sys
 
 import numpy as np
+import rosnode
 import rospy
 import rostest
 from sensor_msgs.msg import JointState
 from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient, case, wait
 
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.extensions import extension, node_modules
 from construction_twin.core.units import radians
 
 #: Cycles over which an arm that must not move is watched.
@@ -33,6 +36,15 @@ class ReviewTest(RobotTest):
         stream.wait_for_more(WATCH)
         positions = stream.positions(since)
         np.testing.assert_array_equal(positions, np.broadcast_to(positions[0], positions.shape))
+
+    def test_no_extension_is_there(self):
+        """Whatever else these tests show, it holds without extensions: none of their nodes is one of ROS."""
+        with self.assertRaisesRegex(ConfigurationError, "which this installation is without"):
+            extension("planners.waypoint_file")
+        of_extensions = {name for name, module in node_modules().items() if ".extensions." in module}
+        running = {name.rpartition("/")[2] for name in rosnode.get_node_names()}
+        self.assertFalse(of_extensions & running)
+        self.assertIn("executor", running)
 
     def test_the_controller_has_the_cycle_of_the_launch_argument(self):
         self.client.wait_until_ready()

@@ -19,7 +19,7 @@ from processes import ROOT
 from read_requests import read_message
 
 from construction_twin.core.errors import ExpiredError, PayloadError
-from construction_twin.core.freshness import Moment, parse_moment, staleness
+from construction_twin.core.freshness import Moment, parse_moment, present, staleness
 from construction_twin.core.motion_errors import KinematicsError
 from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
@@ -61,7 +61,6 @@ from construction_twin.review.rehearsal_report import RehearsalReport
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.frames import quaternion_to_rotation
 from construction_twin.robot.trajectory import Trajectory, whole_nanoseconds
-from construction_twin.ros.shared.robot_clock import present
 
 XACRO, CONFIG = ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml"
 #: Period of `view` [s], and of `screen` where nothing changes.

@@ -14,7 +14,6 @@ from chain_samples import ROBOT, ROOT, SETTINGS, make_plan
 from inverse_dynamics import InverseDynamics
 from simulation import SimulatedChain
 
-from construction_twin.core.servo_lag import transition_matrix
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.extensions.physics.arm import Plant, bare_model
 from construction_twin.extensions.physics.commands.identify import drives_of
@@ -30,7 +29,7 @@ from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.robot.plan import Plan
 from construction_twin.ros.shared.gateway_config import gateway_config
 from construction_twin.scene.collision_bodies import RobotBodies
-from construction_twin.servo.model import JointServo, ServoModel
+from construction_twin.servo.model import JointServo, ServoModel, transition_matrix
 
 NAMES = ROBOT.joint_names
 #: The mock's servos as they are set.

@@ -18,8 +18,8 @@ import yaml
 from work_samples import RECIPES
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.extensions.work import process
+from construction_twin.extensions.work.errors import TaskPlanningError
 from construction_twin.extensions.work.motions import Failed, PlanBuilder, Search
 from construction_twin.extensions.work.process import Process, TaskMotions
 from construction_twin.extensions.work.recipe import SHARED, Finite, Length, Override, Recipe, numbers

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import genpy
 
-from construction_twin.ros.shared import ports
+from construction_twin.ros.shared import node_shell as ports
 from construction_twin.ros.shared.node_shell import NodeShell
 from construction_twin.ros.transport.latest_pose import StampedPose
 

@@ -110,23 +110,8 @@ class RecordError(ReviewError):
         )
 
 
-class TransitionLogError(ConstructionTwinError):
-    """A change of the monitor's state cannot be written down; it is kept and tried again."""
-
-    def __init__(self, path: str, problem: str):
-        super().__init__(f"{path}: {problem}; transitions are kept in memory until the file can be written")
-
-
 class ExecutionError(ConstructionTwinError):
     """An execution cannot be paused or resumed at this moment."""
-
-
-class GoalError(ConstructionTwinError):
-    """A goal of another planner cannot be taken as it is."""
-
-
-class GoalJointsError(GoalError):
-    """A goal names a joint that the robot does not have, leaves one out, or names one twice."""
 
 
 class MotionRefused(ConstructionTwinError):
@@ -191,27 +176,8 @@ class RequestRefused(ConstructionTwinError):
     """The running system has answered a request with no; the message is its own sentence."""
 
 
-class ServiceSilentError(ConstructionTwinError):
-    """A node does not answer on one of its services."""
-
-    def __init__(self, service: str, problem: object, program: str):
-        problem = problem if isinstance(problem, Sentence) else str(problem)
-        super().__init__(
-            Sentence(
-                "{service} does not answer: {problem}; does {program} run?",
-                service=service,
-                problem=problem,
-                program=program,
-            )
-        )
-
-
 class SilenceError(ConstructionTwinError):
     """There is no answer: the system is not running, or not under this name."""
 
     def __init__(self, where: str, problem: str, to_do: str):
         super().__init__(f"{where}: {problem}; {to_do}")
-
-
-class ScenarioError(ConstructionTwinError):
-    """A scenario cannot be read, run or judged."""

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import signal
+import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -27,6 +30,20 @@ def extension(module: str) -> ModuleType:
             raise
         name = module.partition(".")[0]
         raise ConfigurationError(path, None, f"the extension {name}, which this installation is without") from error
+
+
+def node_main(module: str) -> Callable[[], object]:
+    """Return `main` of an extension's node; without the extension, what says so and waits: a launch is complete without it."""
+    try:
+        return extension(module).main
+    except ConfigurationError as error:
+        sentence = str(error)
+
+    def absent() -> None:
+        print(sentence, file=sys.stderr, flush=True)
+        signal.pause()
+
+    return absent
 
 
 def node_modules() -> dict[str, str]:

@@ -8,8 +8,11 @@ against attackers: who may approve may also make up a moment. What stops, pauses
 
 from __future__ import annotations
 
+import functools
 import re
+import time
 from dataclasses import dataclass
+from pathlib import Path
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.sentences import Sentence
@@ -76,3 +79,17 @@ def staleness(seen: Moment, now: Moment) -> str:
 def is_newer(seen: Moment, act: Moment | None) -> bool:
     """Return whether what was shown is of after an act; of another clock it is not, and without an act it is."""
     return act is None or (seen.origin == act.origin and seen.at > act.at)
+
+
+#: Another text after each start of the computer; the nodes of a robot run on one computer, and so read the same.
+_BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
+
+
+@functools.cache
+def _origin() -> str:
+    return _BOOT_ID.read_text(encoding="ascii")[:8]
+
+
+def present() -> Moment:
+    """Return the present moment. The clock counts from the computer's start, also while it sleeps, and cannot be set."""
+    return Moment(_origin(), time.clock_gettime_ns(time.CLOCK_BOOTTIME))

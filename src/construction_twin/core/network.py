@@ -32,30 +32,6 @@ def port_is_free(kind: socket.SocketKind, port: int, host: str = "127.0.0.1") ->
     return True
 
 
-def reaches_itself(host: str, timeout: float) -> str:
-    """Return why no program of this machine that listens by IPv4 is reached by an address or name in time; empty when one is."""
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as server:
-        server.bind(("", 0))
-        server.listen(1)
-        try:
-            found = socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_STREAM)
-        except (OSError, UnicodeError) as error:
-            return f"it has no IPv4 address ({getattr(error, 'strerror', None) or str(error)})"
-        address, port = str(found[0][4][0]), server.getsockname()[1]
-        try:
-            socket.create_connection((address, port), timeout).close()
-        except OSError as error:
-            return f"nothing of this machine answers at {address} ({error.strerror or str(error)})"
-        try:
-            # by the name, as HTTP does: where /etc/hosts has `::1` alone, who asks for IPv4 still gets 127.0.0.1, HTTP only ::1
-            socket.create_connection((host, port), timeout).close()
-        except OSError as error:
-            return (
-                f"it has an address of IPv6 alone, at which no program of ROS listens ({error.strerror or str(error)})"
-            )
-    return ""
-
-
 def listening_ports(pid: int, or_any: bool = False) -> set[int]:
     """Return the TCP ports on which a process of this machine listens; empty for one that has ended.
 

@@ -1,7 +1,8 @@
 """What gate, bridge, tool, executor and work report: one record per message, for every folder that shows or acts on it.
 
-Each field has the name that it has in the ROS message; times are whole ns of ROS time, and lists are tuples in the order of the
-message. SI unless a name says otherwise. Records only: what follows from them is decided where it matters. Standard library only.
+Each field has the name that it has in the ROS message, which says what it means (``msg/``): `text` is `state` as a word, times are
+whole ns of ROS time, 0 for none, and lists are tuples in the order of the message. Records only: what follows from them is decided
+where it matters. Standard library only.
 """
 
 from __future__ import annotations
@@ -26,16 +27,7 @@ _OrNan = Annotated[float, OR_NULL]
 
 @dataclass(frozen=True)
 class SyncReport:
-    """The gate's report: `Sync.msg`.
-
-    Attributes:
-        text: State as a word; `state` is its number.
-        error, threshold: Length n. [rad], [m] for prismatic joints; empty while nothing is compared.
-        round_trip, servo_lag: [s]; nan when unknown.
-        violations: How often the gate left IN_SYNC.
-        agreed: Twin and arm agree, whatever the state.
-        held_stamp: Nominal time of the last setpoint that passed [ns]; 0 for none.
-    """
+    """The gate's report: `Sync.msg`."""
 
     text: str
     reason: str
@@ -55,13 +47,7 @@ class SyncReport:
 
 @dataclass(frozen=True)
 class HoldReport:
-    """Why the gate is closed: `Hold.msg`.
-
-    Attributes:
-        cause: What closed it, or which pose differed before it opened; empty: it is open, or nothing is known against it.
-        since: Since when that is so [ns]; 0 without a cause.
-        stamp: Of the report [ns].
-    """
+    """Why the gate is closed: `Hold.msg`."""
 
     cause: str = ""
     since: int = 0
@@ -70,20 +56,7 @@ class HoldReport:
 
 @dataclass(frozen=True)
 class SpeedReport:
-    """The speed limit in force: `SpeedLimitInForce.msg`. Fractions of the planned speed, 0 to 1.
-
-    Attributes:
-        limit: The lowest of what a program and people have set.
-        by: Whose it is: ``people``, ``program``; empty: nobody limits.
-        reason: One sentence.
-        people: The one limit of all people, above 0.
-        person: Who set it; empty: nobody has yet, or it is not known.
-        since: When [ns]; 0: nobody has.
-        replaced, replaced_person: What it was before that, and whose; empty: nobody's.
-        program: What a program allows, also by its silence.
-        program_name: The node that said so last; empty: none was heard.
-        stamp: Of the report [ns].
-    """
+    """The speed limit in force: `SpeedLimitInForce.msg`. Fractions of the planned speed, 0 to 1."""
 
     limit: float = 1.0
     by: str = ""
@@ -100,16 +73,7 @@ class SpeedReport:
 
 @dataclass(frozen=True)
 class LinkReport:
-    """The bridge's report: `Link.msg`.
-
-    Attributes:
-        text: State as a word; `state` is its number.
-        gateway_counters: What the gateway counts, and says of its playout and controller.
-        responsible: Who has armed a bare PLC; empty otherwise.
-        not_checked: What is not checked with a bare PLC, one sentence each.
-        gateway_kind: `rsi`, or `plc` for a bare one.
-        reply_us_bins, reply_us_counts: Times that the gateway's replies took: upper edges [us], and how many were no longer.
-    """
+    """The bridge's report: `Link.msg`."""
 
     text: str
     reason: str
@@ -136,14 +100,7 @@ class LinkReport:
 
 @dataclass(frozen=True)
 class SessionRequest:
-    """A person asked for a session with the gateway: `SessionRequest.msg`.
-
-    Attributes:
-        verb: `reset` or `arm`.
-        person: By MQTT the account; empty: by a service on the robot's computers, which knows no names.
-        lifts: Why the link waited for a person, as it was told then.
-        stamp: When it was begun [ns].
-    """
+    """A person asked for a session with the gateway: `SessionRequest.msg`."""
 
     verb: str
     person: str
@@ -153,13 +110,7 @@ class SessionRequest:
 
 @dataclass(frozen=True)
 class SpeedChange:
-    """A person has set the speed limit of people: `SpeedChange.msg`.
-
-    Attributes:
-        limit, before: Fractions of the planned speed: what is set now, and what was set before.
-        whose: Who had set what was before; empty: nobody, or it is not known.
-        stamp: When it was set [ns].
-    """
+    """A person has set the speed limit of people: `SpeedChange.msg`."""
 
     person: str
     limit: float
@@ -170,24 +121,7 @@ class SpeedChange:
 
 @dataclass(frozen=True)
 class ExecutionReport:
-    """The executor's report: `Execution.msg`.
-
-    Attributes:
-        text: State as a word; `state` is its number.
-        plan_id: Of the plan that is played, or of the last one; empty for none.
-        outcome: Of the last plan; empty: none has ended.
-        plan_start: Nominal time of the plan's first setpoint [ns]; 0 for none.
-        duration: Of the plan as planned [s].
-        rate, speed_limit: Fraction of the planned speed now, and the fraction that is allowed.
-        segment, segment_name: Of a work plan: where it is, from 0; -1 without.
-        at_boundary, wants_scene: It stands at the end of that segment; and waits for the scene to change.
-        engaged: Only the way back along the executed path can be planned.
-        expected_scene: Hash of the scene that is waited for; empty for none.
-        approval_obstacle: Why the plan under review could not be approved now; empty: it could, or there is none.
-        overridable: Only the rehearsal is against approving it, which a person may override.
-        stamp: Of the report [ns].
-        moment: The same by the robot's clock (`core.freshness.Moment`).
-    """
+    """The executor's report: `Execution.msg`."""
 
     text: str
     reason: str
@@ -228,24 +162,7 @@ class ExecutionReport:
 
 @dataclass(frozen=True, kw_only=True)
 class TaskReport:
-    """One task of a building model: `WorkTask.msg`, one entry of `work/tasks` on MQTT. What has a default may be missing there.
-
-    Attributes:
-        id, element: GlobalIds: of the task, and of the element that it places, or that people take down.
-        state: As in docs/reference/states.md.
-        reason: One sentence: what is waited for, by whom, what to do.
-        after: Ids of the tasks that must be done before.
-        robot: Which robot does it; empty: any.
-        plan_id: Of the plan under review or executed; empty: none.
-        deviation_mm, deviation_deg: Of the placed element from the model; nan: not placed.
-        mass_kg: Of the element, as it is planned with; nan: nobody says.
-        scheduled_duration: [s]; nan: the schedule says nothing.
-        tolerance_mm, tolerance_deg: A placed element that deviates by more than one of them counts as off.
-        question, answers: What only a person can know, empty: nothing is asked; and what can be answered.
-        grip: How the element is or was held; empty: it was not gripped yet.
-        scheduled_start: ISO 8601; empty: the schedule says nothing.
-        begun, settled: When it was begun, and done or skipped, last; 0: not yet. Whole ns, in JSON [s] and null.
-    """
+    """One task of a building model: `WorkTask.msg`, one entry of `work/tasks` on MQTT. What has a default may be missing there."""
 
     id: str
     name: str
@@ -272,18 +189,7 @@ class TaskReport:
 
 @dataclass(frozen=True, kw_only=True)
 class WorkReport:
-    """The tasks of a building model, in the order in which they can be done: `WorkTasks.msg`, and `work/tasks` on MQTT.
-
-    Attributes:
-        stamp: ROS time of the change; whole ns, in JSON [s].
-        model, model_hash: File name of the model, and the file's SHA-256.
-        schedule: `model`, `accepted` (a proposal that a person accepted) or `proposed` (nothing can be planned yet).
-        engaged: Only the way back can be planned.
-        reading: The model is being read: tasks come when it was.
-        next: Id of the task that comes next; empty: none can.
-        reason: One sentence: what the work waits for.
-        notes: What a person should know of model, schedule and ledger: what was left out, or understood in some way.
-    """
+    """The tasks of a building model, in the order in which they can be done: `WorkTasks.msg`, and `work/tasks` on MQTT."""
 
     stamp: Annotated[int, SECONDS] = as_seconds()
     model: str
@@ -299,14 +205,7 @@ class WorkReport:
 
 @dataclass(frozen=True)
 class EngagementReport:
-    """Where an arm was left engaged: `Engagement.msg`, without the path.
-
-    Attributes:
-        plan_id, task, segment: The work plan that ended inside, its task, and the name of the segment.
-        scenes: Hashes of the scenes in which it may go back; they change with the tool's inputs.
-        reason: One sentence: why the plan ended.
-        engaged: False: it was not left engaged, and the rest is empty.
-    """
+    """Where an arm was left engaged: `Engagement.msg`, without the path."""
 
     plan_id: str
     segment: str
@@ -353,15 +252,7 @@ class Reading(Protocol):
 
 @dataclass(frozen=True)
 class ToolReport:
-    """What is known of the tool: `ToolState.msg`, whose lists belong together.
-
-    Attributes:
-        known: Whether the outputs were read back in this controller session: what is told below is true.
-        tool: Name of the tool; empty: a tool without hands.
-        outputs: As read back from the controller.
-        switches: The last switches that were asked for, by id, oldest first.
-        reason: Why nothing is known, or what was refused last.
-    """
+    """What is known of the tool: `ToolState.msg`, whose lists belong together."""
 
     known: bool = False
     tool: str = ""

@@ -125,16 +125,12 @@ class Machine(Generic[S, E, G, A, Occ]):
         self._refusal, self._after = refusal or self._is_not_taken, after
         for row in (row for of_cause in rows.values() for row in of_cause):
             if not row.guard.value:
-                self._guards.setdefault(row.guard, _always)
+                self._guards.setdefault(row.guard, lambda _occasion: "")
             if not row.action.value:
-                self._actions.setdefault(row.action, _nothing)
+                self._actions.setdefault(row.action, lambda _row, _occasion: None)
             missing = {row.guard} - self._guards.keys() or {row.action} - self._actions.keys()
             if missing:
                 raise ValueError(f"the table's {missing.pop()} has no function")
-
-    def holds(self, guard: G, occasion: Occ) -> bool:
-        """Return whether nothing speaks against the rows with this guard now."""
-        return not self._guards[guard](occasion)
 
     def row(self, event: E, occasion: Occ) -> Row[S, E, G, A] | None:
         """Return the row that would apply to an event now; None: the event changes nothing."""
@@ -175,14 +171,6 @@ class Machine(Generic[S, E, G, A, Occ]):
             self.reason, self.changed = self._entered_for, True
 
 
-def _always(occasion: Occasion) -> str:
-    return ""
-
-
-def _nothing(row: Row, occasion: Occasion) -> None:
-    """Do nothing."""
-
-
 def conditions(asked: Mapping[G, Callable[[Occ], bool]]) -> dict[G, Callable[[Occ], str]]:
     """Return guards that are true or false as guards that say what speaks against a row: that the guard does not hold."""
     return {guard: _condition(f"not so: {guard.value}", holds) for guard, holds in asked.items()}
@@ -190,14 +178,6 @@ def conditions(asked: Mapping[G, Callable[[Occ], bool]]) -> dict[G, Callable[[Oc
 
 def _condition(refusal: str, holds: Callable[[Occ], bool]) -> Callable[[Occ], str]:
     return lambda occasion: "" if holds(occasion) else refusal
-
-
-def cells(table: tuple[Row, ...]) -> list[tuple[str, str, str, str, str]]:
-    """Return a table in words, for the documentation: state, event, guard, action, next state ("" where it stays)."""
-    return [
-        (_name(row.state), row.event.value, row.guard.value, row.action.value, _name(row.target) if row.target else "")
-        for row in table
-    ]
 
 
 def _name(state: Enum) -> str:

@@ -53,67 +53,38 @@ class TravelTime:
         return travelled - shortest
 
 
-class SequenceCheck:
-    """Refuses sequence numbers that are not a little above the last one.
+class StateCheck:
+    """Which states of one gateway may be used: numbered in order, and none that was under way for too long.
 
-    A single number out of sequence changes nothing. A new sequence is accepted after `CONFIRMATIONS` consecutive numbers of it
-    without one that continues the old sequence.
+    A single number or stamp that does not fit changes nothing; a new sequence, or a new clock, is believed after `CONFIRMATIONS` of
+    it in a row.
+
+    Args:
+        max_age: By how much longer than the quickest one of its run a state may travel [s].
+
+    Attributes:
+        lost: States that the sequence numbers say were sent, but never came.
     """
 
-    def __init__(self):
+    def __init__(self, max_age: float):
         self.lost = 0
+        self._limit = round(max_age * NANOSECONDS)
+        self._travel, self._early = TravelTime(), 0
         self.restart()
 
     def restart(self) -> None:
-        """Take whatever number comes next: the sender is known to be gone."""
-        self._last = 0
-        self._strange = 0
-        self._followers = 0
+        """Start over: the gateway said that it is gone, and its clock may be another."""
+        self._last = self._strange = self._followers = 0
+        self._forget_clock()
 
-    def accept(self, seq: int) -> bool:
-        """Take a number; return whether the sender counts anew from a lower one.
-
-        Raises:
-            PayloadError: ``sequence``, when the number is not used.
-        """
-        last, restarted = self._last, False
-        if not last or 0 < seq - last <= MAX_JUMP:
-            self.lost += seq - last - 1 if last else 0
-        elif not self._is_confirmed(seq):
-            raise PayloadError("sequence", f"seq {seq} after {last}")
-        elif seq < last:
-            restarted = True
-        else:
-            self.lost += seq - last - 1 - CONFIRMATIONS
-        self._last, self._strange = seq, 0
-        return restarted
-
-    def _is_confirmed(self, seq: int) -> bool:
-        self._followers = self._followers + 1 if self._strange and seq == self._strange + 1 else 0
-        self._strange = seq
-        return self._followers >= CONFIRMATIONS
-
-
-class FreshnessCheck:
-    """Refuses messages that travelled longer by `limit` [s] than the quickest one."""
-
-    def __init__(self, limit: float):
-        self._limit = round(limit * NANOSECONDS)
-        self._travel = TravelTime()
-        self._early = 0
-
-    def restart(self) -> None:
-        """Forget the quickest one: the sender's clock may be another."""
-        self._travel.restart()
-        self._early = 0
-
-    def accept(self, stamp: int, received: int) -> None:
-        """Take a message by the sender's stamp and the time of reception, each on its own clock [ns].
+    def accept(self, seq: int, stamp: int, received: int) -> None:
+        """Take a state by its sequence number, the gateway's stamp and the time of reception, each on its own clock [ns].
 
         Raises:
-            PayloadError: ``stale``, when it is too old; ``early``, when it is so much quicker than all others that only further
-                ones like it are believed: a single wrong stamp must not cause all later messages to be refused.
+            PayloadError: ``sequence``; ``stale``, when it is too old; ``early``, when it is so much quicker than all others that
+                only further ones like it are believed: a single wrong stamp must not cause all later states to be refused.
         """
+        self._accept_number(seq)
         excess = self._travel.excess(stamp, received)
         if excess < -self._limit and self._early < CONFIRMATIONS:
             self._early += 1
@@ -123,30 +94,21 @@ class FreshnessCheck:
         if excess > self._limit:
             raise PayloadError("stale", f"state is {excess / NANOSECONDS:.3f} s older than the freshest one")
 
+    def _accept_number(self, seq: int) -> None:
+        last = self._last
+        if not last or 0 < seq - last <= MAX_JUMP:
+            self.lost += seq - last - 1 if last else 0
+        else:
+            self._followers = self._followers + 1 if self._strange and seq == self._strange + 1 else 0
+            self._strange = seq
+            if self._followers < CONFIRMATIONS:
+                raise PayloadError("sequence", f"seq {seq} after {last}")
+            if seq < last:
+                self._forget_clock()
+            else:
+                self.lost += seq - last - 1 - CONFIRMATIONS
+        self._last, self._strange = seq, 0
 
-class StateCheck:
-    """Both checks on the states of one gateway, which may travel longer by `max_age` [s] than the quickest one of its run."""
-
-    def __init__(self, max_age: float):
-        self._sequence = SequenceCheck()
-        self._freshness = FreshnessCheck(max_age)
-
-    @property
-    def lost(self) -> int:
-        """States that the sequence numbers say were sent, but never came."""
-        return self._sequence.lost
-
-    def restart(self) -> None:
-        """Start over: the gateway said that it is gone."""
-        self._sequence.restart()
-        self._freshness.restart()
-
-    def accept(self, seq: int, stamp: int, received: int) -> None:
-        """Take a state by its sequence number, the gateway's stamp and the time of reception [ns].
-
-        Raises:
-            PayloadError: ``sequence``, ``stale`` or ``early``, when it must not be used.
-        """
-        if self._sequence.accept(seq):
-            self._freshness.restart()
-        self._freshness.accept(stamp, received)
+    def _forget_clock(self) -> None:
+        self._travel.restart()
+        self._early = 0

@@ -19,7 +19,6 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.work_errors import WorkError
 
 #: Added to the process's nice value.
 NICE = 10
@@ -32,7 +31,7 @@ UNFORESEEN = (
 _ENDING = 5.0
 
 
-class WorkerError(WorkError):
+class WorkerError(ConstructionTwinError):
     """What was asked of the process failed; the sentence is that of the error there.
 
     `kind`: Name of the error's class; empty: the process ended.

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.controller.makes import DEFAULT, make_of
 from construction_twin.controller.port import Layout
-from construction_twin.core.errors import ConfigurationError
 from construction_twin.mock.gripper import Gripper
 
 
@@ -63,22 +61,7 @@ class MockConfig:
     def __post_init__(self) -> None:
         if self.layout is None:
             object.__setattr__(self, "layout", make_of(DEFAULT).plain(self.axes))
-        make = make_of(self.layout.make)
-        make.check_axes(self.layout, self.axes)
-        count = len(self.axes)
-        bounds = {"correction_lower": -1, "correction_upper": 1, "correction_monitor": 1}
-        for name in ("start_pose", "lower", "upper", "velocity", "acceleration", *bounds):
-            values = getattr(self, name)
-            if values is not None and (len(values) != count or not all(map(math.isfinite, values))):
-                raise ConfigurationError(name, values, f"{count} finite numbers, one per axis")
-        if self.cycle not in make.cycles:
-            raise ConfigurationError("cycle", self.cycle, f"{' or '.join(map(str, make.cycles))} ms")
-        for name, allowed in (("timeout", self.timeout >= 1), ("first_stamp", self.first_stamp >= 0)):
-            if not allowed:
-                raise ConfigurationError(name, getattr(self, name), "a larger number")
-        for name, sign in bounds.items():
-            if any(sign * value < 0.0 for value in getattr(self, name) or ()):
-                raise ConfigurationError(name, getattr(self, name), f"numbers {'<=' if sign < 0 else '>='} 0")
+        make_of(self.layout.make).check_axes(self.layout, self.axes)
 
     @property
     def period(self) -> float:

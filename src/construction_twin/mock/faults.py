@@ -39,44 +39,34 @@ class ImpairedLine:
     """Loses, doubles and delays datagrams of one direction.
 
     Attributes:
-        active: False: datagrams need not come here.
+        drop, duplicate: Fractions of the datagrams that are lost, and sent twice, 0 to 1.
+        delay, jitter: Each is late by `delay` to `delay` + `jitter` [ns], evenly spread; one may overtake another.
         dropped, doubled, delayed: Datagrams so far.
     """
 
     def __init__(self, random_numbers: random.Random):
         self._random = random_numbers
-        self._drop = self._duplicate = 0.0
-        self._delay = self._jitter = 0
+        self.drop = self.duplicate = 0.0
+        self.delay = self.jitter = 0
         self._order = itertools.count()
         self._queue: list[Underway] = []
-        self.active = False
         self.dropped = self.doubled = self.delayed = 0
 
-    def drop(self, fraction: float) -> None:
-        """Lose this fraction of the datagrams, 0 to 1."""
-        self._drop = fraction
-        self._note()
-
-    def duplicate(self, fraction: float) -> None:
-        """Send this fraction of the datagrams twice, 0 to 1."""
-        self._duplicate = fraction
-        self._note()
-
-    def delay(self, delay: float, jitter: float) -> None:
-        """Delay every datagram by `delay` to `delay` + `jitter` [s], evenly spread; one may overtake another."""
-        self._delay, self._jitter = round(delay * NANOSECONDS), round(jitter * NANOSECONDS)
-        self._note()
+    @property
+    def active(self) -> bool:
+        """Whether datagrams must come here; delayed ones are still delivered after the fault has ended."""
+        return bool(self.drop or self.duplicate or self.delay or self.jitter or self._queue)
 
     def put(self, data: bytes, now: int) -> None:
         """Take a datagram that sets out at `now` [ns]."""
-        if self._drop and self._random.random() < self._drop:
+        if self.drop and self._random.random() < self.drop:
             self.dropped += 1
             return
-        twice = bool(self._duplicate) and self._random.random() < self._duplicate
+        twice = bool(self.duplicate) and self._random.random() < self.duplicate
         self.doubled += twice
-        self.delayed += bool(self._delay or self._jitter)
+        self.delayed += bool(self.delay or self.jitter)
         for _ in range(1 + twice):
-            due = now + self._delay + round(self._random.random() * self._jitter)
+            due = now + self.delay + round(self._random.random() * self.jitter)
             heapq.heappush(self._queue, Underway(due, next(self._order), data))
 
     def take(self, now: int) -> list[Underway]:
@@ -84,16 +74,11 @@ class ImpairedLine:
         arrived = []
         while self._queue and self._queue[0].due <= now:
             arrived.append(heapq.heappop(self._queue))
-        self._note()
         return arrived
 
     def next_arrival(self) -> int | None:
         """Return when the next datagram arrives [ns], or None."""
         return self._queue[0].due if self._queue else None
-
-    def _note(self) -> None:
-        # delayed datagrams are still delivered after the fault has ended
-        self.active = bool(self._drop or self._duplicate or self._delay or self._jitter or self._queue)
 
 
 #: Which datagrams a fault of the network meets: both directions, packets to the PC, or replies to the controller.
@@ -340,12 +325,7 @@ class FaultBoard:
 
         def put(value: float) -> None:
             for joint in joints:
-                if fault.name == "backlash":
-                    encoders.backlash(joint, value, self.controller.measured[joint])
-                else:
-                    {"offset": encoders.shift, "drift": encoders.drift, "noise": encoders.noise}[fault.name](
-                        joint, value
-                    )
+                encoders.disturb(fault.name, joint, value, self.controller.measured[joint])
 
         return lambda: put(fault.values[0]), lambda: put(0.0)
 
@@ -355,9 +335,9 @@ class FaultBoard:
         def put(value: float, more: float = 0.0) -> None:
             for line in lines:
                 if fault.name == "delay":
-                    line.delay(value, more)
+                    line.delay, line.jitter = round(value * NANOSECONDS), round(more * NANOSECONDS)
                 else:
-                    {"drop": line.drop, "duplicate": line.duplicate}[fault.name](value)
+                    setattr(line, fault.name, value)
 
         return lambda: put(*fault.values), lambda: put(0.0)
 

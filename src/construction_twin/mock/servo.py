@@ -12,10 +12,11 @@ import random
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Sequence
+from typing import Any
 
 from construction_twin.core.follower import braking_step
-from construction_twin.core.servo_lag import transition_matrix
 from construction_twin.core.units import CYCLE
+from construction_twin.servo.model import transition_matrix
 
 
 class Servo(ABC):
@@ -123,8 +124,6 @@ class IdealServo(Servo):
     """A pure delay: a setpoint is reported as reached so many cycles, at least 1, after the packet whose reply set it."""
 
     def __init__(self, delay_cycles: int = 3, period: float = CYCLE):
-        if delay_cycles < 1:
-            raise ValueError(f"delay_cycles is {delay_cycles}; expected at least 1")
         super().__init__(period)
         self._delay = delay_cycles
         self._line: deque[list[float]] = deque(maxlen=delay_cycles)
@@ -150,8 +149,6 @@ class RealisticServo(Servo):
     def __init__(
         self, omega: float = 60.0, zeta: float = 0.8, resolution: float = math.radians(3e-5), period: float = CYCLE
     ):
-        if not (omega > 0.0 and zeta > 0.0 and resolution >= 0.0):
-            raise ValueError(f"omega {omega}, zeta {zeta}, resolution {resolution}; expected > 0, > 0, >= 0")
         super().__init__(period)
         self._transition = transition_matrix(omega, zeta, period)
         self._resolution = resolution
@@ -254,41 +251,30 @@ class Encoders:
         self._drift: dict[int, float] = {}
         self._play: dict[int, list[float]] = {}
         self._noise: dict[int, float] = {}
-        self.active = False
 
     def reseed(self, random_numbers: random.Random) -> None:
         """Use this source of noise: the same seed gives the same readings."""
         self._random = random_numbers
 
-    def shift(self, joint: int, offset: float) -> None:
-        """Let the reading of an axis jump to `offset` [rad] beside the measured angle; 0 ends it."""
-        self.offset[joint] = offset
-        self._note()
+    @property
+    def active(self) -> bool:
+        """Whether a reading differs from the measured angle."""
+        return bool(any(self.offset) or self._drift or self._play or self._noise)
 
-    def drift(self, joint: int, rate: float) -> None:
-        """Let the reading of an axis drift at `rate` [rad/s]; 0 stops it, and the offset is gone."""
-        if rate:
-            self._drift[joint] = rate
-        else:
-            self._drift.pop(joint, None)
-            self.offset[joint] = 0.0
-        self._note()
+    def disturb(self, kind: str, joint: int, value: float, measured: float) -> None:
+        """Disturb the reading of an axis whose angle is `measured` [rad]; 0 ends it.
 
-    def backlash(self, joint: int, gap: float, measured: float) -> None:
-        """Give an axis a play of `gap` [rad]: the reading stands until half of it is crossed; 0 ends it."""
-        if gap:
-            self._play[joint] = [gap / 2.0, measured]
-        else:
-            self._play.pop(joint, None)
-        self._note()
-
-    def noise(self, joint: int, deviation: float) -> None:
-        """Add Gaussian noise of a standard deviation [rad] to the reading of an axis; 0 ends it."""
-        if deviation:
-            self._noise[joint] = deviation
-        else:
-            self._noise.pop(joint, None)
-        self._note()
+        Args:
+            kind: ``offset``: the reading jumps by `value` [rad]; ``drift``: at this rate [rad/s]; ``backlash``: a play of so much
+                [rad], the reading stands until half of it is crossed; ``noise``: Gaussian, of this standard deviation [rad].
+        """
+        if kind == "offset" or kind == "drift" and not value:
+            self.offset[joint] = value
+        kinds: dict[str, dict[int, Any]] = {"drift": self._drift, "backlash": self._play, "noise": self._noise}
+        disturbed = kinds.get(kind, {})
+        disturbed.pop(joint, None)
+        if value:
+            disturbed[joint] = [value / 2.0, measured] if kind == "backlash" else value
 
     def read(self, measured: Sequence[float]) -> tuple[float, ...]:
         """Return what the encoders report for the measured angles [rad], shape (n,); one cycle passes."""
@@ -307,7 +293,3 @@ class Encoders:
         """Let the controller take its readings as its pose, as at a restart: the offsets become slip."""
         self.slip = [slip + offset for slip, offset in zip(self.slip, self.offset)]
         self.offset = [0.0] * len(self.offset)
-        self._note()
-
-    def _note(self) -> None:
-        self.active = bool(any(self.offset) or self._drift or self._play or self._noise)

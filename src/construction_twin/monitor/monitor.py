@@ -16,7 +16,7 @@ import pydantic
 import yaml
 
 from construction_twin.core.append_only import AppendOnlyFile, iso_time
-from construction_twin.core.errors import ConfigurationError, RequestRefused, TransitionLogError
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused
 from construction_twin.core.reports import SyncReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
@@ -292,6 +292,13 @@ class Monitor:
             "largest residual": f"{max(watch.largest):.6f}",
             "lag beyond the file [ms]": ", ".join(f"{1e3 * lag:+.2f}" for lag in watch.refinement.later),
         }
+
+
+class TransitionLogError(ConstructionTwinError):
+    """A change of the monitor's state cannot be written down; it is kept and tried again."""
+
+    def __init__(self, path: str, problem: str):
+        super().__init__(f"{path}: {problem}; transitions are kept in memory until the file can be written")
 
 
 class TransitionLog:

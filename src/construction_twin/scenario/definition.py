@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 import pydantic
 
-from construction_twin.core.errors import ScenarioError
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.units import radians
 from construction_twin.core.validation import wrong_value
 from construction_twin.mock.faults import KINDS
@@ -23,6 +23,10 @@ STATES = ("sync", "link", "execution")
 Call = Literal["stop", "halt", "pause", "resume", "reset", "mqtt_bridge/arm", "mock_rsi/restart"]
 #: A pose has been reached when every joint is this close [deg], 1e-5 rad: rounding to 3 decimals leaves 5e-4.
 FINAL_ERROR_DEG = 5.7e-4
+
+
+class ScenarioError(ConstructionTwinError):
+    """A scenario cannot be read, run or judged."""
 
 
 class _Model(pydantic.BaseModel):

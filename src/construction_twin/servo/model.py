@@ -7,10 +7,11 @@ in rad, prismatic joints in m.
 
 from __future__ import annotations
 
+import cmath
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from construction_twin.core.servo_lag import transition_matrix
 from construction_twin.core.units import NANOSECONDS
 
 #: A playout that is slower or faster than its stream by more than one part in so many does not move the arm as commanded.
@@ -25,6 +26,16 @@ def keeps_pace(advance: int, elapsed: int) -> bool:
 
 
 _Matrix = tuple[tuple[float, float], tuple[float, float]]
+
+
+def transition_matrix(omega: float, zeta: float, period: float) -> _Matrix:
+    """Return exp(A * period) of (x - u, x') for x'' = -omega^2 (x - u) - 2 zeta omega x', u constant, any damping."""
+    centre = -zeta * omega
+    root = omega * cmath.sqrt(zeta * zeta - 1.0)
+    even = cmath.cosh(root * period).real
+    odd = (cmath.sinh(root * period) / root).real if root else period
+    scale = math.exp(centre * period)
+    return ((scale * (even - centre * odd), scale * odd), (-scale * omega * omega * odd, scale * (even + centre * odd)))
 
 
 @dataclass(frozen=True)

@@ -6,18 +6,12 @@ import argparse
 import contextlib
 import enum
 import math
-import re
-from collections.abc import Sequence
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.extensions import extension
 
 #: How long a service or a topic may stay silent before the command gives up [s].
 TIMEOUT = 5.0
-#: Options whose values may be a list with commas, and a word of such a list.
-_LISTS = ("--joints", "--pose")
-_NUMBERS = re.compile(r"[-+.,\d][-+.,\deE ]*")
-
 
 #: Commands that call the service of the same name, which takes nothing.
 TRIGGERS = {
@@ -101,50 +95,6 @@ def parser(robot: str) -> argparse.ArgumentParser:
     return root
 
 
-def split_lists(words: Sequence[str]) -> list[str]:
-    """Return a command line whose lists of numbers are words of their own: ``--joints 30,-75,70`` as ``--joints 30 -75 70``.
-
-    A comma at the end of a number, or between the numbers of one word, separates them. A word with a comma inside beside other
-    numbers stays as it is and is refused later: 30,5 may be 30 and 5, or thirty and a half.
-    """
-    result: list[str] = []
-    words = list(words)
-    while words:
-        word = words.pop(0)
-        name, equals, value = word.partition("=")
-        if name not in _LISTS:
-            result.append(word)
-            continue
-        result.append(name)
-        numbers = [value] if equals else []
-        while words and _NUMBERS.fullmatch(words[0]):
-            numbers.append(words.pop(0))
-        result += _fields(numbers)
-    return result
-
-
-def _fields(words: Sequence[str]) -> list[str]:
-    """Return the numbers of a list; a word with an empty field stays, for `finite` to refuse it: all after it would be shifted."""
-    fields = words[0].removesuffix(",").split(",") if len(words) == 1 else []
-    if fields and all(field.strip() for field in fields):
-        return [number for field in fields for number in field.split()]
-    found: list[str] = []
-    separated = True
-    for word in words:
-        if word == "," and not separated:
-            separated = True
-            continue
-        separated = word.endswith(",")
-        # a blank in front: argparse takes what begins with a minus and is no number for an option
-        found.append(f" {word}" if _has_empty_field(word) else word.removesuffix(","))
-    return found
-
-
-def _has_empty_field(word: str) -> bool:
-    dense = "".join(word.split())
-    return ",," in dense or dense.startswith(",")
-
-
 def _add_plan(plan: argparse.ArgumentParser) -> None:
     goal = plan.add_mutually_exclusive_group(required=True)
     goal.add_argument(
@@ -152,7 +102,7 @@ def _add_plan(plan: argparse.ArgumentParser) -> None:
         type=finite,
         nargs="+",
         metavar="VALUE",
-        help="joint values, A1 first, with spaces or commas between them [deg; mm for a prismatic joint]",
+        help="joint values, A1 first, with spaces between them [deg; mm for a prismatic joint]",
     )
     goal.add_argument(
         "--pose",
@@ -246,10 +196,6 @@ def check(options: argparse.Namespace) -> str:
 
 def finite(text: str) -> float:
     """Return the number of an option; refuse nan and infinity."""
-    if _has_empty_field(text):
-        raise argparse.ArgumentTypeError(
-            f"{text.strip()!r} has an empty field at a comma: give a number for each joint or axis"
-        )
     if "," in text:
         raise argparse.ArgumentTypeError(
             f"{text!r} holds a comma: write decimals with a point, and separate numbers by spaces"

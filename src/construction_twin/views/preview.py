@@ -1,34 +1,24 @@
-"""What a reviewer sees of a plan before approving it: a ghost that plays it, its tool path, and what was measured on it.
+"""What a reviewer sees of a plan before approving it: a ghost that plays it, and what a work plan does to the objects.
 
-Pure; joint values in rad (m for a prismatic joint), times in s on any monotonic clock, points in the robot's base frame [m].
+Pure; joint values in rad (m for a prismatic joint), times in s on any monotonic clock. The changes of the scene that are told with
+a plan are for displays; whether they lead to the scenes that an approval covers can be said only where the scene before them is
+known, and is said then.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from construction_twin.core.errors import ReviewError
-from construction_twin.kinematics.chain import Pose
+from construction_twin.core.motion_errors import SceneError
 from construction_twin.robot.plan import Plan
+from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.views.texts import between
-from construction_twin.views.work_picture import WorkPath, WorkStates, cut, segment_words, work_path
 
 #: How long a ghost rests at the goal before it plays again [s].
 LOOP_REST = 0.5
-#: Spacing of the points of the drawn tool path [s], and the most of them.
-PATH_SPACING = 0.02
-PATH_POINTS = 1000
-#: Height of a line of the text [m], and the room between it and the arm below, whose bodies reach beyond its joints.
-TEXT_SIZE, TEXT_ROOM = 0.06, 0.55
-#: Most segments of a work plan that the text lists.
-MOST_ROWS = 12
-#: Room that the text of the sync state needs above and below its middle [m].
-HEADLINE_ROOM = 0.3
 
 
 @dataclass(frozen=True)
@@ -38,7 +28,6 @@ class Playing:
     Attributes:
         began: [s]
         speed: 1: as fast as the plan.
-        loop: Play again and again.
     """
 
     plan: Plan
@@ -109,7 +98,6 @@ class Preview:
 
         Args:
             speed: 1: as fast as the plan; 0 ends the preview.
-            loop: Play it again and again.
             now: [s]
 
         Raises:
@@ -146,121 +134,52 @@ class Preview:
         return next(number for number, segment in enumerate(playing.plan.segments) if elapsed < segment.end)
 
 
-@dataclass(frozen=True, eq=False)
-class WorkContext:
-    """What is known of a work plan's objects.
+@dataclass(frozen=True)
+class WorkStates:
+    """The objects that a work plan moves.
 
     Attributes:
-        forward: Returns the tip's pose in the base, for joint values of shape (n,).
-        tip: Name of the tip link.
+        carried: Of each segment: what the arm carries during it, in the link that carries it; and, as one more, what it carries in
+            the end.
+        placed: What stands elsewhere in the end than before, or is new.
+        problem: Why what is drawn may not be what is approved, as a sentence; empty: it is.
     """
 
-    changes: Sequence[SceneChange]
-    states: WorkStates
-    forward: Callable[[np.ndarray], Pose]
-    tip: str
+    carried: tuple[tuple[SceneObject, ...], ...]
+    placed: tuple[SceneObject, ...]
+    problem: str = ""
+
+    def loads(self, number: int) -> tuple[SceneObject, ...]:
+        """Return what the arm carries in a segment, but not during all of the plan: the element, not the tool."""
+        always = set.intersection(*({item.name for item in held} for held in self.carried))
+        return tuple(item for item in self.carried[number] if item.name not in always)
 
 
-@dataclass(frozen=True, eq=False)
-class PlanPicture:
-    """What is drawn of a plan.
-
-    Attributes:
-        path: Shape (m, 3). Positions of the tool.
-        closest: Length 3. Where the arm comes closest to anything; None when there is nothing to touch.
-        text: Some lines for the reviewer.
-        text_at: Length 3
-        work: Of a work plan.
-    """
-
-    path: np.ndarray
-    closest: tuple[float, float, float] | None
-    text: str
-    text_at: tuple[float, float, float]
-    work: WorkPath | None = None
-
-
-def picture(
-    plan: Plan,
-    skeleton: Callable[[np.ndarray], np.ndarray],
-    headline: float,
-    told: WorkContext | None = None,
-) -> PlanPicture:
-    """Return what is to be drawn of a plan.
-
-    The text hangs above all that moves, so that the arm does not hide it.
+def work_states(plan: Plan, changes: Sequence[SceneChange], scene: Scene | None) -> WorkStates:
+    """Return what a work plan does to the objects.
 
     Args:
-        skeleton: Returns the points from the base through all joints to the tool, shape (m, 3), for joint values, shape (n,).
-        headline: Height of the text of the sync state, which this one keeps clear of [m].
-        told: What is known of a work plan's objects; without it, only its tool path is drawn.
+        changes: As told with its segments; fewer: not told.
+        scene: The present scene. Unless it is the one that the plan begins in, only what the changes say is known.
     """
-    trajectory = plan.trajectory
-    points = min(max(math.ceil(trajectory.duration / PATH_SPACING) + 1, 2), PATH_POINTS)
-    poses = trajectory.sample_many(np.linspace(0.0, trajectory.duration, points))[0]
-    arms = np.array([skeleton(q) for q in poses])
-    path = arms[:, -1]
-    top = arms.reshape(-1, 3)[np.argmax(arms[:, :, 2])]
-    clearance = plan.report.clearance
-    closest = clearance.point if math.isfinite(clearance.distance) else None
-    work = None
-    if told is not None and plan.segments:
-        work = work_path(plan, told.states, told.forward, told.tip, PATH_SPACING, PATH_POINTS)
-    text = describe(plan) if told is None else describe_work(plan, told)
-    height = _text_height(float(top[2]), text.count("\n") + 1, headline)
-    return PlanPicture(path, closest, text, (float(top[0]), float(top[1]), height), work)
+    known = scene is not None and scene.hash == plan.scene
+    present = scene if scene is not None and known else Scene()
+    before = {item.name: item for item in present.objects}
+    told = [*changes, *[SceneChange()] * (len(plan.segments) - len(changes))]
+    carried, problem = [], "" if known else "the scene that the plan begins in is not known here"
+    for segment, change in zip(plan.segments, told):
+        carried.append(tuple(item for item in present.objects if item.link))
+        present = _after(present, change)
+        if known and not problem and present.hash != segment.scene_after:
+            problem = f"after {segment.name!r} the scene is to be another one than drawn here"
+    carried.append(tuple(item for item in present.objects if item.link))
+    placed = tuple(item for item in present.objects if not item.link and before.get(item.name) != item)
+    return WorkStates(tuple(carried), placed, problem)
 
 
-def _text_height(top: float, lines: int, headline: float) -> float:
-    """Return the middle of a text of some lines [m], as rviz centres it: over the arm, and not across the headline."""
-    half = lines * TEXT_SIZE / 2
-    middle = top + TEXT_ROOM + half
-    return middle if middle + half < headline - HEADLINE_ROOM else max(middle, headline + HEADLINE_ROOM + half)
-
-
-def describe(plan: Plan) -> str:
-    """Return the plan's duration, closest clearance and largest fractions of the limits, some lines of text."""
-    fractions = plan.report.usage
-    lines = [_headline(plan), _closest(plan), "largest fraction of velocity / acceleration / jerk:"]
-    rows = zip(plan.trajectory.joint_names, fractions.velocity, fractions.acceleration, fractions.jerk)
-    lines += [
-        f"{joint}: {velocity:.0%} / {acceleration:.0%} / {jerk:.0%}" for joint, velocity, acceleration, jerk in rows
-    ]
-    return "\n".join(lines)
-
-
-def describe_work(plan: Plan, told: WorkContext) -> str:
-    """Return a work plan's task, its segments and what was measured, one line each: shorter about the joints than `describe`."""
-    lines = [
-        _headline(plan),
-        f"task {cut(plan.task)}: {len(plan.segments)} segments, blue: engaged",
-    ]
-    if told.states.problem:
-        lines.append(f"LOOK TWICE: {told.states.problem}")
-    begin = 0.0
-    changes = [*told.changes, *[None] * (len(plan.segments) - len(told.changes))]
-    for number, (segment, change) in enumerate(zip(plan.segments, changes)):
-        if number < MOST_ROWS:
-            words = segment_words(segment, change)
-            lines.append(", ".join([f"{number + 1} {cut(segment.name)} {segment.end - begin:.2f} s", *words]))
-        begin = segment.end
-    if len(plan.segments) > MOST_ROWS:
-        lines.append(f"and {len(plan.segments) - MOST_ROWS} more")
-    usage = plan.report.usage
-    largest = " / ".join(
-        f"{max(values, default=0.0):.0%}" for values in (usage.velocity, usage.acceleration, usage.jerk)
-    )
-    lines += [_closest(plan), f"largest fraction of velocity / acceleration / jerk: {largest}"]
-    return "\n".join(lines)
-
-
-def _headline(plan: Plan) -> str:
-    return f"{plan.trajectory.duration:.2f} s, {plan.planner} for {plan.source}"
-
-
-def _closest(plan: Plan) -> str:
-    clearance = plan.report.clearance
-    if not math.isfinite(clearance.distance):
-        return "nothing to touch"
-    where, bodies = ", ".join(f"{value:.2f}" for value in clearance.point), between(clearance.between)
-    return f"closest {clearance.distance:.3f} m, {bodies}, after {clearance.time:.2f} s at ({where}) m"
+def _after(scene: Scene, change: SceneChange) -> Scene:
+    gone = set(change.remove) & set(scene.names)
+    try:
+        return SceneChange(change.put, tuple(sorted(gone))).apply(scene)
+    except SceneError:
+        return scene

@@ -38,7 +38,6 @@ class PoseVerdict:
     """The answer.
 
     Attributes:
-        sentence: Why, for people.
         q: Shape (n,). The joint solution that was judged [rad], [m] for prismatic joints.
         between: Length 0 or 2. The two bodies that touch.
     """

@@ -10,8 +10,9 @@ from rich.table import Table
 from rich.text import Text
 
 from construction_twin.review.rehearsal_report import PASSED, AxisLoad, RehearsalReport
-from construction_twin.views.rehearsal_picture import ESTIMATE
 
+#: Behind a number that is an estimate.
+ESTIMATE = "~"
 _STYLES = {PASSED: "bold green"}
 
 

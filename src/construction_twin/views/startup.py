@@ -63,7 +63,6 @@ class Seen:
     """What was heard so far.
 
     Attributes:
-        link, sync, execution: Of the three reports.
         feedback, twin, scene: Whether a pose of the arm, a pose of the twin, a scene has come.
         controller: Why the arm may not move, as the controller says itself; "" for no reason.
         clock: By how much the controller's clock is off, as the gateway has measured it; "" when it is not known to be.
@@ -188,13 +187,7 @@ def _waits(kind: str, at: Deployment) -> Waits:
 
 @dataclass(frozen=True)
 class Missing:
-    """What is waited for.
-
-    Attributes:
-        kind: What it is, of `_waits`.
-        reason: What the system says about it; may be empty.
-        deployment: Where.
-    """
+    """What is waited for."""
 
     kind: str
     reason: str
@@ -216,11 +209,7 @@ class Missing:
 
 
 class StartUp:
-    """Turns what is seen into lines for the operator, each once.
-
-    Attributes:
-        missing: What is waited for now.
-    """
+    """Turns what is seen into lines for the operator, each once."""
 
     def __init__(self, deployment: Deployment):
         self._deployment = deployment

@@ -263,9 +263,7 @@ class ReportsNow:
     """What the nodes say now; a report that is None is silent.
 
     Attributes:
-        arm: There is a physical arm, so that there is a link.
         bare: A bare PLC takes the commands.
-        plan: Id of the plan under review; empty: none.
         obstacle: Why that plan could not be approved now; empty: it could.
         cause: Why the arm holds, as `hold_cause` says it; empty: it does not.
         engaged: The executor reviews the way back only.
@@ -295,9 +293,6 @@ class Line:
     Attributes:
         state: Of `TABLE`; of what a start waits for, its kind.
         level: Number of a `Level`.
-        sentence: With the reason.
-        waits_for, todo: "" for nothing.
-        who, page: As in `Words`.
         said: What another language needs of these sentences (`core.sentences`).
     """
 

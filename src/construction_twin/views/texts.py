@@ -1,21 +1,75 @@
-"""Texts for people: plans, states and joint values, in deg and mm."""
+"""A robot's state at one moment, and texts for people: plans, states and joint values, in deg and mm. Pure."""
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
-from construction_twin.core.reports import ExecutionReport
+from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SyncReport
+from construction_twin.core.sentences import Sentence
+from construction_twin.core.units import NANOSECONDS
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
+from construction_twin.robot.segments import Segment
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.views.hold_cause import hold_cause
-from construction_twin.views.snapshot import Snapshot
-from construction_twin.views.work_picture import cut, segment_words
 
 #: Counters of the gateway that mean something was late or lost.
 LATE = ("late_replies", "commands_late", "commands_lost", "cycles_without_command", "states_lost")
+#: Longest name of a segment, an object or a signal in a table or picture; most segments of a work plan that a picture lists.
+LONGEST_WORD, MOST_ROWS = 28, 12
+#: States in which a plan could be approved.
+READY = {"link": "ARMED", "sync": "IN_SYNC", "execution": "IDLE"}
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """One robot at one moment.
+
+    Attributes:
+        now: ROS time [s].
+        hold: Why the gate is closed; None: nothing is known of it.
+        silent: How long ``link``, ``sync``, ``execution`` have been silent [s], if too long.
+    """
+
+    robot: str
+    now: float
+    joints: tuple[str, ...]
+    linear: tuple[bool, ...]
+    link: LinkReport | None = None
+    sync: SyncReport | None = None
+    execution: ExecutionReport | None = None
+    hold: HoldReport | None = None
+    plan: Plan | None = None
+    silent: Mapping[str, float] = field(default_factory=dict)
+
+    def not_ready(self) -> list[str]:
+        """Return why no plan could be approved now, one sentence per reason; empty when one could.
+
+        A system without an arm (`arm:=none`) has no link, and needs none.
+        """
+        lacking: list[str] = []
+        for name, wanted in READY.items():
+            facts = getattr(self, name)
+            if facts is None:
+                if name != "link":
+                    lacking.append(f"{name} is silent; expected {wanted}")
+            elif name in self.silent:
+                seconds = self.silent[name]
+                lacking.append(f"{name} has been silent for {seconds:.0f} s; expected {wanted}")
+            elif facts.text != wanted:
+                lacking.append(f"{name} is {facts.text}, expected {wanted}: {facts.reason}")
+        return lacking
+
+
+def hold_cause(hold: HoldReport | None) -> str:
+    """Return what keeps the gate closed, and since when, by this machine's time of day; "" while nothing does."""
+    if hold is None or not hold.cause:
+        return ""
+    since = time.strftime("%H:%M:%S", time.localtime(hold.since / NANOSECONDS))
+    return Sentence("{reason}, since {since}", reason=hold.cause, since=since)
 
 
 def joint_value(value: float, linear: bool, decimals: int = 3) -> str:
@@ -30,25 +84,44 @@ def plan_lines(plan: Plan, linear: Sequence[bool], changes: Sequence[SceneChange
         linear: Length n. Which joints are linear, in the plan's order.
         changes: What the segments of a work plan do to the scene, as told with it.
     """
-    trajectory, clearance = plan.trajectory, plan.report.clearance
+    trajectory = plan.trajectory
     names = trajectory.joint_names
     goal = ", ".join(
         f"{name} {joint_value(value, line)}" for name, value, line in zip(names, trajectory.positions[-1], linear)
     )
-    closest: str = "nothing to touch"
-    if math.isfinite(clearance.distance):
-        distance, bodies = clearance.distance * 1e3, between(clearance.between)
-        closest = f"{distance:.0f} mm, {bodies}, after {clearance.time:.2f} s"
     return [
         f"plan       {plan.id}",
         f"hash       {plan.hash}",
         f"asked by   {plan.source}, made by {plan.planner} in {plan.planning_time:.2f} s",
         f"duration   {trajectory.duration:.3f} s, {len(trajectory.times)} waypoints",
-        f"clearance  {closest}",
+        f"clearance  {_closest(plan)}",
         f"limits     {_fractions(plan)}",
         f"goal       {goal}",
         *segment_lines(plan, changes),
     ]
+
+
+def describe(plan: Plan, changes: Sequence[SceneChange] = (), problem: str = "") -> str:
+    """Return the lines that stand over a plan in rviz.
+
+    Args:
+        changes: As of `plan_lines`.
+        problem: Why what is drawn of a work plan may not be what is approved.
+    """
+    lines = [f"{plan.trajectory.duration:.2f} s, {plan.planner} for {plan.source}"]
+    if plan.segments:
+        lines += [f"task {cut(plan.task)}, blue: engaged", *([f"LOOK TWICE: {problem}"] if problem else [])]
+        lines += segment_lines(plan, changes)[1 : MOST_ROWS + 1]
+    if len(plan.segments) > MOST_ROWS:
+        lines.append(f"and {len(plan.segments) - MOST_ROWS} more")
+    return "\n".join([*lines, f"closest: {_closest(plan)}", _fractions(plan)])
+
+
+def _closest(plan: Plan) -> str:
+    clearance = plan.report.clearance
+    if not math.isfinite(clearance.distance):
+        return "nothing to touch"
+    return f"{clearance.distance * 1e3:.0f} mm, {between(clearance.between)}, after {clearance.time:.2f} s"
 
 
 def caller_line(client: str, connected: bool | None) -> str:
@@ -218,3 +291,45 @@ def range_sentence(joint: str, value: float, robot: RobotModel) -> str:
     linear = robot.linear[number]
     needed, lower, upper = (joint_value(each, linear, 1) for each in (value, robot.lower[number], robot.upper[number]))
     return f"{joint} would have to be {needed}; its range is {lower} to {upper}"
+
+
+def segment_words(segment: Segment, change: SceneChange | None = None) -> list[str]:
+    """Return what is special about a segment: engaged, what it needs, what is switched at its end, what becomes of the scene."""
+    words: list[str] = ["engaged"] if segment.engaged else []
+    if segment.requires:
+        signals = ", ".join(_state(signal.name, signal.value) for signal in segment.requires)
+        words.append(f"needs {signals}")
+    if segment.switches:
+        outputs = ", ".join(_state(switch.output, switch.value) for switch in segment.switches)
+        words.append(f"then {outputs}")
+    if segment.scene_after != segment.scene:
+        words.append(change_words(change) if change else "the scene changes")
+    return words
+
+
+def change_words(change: SceneChange) -> str:
+    """Return what becomes of the scene, by the names of whole things: an element's bodies are called ``<element>/0``, ..."""
+    said: list[str] = []
+    for verb, names in (
+        ("carries", [item.name for item in change.put if item.link]),
+        ("puts", [item.name for item in change.put if not item.link]),
+        ("removes", [name for name in change.remove if name not in {item.name for item in change.put}]),
+    ):
+        things = list(dict.fromkeys(name.rsplit("/", 1)[0] for name in names))
+        if things and verb == "removes":
+            # what is gone is no longer kept clear of: the reviewer sees all of it
+            said.append(f"removes {', '.join(things)}")
+        elif things:
+            first = cut(things[0])
+            more = f"{first} and {len(things) - 1} more" if len(things) > 1 else first
+            said.append(f"{verb} {more}")
+    return ", ".join(said) or "the scene changes"
+
+
+def cut(name: str) -> str:
+    """Return a name as long as a picture can show it."""
+    return name if len(name) <= LONGEST_WORD else name[: LONGEST_WORD - 3] + "..."
+
+
+def _state(name: str, value: bool) -> str:
+    return f"{cut(name)} on" if value else f"{cut(name)} off"

@@ -20,8 +20,7 @@ from construction_twin.execution.executor import ExecutorState
 from construction_twin.execution.playback import Playback, StopForecaster, StoppingForecast
 from construction_twin.review.record import ReviewLog
 from construction_twin.ros.nodes import executor as module
-from construction_twin.ros.shared.deferred_log import DeferredLog
-from construction_twin.ros.shared.diagnostics import WARN
+from construction_twin.ros.shared.diagnostics import WARN, DeferredLog
 
 ACTS = ("stop", "stop_plan", "pause", "reject")
 

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from construction_twin.ros.shared.private_files import PrivateFiles
+from construction_twin.extensions.console.private_files import PrivateFiles
 from construction_twin.scene.mesh_file import binary_stl
 
 CORNERS = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 0, 0], [0, 1, 0], [0, 0, 1]]], dtype=float)

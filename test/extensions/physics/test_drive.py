@@ -27,7 +27,7 @@ def test_the_file_of_the_kr120_is_read_in_the_order_of_its_joints():
     found = drives()
     assert found.torque == (7290.0, 8910.0, 7759.0, 2462.0, 1492.0, 908.0)
     assert found.armature == (120.0, 120.0, 90.0, 12.0, 10.0, 6.0)
-    assert found.rating.mass == 120.0
+    assert found.rating.mass_kg == 120.0
     assert found.estimates == ("torque", "armature", "damping", "link_masses")
 
 

@@ -15,12 +15,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from physics_samples import OTHERS, READY, ROOT, between, bodies_of, drives, dynamics_of, model_of
 
-from construction_twin.core.servo_lag import transition_matrix
 from construction_twin.core.units import CYCLE
 from construction_twin.extensions.physics.arm import Servo, SimulatedArm
 from construction_twin.extensions.physics.gazebo_world import world_of
 from construction_twin.mock.servo import RealisticServo
 from construction_twin.scene.objects import Scene
+from construction_twin.servo.model import transition_matrix
 
 ARMS = ("kr120", "kr120_track", *OTHERS)
 FAR = READY + np.array((1.0, 0.3, -0.4, 0.8, -0.6, 1.2))

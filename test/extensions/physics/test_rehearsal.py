@@ -83,9 +83,9 @@ def test_a_load_beyond_the_rating_fails():
 @pytest.mark.parametrize(
     "rating, reason",
     [
-        (PayloadRating(120.0, 0.5, None, "test"), "the load's moment of inertia"),
-        (PayloadRating(120.0, None, (0.2, 0.1), "test"), "the load's centre of mass"),
-        (PayloadRating(120.0, None, (0.05, 0.5), "test"), "the load's centre of mass"),
+        (PayloadRating(mass_kg=120.0, inertia_kg_m2=0.5, source="test"), "the load's moment of inertia"),
+        (PayloadRating(mass_kg=120.0, across_m=0.2, along_m=0.1, source="test"), "the load's centre of mass"),
+        (PayloadRating(mass_kg=120.0, across_m=0.05, along_m=0.5, source="test"), "the load's centre of mass"),
     ],
 )
 def test_a_load_that_is_spread_too_far_fails(rating, reason):
@@ -285,7 +285,9 @@ def test_every_load_of_a_plan_is_judged_and_the_largest_of_each_number_is_told(m
         for name, beyond in (("near", 0.2), ("far", 1.0))
     ]
     scenes = [Scene((load,)) for load in loads]
-    rated = replace(drives(), rating=PayloadRating(120.0, 20.0 if number == "inertia" else None, (0.1, 0.9), "test"))
+    inertia = 20.0 if number == "inertia" else None
+    rating = PayloadRating(mass_kg=120.0, inertia_kg_m2=inertia, across_m=0.1, along_m=0.9, source="test")
+    rated = replace(drives(), rating=rating)
     known = dict(zip(("near", "far"), masses))
     report = rehearse(SMALL, *scenes, drives=rated, masses=known)
     alone = [rehearse(SMALL, scene, drives=rated, masses=known).payload for scene in scenes]

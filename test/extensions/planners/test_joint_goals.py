@@ -13,9 +13,9 @@ import pytest
 from executor_bench import ROBOT
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from construction_twin.core.errors import ConfigurationError, GoalError, GoalJointsError
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.execution.tracking import Motion, Sample
-from construction_twin.extensions.planners.joint_tolerances import Tolerances
+from construction_twin.extensions.planners.joint_tolerances import GoalError, GoalJointsError, Tolerances
 from construction_twin.extensions.planners.nodes.joint_goals import (
     GoalDefaults,
     control_messages,

@@ -9,9 +9,13 @@ from typing import NamedTuple
 import pytest
 from executor_bench import ROBOT
 
-from construction_twin.core.errors import GoalError, GoalJointsError
 from construction_twin.core.sentences import Quantity
-from construction_twin.extensions.planners.joint_tolerances import Tolerances, check_joint_names
+from construction_twin.extensions.planners.joint_tolerances import (
+    GoalError,
+    GoalJointsError,
+    Tolerances,
+    check_joint_names,
+)
 
 NAMES = ROBOT.joint_names
 
@@ -96,16 +100,16 @@ def test_a_tolerance_of_a_joint_that_is_named_twice_is_refused(second):
 
 
 @pytest.mark.parametrize(
-    ("names", "words"),
+    ("names", "found"),
     [
-        (("elbow", *NAMES[1:]), "names the joint 'elbow'"),
-        ((*NAMES, NAMES[0]), "names the joint joint_a1 twice"),
-        (NAMES[1:], "does not name the joint joint_a1"),
-        ((), "does not name the joint joint_a1"),
+        (("elbow", *NAMES[1:]), f"elbow, {', '.join(NAMES[1:])}"),
+        ((*NAMES, NAMES[0]), f"{', '.join(NAMES)}, joint_a1"),
+        (NAMES[1:], ", ".join(NAMES[1:])),
+        ((), "none"),
     ],
 )
-def test_a_goal_names_each_joint_once(names, words):
-    with pytest.raises(GoalJointsError, match=f"the goal {words}; expected each of {', '.join(NAMES)} once"):
+def test_a_goal_names_each_joint_once(names, found):
+    with pytest.raises(GoalJointsError, match=f"names the joints {found}; expected each of {', '.join(NAMES)} once"):
         check_joint_names(ROBOT, names)
 
 

@@ -73,11 +73,6 @@ def test_what_stands_is_grown_by_both_paddings_and_what_is_carried_by_its_own():
     assert (tool.carried, tool.frame, wall.carried, wall.frame) == (True, "tool0", False, "base_link")
 
 
-def test_a_carried_object_may_touch_the_links_that_move_with_it_and_those_it_names():
-    (tool,) = told(Scene((TOOL.moved(TOOL.pose, "tool0", ("link_5",)),))).objects
-    assert set(tool.touch_links) == {"link_5", "link_6", "flange", "tool0"}
-
-
 def test_moveit_reads_the_text_back_as_the_same_objects():
     text, remarks = scene_text(told(Scene((WALL, PIPE, BALL), padding=0.02)), "kr120 0123")
     name, objects = read(text)

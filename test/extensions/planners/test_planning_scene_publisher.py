@@ -23,7 +23,7 @@ from construction_twin.extensions.planners.nodes.planning_scene import MoveitTyp
 from construction_twin.extensions.planners.planner_scene import planner_scene
 from construction_twin.kinematics.chain import Pose
 from construction_twin.ros.nodes.scene import PLANNING_SCENE
-from construction_twin.ros.shared import ports
+from construction_twin.ros.shared import node_shell as ports
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene, SceneObject
 

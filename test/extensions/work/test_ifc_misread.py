@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ifc_models import IfcModel, noted, remarked, two_studs
 
-from construction_twin.core.work_errors import BuildingError
+from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.ifc.reader import read_ifc
 from construction_twin.extensions.work.proposed_schedule import propose
 from construction_twin.extensions.work.schedule import Schedule

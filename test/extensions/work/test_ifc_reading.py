@@ -21,8 +21,8 @@ from hypothesis import strategies as st
 from ifc_models import IfcModel, noted
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.work_errors import BuildingError
 from construction_twin.extensions.work.building import BuildingModel
+from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.ifc import model_file, reading
 from construction_twin.extensions.work.ifc.reader import read_ifc
 from construction_twin.extensions.work.ifc.reading import Bounds, read_building

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from ifc_models import IfcModel, remarked, two_studs
 
-from construction_twin.core.work_errors import BuildingError
+from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.schedule import Schedule
 
 STUD = (0.1, 0.1, 1.0)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from ifc_models import IfcModel, noted
 
-from construction_twin.core.work_errors import BuildingError
 from construction_twin.extensions.work.building import Sequence
+from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.schedule import Schedule
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from building_models import box, building, element
 
-from construction_twin.core.work_errors import PlacementError
+from construction_twin.extensions.work.errors import PlacementError
 from construction_twin.extensions.work.standing import check_placement
 from construction_twin.kinematics.chain import Pose
 

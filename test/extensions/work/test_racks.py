@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from work_samples import BRICK, CELL, SCENE, building, element, layout, site
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.work_errors import BuildingError
+from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.site import CellFile
 from construction_twin.extensions.work.site_scene import WorkState
 
@@ -137,7 +137,7 @@ def test_the_base_may_be_an_element_of_the_model(tmp_path):
         ({"supports": ["bench"]}, "supports.*bench.*floor, rack, table"),
         ({"racks": {"r": {**RACK, "surface": "bench"}}}, "racks/r/surface"),
         ({"racks": {"r": {**RACK, "pitsch": 1}}}, "no such key"),
-        ({"racks": {"r": {**RACK, "rows": 0}}}, "rows.*at least 1"),
+        ({"racks": {"r": {**RACK, "rows": 0}}}, "rows.*greater than or equal to 1"),
         ({"racks": {"r": {**RACK, "kind": "heap"}}}, "heap"),
         ({"racks": {}}, "racks"),
         ({"tool": "nothing.yaml"}, "nothing.yaml"),

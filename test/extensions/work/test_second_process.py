@@ -26,9 +26,9 @@ from work_samples import (
 )
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.work_errors import LedgerError
 from construction_twin.extensions.work import process
 from construction_twin.extensions.work.check import Checker
+from construction_twin.extensions.work.errors import LedgerError
 from construction_twin.extensions.work.following import after_restart
 from construction_twin.extensions.work.heard import GripReading
 from construction_twin.extensions.work.ledger import Ledger

@@ -9,8 +9,8 @@ import pytest
 from work_samples import building, element, layout, pairs, planner, recipes, robot, site, tool
 
 from construction_twin.core.units import CYCLE
-from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.extensions.work.contacts import Shapes
+from construction_twin.extensions.work.errors import TaskPlanningError
 from construction_twin.extensions.work.motions import TaskLimits
 from construction_twin.extensions.work.process import TaskMotions
 from construction_twin.extensions.work.site_scene import Layout, WorkState

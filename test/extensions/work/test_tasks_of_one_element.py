@@ -22,11 +22,11 @@ from work_bench import CARRY, ELEMENT, LEAVE, Bench
 from work_samples import BRICK, ROOT, element, job, robot, site
 
 from construction_twin.core.reports import TaskReport
-from construction_twin.core.work_errors import ScheduleError
 from construction_twin.extensions.work import worker_functions
 from construction_twin.extensions.work.build_report import TaskResult, summary
 from construction_twin.extensions.work.building import Sequence, Task
 from construction_twin.extensions.work.built import change, pose_tuple
+from construction_twin.extensions.work.errors import ScheduleError
 from construction_twin.extensions.work.ifc.reading import read_building
 from construction_twin.extensions.work.ledger import Ledger, read_entries
 from construction_twin.extensions.work.schedule import Job, Schedule, Wait

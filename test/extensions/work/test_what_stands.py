@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from construction_twin.core.work_errors import LedgerError
 from construction_twin.extensions.work.built import pose_tuple
+from construction_twin.extensions.work.errors import LedgerError
 from construction_twin.extensions.work.ledger import Ledger, read_entries
 from construction_twin.extensions.work.prepared import ElementFacts, Prepared
 from construction_twin.extensions.work.schedule import Job, Schedule

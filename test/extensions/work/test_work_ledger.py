@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from construction_twin.core.work_errors import LedgerError
+from construction_twin.extensions.work.errors import LedgerError
 from construction_twin.extensions.work.ledger import Ledger, fold, read_entries
 from construction_twin.extensions.work.task_memory import (
     PLANNABLE,

@@ -22,9 +22,9 @@ from work_bench import (
     Killed,
 )
 
-from construction_twin.core.work_errors import LedgerError
 from construction_twin.core.worker import Worker
 from construction_twin.extensions.work.built import pose_of_tuple
+from construction_twin.extensions.work.errors import LedgerError
 from construction_twin.extensions.work.ledger import Ledger
 from construction_twin.extensions.work.prepared import WORKER
 from construction_twin.scene.objects import SceneObject as Body

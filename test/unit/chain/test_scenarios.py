@@ -20,7 +20,7 @@ from chain_samples import ROBOT, SETTINGS
 from rich.console import Console
 from simulation import POLL, SimulatedChain
 
-from construction_twin.core.errors import ReviewError, ScenarioError
+from construction_twin.core.errors import ReviewError
 from construction_twin.core.freshness import Moment
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import NANOSECONDS, from_wire, to_wire
@@ -41,7 +41,7 @@ from construction_twin.ros.commands.experiment import RestDetector
 from construction_twin.ros.commands.scenario import print_verdict
 from construction_twin.ros.nodes.executor import BACKGROUND_PERIOD
 from construction_twin.ros.shared.gateway_config import gateway_config
-from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, Step, make_scenario
+from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, ScenarioError, Step, make_scenario
 from construction_twin.scenario.judge import Judgement, judge
 from construction_twin.scenario.timeline import Change, GatewayStop, Run, SyncMoment
 from construction_twin.scene.objects import Scene

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from construction_twin.core import freshness as robot_clock
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import LIFETIME, Moment, is_newer, parse_moment, staleness
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.ros.shared import robot_clock
 
 SEEN = Moment("c0ffee00", 1000 * NANOSECONDS)
 

@@ -6,7 +6,7 @@ from enum import Enum
 
 import pytest
 
-from construction_twin.core.state_table import Machine, Occasion, Rows, by_cause, cells, conditions, row_of
+from construction_twin.core.state_table import Machine, Occasion, Rows, by_cause, conditions, row_of
 
 
 class Number(Enum):
@@ -53,16 +53,6 @@ def test_rows_of_a_cause_are_tried_in_the_table_s_order_and_every_cause_has_an_e
     assert found[Number.REST, Event.WAIT] == ()
 
 
-def test_a_table_is_told_in_words_and_a_state_that_stays_is_left_out():
-    assert cells(TABLE)[:2] == [
-        ("REST", "a person says go", "the key is turned", "it honks", "MOTION"),
-        ("REST", "a person says go", "", "", ""),
-    ]
-    assert cells(tuple(Rows(Word, Event, Guard, Action)(Word, Event.WAIT, Word.REST))) == [
-        ("at_rest", "a person says wait", "", "", "at_rest")
-    ]
-
-
 def test_the_first_row_that_nothing_speaks_against_is_applied_and_its_state_entered_for_a_reason():
     seen = []
     driven = machine(after=lambda row, occasion: seen.append((row.target, occasion.reason)))
@@ -97,7 +87,6 @@ def test_what_would_be_applied_can_be_asked_without_applying_it():
     driven = machine()
     assert driven.row(Event.GO, Occasion(now=1)) is TABLE[0] and driven.row(Event.GO, Occasion()) is TABLE[1]
     assert driven.row(Event.WAIT, Occasion()) is None and driven.state is Number.REST
-    assert driven.holds(Guard.ALLOWED, Occasion(now=1)) and not driven.holds(Guard.ALLOWED, Occasion())
 
 
 @pytest.mark.parametrize("actions, guards, missing", [({}, TURNED, "HONK"), (HONKS, {}, "ALLOWED")])

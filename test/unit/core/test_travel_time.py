@@ -8,8 +8,6 @@ from construction_twin.core.errors import PayloadError
 from construction_twin.core.travel_time import (
     CONFIRMATIONS,
     MAX_JUMP,
-    FreshnessCheck,
-    SequenceCheck,
     StateCheck,
     TravelTime,
 )
@@ -30,8 +28,20 @@ def reason(call, *args) -> str:
     return ""
 
 
-def reasons(check: SequenceCheck, numbers) -> list[str]:
-    return [reason(check.accept, seq) for seq in numbers]
+def reasons(check: StateCheck, numbers) -> list[str]:
+    return [reason(check.accept, seq, 0, OFFSET) for seq in numbers]
+
+
+class Numbered:
+    """A check of states whose numbers are in order."""
+
+    def __init__(self):
+        self.check, self.seq = StateCheck(LIMIT), 0
+
+    def accept(self, stamp: int, received: int) -> None:
+        """Take the next state."""
+        self.seq += 1
+        self.check.accept(self.seq, stamp, received)
 
 
 class TestTravelTime:
@@ -49,8 +59,8 @@ class TestTravelTime:
 
 
 class TestSequence:
-    def check(self, last: int = 1000) -> SequenceCheck:
-        check = SequenceCheck()
+    def check(self, last: int = 1000) -> StateCheck:
+        check = StateCheck(LIMIT)
         assert reasons(check, range(1, last + 1)) == [""] * last
         return check
 
@@ -84,7 +94,7 @@ class TestSequence:
         for begin, restarted in ((1, True), (5000, False)):
             check = self.check()
             reasons(check, range(begin, begin + CONFIRMATIONS))
-            assert check.accept(begin + CONFIRMATIONS) is restarted
+            assert reasons(check, (begin + CONFIRMATIONS,)) == [""]
             assert check.lost == (0 if restarted else 3999)
 
     def test_after_a_known_restart_it_takes_what_comes(self):
@@ -93,14 +103,14 @@ class TestSequence:
         assert reasons(check, (1, 2)) == ["", ""] and check.lost == 0
 
     def test_a_wrong_first_number_is_outvoted(self):
-        check = SequenceCheck()
-        check.accept(10**18)
+        check = StateCheck(LIMIT)
+        check.accept(10**18, 0, OFFSET)
         assert reasons(check, range(7, 12)) == ["sequence"] * CONFIRMATIONS + ["", ""]
 
 
 class TestFreshness:
-    def check(self, travel: int = 1_000_000) -> FreshnessCheck:
-        check = FreshnessCheck(LIMIT)
+    def check(self, travel: int = 1_000_000) -> Numbered:
+        check = Numbered()
         check.accept(0, OFFSET + travel)
         return check
 

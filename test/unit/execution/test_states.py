@@ -6,7 +6,6 @@ import pytest
 from construction_twin.msg import Execution
 from executor_bench import Bench, make_plan, make_work_plan
 
-from construction_twin.core.state_table import cells
 from construction_twin.execution.states import (
     ACTIVE,
     MOVING,
@@ -59,11 +58,6 @@ def test_whatever_ends_a_motion_counts_in_every_state_that_moves():
 
 def test_values_are_those_of_the_message():
     assert all(getattr(Execution, state.name) == state.value for state in ExecutorState)
-
-
-def test_the_rows_for_the_documentation_are_words():
-    assert len(cells(TABLE)) == len(TABLE)
-    assert cells(TABLE)[0] == ("WAITING", "agreed", "", "the setpoint begins at the twin's pose", "IDLE")
 
 
 def bench_in(state: ExecutorState) -> Bench:

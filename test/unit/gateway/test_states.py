@@ -7,7 +7,7 @@ import dataclasses
 import pytest
 from gateway_cell import Cell, following, gap, slow
 
-from construction_twin.core.state_table import Machine, cells
+from construction_twin.core.state_table import Machine
 from construction_twin.gateway.states import TABLE, Action, Event, Guard, State
 
 
@@ -27,14 +27,11 @@ def changes(monkeypatch) -> list:
     return taken
 
 
-def test_guards_and_actions_are_all_used_and_rows_are_in_words():
+def test_guards_and_actions_are_all_used_and_no_row_comes_twice():
     assert {row.guard for row in TABLE} == set(Guard)
     assert {row.action for row in TABLE} == set(Action)
     assert {row.event for row in TABLE} == set(Event)
-    assert len(cells(TABLE)) == len(TABLE) == len(set(TABLE))
-    for state, event, guard, action, target in cells(TABLE):
-        assert state and event and isinstance(guard, str) and isinstance(action, str)
-        assert target in {"", *(each.value for each in State)}
+    assert len(TABLE) == len(set(TABLE))
 
 
 def test_nothing_leads_out_of_failed():

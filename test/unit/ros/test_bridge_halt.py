@@ -17,8 +17,7 @@ from processes import wait_until
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.observations import LinkState
 from construction_twin.ros.nodes import mqtt_bridge
-from construction_twin.ros.shared.deferred_log import DeferredLog
-from construction_twin.ros.shared.diagnostics import WARN
+from construction_twin.ros.shared.diagnostics import WARN, DeferredLog
 
 
 def fail(*_given, **_named):

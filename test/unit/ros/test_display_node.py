@@ -29,6 +29,7 @@ from construction_twin.review.rehearsal_report import (
 )
 from construction_twin.robot.plan import Plan
 from construction_twin.ros.messages.convert import plan_to_msg, pose_from_transform_msg
+from construction_twin.ros.messages.display_markers import COLOURS
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.scene_convert import scene_to_msg
 from construction_twin.ros.nodes import display as module
@@ -36,7 +37,6 @@ from construction_twin.ros.nodes.display import NODE, Settings
 from construction_twin.ros.shared.frames import PUBLISHERS, SHOWN
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.views.sync_picture import COLOURS
 
 STOCK = SceneObject("beam/0", "box", (0.1, 0.1, 1.0), (1.0, -1.0, 0.5))
 HELD = dataclasses.replace(STOCK, position=(0.0, 0.0, 0.5), link="tool0")

@@ -33,8 +33,7 @@ from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.robot.segments import Switch
 from construction_twin.ros.nodes import executor as module
-from construction_twin.ros.shared.deferred_log import KEPT, DeferredLog
-from construction_twin.ros.shared.diagnostics import ERROR
+from construction_twin.ros.shared.diagnostics import ERROR, LINES_KEPT, DeferredLog
 
 
 @pytest.fixture
@@ -403,7 +402,7 @@ class TestAge:
 
 def test_a_full_log_forgets_the_oldest_lines():
     log, lines = DeferredLog(), []
-    for k in range(KEPT + 5):
+    for k in range(LINES_KEPT + 5):
         log.add(lines.append, k)
     log.flush()
     assert lines[0] == 5 and log.flush() is None

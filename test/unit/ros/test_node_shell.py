@@ -18,12 +18,11 @@ from construction_twin.core.errors import ConfigurationError, PoseUnknownError
 from construction_twin.ros import nodes
 from construction_twin.ros.shared import node_shell as module
 from construction_twin.ros.shared.diagnostics import OK, Report
-from construction_twin.ros.shared.node_shell import NodeShell
-from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.ports import (
+from construction_twin.ros.shared.node_shell import (
     Every,
     Interface,
     NewestPose,
+    NodeShell,
     Ports,
     PoseSubscription,
     Publication,
@@ -31,6 +30,7 @@ from construction_twin.ros.shared.ports import (
     SharedParameter,
     Subscription,
 )
+from construction_twin.ros.shared.outcome import Outcome
 
 ROOT = Path(__file__).resolve().parents[3]
 

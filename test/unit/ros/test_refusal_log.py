@@ -10,7 +10,7 @@ import rospy
 from processes import wait_until
 
 from construction_twin.ros.shared import diagnostics as module
-from construction_twin.ros.shared.refusal_log import KEPT, PERIOD, RefusalLog, warn_of_refusals
+from construction_twin.ros.shared.diagnostics import KEPT, PERIOD, RefusalLog, warn_of_refusals
 
 
 def sentence(topic: str, stranger: str = "/play_1") -> str:

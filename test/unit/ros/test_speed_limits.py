@@ -119,7 +119,7 @@ def test_executor_and_gateway_are_kept_to_the_stricter_of_what_each_was_told(mon
 
 @pytest.mark.parametrize("node, value", [("executor", "soon"), ("gateway", -1.0)])
 def test_what_is_no_rule_is_a_sentence_that_names_it(monkeypatch, tmp_path, node, value):
-    with pytest.raises(ConfigurationError, match=f"{node}.*speed_limit_deadline.*{value}.*above 0"):
+    with pytest.raises(ConfigurationError, match=f"{node}.*speed_limit_deadline.*{value}.*expected"):
         Bench(monkeypatch, tmp_path, **{node: {"speed_limit_deadline": value}})
 
 

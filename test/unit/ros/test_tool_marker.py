@@ -1,18 +1,23 @@
-"""The menu of the marker at the tool: what it decides about, whom it obeys; and how the marker looks."""
+"""The marker at the tool: its goal, its menu, what that decides about, and whose clicks count."""
 
 from __future__ import annotations
 
+import itertools
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+import rospy
 from executor_bench import ROBOT, make_plan
-from visualization_msgs.msg import InteractiveMarkerFeedback
+from interactive_markers import interactive_marker_server as stock
+from visualization_msgs.msg import InteractiveMarker, InteractiveMarkerFeedback
 
-from construction_twin.kinematics.chain import Chain
+from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.link.requests import GoalRequest, ReviewRequest
+from construction_twin.ros.nodes.tool_marker import MarkerServer
 from construction_twin.ros.shared import tool_marker_menu as module
 from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.tool_marker_menu import SHOWN, MarkerGoal, ToolMarkerMenu
+from construction_twin.ros.shared.tool_marker_menu import REACHED, SHOWN, MarkerGoal, ToolMarkerMenu, moved
 
 
 class Client:
@@ -135,3 +140,68 @@ def test_one_plan_at_a_time(world):
     world.client.plan = second
     world.menu.choose("Plan")
     assert [line for line in world.said if "being made already" in line] and world.said[-1] == "Plan: planned"
+
+
+# -- its goal
+
+
+def test_a_goal_that_a_plan_led_to_is_told_from_another():
+    chain, plan, goal = Chain(ROBOT), make_plan("p1"), MarkerGoal()
+    begin, end = (chain.forward(plan.trajectory.positions[index]) for index in (0, -1))
+    goal.drag(begin)
+    goal.reached(end)
+    assert goal.pose is begin
+    goal.drag(end)
+    goal.reached(chain.forward(plan.trajectory.positions[-1]))
+    assert goal.pose is None
+    goal.reached(end)
+    assert goal.pose is None
+
+
+def test_moved_is_position_or_rotation():
+    origin = Pose(np.zeros(3), np.eye(3))
+    assert not moved(origin, Pose(np.full(3, 0.9 * REACHED), np.eye(3)), REACHED)
+    assert moved(origin, Pose(np.array([0.0, 1.1 * REACHED, 0.0]), np.eye(3)), REACHED)
+    turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    assert moved(origin, Pose(np.zeros(3), turned), REACHED)
+
+
+# -- whose clicks count
+
+
+@pytest.fixture
+def made(monkeypatch):
+    """A server without ROS around it, what it refused, and what it handed on."""
+    for name in ("Publisher", "Subscriber", "Timer"):
+        monkeypatch.setattr(stock.rospy, name, lambda *_, **__: SimpleNamespace(publish=lambda _: None))
+    # the stock server takes nothing from a second client for a second
+    clock = itertools.count(1000, 2)
+    monkeypatch.setattr(rospy.Time, "now", staticmethod(lambda: rospy.Time(next(clock))))
+    refused, taken = [], []
+    server = MarkerServer("tool_marker", lambda *said: refused.append(said))
+    server.insert(InteractiveMarker(name="tool"), taken.append)
+    server.applyChanges()
+    return server, refused, taken
+
+
+def sent_click(client: str, sender: str) -> InteractiveMarkerFeedback:
+    feedback = InteractiveMarkerFeedback(
+        client_id=client, marker_name="tool", event_type=InteractiveMarkerFeedback.MENU_SELECT, menu_entry_id=3
+    )
+    feedback._connection_header = {"callerid": sender} if sender else {}
+    return feedback
+
+
+def test_the_click_of_an_rviz_is_taken(made):
+    server, refused, taken = made
+    server.processFeedback(sent_click("/rviz_1234/Marker", "/rviz_1234"))
+    assert [each.menu_entry_id for each in taken] == [3] and refused == []
+
+
+@pytest.mark.parametrize("sender", ["/play_1", "/rviz_12", ""])
+def test_a_click_that_is_played_is_refused_and_named(made, sender):
+    server, refused, taken = made
+    server.processFeedback(sent_click("/rviz_1234/Marker", sender))
+    assert taken == [] and len(refused) == 1
+    reason, sentence = refused[0]
+    assert reason == "publisher" and "/rviz_1234/Marker" in sentence and (sender or "without a name") in sentence

@@ -8,11 +8,10 @@ import pytest
 import yaml
 from mock_cell import Cell
 
-from construction_twin.core.errors import ScenarioError
 from construction_twin.core.units import from_wire
 from construction_twin.mock.faults import KINDS, Fault, FaultBoard
 from construction_twin.robot.description import read_robot_files
-from construction_twin.scenario.definition import Scenario, make_scenario
+from construction_twin.scenario.definition import Scenario, ScenarioError, make_scenario
 
 ROOT = Path(__file__).resolve().parents[3]
 FILES = sorted((ROOT / "config/scenarios").glob("*.yaml"))

@@ -1,22 +1,16 @@
-"""The preview: the ghost plays the plan under review and nothing else, and the drawing says what was measured."""
+"""The preview: the ghost plays the plan under review and nothing else."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
-import numpy as np
 import pytest
 from plan_samples import make_plan
 
 from construction_twin.core.errors import ReviewError
-from construction_twin.robot.plan import Clearance, Plan
+from construction_twin.robot.plan import Plan
 from construction_twin.robot.trajectory import Trajectory
-from construction_twin.views.preview import (
-    LOOP_REST,
-    Preview,
-    picture,
-)
+from construction_twin.views.preview import LOOP_REST, Preview
 
 NAMES = ("joint_a1", "joint_a2")
 TWIN = (0.3, -0.3)
@@ -24,10 +18,9 @@ GOAL = (1.0, 2.0)
 DURATION = 2.0
 
 
-def plan(name: str = "p", duration: float = DURATION, clearance: Clearance | None = None) -> Plan:
+def plan(name: str = "p") -> Plan:
     rest = [[0.0, 0.0]] * 2
-    made = make_plan(Trajectory(NAMES, [0.0, duration], [[0.0, 0.0], [1.0, 2.0]], rest, rest), name)
-    return made if clearance is None else replace(made, report=replace(made.report, clearance=clearance))
+    return make_plan(Trajectory(NAMES, [0.0, DURATION], [[0.0, 0.0], [1.0, 2.0]], rest, rest), name)
 
 
 @pytest.fixture
@@ -145,30 +138,3 @@ class TestShown:
         end(preview)
         preview.on_plan(plan())
         assert preview.plan is None
-
-
-#: Height of the text of the sync state [m], far above.
-HEADLINE = 9.0
-
-
-def tool(q: np.ndarray) -> np.ndarray:
-    return np.array([q[0], q[1], 1.0 - (q[0] - 0.5) ** 2])
-
-
-def skeleton(q: np.ndarray) -> np.ndarray:
-    """An arm whose elbow is higher than its tool."""
-    return np.array([(0.0, 0.0, 0.0), (0.1, 0.2, 1.5 + 0.1 * q[0]), tool(q)])
-
-
-class TestPicture:
-    def test_the_path_is_the_tool_s_along_the_motion(self):
-        drawing = picture(plan(), skeleton, HEADLINE)
-        assert drawing.path.shape == (101, 3)
-        np.testing.assert_allclose(drawing.path[0], tool(np.zeros(2)))
-        np.testing.assert_allclose(drawing.path[-1], tool(np.array([1.0, 2.0])))
-        np.testing.assert_allclose(drawing.path[:, 1], 2.0 * drawing.path[:, 0], atol=1e-12)
-
-    def test_the_closest_point_is_marked_only_where_there_is_something_to_touch(self):
-        assert picture(plan(), skeleton, HEADLINE).closest is None
-        clearance = Clearance(0.0312, ("link_5", "wall"), (1.2, -0.4, 0.9), 0.752)
-        assert picture(plan(clearance=clearance), skeleton, HEADLINE).closest == (1.2, -0.4, 0.9)

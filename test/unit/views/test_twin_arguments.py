@@ -1,4 +1,4 @@
-"""The command line's words, goals and texts."""
+"""The command line's words and goals."""
 
 from __future__ import annotations
 
@@ -12,27 +12,15 @@ from hypothesis import strategies as st
 from scene_samples import kr120, track7
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
 from construction_twin.robot.frames import rotation_to_abc
-from construction_twin.views.arguments import Exit, check, parser, split_lists
+from construction_twin.views.arguments import Exit, check, parser
 from construction_twin.views.goals import joint_goal, pose_goal
-from construction_twin.views.snapshot import Snapshot
 
 ANGLES = st.floats(-89.0, 89.0)
 
 
 def parsed(text: str):
-    return parser("kr120").parse_args(split_lists(shlex.split(text)))
-
-
-def snapshot(**changes) -> Snapshot:
-    robot = kr120()
-    facts = {
-        "link": LinkReport("ARMED", "commands flow"),
-        "sync": SyncReport("IN_SYNC", "the poses agree"),
-        "execution": ExecutionReport("IDLE", "twin and arm agree"),
-    }
-    return Snapshot("kr120", 100.0, robot.joint_names, robot.linear, **(facts | changes))
+    return parser("kr120").parse_args(shlex.split(text))
 
 
 # -- words
@@ -54,28 +42,6 @@ def test_nonsense_is_a_usage_error(text, capsys):
     with pytest.raises(SystemExit) as ending:
         parsed(text)
     assert ending.value.code == Exit.USAGE and "usage" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    "values, field",
-    [
-        ("30,-75,,70,20,70,-40", "30,-75,,70,20,70,-40"),
-        (",30,-75,70,20,70", ",30,-75,70,20,70"),
-        ("30,-75,,", "30,-75,,"),
-        ("-30,,-75", "-30,,-75"),
-        ("'30, ,70'", "30, ,70"),
-        ("30, , 70", ","),
-        (", 30 70", ","),
-        ("30,, 70", "30,,"),
-        (",", ","),
-    ],
-)
-@pytest.mark.parametrize("option", ["--joints ", "--joints="])
-def test_an_empty_field_of_a_list_is_refused(option, values, field, capsys):
-    with pytest.raises(SystemExit) as ending:
-        parsed(f"plan {option}{values}")
-    assert ending.value.code == Exit.USAGE
-    assert f"'{field}' has an empty field at a comma" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -128,52 +94,9 @@ def test_a_pose_inside_of_the_robot_s_foot_is_refused_as_probably_metres_and_nev
     assert said.endswith("probably in metres. If so, give 1300 -300 1400")
 
 
-# -- texts
-
-
-def test_ready_only_when_a_plan_could_be_approved():
-    assert snapshot().not_ready() == []
-    assert snapshot(link=None).not_ready() == []
-    assert snapshot(sync=None).not_ready() == ["sync is silent; expected IN_SYNC"]
-    (why,) = snapshot(link=LinkReport("NEEDS_RESET", "it braked")).not_ready()
-    assert why == "link is NEEDS_RESET, expected ARMED: it braked"
-
-
-def test_not_ready_when_the_monitor_fell_silent():
-    facts = {
-        "link": LinkReport("ARMED", ""),
-        "sync": SyncReport("IN_SYNC", ""),
-        "execution": ExecutionReport("IDLE", ""),
-    }
-    robot = kr120()
-    snapshot = Snapshot("kr120", 0.0, robot.joint_names, robot.linear, **facts)
-    assert snapshot.not_ready() == []
-    silent = Snapshot("kr120", 0.0, robot.joint_names, robot.linear, **facts, silent={"sync": 3.0})
-    assert silent.not_ready() == ["sync has been silent for 3 s; expected IN_SYNC"]
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        "-30,-75,70,20,70,-40",
-        "-30, -75, 70, 20, 70, -40",
-        "'-30, -75, 70, 20, 70, -40'",
-        "-30 -75 70 20 70 -40",
-        "'-30 -75 70 20 70 -40'",
-        "-30.0,-75,+70,2e1,70.,-40",
-        "-30 , -75 , 70 , 20 , 70 , -40",
-    ],
-)
-def test_a_list_of_values_may_have_commas(words):
-    values = [-30.0, -75.0, 70.0, 20.0, 70.0, -40.0]
-    assert parsed(f"plan --joints {words}").joints == values
-    assert parsed(f"plan --joints={words}").joints == values
-    assert parsed(f"plan --pose {words} --speed 20").pose == values
-    assert parsed(f"work measured --pose {words} element").element == "element"
-
-
-def test_a_decimal_comma_is_refused_and_not_taken_for_two_values(capsys):
+def test_a_comma_is_refused_and_not_taken_for_two_values(capsys):
     for words in ("30,5 -75,0 70,5", "30,5 -75 70 20 70 -40"):
         with pytest.raises(SystemExit):
             parsed(f"plan --joints {words}")
         assert "'30,5' holds a comma: write decimals with a point" in capsys.readouterr().err
+    assert parsed("plan --joints -30.0 -75 +70 2e1 70. -40").joints == [-30.0, -75.0, 70.0, 20.0, 70.0, -40.0]

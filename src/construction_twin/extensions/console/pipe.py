@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 from aiohttp import WSMsgType, web
 
-from construction_twin.core.rate_limit import TokenBucket
+from construction_twin.core.units import NANOSECONDS
 
 #: Close codes that the page knows (RFC 6455 leaves 4000 to 4999 to applications).
 BROKER_AWAY, NOT_MQTT, TOO_MUCH = 4001, 4002, 4003
@@ -76,6 +76,28 @@ def drop_silent_peer(connection: socket.socket, seconds: float) -> None:
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 1)
     # counts in place of the number of keep-alive probes, and for a window that stays closed
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(seconds * 1000))
+
+
+class TokenBucket:
+    """Tokens that are used up and come back at a rate."""
+
+    __slots__ = ("_burst", "_owed", "_rate", "_seen")
+
+    def __init__(self, rate: float, burst: float):
+        self._rate = rate
+        # tokens are counted in ns, so that whole rates and bursts are exact
+        self._burst = burst * NANOSECONDS
+        self._owed: float = 0
+        self._seen = 0
+
+    def take(self, now: int, amount: float = 1) -> bool:
+        """Use up `amount` tokens; return False, and use up none, where there are fewer."""
+        # a clock that goes back gives nothing
+        owed = max(0, self._owed - max(0, now - self._seen) * self._rate) + amount * NANOSECONDS
+        if owed > self._burst:
+            return False
+        self._owed, self._seen = owed, now
+        return True
 
 
 class Pipe:

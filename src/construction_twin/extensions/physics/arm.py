@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from construction_twin.core.servo_lag import transition_matrix
 from construction_twin.core.units import CYCLE
 from construction_twin.extensions.physics.drive import ArmDrives
 from construction_twin.extensions.physics.mass import MassProperties
@@ -26,6 +25,7 @@ from construction_twin.robot.description import JointValues
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.self_collision import SelfCollision
+from construction_twin.servo.model import transition_matrix
 
 #: Of the lag, as of `mock.servo.RealisticServo`: natural frequency [rad/s] and damping.
 OMEGA, ZETA = 60.0, 0.8
@@ -34,6 +34,8 @@ STIFFNESS = 150.0
 _STIFFNESS, _DAMPING = STIFFNESS**2, 2.0 * STIFFNESS
 #: Below this speed friction is taken to grow with speed [rad/s], [m/s], so that an axis at rest has no torque that jumps.
 CREEPING = 1e-3
+#: What MuJoCo warns of when a state has become useless.
+_BROKEN = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
 
 
 @dataclass(frozen=True)
@@ -188,6 +190,37 @@ def _course(servo: Servo, step: float) -> np.ndarray:
             answer, speed = target + xx * error + xv * speed, vx * error + vv * speed
         course[:, number] = answer, speed, (speed - before) / step
     return course
+
+
+class GravityTorque:
+    """Torques that hold the arm still where it is, and its kinetic energy; in a state of its own."""
+
+    def __init__(self, physics: PhysicsModel):
+        self._physics = physics
+        self._data = mujoco.MjData(physics.model)
+        self._product, self._speed = np.zeros(physics.model.nv), np.zeros(physics.model.nv)
+
+    def at(self, data: mujoco.MjData) -> np.ndarray:
+        """Return the torques, shape (n,)."""
+        model, own = self._physics.model, self._data
+        own.qpos[:] = data.qpos
+        mujoco.mj_kinematics(model, own)
+        mujoco.mj_comPos(model, own)
+        mujoco.mj_comVel(model, own)
+        mujoco.mj_rne(model, own, 0, self._product)
+        return self._physics.of_joints(self._product)
+
+    def kinetic(self, data: mujoco.MjData) -> float:
+        """Return the kinetic energy of the arm with what it carries [J]; what falls or is pushed is none of it."""
+        self._speed[self._physics.joints] = data.qvel[self._physics.joints]
+        self._physics.lead(self._speed)
+        mujoco.mj_mulM(self._physics.model, data, self._product, self._speed)
+        return 0.5 * float(self._speed @ self._product)
+
+
+def is_broken(data: mujoco.MjData) -> bool:
+    """Return whether the numbers are no motion any more; MuJoCo itself starts anew then, and counts."""
+    return not np.isfinite(data.qpos).all() or any(data.warning[kind].number for kind in _BROKEN)
 
 
 def bare_model(bodies: RobotBodies, drives: ArmDrives, flange: MassProperties | None = None) -> PhysicsModel:

@@ -23,20 +23,22 @@ _NotNegative = Annotated[float, pydantic.Field(ge=0.0, le=1e7, allow_inf_nan=Fal
 _Finite = Annotated[float, pydantic.Field(ge=-1e4, le=1e4, allow_inf_nan=False)]
 
 
-@dataclass(frozen=True)
-class PayloadRating:
-    """What the arm may carry at its flange.
+class _Strict(pydantic.BaseModel):
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+
+class PayloadRating(_Strict):
+    """What the arm may carry at its flange, with its source; None: not known.
 
     Attributes:
-        mass: [kg]
-        inertia: Largest moment of inertia of the load at the flange [kg m^2]; None: not known.
-        distance: Of the load's centre of mass from the flange at most, across the last axis and along it [m]; None: not known.
-        source: Where the numbers are from.
+        inertia_kg_m2: Largest moment of inertia of the load at the flange.
+        across_m, along_m: How far the load's centre of mass may be from the flange, across the last axis and along it.
     """
 
-    mass: float
-    inertia: float | None
-    distance: tuple[float, float] | None
+    mass_kg: _Positive
+    inertia_kg_m2: _Positive | None = None
+    across_m: _Positive | None = None
+    along_m: _Positive | None = None
     source: str
 
 
@@ -63,10 +65,6 @@ class ArmDrives:
     estimates: tuple[str, ...]
 
 
-class _Strict(pydantic.BaseModel):
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
-
-
 class _Axis(_Strict):
     """One axis of the file; units in the keys are those of an axis that turns."""
 
@@ -76,19 +74,11 @@ class _Axis(_Strict):
     friction_nm: _NotNegative = 0.0
 
 
-class _Rating(_Strict):
-    mass_kg: _Positive
-    inertia_kg_m2: _Positive | None = None
-    across_m: _Positive | None = None
-    along_m: _Positive | None = None
-    source: str
-
-
 class _DrivesFile(_Strict):
     robot: str
     source: str
     joints: dict[str, _Axis]
-    payload: _Rating | None = None
+    payload: PayloadRating | None = None
     # a word that is none would leave an estimate unnamed
     estimates: tuple[Literal["torque", "armature", "damping", "friction", "payload", "link_masses"], ...] = ()
 
@@ -100,8 +90,8 @@ def drives_of(robot: RobotModel) -> ArmDrives:
 
 
 def read_drives(path: str | Path, robot: RobotModel) -> ArmDrives:
-    """Read the file of an arm's drives, see config/kr120_drives.yaml."""
-    return load_drives(read_yaml(path), robot, str(path))
+    """Read the file of an arm's drives, see config/kr120_drives.yaml; no path: what the URDF says."""
+    return load_drives(read_yaml(path), robot, str(path)) if path else drives_of(robot)
 
 
 def load_drives(content: object, robot: RobotModel, where: str) -> ArmDrives:
@@ -114,16 +104,13 @@ def load_drives(content: object, robot: RobotModel, where: str) -> ArmDrives:
         expected = f"one entry for each of {list(robot.joint_names)}"
         raise ConfigurationError(f"{where}/joints", sorted(read.joints), expected)
     axes = [read.joints[name] for name in robot.joint_names]
-    efforts, rating = _efforts(robot), None
-    if (load := read.payload) is not None:
-        distance = None if load.across_m is None or load.along_m is None else (load.across_m, load.along_m)
-        rating = PayloadRating(load.mass_kg, load.inertia_kg_m2, distance, load.source)
+    efforts = _efforts(robot)
     return ArmDrives(
         tuple(axis.torque_nm or effort for axis, effort in zip(axes, efforts)),
         tuple(axis.armature_kg_m2 for axis in axes),
         tuple(axis.damping_nm_s for axis in axes),
         tuple(axis.friction_nm for axis in axes),
-        rating,
+        read.payload,
         read.source,
         read.estimates,
     )

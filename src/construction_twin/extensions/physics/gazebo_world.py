@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -279,25 +278,14 @@ def _looks(bodies: RobotBodies) -> dict[int, list[Element]]:
 
 
 def _stl(shape: coal.CollisionGeometry) -> bytes:
-    """Return a mesh as a binary STL file."""
-    if isinstance(shape, coal.BVHModelBase):
-        vertices, triangles = mesh_triangles(shape)
-        corners = vertices[triangles]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    else:
-        from scipy.spatial import ConvexHull  # for these shapes alone
+    """Return a mesh, or the hull of a shape's corners, as a binary STL file."""
+    import trimesh  # for these shapes alone
 
-        hull = ConvexHull(np.array(shape.points(), dtype=float))
-        corners, normals = hull.points[hull.simplices], hull.equations[:, :3]
-        inward = (
-            np.einsum("ij,ij->i", np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), normals) < 0
-        )
-        corners[inward] = corners[inward][:, ::-1]
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = normals / np.where(lengths > 0.0, lengths, 1.0)
-    records = np.zeros(len(corners), dtype=[("numbers", "<f4", 12), ("attribute", "<u2")])
-    records["numbers"] = np.concatenate((normals[:, None], corners), axis=1).reshape(len(corners), 12)
-    return bytes(80) + struct.pack("<I", len(corners)) + records.tobytes()
+    if isinstance(shape, coal.BVHModelBase):
+        mesh = trimesh.Trimesh(*mesh_triangles(shape), process=False)
+    else:
+        mesh = trimesh.convex.convex_hull(np.array(shape.points(), dtype=float))
+    return trimesh.exchange.stl.export_stl(mesh)
 
 
 def _add(parent: Element, tag: str, *content: object, **attributes: str) -> Element:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import yaml
-from scipy.optimize import least_squares
+from scipy.optimize import approx_fprime, least_squares
 from scipy.signal import lfilter
 
 from construction_twin.core.errors import ConstructionTwinError
@@ -210,14 +210,8 @@ class _Fit:
 
     def _judged(self, name: str, servo: JointServo, taken: tuple[str, ...]) -> IdentifiedJoint:
         values, residuals = _values(servo, taken), self._residuals(servo)
-        slopes, lags = [], []
-        for index in range(len(values)):
-            step = np.zeros(len(values))
-            step[index] = 1e-4
-            ahead, behind = _servo(values + step, taken), _servo(values - step, taken)
-            slopes.append((self._residuals(ahead) - self._residuals(behind)) / 2e-4)
-            lags.append((ahead.lag(self._period) - behind.lag(self._period)) / 2e-4)
-        jacobian, slope = np.array(slopes).T, np.array(lags)
+        jacobian = approx_fprime(values, lambda each: self._residuals(_servo(each, taken)), 1e-4)
+        slope = approx_fprime(values, lambda each: _servo(each, taken).lag(self._period), 1e-4)
         rms = float(np.sqrt(np.mean(residuals**2)))
         # neighbouring samples err alike: their noise is rounding, and what the model lacks; counted as one in ten
         covariance = np.linalg.pinv(jacobian.T @ jacobian) * 10.0 * rms**2

@@ -111,9 +111,11 @@ def worst_payload(payloads: Sequence[MassProperties], bodies: RobotBodies, ratin
     """
     rated = PayloadLoad()
     if rating is not None:
-        across, along = rating.distance or (0.0, 0.0)
         rated = PayloadLoad(
-            rated_mass=rating.mass, rated_inertia=rating.inertia or 0.0, rated_across=across, rated_along=along
+            rated_mass=rating.mass_kg,
+            rated_inertia=rating.inertia_kg_m2 or 0.0,
+            rated_across=rating.across_m or 0.0,
+            rated_along=rating.along_m or 0.0,
         )
     if not payloads:
         return rated

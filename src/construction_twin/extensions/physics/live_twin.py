@@ -11,11 +11,8 @@ from collections import deque
 import mujoco
 import numpy as np
 
-from construction_twin.extensions.physics.arm import Servo, SimulatedArm
+from construction_twin.extensions.physics.arm import Servo, SimulatedArm, is_broken
 from construction_twin.extensions.physics.model import PhysicsModel
-
-#: What MuJoCo warns of when a state has become useless; by itself it would go on from a pose of its own.
-_DIVERGED = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
 
 
 class LiveTwin:
@@ -65,7 +62,7 @@ class LiveTwin:
         if arm is None:
             return commanded
         arm.cycle(np.array(commanded))
-        if not np.isfinite(arm.q).all() or any(arm.data.warning[kind].number for kind in _DIVERGED):
+        if is_broken(arm.data):
             self.diverged += 1
             self.restart()
             return commanded

@@ -8,7 +8,7 @@ import numpy as np
 
 from construction_twin.core.units import CYCLE
 from construction_twin.extensions.physics.arm import Plant, bare_model
-from construction_twin.extensions.physics.drive import drives_of, read_drives
+from construction_twin.extensions.physics.drive import read_drives
 from construction_twin.extensions.physics.mass import payload_of
 from construction_twin.mock.program import (
     RESOLUTION,
@@ -72,7 +72,7 @@ class PhysicsServo(WithMass, Servo):
 
 def physics_servo(settings: MockSettings, robot: RobotModel, period: float) -> PhysicsServo:
     """Build the servos of an arm with mass; `period`: of a cycle [s]."""
-    drives = read_drives(settings.drives, robot) if settings.drives else drives_of(robot)
+    drives = read_drives(settings.drives, robot)
     model = bare_model(RobotBodies(robot), drives, payload_of(settings.payload, "payload"))
     return PhysicsServo(
         Plant(model, SERVO_OMEGA, SERVO_ZETA),

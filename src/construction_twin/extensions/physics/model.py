@@ -28,8 +28,8 @@ from construction_twin.extensions.physics.mass import (
 )
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.scene.collision_bodies import Body, RobotBodies, is_convex, mesh_triangles
-from construction_twin.scene.collision_world import checked_pairs
 from construction_twin.scene.objects import Scene
+from construction_twin.scene.pair_checks import checked_pairs
 from construction_twin.scene.self_collision import SelfCollision
 
 #: Bodies that touch give way like a spring of this time constant [s] and damping; twice the step is MuJoCo's smallest.
@@ -268,9 +268,9 @@ class _Builder:
             one, properties = pieces[0], of_object(pieces)
             if name in self._load.masses:
                 properties = properties.scaled_to(self._load.masses[name])
+            if properties.estimated and (one.joint or name in self._load.loose):
+                self._remarks.append(f"mass of {name} is an estimate from its volume: {properties.mass:.1f} kg")
             if one.joint:
-                if properties.estimated:
-                    self._remarks.append(f"mass of {name} is an estimate from its volume: {properties.mass:.1f} kg")
                 holder = joints[one.joint].add_body(
                     name=name, pos=one.placement.translation, quat=_quaternion(one.placement.rotation)
                 )
@@ -278,8 +278,6 @@ class _Builder:
                 self._add_geoms(holder, pieces, placed=False)
                 carried.append((one, properties))
             elif name in self._load.loose:
-                if properties.estimated:
-                    self._remarks.append(f"mass of {name} is an estimate from its volume: {properties.mass:.1f} kg")
                 self._add_loose(pieces, properties)
             elif name in apart:
                 self._add_geoms(self._spec.worldbody.add_body(name=name), pieces)

@@ -13,11 +13,12 @@ import time
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from construction_twin.core.realtime import release_realtime
 from construction_twin.core.worker import serve_parent
-from construction_twin.extensions.physics.drive import drives_of, read_drives
+from construction_twin.extensions.physics.drive import read_drives
 from construction_twin.extensions.physics.known_mass import body_of, masses_of
 from construction_twin.extensions.physics.mass import payload_of
 from construction_twin.review.rehearsal_report import RehearsalReport
@@ -97,6 +98,11 @@ def digest(*parts: object) -> str:
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
+def file_digest(path: str) -> str:
+    """Return the SHA-256 of a file; of no path nothing."""
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest() if path else ""
+
+
 @lru_cache(maxsize=1)
 def prepared(
     robot: RobotModel, self_collision: str, drives: str, tool: str = "", payload: tuple[float, ...] = ()
@@ -112,12 +118,12 @@ def prepared(
     from construction_twin.extensions.physics.grip import SuctionGrip
     from construction_twin.extensions.physics.rehearsal import Rehearsal
 
-    read = read_drives(drives, robot) if drives else drives_of(robot)
     grip = None
     if tool and (at_tip := read_tool(tool).tool).cups is not None:
         grip = SuctionGrip.of(at_tip.cups, at_tip.tool0_T_tcp)
     pairs = read_self_collision(self_collision, robot)
     flange = payload_of(payload, "payload")
+    read = read_drives(drives, robot)
     return Rehearsal(RobotBodies(robot), pairs, read, flange=flange, grip=grip, tool=tool_hash(tool))
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
-from construction_twin.extensions.physics.arm import Servo, SimulatedArm
+from construction_twin.extensions.physics.arm import GravityTorque, Servo, SimulatedArm, is_broken
 from construction_twin.extensions.physics.drive import ArmDrives
 from construction_twin.extensions.physics.grip import GripWatch, SuctionGrip
 from construction_twin.extensions.physics.judgement import SETTLING, STAYS, STAYS_TURNED, reasons, worst_payload
@@ -146,7 +146,7 @@ class _Track:
         self.kinetic: list[float] = []
         self.off = np.zeros(len(self.limit))
 
-    def note(self, arm: SimulatedArm, peak: np.ndarray, gravity: _GravityTorque) -> None:
+    def note(self, arm: SimulatedArm, peak: np.ndarray, gravity: GravityTorque) -> None:
         """Take a cycle that has ended, and the largest torque of each axis in it."""
         q = arm.q
         self.torques.append(peak)
@@ -236,7 +236,7 @@ class _Run:
         arm = self._arm(self._after, setpoints[-1], arm, begin)
         objects = self._settled(arm, setpoints[-1])
         settle += clock() - started
-        if _is_broken(arm.data):
+        if is_broken(arm.data):
             return self._diverged(named, self._trajectory.duration)
         return self._judged(named, times, objects, settle)
 
@@ -328,7 +328,7 @@ class _Run:
     ) -> float | None:
         """Play setpoints; note each cycle's torques, and every step's contacts; return when it came apart [s], None if not."""
         physics, data = arm.physics, arm.data
-        gravity = _GravityTorque(physics)
+        gravity = GravityTorque(physics)
         for at, setpoint in zip(times.tolist(), setpoints):
             lowest = highest = np.zeros(len(setpoint))
             for _step in arm.steps(setpoint):
@@ -337,7 +337,7 @@ class _Run:
                 if data.ncon:
                     self._note_contacts(physics, data, at, frozenset())
             peak = np.where(highest > -lowest, highest, lowest)
-            if _is_broken(data) or not np.isfinite(peak).all():
+            if is_broken(data) or not np.isfinite(peak).all():
                 return at
             self._track.note(arm, peak, gravity)
             if watch is not None:
@@ -463,7 +463,7 @@ class _Run:
         accelerations = np.diff(np.vstack((speed, speeds)), axis=0) / step
         for _step in arm.follow(answers, speeds, accelerations):
             usage = float(np.maximum(usage, (np.abs(arm.needed) / self._track.limit).max()))
-        if _is_broken(arm.data):
+        if is_broken(arm.data):
             usage = math.nan
         way = np.abs(arm.q - begin)
         joint = int(np.argmax(way))
@@ -477,42 +477,7 @@ class _Run:
         )
 
 
-class _GravityTorque:
-    """Torques that hold the arm still where it is, and its kinetic energy; in a state of its own."""
-
-    def __init__(self, physics: PhysicsModel):
-        self._physics = physics
-        self._data = mujoco.MjData(physics.model)
-        self._product, self._speed = np.zeros(physics.model.nv), np.zeros(physics.model.nv)
-
-    def at(self, data: mujoco.MjData) -> np.ndarray:
-        """Return the torques, shape (n,)."""
-        model, own = self._physics.model, self._data
-        own.qpos[:] = data.qpos
-        mujoco.mj_kinematics(model, own)
-        mujoco.mj_comPos(model, own)
-        mujoco.mj_comVel(model, own)
-        mujoco.mj_rne(model, own, 0, self._product)
-        return self._physics.of_joints(self._product)
-
-    def kinetic(self, data: mujoco.MjData) -> float:
-        """Return the kinetic energy of the arm with what it carries [J]; what falls or is pushed is none of it."""
-        self._speed[self._physics.joints] = data.qvel[self._physics.joints]
-        self._physics.lead(self._speed)
-        mujoco.mj_mulM(self._physics.model, data, self._product, self._speed)
-        return 0.5 * float(self._speed @ self._product)
-
-
 def _flange(arm: SimulatedArm) -> np.ndarray:
     """Return where the last joint's frame is, shape (3,) [m]."""
     joint = arm.physics.robot.joint_names[-1]
     return arm.data.body(f"joint\n{joint}").xpos.copy()
-
-
-def _is_broken(data: mujoco.MjData) -> bool:
-    """Return whether the numbers are no motion any more; MuJoCo itself starts anew then, and counts."""
-    warnings = mujoco.mjtWarning
-    return not np.isfinite(data.qpos).all() or any(
-        data.warning[kind].number
-        for kind in (warnings.mjWARN_BADQPOS, warnings.mjWARN_BADQVEL, warnings.mjWARN_BADQACC)
-    )

@@ -46,8 +46,6 @@ class Guard(Enum):
 
     ALWAYS = ""
     BUSY = "the executor follows a plan that is of no goal of this action"
-    STRANGER = "the goal is from another client"
-    SAME = "the goal has the motion of the one before"
 
 
 class Action(Enum):
@@ -55,13 +53,8 @@ class Action(Enum):
 
     NOTHING = ""
     ASK = "the planner is asked for a plan"
-    TURN_AWAY = "the new goal is rejected, naming who has the arm"
-    TURN_AWAY_BUSY = "the goal is rejected, naming the plan"
-    LINE_UP = "the new goal waits; one that waited before is recalled"
-    TAKE_OVER = "the goal ends: recalled or preempted; the new one has its plan"
-    REPLACE = "the goal ends: recalled or preempted; the new one waits"
+    TURN_AWAY = "the goal is rejected, naming the plan"
     WITHDRAW = "the plan is rejected in the client's name"
-    WITHDRAW_FOR_NEXT = "the plan is rejected in the client's name; the new goal waits"
     ACCEPT = "the goal is active: its status says that it waits for approval"
     REFUSE = "the goal is rejected: INVALID_GOAL, with the planner's sentence"
     PREEMPT = "the goal ends: recalled or preempted"
@@ -71,7 +64,6 @@ class Action(Enum):
     END_STOPPED = "the goal ends: preempted, at rest on its path"
     GIVE_UP = "the same, and a goal that waits is recalled"
     BRAKE = "the executor's `stop_plan` is called"
-    BRAKE_FOR_NEXT = "the executor's `stop_plan` is called; the new goal waits"
     SAY_MOVING = "the status says that it moves"
     SUCCEED = "the goal succeeds"
 
@@ -81,64 +73,46 @@ _S, _E, _A, _G = GoalState, GoalEvent, Action, Guard
 rows = state_table.Rows(GoalState, GoalEvent, Guard, Action)
 
 #: Of the rows for one state and event the first whose guard is true counts. What is not in the table changes nothing in that state.
-#: A goal that waits is taken as soon as FREE is entered.
+#: A goal that comes while another one has the arm: see `TrajectoryGoals.on_goal`.
 TABLE: tuple[Row, ...] = (
-    *rows(_S.FREE, _E.GOAL, _S.FREE, _A.TURN_AWAY_BUSY, _G.BUSY),
+    *rows(_S.FREE, _E.GOAL, _S.FREE, _A.TURN_AWAY, _G.BUSY),
     *rows(_S.FREE, _E.GOAL, _S.PLANNING, _A.ASK),
     # the planner's answer; nothing of a goal moves before it
     *rows(_S.PLANNING, _E.PLANNED, _S.REVIEW, _A.ACCEPT),
     *rows(_S.PLANNING, _E.NOT_PLANNED, _S.FREE, _A.REFUSE),
     *rows(_S.PLANNING, _E.CANCEL, _S.DISCARDING, _A.PREEMPT),
-    *rows(_S.PLANNING, _E.GOAL, _S.PLANNING, _A.TURN_AWAY, _G.STRANGER),
-    *rows(_S.PLANNING, _E.GOAL, _S.PLANNING, _A.TAKE_OVER, _G.SAME),
-    *rows(_S.PLANNING, _E.GOAL, _S.DISCARDING, _A.REPLACE),
     # a plan that nobody wants any more must not stay under review
     *rows(_S.DISCARDING, _E.PLANNED, _S.WITHDRAWING, _A.WITHDRAW),
     *rows(_S.DISCARDING, _E.NOT_PLANNED, _S.STOPPED),
-    *rows(_S.DISCARDING, _E.GOAL, _S.DISCARDING, _A.TURN_AWAY, _G.STRANGER),
-    *rows(_S.DISCARDING, _E.GOAL, _S.DISCARDING, _A.LINE_UP),
     # a person decides
     *rows(_S.REVIEW, _E.STARTED, _S.MOVING, _A.SAY_MOVING),
     *rows(_S.REVIEW, _E.TURNED_DOWN, _S.FREE, _A.ABORT_INVALID),
     *rows(_S.REVIEW, _E.FINISHED, _S.SETTLING, _A.SAY_MOVING),
     *rows(_S.REVIEW, _E.ENDED, _S.FREE, _A.ABORT_PATH),
     *rows(_S.REVIEW, _E.CANCEL, _S.WITHDRAWING, _A.WITHDRAW),
-    *rows(_S.REVIEW, _E.GOAL, _S.REVIEW, _A.TURN_AWAY, _G.STRANGER),
-    *rows(_S.REVIEW, _E.GOAL, _S.REVIEW, _A.TAKE_OVER, _G.SAME),
-    *rows(_S.REVIEW, _E.GOAL, _S.WITHDRAWING, _A.WITHDRAW_FOR_NEXT),
     # the withdrawal and an approval may cross
     *rows(_S.WITHDRAWING, _E.TURNED_DOWN, _S.STOPPED, _A.PREEMPT),
     *rows(_S.WITHDRAWING, _E.TOO_LATE, _S.STOPPED, _A.PREEMPT),
     *rows(_S.WITHDRAWING, _E.STARTED, _S.BRAKING, _A.BRAKE),
     *rows(_S.WITHDRAWING, _E.FINISHED, _S.STOPPED),
     *rows(_S.WITHDRAWING, _E.ENDED, _S.STOPPED),
-    *rows(_S.WITHDRAWING, _E.GOAL, _S.WITHDRAWING, _A.TURN_AWAY, _G.STRANGER),
-    *rows(_S.WITHDRAWING, _E.GOAL, _S.WITHDRAWING, _A.LINE_UP),
     # on the path
     *rows(_S.MOVING, _E.FINISHED, _S.SETTLING),
     *rows(_S.MOVING, _E.ENDED, _S.FREE, _A.ABORT_PATH),
     *rows(_S.MOVING, _E.LOST, _S.FREE, _A.ABORT_GOAL),
     *rows(_S.MOVING, _E.CANCEL, _S.BRAKING, _A.BRAKE),
-    *rows(_S.MOVING, _E.GOAL, _S.MOVING, _A.TURN_AWAY, _G.STRANGER),
-    *rows(_S.MOVING, _E.GOAL, _S.BRAKING, _A.BRAKE_FOR_NEXT),
     # the first cause is the cause
     *rows(_S.BRAKING, _E.FINISHED, _S.STOPPED),
     *rows(_S.BRAKING, _E.ENDED, _S.STOPPED),
     *rows(_S.BRAKING, _E.LOST, _S.STOPPED),
-    *rows(_S.BRAKING, _E.GOAL, _S.BRAKING, _A.TURN_AWAY, _G.STRANGER),
-    *rows(_S.BRAKING, _E.GOAL, _S.BRAKING, _A.LINE_UP),
     # the executor sends no more of the path; a next plan begins where the twin comes to rest
     *rows(_S.STOPPED, _E.STILL, _S.FREE, _A.END_STOPPED),
     *rows(_S.STOPPED, _E.TOO_LATE, _S.FREE, _A.GIVE_UP),
-    *rows(_S.STOPPED, _E.GOAL, _S.STOPPED, _A.TURN_AWAY, _G.STRANGER),
-    *rows(_S.STOPPED, _E.GOAL, _S.STOPPED, _A.LINE_UP),
     # the path was played to its end; the arm may still be on its way
     *rows(_S.SETTLING, _E.AT_GOAL, _S.FREE, _A.SUCCEED),
     *rows(_S.SETTLING, _E.TOO_LATE, _S.FREE, _A.ABORT_GOAL),
     *rows(_S.SETTLING, _E.LOST, _S.FREE, _A.ABORT_GOAL),
-    *rows(_S.SETTLING, _E.CANCEL, _S.FREE, _A.PREEMPT),
-    *rows(_S.SETTLING, _E.GOAL, _S.SETTLING, _A.TURN_AWAY, _G.STRANGER),
-    *rows(_S.SETTLING, _E.GOAL, _S.STOPPED, _A.REPLACE),
+    *rows(_S.SETTLING, _E.CANCEL, _S.STOPPED, _A.PREEMPT),
 )
 
 ROWS = state_table.by_cause(TABLE)

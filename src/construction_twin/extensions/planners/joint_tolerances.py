@@ -11,12 +11,20 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from construction_twin.core.errors import GoalError, GoalJointsError
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.robot.description import RobotModel
 
 #: What a tolerance bounds, with what stands behind the joint's unit.
 QUANTITIES = {Sentence("position"): "", Sentence("velocity"): "/s", Sentence("acceleration"): "/s^2"}
+
+
+class GoalError(ConstructionTwinError):
+    """A goal of another planner cannot be taken as it is."""
+
+
+class GoalJointsError(GoalError):
+    """A goal names a joint that the robot does not have, leaves one out, or names one twice."""
 
 
 @dataclass(frozen=True)
@@ -81,12 +89,6 @@ class Tolerances:
 
 def check_joint_names(robot: RobotModel, names: Sequence[str]) -> None:
     """Raise GoalJointsError unless a goal names each of the robot's joints once, in any order."""
-    expected = f"expected each of {', '.join(robot.joint_names)} once"
-    for name in names:
-        if name not in robot.joint_names:
-            raise GoalJointsError(f"the goal names the joint {name!r}; {expected}")
-        if list(names).count(name) > 1:
-            raise GoalJointsError(f"the goal names the joint {name} twice; {expected}")
-    for name in robot.joint_names:
-        if name not in names:
-            raise GoalJointsError(f"the goal does not name the joint {name}; {expected}")
+    if sorted(names) != sorted(robot.joint_names):
+        expected = f"expected each of {', '.join(robot.joint_names)} once"
+        raise GoalJointsError(f"the goal names the joints {', '.join(names) or 'none'}; {expected}")

@@ -34,6 +34,8 @@ UNKNOWN_REST = Sentence("the twin is not known to be at rest")
 REPLACED = Sentence("replaced by a newer goal")
 #: States in which the executor plays the goal's plan, or has just played it to its end.
 PLAYED = (GoalState.MOVING, GoalState.BRAKING, GoalState.SETTLING)
+#: States in which a goal of the same motion keeps the plan, and its place in the review.
+TAKEN_OVER = (GoalState.PLANNING, GoalState.REVIEW)
 
 
 class ResultCode(IntEnum):
@@ -169,7 +171,7 @@ class TrajectoryGoals:
             ROWS,
             GoalState.FREE,
             "",
-            conditions({Guard.BUSY: self._is_busy, Guard.STRANGER: self._is_strange, Guard.SAME: self._is_same}),
+            conditions({Guard.BUSY: lambda _occasion: self._report.state in ACTIVE}),
             {action: self._action(action) for action in Action if action is not Action.NOTHING},
             after=self._after,
         )
@@ -215,9 +217,24 @@ class TrajectoryGoals:
     # -- what clients ask
 
     def on_goal(self, goal: TrajectoryGoal, now: int) -> None:
-        """Take a goal."""
-        self._coming = goal
-        self._on(GoalEvent.GOAL, now)
+        """Take a goal; while another one has the arm it is turned away, takes the plan over, or cancels that one and waits."""
+        if self.state is GoalState.FREE:
+            self._coming = goal
+            self._on(GoalEvent.GOAL, now)
+        elif goal.client != self._client:
+            values = {"client": self._client, "state": self.describe()}
+            sentence = Sentence("{client} has the arm ({state}); cancel that goal, or wait for its end", **values)
+            self._end(goal, Ending.REJECTED, ResultCode.INVALID_GOAL, sentence)
+        elif self.state in TAKEN_OVER and self.goal is not None and goal.motion == self.goal.motion:
+            self._finish(Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, REPLACED)
+            self.goal = goal
+            if self._plan is not None:
+                self._accept()
+        else:
+            if self._next is not None:
+                self._end(self._next, Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, REPLACED)
+            self._next, self._why = goal, self._why or REPLACED
+            self._on(GoalEvent.CANCEL, now)
 
     def on_stand_still(self, goal: TrajectoryGoal, now: int) -> None:
         """Take a goal without points: it cancels what the same client has asked for, and is done."""
@@ -355,15 +372,6 @@ class TrajectoryGoals:
         self._now = now
         self._machine.on(event, Occasion(reason, now))
 
-    def _is_busy(self, occasion: Occasion) -> bool:
-        return self._report.state in ACTIVE
-
-    def _is_strange(self, occasion: Occasion) -> bool:
-        return self._coming is not None and self._coming.client != self._client
-
-    def _is_same(self, occasion: Occasion) -> bool:
-        return self._coming is not None and self.goal is not None and self._coming.motion == self.goal.motion
-
     def _action(self, action: Action) -> Callable[[Row, Occasion], None]:
         if action in _FAILURES:
             return lambda row, occasion: self._finish(*_FAILURES[action], occasion.reason)
@@ -386,40 +394,16 @@ class TrajectoryGoals:
         self._effects.append(Ask(self.goal))
 
     def _turn_away(self) -> None:
-        values = {"client": self._client, "state": self.describe()}
-        self._reject_coming(Sentence("{client} has the arm ({state}); cancel that goal, or wait for its end", **values))
-
-    def _turn_away_busy(self) -> None:
-        plan = self._report.plan_id
-        self._reject_coming(
-            Sentence("the arm follows plan {plan}, of no goal of this action; wait for its end", plan=plan)
-        )
-
-    def _line_up(self) -> None:
-        if self._next is not None:
-            self._end(self._next, Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, REPLACED)
-        self._next, self._coming = self._coming, None
-
-    def _take_over(self) -> None:
-        self._finish(Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, REPLACED)
-        self.goal, self._coming = self._coming, None
-        if self._plan is not None:
-            self._accept()
-
-    def _replace(self) -> None:
-        self._why = REPLACED
-        self._preempt()
-        self._line_up()
+        assert self._coming is not None  # the event brings it
+        values = {"plan": self._report.plan_id}
+        sentence = Sentence("the arm follows plan {plan}, of no goal of this action; wait for its end", **values)
+        self._end(self._coming, Ending.REJECTED, ResultCode.INVALID_GOAL, sentence)
+        self._coming = None
 
     def _withdraw(self) -> None:
         plan, why = self._planned, self._why or Sentence("no longer wanted by its client")
         self._effects.append(Withdraw(plan.id, plan.hash, self._client, why))
         self._tell(Sentence("{why}; plan {plan} is being withdrawn", why=self._why, plan=plan.id))
-
-    def _withdraw_for_next(self) -> None:
-        self._why = self._why or REPLACED
-        self._withdraw()
-        self._line_up()
 
     def _accept(self) -> None:
         assert self.goal is not None  # it was planned
@@ -458,11 +442,6 @@ class TrajectoryGoals:
         self._effects.append(Brake(self._planned.id))
         self._tell(Sentence("{why}; brakes on the path", why=self._why))
 
-    def _brake_for_next(self) -> None:
-        self._why = self._why or REPLACED
-        self._brake()
-        self._line_up()
-
     def _say_moving(self) -> None:
         self._tell(f"{self._report.state.name}: {self._report.reason}")
 
@@ -487,11 +466,6 @@ class TrajectoryGoals:
 
     def _end(self, goal: TrajectoryGoal, ending: Ending, code: ResultCode, sentence: str) -> None:
         self._effects.append(End(goal.id, ending, code, sentence))
-
-    def _reject_coming(self, sentence: str) -> None:
-        assert self._coming is not None  # the event brings it
-        self._end(self._coming, Ending.REJECTED, ResultCode.INVALID_GOAL, sentence)
-        self._coming = None
 
     def _tell(self, text: str) -> None:
         if self.goal is not None:

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from construction_twin.core.work_errors import BuildingError
+from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.names import labels, named
 from construction_twin.kinematics.chain import Pose
 

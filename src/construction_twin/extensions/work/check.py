@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.work_errors import TaskPlanningError
+from construction_twin.extensions.work.errors import TaskPlanningError
 from construction_twin.extensions.work.motions import TaskPlanner
 from construction_twin.extensions.work.process import TaskMotions, WorkJob, process_of
 from construction_twin.extensions.work.recipe import DEFAULT

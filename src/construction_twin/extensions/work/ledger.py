@@ -19,7 +19,7 @@ from types import MappingProxyType
 from construction_twin.core.append_only import AppendOnlyFile, read_lines
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.files import write_whole
-from construction_twin.core.work_errors import LedgerError
+from construction_twin.extensions.work.errors import LedgerError
 from construction_twin.extensions.work.task_memory import (
     ACCEPTED,
     CHANGED,

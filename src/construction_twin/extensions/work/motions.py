@@ -19,8 +19,8 @@ from construction_twin.core.clock import Clock
 from construction_twin.core.motion_errors import KinematicsError, PlanningError, UnreachableError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
-from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.extensions.work.contacts import Shapes, difference
+from construction_twin.extensions.work.errors import TaskPlanningError
 from construction_twin.extensions.work.process import REACH, TaskMotions, WorkJob, process_of
 from construction_twin.extensions.work.recipe import Recipe
 from construction_twin.extensions.work.recipes import Recipes

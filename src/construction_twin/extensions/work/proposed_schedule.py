@@ -15,8 +15,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from construction_twin.core.work_errors import ScheduleError
 from construction_twin.extensions.work.building import BuildingModel, Element, Sequence, Task
+from construction_twin.extensions.work.errors import ScheduleError
 from construction_twin.extensions.work.names import first_few
 from construction_twin.extensions.work.wholes import workpieces
 

@@ -17,8 +17,8 @@ import pydantic
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.validation import configuration_error, wrong_value
-from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.extensions.work.building import Element, Task, Value
+from construction_twin.extensions.work.errors import TaskPlanningError
 from construction_twin.extensions.work.process import MODULES, WorkJob, process_of
 from construction_twin.extensions.work.recipe import DEFAULT, PROPERTY_SET, RECIPE, Recipe, Strict
 from construction_twin.robot.tool import Tool

@@ -24,8 +24,8 @@ from datetime import datetime
 from graphlib import CycleError, TopologicalSorter
 from types import MappingProxyType
 
-from construction_twin.core.work_errors import ScheduleError
 from construction_twin.extensions.work.building import BuildingModel, Element, Sequence, Task
+from construction_twin.extensions.work.errors import ScheduleError
 from construction_twin.extensions.work.names import first_few
 from construction_twin.extensions.work.process import process_of
 from construction_twin.extensions.work.proposed_schedule import propose

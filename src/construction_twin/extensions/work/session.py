@@ -15,9 +15,10 @@ from pathlib import Path
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.reports import ExecutionReport, WorkReport
 from construction_twin.core.sentences import Sentence
-from construction_twin.core.work_errors import WorkError
+from construction_twin.core.worker import WorkerError
 from construction_twin.extensions.work import engaged_scene
 from construction_twin.extensions.work.built import Deviation, change, pose_tuple
+from construction_twin.extensions.work.errors import WorkError
 from construction_twin.extensions.work.following import Follower
 from construction_twin.extensions.work.heard import Heard
 from construction_twin.extensions.work.ledger import Ledger
@@ -278,7 +279,7 @@ class WorkSession:
         start = self._calls.twin_pose()
         try:
             plan = self._calls.plan(task=task, element=board.element_of(task), start=start, scene=scene, held=held)
-        except WorkError as error:
+        except (WorkError, WorkerError) as error:
             board.failures[task] = board.called(str(error))
             raise WorkRefused(board.failures[task]) from error
         board.failures.pop(task, None)

@@ -13,10 +13,10 @@ from types import MappingProxyType
 import numpy as np
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.work_errors import BuildingError
 from construction_twin.extensions.work.building import BuildingModel, Element
 from construction_twin.extensions.work.contacts import Shapes
 from construction_twin.extensions.work.convex_bodies import Pieces
+from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.process import WorkJob
 from construction_twin.extensions.work.schedule import Job
 from construction_twin.extensions.work.site import DeliveredRack, LyingRack, Site, StackRack, inverse, pose_of

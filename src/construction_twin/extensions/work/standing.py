@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from construction_twin.core.work_errors import PlacementError
 from construction_twin.extensions.work.building import BuildingModel, Element
 from construction_twin.extensions.work.element_bodies import box_of, element_shapes
+from construction_twin.extensions.work.errors import PlacementError
 from construction_twin.extensions.work.names import first_few
 from construction_twin.extensions.work.site import Site, inverse
 from construction_twin.kinematics.chain import Pose

@@ -15,7 +15,6 @@ import numpy as np
 
 from construction_twin.core.reports import TaskReport, WorkReport
 from construction_twin.core.sentences import Sentence
-from construction_twin.core.work_errors import WorkError
 from construction_twin.extensions.work.built import (
     Deviation,
     at,
@@ -26,6 +25,7 @@ from construction_twin.extensions.work.built import (
     pose_tuple,
 )
 from construction_twin.extensions.work.convex_bodies import Pieces
+from construction_twin.extensions.work.errors import WorkError
 from construction_twin.extensions.work.ledger import Book, Ledger, placed_elsewhere, replay
 from construction_twin.extensions.work.names import labels, named
 from construction_twin.extensions.work.prepared import ElementFacts, Prepared, Scheduled, element_in

@@ -14,7 +14,7 @@ from typing import Any
 
 from construction_twin.core import state_table
 from construction_twin.core.sentences import Sentence
-from construction_twin.core.work_errors import WorkError
+from construction_twin.extensions.work.errors import WorkError
 from construction_twin.extensions.work.process import MODULES, process_of
 from construction_twin.extensions.work.recipe import DEFAULT
 

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.core.worker import rss_mb, serve_parent
 from construction_twin.extensions.work.building import BuildingModel, Element
 from construction_twin.extensions.work.built import pose_of_tuple
 from construction_twin.extensions.work.check import CheckedTask, Checker
 from construction_twin.extensions.work.element_bodies import element_shapes, element_triangles
+from construction_twin.extensions.work.errors import TaskPlanningError
 from construction_twin.extensions.work.ifc.reading import read_building
 from construction_twin.extensions.work.motions import TaskPlanner
 from construction_twin.extensions.work.prepared import ElementFacts, Prepared, Scheduled

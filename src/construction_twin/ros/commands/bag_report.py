@@ -21,15 +21,7 @@ from construction_twin.ros.messages.convert import plan_from_msg
 
 
 def read_plans(path: Path, namespace: str | None = None) -> list[Plan]:
-    """Return every plan of one robot in a bag, the oldest first.
-
-    Args:
-        namespace: As in `read_recording`.
-
-    Raises:
-        ConstructionTwinError: As `read_recording`.
-        TrajectoryError: For a plan that is not what its hash says.
-    """
+    """Return every plan of one robot in a bag, the oldest first."""
     try:
         with open_bag(path) as bag:
             robot = choose_robot(bag.topics, namespace, PLAN)
@@ -63,9 +55,6 @@ def report_bag(
 
     Args:
         write: Makes the files in a folder that can be written, prints what is to be read at once, and returns where they are.
-
-    Returns:
-        0, or 1 after a sentence on standard error.
     """
     directory = options.output or options.bag.with_suffix("").with_name(options.bag.stem + options.suffix)
     console = table_console()

@@ -26,11 +26,7 @@ ROBOTS = (
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Evaluate the bag named on the command line.
-
-    Returns:
-        0, or 1 after a sentence on standard error.
-    """
+    """Evaluate the bag named on the command line."""
     parser = bag_parser(
         "evaluate",
         "Compare twin and physical arm in a bag: tables, figures and summary.json.",

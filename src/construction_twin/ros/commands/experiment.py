@@ -24,10 +24,10 @@ from construction_twin.msg import Execution, Feedback
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.commands.bag_report import print_files
 from construction_twin.ros.commands.recorder import Recorder
+from construction_twin.ros.shared.diagnostics import warn_of_refusals
 from construction_twin.ros.shared.master import await_master
 from construction_twin.ros.shared.node import ending_on_signals
 from construction_twin.ros.shared.params import Parameters, PrivateSettings, read_parameters, robot_from_parameters
-from construction_twin.ros.shared.refusal_log import warn_of_refusals
 from construction_twin.ros.shared.robot_listener import RobotListener
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.srv import PlanToJoints
@@ -85,11 +85,7 @@ class Experiment:
         self._listener = RobotListener(rospy.get_namespace(), robot)
 
     def run(self) -> Report:
-        """Run everything; see the module.
-
-        Raises:
-            ConstructionTwinError: If the system does not get ready, the task is not finished, or recording or evaluation fails.
-        """
+        """Run everything; see the module."""
         results = Path(self._settings.results_dir).expanduser()
         directory = _new_directory(results)
         self._wait(self._not_ready, "the system did not get ready")

@@ -7,9 +7,10 @@ import math
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -19,7 +20,7 @@ import yaml
 from construction_twin.controller.makes import DEFAULT, MODULES, make_of
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, spoken
 from construction_twin.core.files import check_writable
-from construction_twin.core.share import share_file
+from construction_twin.core.share import share_file, share_folder
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import inverse_kinematics
 from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot, other_joints_text, read_robot_files
@@ -40,30 +41,18 @@ from construction_twin.scene.self_collision import (
 )
 from construction_twin.scene.self_collision_command import progress, propose_hulls
 
-#: What the launch file sets, with the explanation that `roslaunch --ros-args` prints.
-ARGUMENTS = {
-    "robot": "namespace of the robot, and its name in MQTT topics: [a-z0-9_]",
-    "robot_xacro": "URDF or xacro of the arm: absolute path",
-    "robot_xacro_args": "arguments of the xacro: words name=value",
-    "robot_config": "robot YAML of the arm: absolute path",
-    "self_collision": "YAML of the link pairs that are not checked against each other: absolute path",
-    "controller_make": "make of the controller, for gateway, bridge and mock",
-    "rsi_cycle": "the controller's cycle, for gateway, bridge and mock [ms]",
-    "ethernet_xml": "RSI Ethernet XML of the controller, for gateway, bridge and mock: absolute path",
-    "scene": "YAML of the scene, what the arm must not touch: absolute path; none: nothing but itself",
-}
-
 
 def launch_text(values: Mapping[str, str]) -> str:
     """Return a launch file that starts everything for one arm; every other argument of bringup.launch can be given to it."""
+    bringup = ElementTree.parse(share_folder() / "launch" / "bringup.launch")
+    told = {arg.get("name"): arg.get("doc", "") for arg in bringup.iter("arg")}
     lines = [
         "<launch>",
         f"  <!-- {values['robot']}, its twin, and what is between them. Written by new_arm; the command stands in the robot YAML.",
         "       Takes every argument of construction_twin's bringup.launch, e.g. arm:=real, gui:=true. -->",
         *(
-            f"  <arg name={quoteattr(name)} default={quoteattr(values[name])}\n       doc={quoteattr(doc)}/>"
-            for name, doc in ARGUMENTS.items()
-            if name in values
+            f"  <arg name={quoteattr(name)} default={quoteattr(value)}\n       doc={quoteattr(told[name])}/>"
+            for name, value in values.items()
         ),
         "",
         '  <include file="$(find construction_twin)/launch/bringup.launch" pass_all_args="true"/>',
@@ -111,23 +100,10 @@ def to_do(robot: RobotModel, files: Mapping[str, Path], to_fill: str, scene_left
     ]
     if "ethernet_xml" in files:
         lines.append(f"{files['ethernet_xml'].name}: {to_fill}")
+    scene = "a floor at the height of the base, nothing else"
     if scene_left_out:
-        lines.append(
-            f"scene: {scene_left_out}, so the launch file begins with scene:=none: write your own (docs/planning.md)"
-        )
-    else:
-        lines.append("scene: a floor at the height of the base, nothing else: write your own (docs/planning.md)")
-    return lines
-
-
-def closing(launch: Path, lines: Sequence[str]) -> list[str]:
-    """Return the last lines: how to start it, and what is missing for a real arm."""
-    return [
-        "start it with the mock:",
-        f"  roslaunch {shlex.quote(str(launch))}",
-        "a person must still fill in, before arm:=real (which is refused while `estimates` holds a word):",
-        *(f"  - {line}" for line in lines),
-    ]
+        scene = f"{scene_left_out}, so the launch file begins with scene:=none"
+    return [*lines, f"scene: {scene}: write your own (docs/planning.md)"]
 
 
 #: Poses of the first, coarse look at the arm, by which home is found.
@@ -137,11 +113,7 @@ _ATTEMPTS = 5
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the files of a new arm.
-
-    Returns:
-        0, or 1 after a sentence on standard error.
-    """
+    """Write the files of a new arm."""
     words = rospy.myargv(sys.argv)[1:] if arguments is None else list(arguments)
     options = _parser().parse_args(words)
     try:
@@ -208,8 +180,7 @@ def _make(options: argparse.Namespace, command: str) -> list[str]:
     coarse = sample_self_collision(robot, min(_COARSE, options.samples))
     print("looking for a home pose", file=sys.stderr, flush=True)
     scene, left_out, home = _scene(robot, coarse, read_scene(shipped))
-    settled = _settle(robot, description, home, scene, options.samples)
-    robot, description, pairs, home = settled.robot, settled.description, settled.pairs, settled.home
+    robot, description, pairs, home = _settle(robot, description, home, scene, options.samples)
     texts = {
         "robot_config": robot_yaml(description, command, options.full_speed_in),
         **described,
@@ -231,7 +202,13 @@ def _make(options: argparse.Namespace, command: str) -> list[str]:
     read_self_collision(files["self_collision"], read_robot_files(path, files["robot_config"], options.xacro_args))
     lines = [*summary(robot, home), "written:", *(f"  {file}" for file in files.values())]
     lines += propose_hulls(robot, folder / f"{robot.name}_hulls")
-    return [*lines, *closing(files["launch"], to_do(robot, files, make.file.to_fill if make.file else "", left_out))]
+    return [
+        *lines,
+        "start it with the mock:",
+        f"  roslaunch {shlex.quote(str(files['launch']))}",
+        "a person must still fill in, before arm:=real (which is refused while `estimates` holds a word):",
+        *(f"  - {line}" for line in to_do(robot, files, make.file.to_fill if make.file else "", left_out)),
+    ]
 
 
 def _check_folder(folder: Path, files: Mapping[str, Path], force: bool) -> None:
@@ -256,28 +233,23 @@ def _scene(robot: RobotModel, pairs: SelfCollision, floor: Scene) -> tuple[Scene
         return Scene(), f"no pose is free with a floor at the height of {robot.base_link} ({error.value})", home
 
 
-@dataclass(frozen=True, eq=False)
-class _Settled:
-    """An arm with a home that its sampled pairs leave free: its model, its YAML's content, the pairs, and that home."""
+def _settle(
+    robot: RobotModel, description: dict[str, Any], home: Home, scene: Scene, samples: int
+) -> tuple[RobotModel, dict[str, Any], SelfCollision, Home]:
+    """Sample the arm with its home, and seek another home while the pairs that this finds are in contact there.
 
-    robot: RobotModel
-    description: dict[str, Any]
-    pairs: SelfCollision
-    home: Home
-
-
-def _settle(robot: RobotModel, description: dict[str, Any], home: Home, scene: Scene, samples: int) -> _Settled:
-    """Sample the arm with its home, and seek another home while the pairs that this finds are in contact there."""
+    Returns:
+        The arm with a home that its pairs leave free: its model, its YAML's content, the pairs, and that home.
+    """
     for _ in range(_ATTEMPTS):
         description = with_home(description, home.q)
         robot = load_robot(robot.urdf, description)
-        with progress(samples) as report:
-            pairs = sample_self_collision(robot, samples, SEED, report)
+        pairs = sample_self_collision(robot, samples, SEED, progress(samples))
         world = CollisionWorld(robot, scene, pairs)
         if world.is_free(robot.home):
             measured = world.clearance(robot.home)
             home = replace(home, clearance=measured.distance, between=measured.between)
-            return _Settled(robot, description, pairs, home)
+            return robot, description, pairs, home
         home = find_home(world, np.random.default_rng(SEED))
     raise ConfigurationError(
         "home pose", home.q, f"a pose that {samples} samples leave free, within {_ATTEMPTS} attempts"

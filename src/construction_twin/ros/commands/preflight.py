@@ -86,12 +86,7 @@ def check_node(node: Node, values: Mapping[str, Any]) -> None:
 
 
 def refusals(nodes: Iterable[Node], values: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Return the nodes that would refuse a start, by their sentence.
-
-    Args:
-        nodes: What roslaunch would start.
-        values: The parameters that it would set, by full name.
-    """
+    """Return the nodes that would refuse a start, by their sentence."""
     found: dict[str, list[str]] = {}
     for node in nodes:
         if node.package == "construction_twin" and node.type not in _UNCHECKED:

@@ -24,9 +24,6 @@ class Recorder:
         path: The bag; ``.bag.active`` until it is closed.
         topics: Resolved names.
         name: Node name of the recorder, resolved.
-
-    Raises:
-        ConstructionTwinError: If rosbag's recorder is not installed.
     """
 
     def __init__(self, path: Path, topics: Sequence[str], name: str):
@@ -53,9 +50,6 @@ class Recorder:
 
         The publishers are asked, not the recorder: it counts a connection before the publisher has taken it up, which on a
         busy machine can cost the first second of the recording.
-
-        Raises:
-            ConstructionTwinError: If the recorder has ended.
         """
         if self._process.poll() is not None:
             raise ConstructionTwinError(
@@ -81,14 +75,7 @@ class Recorder:
         return sent
 
     def stop(self, timeout: float) -> None:
-        """End the recording and wait until the bag is closed.
-
-        Args:
-            timeout: [s]
-
-        Raises:
-            ConstructionTwinError: If the bag is not there afterwards.
-        """
+        """End the recording and wait until the bag is closed."""
         self._end(signal.SIGINT, timeout)
         if not self.path.exists():
             raise ConstructionTwinError(

@@ -7,12 +7,14 @@ import json
 import shutil
 import sys
 import time
-from collections.abc import Callable
+from bisect import bisect_right
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import pydantic
 import rospy
 import yaml
@@ -22,27 +24,38 @@ from rich.text import Text
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, ScenarioError, spoken
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, spoken
 from construction_twin.core.extensions import node_modules
 from construction_twin.core.files import check_writable
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import from_wire
+from construction_twin.evaluation.bag import (
+    ARM,
+    EXECUTION,
+    LINK,
+    MOCK,
+    SYNC,
+    TRANSITIONS,
+    messages_of,
+    nanoseconds,
+    open_bag,
+    read_recording,
+)
 from construction_twin.evaluation.tables import table_console
 from construction_twin.gateway.trace import read_trace
 from construction_twin.msg import Execution, Link, Plan, Sync, Transition
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.commands.experiment import RestDetector
 from construction_twin.ros.commands.recorder import Recorder
-from construction_twin.ros.commands.scenario_bag import BAG, NOTES, TOPICS, TRACE, VERDICT, read_run
+from construction_twin.ros.shared.diagnostics import warn_of_refusals
 from construction_twin.ros.shared.master import await_master
 from construction_twin.ros.shared.node import ending_on_signals
 from construction_twin.ros.shared.params import Parameters, PrivateSettings, robot_from_parameters, settings_of
-from construction_twin.ros.shared.refusal_log import warn_of_refusals
 from construction_twin.ros.transport.persistent_service import PersistentService
 from construction_twin.ros.transport.subscriber import Subscriber
-from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, Step, make_scenario
+from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, ScenarioError, Step, make_scenario
 from construction_twin.scenario.judge import Judgement, judge
-from construction_twin.scenario.timeline import Change
+from construction_twin.scenario.timeline import Change, GatewayStop, Run, SyncMoment
 from construction_twin.srv import InjectFault, PlanToJoints, ReviewPlan
 
 
@@ -57,6 +70,23 @@ def print_verdict(verdict: Judgement, console: Console) -> None:
     console.print(f"{verdict.scenario}: {'passed' if verdict.passed else 'FAILED'}")
 
 
+BAG, NOTES, TRACE, VERDICT = "scenario.bag", "run.json", "gateway.trace", "verdict.json"
+#: What is recorded, relative to the robot's namespace.
+TOPICS = (
+    "twin/joint_states",
+    "physical/joint_states",
+    "physical/feedback",
+    "command/joint_states",
+    "expected/joint_states",
+    "sync",
+    "transitions",
+    "plan",
+    "review",
+    "execution",
+    "link",
+    MOCK,
+    ARM,
+)
 #: Longest wait for the system to get ready, and for the recorder [s].
 _READY = 60.0
 #: The arm counts as at rest when no joint left this band [rad] for this time [s].
@@ -97,11 +127,7 @@ class ScenarioDriver:
         self._stop = PersistentService("stop", Trigger)
 
     def wait_until_ready(self) -> None:
-        """Wait until a plan could be started.
-
-        Raises:
-            ScenarioError: If that takes too long.
-        """
+        """Wait until a plan could be started."""
         ready = {"link": "ARMED", "sync": "IN_SYNC", "execution": "IDLE"}
         self._wait(lambda: all(self.now(t) == s for t, s in ready.items()), f"{ready}", time.monotonic() + _READY)
         for service in ("plan_to_joints", "mock_rsi/inject"):
@@ -261,11 +287,7 @@ class ScenarioDriver:
 
 
 def run_scenario(settings: ScenarioSettings, content: dict, console: Console) -> Judgement:
-    """Run, record and judge; see the module.
-
-    Raises:
-        ConstructionTwinError: If the scenario makes no sense, the system does not get ready, or the recording cannot be judged.
-    """
+    """Run, record and judge; see the module."""
     scenario, robot = make_scenario(settings.name, content), robot_from_parameters()
     folder = Path(settings.results_dir).expanduser() / scenario.name
     check_writable(folder)
@@ -294,6 +316,107 @@ def run_scenario(settings: ScenarioSettings, content: dict, console: Console) ->
     changes = [asdict(change) | {"at_s": round((change.stamp - run.start) / 1e9, 4)} for change in run.changes]
     (folder / VERDICT).write_text(json.dumps(verdict.to_dict() | {"changes": changes}, indent=2, default=str) + "\n")
     return verdict
+
+
+# -- the recording
+
+
+def read_run(folder: Path, namespace: str | None = None) -> Run:
+    """Read a recorded run.
+
+    Args:
+        folder: Holds the bag and the driver's notes.
+        namespace: The robot's; default: that of the only robot in the bag.
+    """
+    path = folder / BAG
+    recording = read_recording(path, namespace)
+    prefix = recording.robot.rstrip("/")
+    notes = json.loads((folder / NOTES).read_text())
+    changes = [Change(**change) for change in notes["actions"]]
+    with open_bag(path) as bag:
+        read = messages_of(bag, recording.robot, (SYNC, TRANSITIONS, LINK, EXECUTION, MOCK, ARM))
+    messages = {name: [message for _, message in found] for name, found in read.items()}
+    for name in (SYNC, EXECUTION, MOCK, ARM):
+        if name not in messages:
+            raise ConstructionTwinError(f"{path} holds no {prefix}/{name}; was the mock controller recorded?")
+    reports = [json.loads(message.data) for message in messages[MOCK]]
+    transitions = messages.get(TRANSITIONS, [])
+    changes += [*_states("sync", messages[SYNC][:1]), *_transitions(transitions)]
+    changes += _states("link", messages.get(LINK, []))
+    changes += [*_states("execution", messages[EXECUTION]), *_outcomes(messages[EXECUTION]), *_faults(reports)]
+    arm = messages[ARM]
+    columns = [arm[0].name.index(joint) for joint in recording.joint_names]
+    missed = np.array([report["counters"]["missed"] for report in reports])
+    told = np.array([report["stamp"] for report in reports], dtype=np.int64)
+    return Run(
+        recording=recording,
+        changes=tuple(sorted(changes, key=lambda change: change.stamp)),
+        closings=tuple(_closings(transitions, messages[SYNC])),
+        arm_stamps=np.array([nanoseconds(message.header.stamp) for message in arm], dtype=np.int64),
+        arm=np.array([message.position for message in arm])[:, columns],
+        missed=int(missed[-1] - missed[0]),
+        missed_at=told[np.diff(missed, prepend=missed[0]) > 0],
+        failure=notes["failure"],
+        stops=tuple(dict.fromkeys(_stops(messages.get(LINK, [])))),
+        stated=next((tuple(report["stop_ramp"]["distance_deg"]) for report in reports if report["stop_ramp"]), ()),
+    )
+
+
+def _states(topic: str, messages: list) -> Iterator[Change]:
+    last = None
+    for message in messages:
+        if message.text != last:
+            last = message.text
+            yield Change(nanoseconds(message.header.stamp), topic, last, message.reason)
+
+
+def _outcomes(messages: list) -> Iterator[Change]:
+    last = None
+    for message in messages:
+        found = message.plan_id, message.outcome
+        if message.outcome and found != last:
+            yield Change(nanoseconds(message.header.stamp), "outcome", message.outcome, message.reason)
+        last = found
+
+
+def _faults(reports: list[dict]) -> Iterator[Change]:
+    """Return which faults began and ended, by name, and the controller sessions that began."""
+    before: set[str] = set()
+    session = reports[0]["session"]
+    for report in reports:
+        now = set(report["faults"])
+        for topic, texts in (("fault", now - before), ("fault_end", before - now)):
+            for text in sorted(texts):
+                name, _, subject = text.partition(" ")
+                yield Change(report["stamp"], topic, name, subject)
+        if report["session"] != session:
+            session = report["session"]
+            yield Change(report["stamp"], "session", str(session), report["reason"])
+        before = now
+
+
+def _stops(messages: list) -> Iterator[GatewayStop]:
+    for message in messages:
+        told = {pair.key: pair.value for pair in message.gateway_counters}
+        if told.get("stop_took_s"):
+            stated, moved = (tuple(map(float, told[f"stop_{name}_deg"].split())) for name in ("distance", "moved"))
+            yield GatewayStop(told["stop_cause"], stated, moved)
+
+
+def _transitions(messages: list) -> Iterator[Change]:
+    """Return every change of the gate's state: two of them may come within one cycle, which `sync` does not show."""
+    for message in messages:
+        yield Change(nanoseconds(message.header.stamp), "sync", message.to_text, message.reason)
+
+
+def _closings(transitions: list, syncs: list) -> Iterator[SyncMoment]:
+    stamps = [nanoseconds(sync.header.stamp) for sync in syncs]
+    for message in transitions:
+        if message.from_text == "IN_SYNC":
+            stamp = nanoseconds(message.header.stamp)
+            last = syncs[max(0, bisect_right(stamps, stamp) - 1)]
+            measured = tuple(message.name), tuple(message.error), tuple(message.threshold)
+            yield SyncMoment(stamp, *measured, last.servo_lag)
 
 
 def checked(parameters: Parameters = rospy) -> tuple[ScenarioSettings, dict]:

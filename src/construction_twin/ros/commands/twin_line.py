@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 
-from construction_twin.views.arguments import check, parser, split_lists
+from construction_twin.views.arguments import check, parser
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -13,7 +13,7 @@ def main(arguments: list[str] | None = None) -> int:
     if arguments is None:
         arguments = [word for word in sys.argv[1:] if ":=" not in word]  # as rospy.myargv, which loads rospy
     command_line = parser(os.environ.get("ROS_NAMESPACE", "").strip("/") or "kr120")
-    options = command_line.parse_args(split_lists(arguments))
+    options = command_line.parse_args(arguments)
     problem = check(options)
     if problem:
         command_line.error(problem)

@@ -21,7 +21,7 @@ import construction_twin.srv as srv
 from construction_twin import msg
 from construction_twin.core.errors import ConstructionTwinError, PayloadError, ReviewError
 from construction_twin.core.files import check_writable
-from construction_twin.core.freshness import parse_moment
+from construction_twin.core.freshness import parse_moment, present
 from construction_twin.core.reports import SessionRequest, SpeedChange, ToolReport
 from construction_twin.core.sentences import Sentence, both
 from construction_twin.core.speed_limit import SpeedLimit
@@ -42,13 +42,11 @@ from construction_twin.robot.tool import tool_hash
 from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.messages.records import from_msg, sentence_of, to_msg
 from construction_twin.ros.messages.tool import engagement_to_msg, order_to_msg, tool_report_from_msg
-from construction_twin.ros.shared.deferred_log import DeferredLog
-from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
-from construction_twin.ros.shared.node_shell import NodeShell
-from construction_twin.ros.shared.params import NodeSettings, robot_file
-from construction_twin.ros.shared.ports import (
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, DeferredLog, Report
+from construction_twin.ros.shared.node_shell import (
     Every,
     Interface,
+    NodeShell,
     Ports,
     PosePublication,
     PoseSubscription,
@@ -58,7 +56,7 @@ from construction_twin.ros.shared.ports import (
     Subscription,
     has_arm,
 )
-from construction_twin.ros.shared.robot_clock import present
+from construction_twin.ros.shared.params import NodeSettings, robot_file
 from construction_twin.ros.transport.cycle import Cycles
 from construction_twin.ros.transport.joint_stream import from_time, now_ns
 from construction_twin.ros.transport.subscriber import caller_of

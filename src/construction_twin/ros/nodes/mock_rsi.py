@@ -22,9 +22,16 @@ from construction_twin.mock.network import MockRsi
 from construction_twin.mock.program import MockSettings, axis_angles, build_controller, gateway_address, joint_angles
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
-from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.node_shell import (
+    Interface,
+    NodeShell,
+    Ports,
+    PosePublication,
+    Publication,
+    Served,
+    Shared,
+)
 from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.ports import Interface, Ports, PosePublication, Publication, Served, Shared
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.srv import InjectFault, InjectFaultRequest
 

@@ -14,6 +14,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from construction_twin.broker.start import ACCOUNTS
 from construction_twin.core.errors import ConfigurationError, PayloadError
+from construction_twin.core.freshness import present
 from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.reports import SessionRequest
 from construction_twin.core.sentences import Sentence, both
@@ -31,15 +32,13 @@ from construction_twin.msg import SessionRequest as SessionRequestMessage
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.tool import tool_report_to_msg
-from construction_twin.ros.shared.deferred_log import DeferredLog
-from construction_twin.ros.shared.diagnostics import OK, WARN, Report
+from construction_twin.ros.shared.diagnostics import OK, WARN, DeferredLog, Report
 from construction_twin.ros.shared.gateway_config import config_of_link
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
-from construction_twin.ros.shared.node_shell import NodeShell
-from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.ports import (
+from construction_twin.ros.shared.node_shell import (
     Every,
     Interface,
+    NodeShell,
     Ports,
     PosePublication,
     PoseSubscription,
@@ -49,7 +48,7 @@ from construction_twin.ros.shared.ports import (
     SharedParameter,
     Subscription,
 )
-from construction_twin.ros.shared.robot_clock import present
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.stop_memory import StopMemory
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.srv import ActAsSeen, TakeResponsibility

@@ -27,8 +27,7 @@ from construction_twin.ros.shared.arm_listener import (
     plan_rows,
 )
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
-from construction_twin.ros.shared.node_shell import NodeShell
-from construction_twin.ros.shared.ports import Interface, Ports, Publication
+from construction_twin.ros.shared.node_shell import Interface, NodeShell, Ports, Publication
 from construction_twin.ros.transport.publisher import Sink
 from construction_twin.scene.collision_world import CollisionWorld, Contact
 from construction_twin.scene.neighbour import Obstacle, key_rows
@@ -63,12 +62,7 @@ def first_meeting(
 
 
 class NeighbourNode:
-    """Two arms' topics in, verdicts on a plan of ours out.
-
-    Args:
-        world: Of our arm, in any scene.
-        padding: As of `first_meeting`.
-    """
+    """Two arms' topics in, verdicts on a plan of ours out."""
 
     def __init__(self, own: ArmListener, other: OtherArm, world: CollisionWorld, padding: float, conflict: Sink):
         self._own = own

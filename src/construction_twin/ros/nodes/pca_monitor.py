@@ -26,14 +26,11 @@ from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.records import to_msg
-from construction_twin.ros.shared.deferred_log import DeferredLog
-from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
-from construction_twin.ros.shared.node_shell import NodeShell
-from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.params import NodeSettings, robot_file, ros_home
-from construction_twin.ros.shared.ports import (
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, DeferredLog, Report
+from construction_twin.ros.shared.node_shell import (
     Every,
     Interface,
+    NodeShell,
     Ports,
     PosePublication,
     PoseSubscription,
@@ -44,6 +41,8 @@ from construction_twin.ros.shared.ports import (
     Subscription,
     has_arm,
 )
+from construction_twin.ros.shared.outcome import Outcome
+from construction_twin.ros.shared.params import NodeSettings, robot_file, ros_home
 from construction_twin.ros.shared.speed_limits import AGAIN, PERIOD, PROGRAM, SpeedLimitService
 from construction_twin.ros.shared.stop_memory import PARAMETER, StopMemory
 from construction_twin.ros.transport.joint_stream import now_ns, to_time

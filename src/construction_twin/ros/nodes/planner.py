@@ -15,7 +15,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from construction_twin import msg, srv
 from construction_twin.core.extensions import extension
-from construction_twin.core.freshness import parse_moment
+from construction_twin.core.freshness import parse_moment, present
 from construction_twin.core.motion_errors import EngagedError, PlanningError, SceneError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
@@ -48,10 +48,17 @@ from construction_twin.ros.shared.arm_listener import (
 )
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.frames import FRAMES, listen_to_frames
-from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.node_shell import (
+    Interface,
+    NewestPose,
+    NodeShell,
+    Ports,
+    Publication,
+    Served,
+    Shared,
+    Subscription,
+)
 from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.ports import Interface, NewestPose, Ports, Publication, Served, Shared, Subscription
-from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.subscriber import caller_of
 from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.objects import product

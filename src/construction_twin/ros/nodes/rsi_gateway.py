@@ -31,9 +31,6 @@ def stop_file(arm: str, config: Path, robot: str) -> Path:
     Args:
         arm: Of `ARM`.
         config: The configuration's file, of one node and ROS master; the real arm is the same one with another master.
-
-    Raises:
-        ConfigurationError: When it cannot be written.
     """
     path = config.with_suffix(".stopped") if arm in (NEW_MOCK, MOCK) else config.with_name(f"{robot}.stopped")
     stops = StopFile(path)

@@ -22,19 +22,19 @@ from construction_twin.ros.messages.convert import pose_from_msg
 from construction_twin.ros.messages.scene_convert import object_from_msg, scene_markers, scene_to_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.frames import FRAMES, listen_to_frames
-from construction_twin.ros.shared.node_shell import NodeShell
-from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.params import PrivateSettings, ros_home
-from construction_twin.ros.shared.ports import (
+from construction_twin.ros.shared.node_shell import (
     Every,
     Interface,
     NewestPose,
+    NodeShell,
     Ports,
     Publication,
     Served,
     Shared,
     SharedParameter,
 )
+from construction_twin.ros.shared.outcome import Outcome
+from construction_twin.ros.shared.params import PrivateSettings, ros_home
 from construction_twin.ros.transport.publisher import Sink
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.collision_world import CollisionWorld

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import os
 import re
+import socket
 import sys
 import threading
 import time
@@ -17,15 +18,12 @@ import rosgraph
 import rospy
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.network import reaches_itself
 from construction_twin.core.share import share_folder
 from construction_twin.msg import Feedback, Scene, StartRefused
 from construction_twin.robot.description import RobotModel, other_joints_text
-from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
-from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report, warn_of_refusals
+from construction_twin.ros.shared.node_shell import Every, Interface, NodeShell, Ports, Shared, Subscription
 from construction_twin.ros.shared.params import PrivateSettings
-from construction_twin.ros.shared.ports import Every, Interface, Ports, Shared, Subscription
-from construction_twin.ros.shared.refusal_log import warn_of_refusals
 from construction_twin.ros.shared.robot_listener import REPORTS, RobotListener
 from construction_twin.ros.shared.start_refusal import AGAIN, TOPIC, launch
 from construction_twin.ros.transport.subscriber import Subscriber, caller_of
@@ -191,6 +189,30 @@ def expect_reachable(environ: Mapping[str, str]) -> None:
     master = urllib.parse.urlsplit(rosgraph.get_master_uri()).hostname or ""
     if master == "localhost" and (why := reaches_itself(master, ADDRESS_TIME)):
         raise ConfigurationError("localhost", master, f"the line `127.0.0.1 localhost` in /etc/hosts: {why}")
+
+
+def reaches_itself(host: str, timeout: float) -> str:
+    """Return why no program of this machine that listens by IPv4 is reached by an address or name in time; empty when one is."""
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as server:
+        server.bind(("", 0))
+        server.listen(1)
+        try:
+            found = socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_STREAM)
+        except (OSError, UnicodeError) as error:
+            return f"it has no IPv4 address ({getattr(error, 'strerror', None) or str(error)})"
+        address, port = str(found[0][4][0]), server.getsockname()[1]
+        try:
+            socket.create_connection((address, port), timeout).close()
+        except OSError as error:
+            return f"nothing of this machine answers at {address} ({error.strerror or str(error)})"
+        try:
+            # by the name, as HTTP does: where /etc/hosts has `::1` alone, who asks for IPv4 still gets 127.0.0.1, HTTP only ::1
+            socket.create_connection((host, port), timeout).close()
+        except OSError as error:
+            return (
+                f"it has an address of IPv6 alone, at which no program of ROS listens ({error.strerror or str(error)})"
+            )
+    return ""
 
 
 def expect_known(words: list[str]) -> None:

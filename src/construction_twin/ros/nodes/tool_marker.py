@@ -39,10 +39,9 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.convert import pose_from_msg, pose_to_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg, tf_frame
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
-from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.node_shell import Interface, NewestPose, NodeShell, Ports, Publication, Subscription
 from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.params import PrivateSettings
-from construction_twin.ros.shared.ports import Interface, NewestPose, Ports, Publication, Subscription
 from construction_twin.ros.shared.robot_listener import REPORTS, RobotListener
 from construction_twin.ros.shared.tool_marker_menu import MarkerGoal, ToolMarkerMenu, moved
 from construction_twin.ros.transport.subscriber import PUBLISHER, caller_of
@@ -154,14 +153,7 @@ def tool_marker(frame: str, pose: PoseMsg, scale: float) -> InteractiveMarker:
 
 
 def verdict_markers(frame: str, pose: PoseMsg, scale: float, reach: Reach | None, lines: list[str]) -> MarkerArray:
-    """Return the coloured sphere and the text.
-
-    Args:
-        pose: Of the interactive marker, in that frame.
-        scale: Of the interactive marker [m].
-        reach: None: not known.
-        lines: Wrapped where they are long.
-    """
+    """Return the coloured sphere and the text."""
     sphere = Marker(ns="verdict", id=0, type=Marker.SPHERE, pose=pose, color=ColorRGBA(*COLOURS[reach]))
     sphere.scale = Vector3(*[_SPHERE * scale] * 3)
     text = _text("\n".join(textwrap.fill(line, _WIDTH) for line in lines if line), pose.position, scale)

@@ -19,10 +19,9 @@ from construction_twin.msg import Link, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
-from construction_twin.ros.shared.node_shell import NodeShell
-from construction_twin.ros.shared.params import NodeSettings
-from construction_twin.ros.shared.ports import (
+from construction_twin.ros.shared.node_shell import (
     Interface,
+    NodeShell,
     Ports,
     PosePublication,
     PoseSubscription,
@@ -31,6 +30,7 @@ from construction_twin.ros.shared.ports import (
     Subscription,
     has_arm,
 )
+from construction_twin.ros.shared.params import NodeSettings
 from construction_twin.ros.transport.cycle import Cycles
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
 from construction_twin.twin.virtual_robot import GazeboTwin, KinematicBackend, TwinBackend, TwinClock, VirtualRobot

@@ -243,11 +243,7 @@ def await_robot(name: str) -> None:
 
 
 def listen_to_other_arm(own: str, settings: NeighbourSettings, refused: Refuse) -> OtherArm:
-    """Return the other arm of the cell, listening to its topics; `own` is the name of our robot there.
-
-    Raises:
-        ConfigurationError: If the other robot's description is missing, or the cell does not hold both.
-    """
+    """Return the other arm of the cell, listening to its topics; `own` is the name of our robot there."""
     above = rosgraph.names.namespace(rospy.get_namespace())
     space = f"{above}{settings.name}"
     robot = robot_from_parameters(f"{space}/")

@@ -1,9 +1,10 @@
-"""Counters and states of a node on `/diagnostics`, once a second."""
+"""What a node says of itself: refusals and lines in its log, from threads that must not wait; its state on `/diagnostics`."""
 
 from __future__ import annotations
 
 import threading
-from collections import Counter
+import time
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
@@ -11,19 +12,83 @@ import diagnostic_updater
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
-from construction_twin.ros.shared.deferred_log import DeferredLog
-from construction_twin.ros.shared.refusal_log import RefusalLog
+from construction_twin.core.rate_limit import LineLimiter
+from construction_twin.core.units import NANOSECONDS
 from construction_twin.ros.transport.publisher import Publisher
+from construction_twin.ros.transport.subscriber import PUBLISHER
+
+OK = DiagnosticStatus.OK
+WARN = DiagnosticStatus.WARN
+ERROR = DiagnosticStatus.ERROR
+#: Lines kept; of more the oldest are dropped.
+LINES_KEPT = 1000
+#: Between two lines for one reason [ns].
+PERIOD = 5 * NANOSECONDS
+#: Strangers that are known; those that come later are told of as everything else is.
+KEPT = 100
+
+
+class DeferredLog:
+    """Keeps lines until a thread that may wait writes them, to disk and terminal, under a lock of all threads."""
+
+    def __init__(self):
+        self._writing = threading.Lock()
+        self._lines: deque[tuple[Callable[..., None], tuple]] = deque(maxlen=LINES_KEPT)
+
+    def add(self, write: Callable[..., None], *words) -> None:
+        """Keep a line; `write` is `rospy.loginfo` or one of its kind, `words` its arguments."""
+        self._lines.append((write, words))
+
+    def flush(self) -> None:
+        """Write what was kept, oldest first."""
+        with self._writing:
+            while self._lines:
+                write, words = self._lines.popleft()
+                write(*words)
+
+
+class RefusalLog:
+    """Decides which refusals are written: a stranger once per stream, others at most every 5 s per reason; from several threads.
+
+    Args:
+        clock: Returns a time from any origin [ns].
+    """
+
+    def __init__(self, clock: Callable[[], int] = time.monotonic_ns):
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._lines = LineLimiter(PERIOD)
+        #: How often each stranger was refused, by the sentence that names it, its stream and who may publish that.
+        self._strangers: Counter[str] = Counter()
+
+    def note(self, reason: str, sentence: str) -> str | None:
+        """Count a refusal; return what to append to its line, None when none is to be written (`LineLimiter.note`)."""
+        with self._lock:
+            if reason == PUBLISHER and (sentence in self._strangers or len(self._strangers) < KEPT):
+                self._strangers[sentence] += 1
+                return "" if self._strangers[sentence] == 1 else None
+            return self._lines.note(reason, self._clock())
+
+    def strangers(self) -> dict[str, int]:
+        """Return how often each stranger was refused, by its sentence."""
+        with self._lock:
+            return dict(self._strangers)
+
+
+def warn_of_refusals() -> Callable[[str, str], None]:
+    """Return what takes the refusals of a program without `/diagnostics`: they are said in its log alone."""
+    log = RefusalLog()
+
+    def refuse(reason: str, sentence: str) -> None:
+        if (more := log.note(reason, sentence)) is not None:
+            rospy.logwarn("%s refused (%s): %s%s", rospy.get_name(), reason, sentence, more)
+
+    return refuse
 
 
 @dataclass(frozen=True)
 class Report:
-    """A node's state.
-
-    Attributes:
-        level: A DiagnosticStatus level: `OK`, `WARN` or `ERROR`.
-        values: Further values by name.
-    """
+    """A node's state."""
 
     level: int
     sentence: str
@@ -34,10 +99,6 @@ class NodeDiagnostics:
     """Counts refusals and reports them with a node's state; for use from several threads.
 
     Who refuses may hold the lock of a cycle, or be the thread in which the next stop comes: it never waits for the log.
-
-    Args:
-        hardware_id: Name of the robot.
-        report: Returns the node's Report.
     """
 
     def __init__(self, hardware_id: str, report: Callable[[], Report]):
@@ -99,8 +160,3 @@ class NodeDiagnostics:
         for sentence, count in self._log.strangers().items():
             stat.add(f"refused: {sentence}", str(count))
         return stat
-
-
-OK = DiagnosticStatus.OK
-WARN = DiagnosticStatus.WARN
-ERROR = DiagnosticStatus.ERROR

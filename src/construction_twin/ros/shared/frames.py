@@ -48,9 +48,6 @@ class FrameListener:
 
     Args:
         refused: Called as ``refused(reason, sentence)`` for a transform of a node that may not publish its frame.
-
-    Attributes:
-        buffer: To look up transforms in.
     """
 
     def __init__(self, refused: Callable[[str, str], None]):

@@ -53,10 +53,6 @@ def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
             controller's, and `ethernet_xml`: path or text of the file that describes its telegrams; none: the make's plain layout.
             `timeout` is a number of the controller's cycles; `tool` is the content of a tool file, {} for none. A layout without
             any channel of a tool makes it a tool without hands: the configuration has none then.
-
-    Raises:
-        ConfigurationError: For an unknown key, or a value that does not fit: also a range that the joint string cannot carry, and
-            a file that does not fit the robot.
     """
     axes = tuple(axis.name for axis in robot.axes)
     settings = dict(settings)

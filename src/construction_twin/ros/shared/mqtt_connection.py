@@ -14,8 +14,8 @@ from construction_twin.mqtt.client import Broker, load_account
 from construction_twin.mqtt.failures import ConnectionReport
 from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.robot.description import RobotModel
+from construction_twin.ros.shared.node_shell import Shared
 from construction_twin.ros.shared.params import NodeSettings
-from construction_twin.ros.shared.ports import Shared
 from construction_twin.ros.shared.start_refusal import launch
 
 #: How long a node waits before it says that the broker is gone [s]: one Ctrl-C ends both, and the broker is often first.
@@ -72,14 +72,7 @@ def connect(
     on_disconnect: Callable[..., None],
     on_message: Mapping[str, Callable[[MQTTMessage], None]],
 ) -> None:
-    """Connect to the broker, and serve the connection in a thread of its own, which makes all the calls.
-
-    Args:
-        client: Not connected yet.
-        report: Told of connections that fail.
-        on_connect, on_disconnect: As paho calls them.
-        on_message: For each topic what takes its messages.
-    """
+    """Connect to the broker, and serve the connection in a thread of its own, which makes all the calls."""
     report.watch(client)
     client.on_connect = on_connect
     client.on_disconnect = on_disconnect

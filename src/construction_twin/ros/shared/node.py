@@ -48,7 +48,6 @@ def run_node(name: str, start: Callable[[], object], refused: Callable[[str], ob
     The private parameter ``~realtime_priority``, where a node has one, applies to all its threads.
 
     Args:
-        name: Default node name.
         start: Builds the node; its result is kept alive. A result with a `run` method is run in the main thread.
         refused: Takes why it cannot start; returns when the process should end.
     """

@@ -1,24 +1,291 @@
-"""One shell for every robot's node: its parameters, their check, and all that it has to do with ROS, declared before it starts."""
+"""A robot's node: its parameters, their check, and all that it has to do with ROS, declared before it starts; `Ports` opens that.
+
+A declaration is data, so that a test without a master compares it with docs/reference/topics.md. Its handler is a function whose
+first argument is the node, mostly a method of its class; it is bound to the node once, when the subscription is opened: what comes
+in afterwards goes directly to the method.
+"""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Generic
+from functools import partial
+from importlib import import_module
+from types import MethodType
+from typing import Any, Generic, TypeVar
 
-import pydantic
 import rospy
+from sensor_msgs.msg import JointState
 
+from construction_twin.core.errors import ConstructionTwinError, ExpiredError, ProtocolError
+from construction_twin.core.freshness import TOO_OLD
 from construction_twin.robot.description import RobotModel
-from construction_twin.ros.shared.node import run_node
+from construction_twin.ros.shared.diagnostics import WARN, NodeDiagnostics, Report
+from construction_twin.ros.shared.node import Service, run_node
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import Parameters, Settings, read_parameters, robot_from_parameters
-from construction_twin.ros.shared.ports import Interface, Ports, Shared
 from construction_twin.ros.shared.start_refusal import expect_own_parameters, refuse
+from construction_twin.ros.transport.joint_stream import QUEUE, JointPublisher, JointSubscriber
+from construction_twin.ros.transport.latest_pose import LatestPose
+from construction_twin.ros.transport.publisher import Publisher, Sink
+from construction_twin.ros.transport.subscriber import Subscriber
+
+_Topic = TypeVar("_Topic", bound="Publication | PosePublication | Subscription | PoseSubscription")
+Refuse = Callable[[str, str], None]
+#: Values of the shared parameters of an interface, by name.
+Shared = Mapping[str, Any]
+#: Takes the node's parameters; returns whether there is such a topic with them.
+When = Callable[[Any], bool]
 
 
-def nothing_more(_settings: pydantic.BaseModel, _robot: RobotModel, _shared: Shared) -> None:
-    """Check nothing: what the model of the parameters accepts, the node can start with."""
+def always(_settings: Any) -> bool:
+    """Return True: with any parameters."""
+    return True
+
+
+def has_arm(settings: Any) -> bool:
+    """Return whether there is a physical arm, mock or real."""
+    return settings.arm != "none"
+
+
+@dataclass(frozen=True)
+class SharedParameter:
+    """A parameter beside the node's private ones, read once, before the node is made.
+
+    Attributes:
+        name: In the robot's namespace, or absolute.
+        default: What counts where there is none.
+        kept: Whether the node writes it too, for the process after it (`Ports.keeper`).
+    """
+
+    name: str
+    default: object = None
+    kept: bool = False
+
+
+@dataclass(frozen=True)
+class Publication:
+    """A topic that the node publishes.
+
+    Attributes:
+        kind: Of its messages; the name of one that need not be installed, as ``moveit_msgs/PlanningScene``: then there is no topic.
+    """
+
+    topic: str
+    kind: type | str
+    queue_size: int
+    latch: bool = False
+    tcp_nodelay: bool = False
+    when: When = always
+
+    def open(self, _robot: RobotModel) -> Sink | None:
+        """Return the publisher; None where its kind is not installed."""
+        kind = self._installed(self.kind) if isinstance(self.kind, str) else self.kind
+        if kind is None:
+            return None
+        return Publisher(self.topic, kind, self.queue_size, latch=self.latch, tcp_nodelay=self.tcp_nodelay)
+
+    def _installed(self, kind: str) -> type | None:
+        """Return a type of messages by its ROS name; None where its package, or one that it needs, is not installed."""
+        package, name = kind.split("/")
+        try:
+            return getattr(import_module(f"{package}.msg"), name)
+        except ModuleNotFoundError as error:
+            missing = str(error.name).split(".")[0]
+            if missing != package:
+                rospy.logwarn("%s is not published: %s needs %s, which is not installed", self.topic, package, missing)
+            return None
+
+
+@dataclass(frozen=True)
+class PosePublication:
+    """Poses of the robot that the node publishes, as joint states or as `Feedback`."""
+
+    topic: str
+    kind: type = JointState
+    when: When = always
+
+    def open(self, robot: RobotModel) -> Sink:
+        """Return the publisher."""
+        return JointPublisher(self.topic, robot.joint_names, self.kind)
+
+
+@dataclass(frozen=True)
+class Subscription:
+    """A topic that the node hears; the handler takes node and message."""
+
+    topic: str
+    kind: type
+    handler: Callable[[Any, Any], object]
+    queue_size: int
+    tcp_nodelay: bool = False
+    when: When = always
+
+    def open(self, handler: Callable[..., object], _robot: RobotModel, refuse: Refuse) -> Subscriber:
+        """Return the subscriber, with a handler that knows its node."""
+        return Subscriber(self.topic, self.kind, handler, refuse, self.queue_size, self.tcp_nodelay)
+
+
+@dataclass(frozen=True)
+class PoseSubscription:
+    """Poses that the node hears, each of them.
+
+    Attributes:
+        handler: Takes the node, a stamp [ns] and positions [rad]; of `Feedback` also its number and the command's stamp [ns].
+    """
+
+    topic: str
+    handler: Callable[..., object]
+    queue_size: int = QUEUE
+    kind: type = JointState
+    pause: float = 0.0
+    when: When = always
+
+    def open(self, handler: Callable[..., object], robot: RobotModel, refuse: Refuse) -> JointSubscriber:
+        """Return the subscriber, with a handler that knows its node."""
+        return JointSubscriber(self.topic, robot.joint_names, handler, refuse, self.queue_size, self.kind, self.pause)
+
+
+@dataclass(frozen=True)
+class NewestPose:
+    """Poses of which the node asks for the newest, now and then: see `LatestPose`."""
+
+    topic: str
+    when: When = always
+
+
+@dataclass(frozen=True)
+class Served:
+    """A service: its answer has `success`, `message` and what else its kind has.
+
+    Attributes:
+        handler: Takes node and request; returns what became of it, or only the sentence where it was done. A typed error that it
+            raises is a refusal.
+        reason: As what a refusal is counted that has no reason of its own, or what returns that of a request; "": as its type.
+        refused: Takes node and request; returns further fields of a refusal.
+    """
+
+    name: str
+    kind: type
+    handler: Callable[[Any, Any], Outcome | str]
+    reason: str | Callable[[Any], str] = ""
+    refused: Callable[[Any, Any], Mapping[str, object]] = lambda _node, _request: {}
+
+    def answer(self, node: Any, refuse: Refuse, request: Any) -> Any:
+        """Return the response: the one place where a refusal becomes an answer, is counted, and written to the log later."""
+        try:
+            done = self.handler(node, request)
+        except ConstructionTwinError as error:
+            expired, own = isinstance(error, ExpiredError), error.reason if isinstance(error, ProtocolError) else ""
+            given = self.reason if isinstance(self.reason, str) else self.reason(request)
+            refuse(TOO_OLD if expired else own or given or type(error).__name__, str(error))
+            done = Outcome(False, str(error), expired, self.refused(node, request))
+        return (Outcome(True, done) if isinstance(done, str) else done).response(self.kind)
+
+
+@dataclass(frozen=True)
+class Every:
+    """What the node does again and again: `period` takes its parameters [s], `act` the node."""
+
+    period: Callable[[Any], float]
+    act: Callable[[Any], object]
+
+
+@dataclass(frozen=True)
+class Interface:
+    """All that a node has to do with ROS.
+
+    Attributes:
+        report: Takes the node; returns its state for `/diagnostics`. None: it reports nothing there, and has nothing to refuse.
+        reads: Poses that are asked for.
+        listeners: Topics that its collaborators hear by themselves.
+        every: Each in a thread of its own.
+    """
+
+    report: Callable[[Any], Report] | None = None
+    parameters: tuple[SharedParameter, ...] = ()
+    publishes: tuple[Publication | PosePublication, ...] = ()
+    reads: tuple[NewestPose, ...] = ()
+    hears: tuple[Subscription | PoseSubscription, ...] = ()
+    listeners: tuple[str, ...] = ()
+    serves: tuple[Served, ...] = ()
+    every: tuple[Every, ...] = ()
+
+    def shared(self, parameters: Parameters) -> dict[str, Any]:
+        """Return the values of the shared parameters, by name."""
+        return {each.name: parameters.get_param(each.name, each.default) for each in self.parameters}
+
+
+class Ports:
+    """A node's topics and services, opened in an order in which nothing comes before somebody can take it.
+
+    What the node publishes, and the poses that it asks for, are there before it is made; what it hears comes once it is there,
+    requests after that, because then it can answer them. rospy takes all of them back at once when the process shuts down, before
+    anybody else hears of the shutdown.
+
+    Attributes:
+        parameters: Values of the shared ones, by name.
+        publishers, poses: By topic; without what is not there with these parameters.
+    """
+
+    def __init__(self, interface: Interface, settings: Any, robot: RobotModel):
+        self._interface, self._settings, self._robot = interface, settings, robot
+        self._node: object = None
+        self.parameters = interface.shared(rospy)
+        self._diagnostics = None
+        if interface.report is not None:
+            self._diagnostics = NodeDiagnostics(robot.name, self._report)
+        opened = ((each.topic, each.open(robot)) for each in interface.publishes if each.when(settings))
+        self.publishers: dict[str, Sink] = {topic: publisher for topic, publisher in opened if publisher is not None}
+        self.poses = {
+            each.topic: LatestPose(each.topic, robot.joint_names, self.diagnostics.refuse)
+            for each in interface.reads
+            if each.when(settings)
+        }
+        self._subscribers: dict[str, Subscriber] = {}
+
+    @property
+    def diagnostics(self) -> NodeDiagnostics:
+        """Where the node counts what it refuses; only of one that reports."""
+        assert self._diagnostics is not None  # it reports
+        return self._diagnostics
+
+    def keeper(self, name: str) -> Callable[[Any], None]:
+        """Return what writes a shared parameter that is `kept`; it may take as long as the master does."""
+        assert any(each.kept for each in self._interface.parameters if each.name == name), name
+        return partial(rospy.set_param, name)
+
+    def connect(self, node: object) -> None:
+        """Open what the node hears, what it serves, and what it does again and again."""
+        self._node = node
+        for each in self._interface.hears:
+            if each.when(self._settings):
+                opened = each.open(MethodType(each.handler, node), self._robot, self.diagnostics.refuse)
+                if isinstance(opened, Subscriber):
+                    self._subscribers[each.topic] = opened
+        for served in self._interface.serves:
+            Service(served.name, served.kind, partial(served.answer, node, self.diagnostics.refuse))
+        for timer in self._interface.every:
+            rospy.Timer(rospy.Duration(timer.period(self._settings)), self._doing(timer.act))
+
+    def connections(self, topic: str) -> int:
+        """Return how many publishers of a topic that is heard are connected; before it is heard, none."""
+        subscriber = self._subscribers.get(topic)
+        return subscriber.get_num_connections() if subscriber is not None else 0
+
+    def stop_hearing(self, topic: str) -> None:
+        """Hear no more of a topic."""
+        self._subscribers.pop(topic).unregister()
+
+    def _doing(self, act: Callable[[Any], object]) -> Callable[[object], object]:
+        # once this node is asked to end, what stays away is no news: the others end as well
+        return lambda _event: rospy.core.is_shutdown_requested() or act(self._node)
+
+    def _report(self) -> Report:
+        if self._node is None or self._interface.report is None:
+            return Report(WARN, "this node starts")
+        return self._interface.report(self._node)
 
 
 @dataclass(frozen=True)
@@ -26,21 +293,17 @@ class NodeShell(Generic[Settings]):
     """One robot's node, as its process starts it and as `preflight` checks it before anything starts.
 
     Attributes:
-        name: Default node name.
-        settings: Model of its private parameters.
         start: Makes the node of these, its robot and what is open by then; a result with a `run` method is run in the main thread.
-        interface: All that it has to do with ROS.
         check: Takes parameters, robot and the shared parameters of the interface; raises a ConstructionTwinError where the node
             cannot work with them, or must not. Changes nothing.
         fast: It is on the 250 Hz path: its threads take turns every millisecond.
-        refused: As of `run_node`.
     """
 
     name: str
     settings: type[Settings]
     start: Callable[[Settings, RobotModel, Ports], object]
     interface: Interface
-    check: Callable[[Settings, RobotModel, Shared], object] = nothing_more
+    check: Callable[[Settings, RobotModel, Shared], object] = lambda *_: None
     fast: bool = False
     refused: Callable[[str], object] = refuse
 

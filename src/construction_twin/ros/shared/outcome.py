@@ -14,9 +14,7 @@ class Outcome:
     """What became of a request; its names are those of the services' answers.
 
     Attributes:
-        message: For people.
         expired: It is void, because what its screen had shown is too old.
-        fields: Further fields of the answer.
         counted: As what it is counted; "": as done or not.
     """
 

@@ -61,9 +61,6 @@ def robot_from_parameters(namespace: str = "", parameters: Parameters = rospy) -
 
     Args:
         namespace: ``/kr120/``; the node's own by default.
-
-    Raises:
-        ConfigurationError: If one is missing or does not make sense.
     """
     names = [namespace + name for name in ("robot_description", "robot")]
     values = [parameters.get_param(name, None) for name in names]

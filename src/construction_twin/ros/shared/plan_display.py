@@ -17,35 +17,34 @@ from construction_twin.review.rehearsal_report import RehearsalReport, is_whole
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan as MadePlan
 from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg
-from construction_twin.ros.messages.display_markers import all_gone, grip_markers, plan_markers, rehearsal_markers
+from construction_twin.ros.messages.display_markers import (
+    all_gone,
+    grip_markers,
+    headline_height,
+    plan_markers,
+    rehearsal_markers,
+)
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
-from construction_twin.ros.shared.ports import Ports
+from construction_twin.ros.shared.node_shell import Ports
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.srv import PreviewPlanRequest
-from construction_twin.views.preview import Preview, WorkContext, picture
-from construction_twin.views.rehearsal_picture import rehearsal_picture
-from construction_twin.views.sync_picture import Shape, headline_height
-from construction_twin.views.work_picture import MOST_BODIES, WorkStates, work_states
+from construction_twin.views.preview import Preview, WorkStates, work_states
 
 #: How long a preview waits for the plan that was made just before [s].
 PLAN_TIMEOUT = 1.0
-#: Rehearsals that are remembered: of the plan under review, and of those that come before it is offered.
-REHEARSALS_KEPT = 4
 
 
 class PlanDisplay:
     """ROS around a Preview.
 
     Args:
-        shapes: What is drawn of the arm.
         tf_prefix: Of the ghost's frames.
-        ports: With `plan_markers` and `rehearsal_markers`.
     """
 
-    def __init__(self, robot: RobotModel, shapes: tuple[Shape, ...], tf_prefix: str, ports: Ports):
+    def __init__(self, robot: RobotModel, shapes: list[Marker], tf_prefix: str, ports: Ports):
         self._robot, self._shapes, self._tf_prefix = robot, shapes, tf_prefix
         self._chain = Chain(robot)
         self._markers, self._rehearsal = ports.publishers["plan_markers"], ports.publishers["rehearsal_markers"]
@@ -56,7 +55,8 @@ class PlanDisplay:
         self._states: WorkStates | None = None
         self._gripped: tuple[SceneObject, ...] = ()
         self._still: list[Marker] = []
-        self._rehearsals: dict[str, RehearsalReport] = {}
+        #: The newest: it may come before its plan, and never after the next plan's.
+        self._report: RehearsalReport | None = None
         #: Made when the first rehearsal comes: where there is none, nobody pays for them.
         self._bodies: RobotBodies | None = None
         self._rehearsal_drawn: tuple[str, str, bool] | None = None
@@ -108,11 +108,7 @@ class PlanDisplay:
             self._refuse("rehearsal", f"the rehearsal of plan {report.plan_id!r} is not what its hash says")
             return
         with self._news:
-            # it may come before its plan
-            self._rehearsals.pop(report.plan_id, None)
-            self._rehearsals[report.plan_id] = report
-            while len(self._rehearsals) > REHEARSALS_KEPT:
-                del self._rehearsals[next(iter(self._rehearsals))]
+            self._report = report
             self._draw_rehearsal()
 
     def on_review(self, message: Review) -> None:
@@ -165,22 +161,17 @@ class PlanDisplay:
         self._still, self._states = [all_gone("plan")], None
         self._gripped = ()
         if plan is not None:
-            chain = self._chain
-            headline = headline_height(float(chain.shoulder[2]), chain.arm_length)
-            told = None
-            if plan.segments:
-                changes = self._changes.get(plan.id, ())
-                self._states = work_states(plan, changes, self._scene)
-                told = WorkContext(changes, self._states, chain.forward, self._robot.tip_link)
-            self._still += plan_markers(picture(plan, chain.skeleton, headline, told), self._frame)
+            changes, chain = self._changes.get(plan.id, ()), self._chain
+            self._states = work_states(plan, changes, self._scene) if plan.segments else None
+            self._still += plan_markers(plan, chain, self._frame, headline_height(chain), changes, self._states)
         self._publish()
         self._grip(time.monotonic())
 
     def _draw_rehearsal(self) -> None:
         """Publish the markers of the rehearsal of the plan under review, or their removal."""
-        plan = self._preview.under_review
-        report = None if plan is None else self._rehearsals.get(plan.id)
-        if plan is None or report is None or (report.plan_hash, report.scene) != (plan.hash, plan.scene):
+        plan, report = self._preview.under_review, self._report
+        rehearsed = report and (report.plan_id, report.plan_hash, report.scene)
+        if plan is None or report is None or rehearsed != (plan.id, plan.hash, plan.scene):
             if self._rehearsal_drawn is not None:
                 self._rehearsal_drawn = None
                 self._rehearsal.publish(MarkerArray(markers=[all_gone("rehearsal")]))
@@ -192,10 +183,9 @@ class PlanDisplay:
         self._rehearsal_drawn = drawn
         if self._bodies is None:
             self._bodies = RobotBodies(self._robot)
-        drawing = rehearsal_picture(
-            report, self._shapes, self._bodies.link_pose, self._chain.arm_length, carried[:MOST_BODIES]
-        )
-        self._rehearsal.publish(MarkerArray(markers=[all_gone("rehearsal"), *rehearsal_markers(drawing, self._frame)]))
+        link_pose, length = self._bodies.link_pose, self._chain.arm_length
+        markers = rehearsal_markers(report, self._shapes, link_pose, length, carried, self._frame)
+        self._rehearsal.publish(MarkerArray(markers=[all_gone("rehearsal"), *markers]))
 
     def _carried(self, plan: MadePlan, at: float) -> tuple[SceneObject, ...]:
         """Return what the arm carries at a time of a plan [s], where the scene that it begins in is known."""
@@ -211,7 +201,7 @@ class PlanDisplay:
         gripped: tuple[SceneObject, ...] = ()
         if self._states is not None and self._preview.under_review is not None:
             number = self._preview.segment(now)
-            gripped = self._states.carried[-1 if number is None else number][:MOST_BODIES]
+            gripped = self._states.carried[-1 if number is None else number]
         if gripped != self._gripped:
             self._gripped = gripped
             self._publish()

@@ -19,10 +19,10 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan as PlanValue
 from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg
 from construction_twin.ros.messages.records import from_msg
-from construction_twin.ros.shared.refusal_log import warn_of_refusals
+from construction_twin.ros.shared.diagnostics import warn_of_refusals
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.scene.scene_change import SceneChange
-from construction_twin.views.snapshot import Snapshot
+from construction_twin.views.texts import Snapshot
 
 _Report = TypeVar("_Report", LinkReport, SyncReport, HoldReport, ExecutionReport)
 

@@ -15,7 +15,7 @@ import pydantic
 import rospy
 
 from construction_twin.core.errors import ExpiredError, PayloadError
-from construction_twin.core.freshness import TOO_OLD
+from construction_twin.core.freshness import TOO_OLD, present
 from construction_twin.core.reports import SpeedChange
 from construction_twin.core.speed_limit import LimitState, SpeedLimit
 from construction_twin.gateway.config import GatewayConfig
@@ -25,10 +25,9 @@ from construction_twin.msg import SpeedLimit as SpeedLimitMessage
 from construction_twin.msg import SpeedLimitInForce
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
+from construction_twin.ros.shared.node_shell import Ports
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import settings_of
-from construction_twin.ros.shared.ports import Ports
-from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.shared.stop_memory import StopMemory
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.subscriber import caller_of

@@ -20,7 +20,6 @@ class StopMemory:
     Args:
         value: What is on the parameter server now.
         write: Puts it there, in a thread of its own: it may take as long as the master does.
-        name: Of the parameter.
 
     Attributes:
         problem: Why it could not be kept; empty when it could.

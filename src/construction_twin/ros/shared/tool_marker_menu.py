@@ -74,10 +74,7 @@ class ToolMarkerMenu:
     """Carries out what an operator chooses.
 
     Args:
-        under_review: Returns the plan that waits for a verdict, or None.
         home: Length n. The robot's home pose [rad], [m] for prismatic joints.
-        reviewer: Who approves and rejects.
-        say: Shows a sentence to the operator.
         run: ``run(title, action)`` runs an action; `in_thread` by default.
     """
 

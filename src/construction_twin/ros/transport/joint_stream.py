@@ -30,7 +30,6 @@ class PoseMessage:
 
     Args:
         kind: `sensor_msgs/JointState` or `construction_twin/Feedback`.
-        names: The robot's joint names.
 
     Attributes:
         received: Give it to `rospy.Subscriber` in place of `kind`. Its ``content`` is what `read` returns; the fields of `kind` are
@@ -57,9 +56,6 @@ class PoseMessage:
             stamp: The header's stamp [ns].
             q: Shape (n,). [rad], [m] where linear, in the order of the names.
             seq, command_stamp: Of Feedback, the stamp in ns.
-
-        Raises:
-            struct.error: When a number is missing, or is none.
         """
         tail = (0, 0) if self._kind is JointState else (seq, *divmod(command_stamp, NANOSECONDS))
         return self._struct.pack(number, *divmod(stamp, NANOSECONDS), self._names, *q, *tail)
@@ -180,12 +176,7 @@ def _not_finite(q: tuple[float, ...]) -> PayloadError:
 
 
 class JointPublisher:
-    """Publishes poses of one robot on one topic.
-
-    Args:
-        names: The robot's joint names.
-        kind: `sensor_msgs/JointState` or `construction_twin/Feedback`.
-    """
+    """Publishes poses of one robot on one topic."""
 
     def __init__(self, topic: str, names: tuple[str, ...], kind: type = JointState):
         self._publisher = Publisher(topic, kind, queue_size=QUEUE, tcp_nodelay=True)

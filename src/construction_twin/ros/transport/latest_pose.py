@@ -37,12 +37,7 @@ class StampedPose:
 
 
 class LatestPose:
-    """Listens to a `sensor_msgs/JointState` topic, in bundles: waking up for every message would cost several times as much.
-
-    Args:
-        names: The robot's joint names.
-        refused: See `Subscriber`.
-    """
+    """Listens to a `sensor_msgs/JointState` topic, in bundles: waking up for every message would cost several times as much."""
 
     def __init__(self, topic: str, names: tuple[str, ...], refused: Callable[[str, str], None]):
         self._names = names

@@ -12,12 +12,28 @@ import rospy
 from rospy.exceptions import TransportException
 from rospy.impl.tcpros_base import TCPROSTransport
 
-from construction_twin.core.errors import ServiceSilentError
+from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.sentences import Sentence
 
 #: The errors of a call whose node is not there, or goes away.
 NO_ANSWER = (rospy.ServiceException, TransportException, OSError)
 #: Longest wait for a service to exist [s].
 TIMEOUT = 1.0
+
+
+class ServiceSilentError(ConstructionTwinError):
+    """A node does not answer on one of its services."""
+
+    def __init__(self, service: str, problem: object, program: str):
+        problem = problem if isinstance(problem, Sentence) else str(problem)
+        super().__init__(
+            Sentence(
+                "{service} does not answer: {problem}; does {program} run?",
+                service=service,
+                problem=problem,
+                program=program,
+            )
+        )
 
 
 def call(service: rospy.ServiceProxy, program: str, **request):

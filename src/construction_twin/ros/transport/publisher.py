@@ -58,7 +58,6 @@ class DirectConnection:
     without waiting; only what it does not take goes to a thread, which ends when the subscriber has caught up.
 
     Args:
-        connection: Rospy.impl.transport.Transport
         queue_size: Messages kept for a subscriber that is busy; of more the oldest are dropped.
 
     Attributes:

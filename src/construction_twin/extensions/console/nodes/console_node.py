@@ -22,6 +22,7 @@ from construction_twin.extensions.console.nodes.endpoint import Connection
 from construction_twin.extensions.console.nodes.feed import ConsoleFeed, Others, Poses, deployment_of
 from construction_twin.extensions.console.nodes.requests import ConsoleRequests, PoseJudge, RobotContext
 from construction_twin.extensions.console.nodes.shown_plan import ShownPlan
+from construction_twin.extensions.console.private_files import PrivateFiles
 from construction_twin.extensions.console.remote_view import ViewWriter
 from construction_twin.link.requests import Joints
 from construction_twin.mqtt.client import make_client, unique_id
@@ -32,10 +33,15 @@ from construction_twin.robot.tool import tool_hash
 from construction_twin.ros.messages.plan_services import PLAN_SERVICES
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, check_broker
-from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.node_shell import (
+    Interface,
+    NewestPose,
+    NodeShell,
+    Ports,
+    SharedParameter,
+    Subscription,
+)
 from construction_twin.ros.shared.params import ros_home
-from construction_twin.ros.shared.ports import Interface, NewestPose, Ports, SharedParameter, Subscription
-from construction_twin.ros.shared.private_files import PrivateFiles
 from construction_twin.ros.transport.persistent_service import PersistentService
 
 #: Between two writings of log and messages [s].

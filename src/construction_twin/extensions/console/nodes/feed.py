@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from construction_twin.core.errors import ConfigurationError, PayloadError, PoseUnknownError
+from construction_twin.core.freshness import present
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.reports import (
@@ -35,6 +36,7 @@ from construction_twin.extensions.console.message_history import APPROVED, REJEC
 from construction_twin.extensions.console.nodes.endpoint import Connection
 from construction_twin.extensions.console.nodes.messages import MessageBoard
 from construction_twin.extensions.console.nodes.shown_plan import PATH_POINTS, segment_ends
+from construction_twin.extensions.console.private_files import PrivateFiles
 from construction_twin.extensions.console.remote_review import PathView, scene_view
 from construction_twin.extensions.console.remote_view import ClosestView, PlanProgress, PoseView, Shown, ViewWriter
 from construction_twin.extensions.console.remote_view import Seen as ViewInputs
@@ -55,14 +57,12 @@ from construction_twin.review.plan_under_review import EXECUTOR
 from construction_twin.review.rehearsal_report import FAILED, PASSED, RehearsalReport
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
-from construction_twin.ros.shared.private_files import PrivateFiles
-from construction_twin.ros.shared.robot_clock import present
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.scene.objects import Scene
-from construction_twin.views.hold_cause import hold_cause
 from construction_twin.views.startup import Deployment, Seen, Word, first_missing
 from construction_twin.views.status_line import Line, ReportsNow, status_lines
+from construction_twin.views.texts import hold_cause
 
 #: The status line is looked at so often, and sent again without a change after so long [s].
 LOOK, REPEAT = 0.2, 1.0

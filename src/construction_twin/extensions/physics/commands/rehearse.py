@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
 import importlib
 import json
 import sys
@@ -24,7 +23,7 @@ from construction_twin.core.records import document
 from construction_twin.core.share import share_file
 from construction_twin.evaluation.tables import table_console
 from construction_twin.extensions.physics.known_mass import TOOL, body_of, masses_of
-from construction_twin.extensions.physics.process import prepared
+from construction_twin.extensions.physics.process import digest, file_digest, prepared
 from construction_twin.planning.waypoints import plan_waypoints
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
@@ -142,11 +141,8 @@ def _drives_beside(robot_config: str) -> str:
 
 def _inputs(options: argparse.Namespace, masses: Mapping[str, float]) -> str:
     """Return the hash of what decides the result beside plan, scene and tool."""
-    files = [
-        "" if file == "none" else hashlib.sha256(Path(file).read_bytes()).hexdigest()
-        for file in (options.drives, options.self_collision)
-    ]
-    return hashlib.sha256(json.dumps([*files, dict(sorted(masses.items())), options.payload]).encode()).hexdigest()
+    files = [file_digest(file if file != "none" else "") for file in (options.drives, options.self_collision)]
+    return digest(*files, dict(sorted(masses.items())), options.payload)
 
 
 def _masses(given: Sequence[str], scene: Scene, bodies: RobotBodies) -> dict[str, float]:

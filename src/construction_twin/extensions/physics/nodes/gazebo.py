@@ -19,15 +19,14 @@ import rospy
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.files import write_whole
-from construction_twin.extensions.physics.drive import drives_of, read_drives
+from construction_twin.extensions.physics.drive import read_drives
 from construction_twin.extensions.physics.gazebo_world import GazeboWorld, check_serial, world_of
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.node_shell import Interface, NodeShell, Ports, Shared, Subscription
 from construction_twin.ros.shared.params import PrivateSettings, ros_home
-from construction_twin.ros.shared.ports import Interface, Ports, Shared, Subscription
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene
 
@@ -211,7 +210,7 @@ def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
 def start(settings: Settings, robot: RobotModel, ports: Ports) -> GazeboNode:
     """Return the node with its parameters and topics."""
     bodies = RobotBodies(robot)
-    drives = read_drives(settings.drives, robot) if settings.drives else drives_of(robot)
+    drives = read_drives(settings.drives, robot)
     folder = (ros_home() / "construction_twin" / f"{robot.name}_gazebo").absolute()
     words = find_gzserver(settings.gzserver)
     return GazeboNode(

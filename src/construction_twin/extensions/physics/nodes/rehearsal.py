@@ -6,11 +6,9 @@ what happens to it is an answer: a rehearsal that breaks off, or takes too long,
 
 from __future__ import annotations
 
-import hashlib
 import threading
 import time
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Annotated, Literal
 
 import pydantic
@@ -25,7 +23,7 @@ from construction_twin.execution.rehearsal_check import first_reason
 from construction_twin.extensions.physics.drive import read_drives
 from construction_twin.extensions.physics.mass import payload_of
 from construction_twin.extensions.physics.nodes.element_masses import element_masses, placed_elements, tool_mass
-from construction_twin.extensions.physics.process import PROGRAM, Question, digest
+from construction_twin.extensions.physics.process import PROGRAM, Question, digest, file_digest
 from construction_twin.msg import Plan as PlanMsg
 from construction_twin.msg import Rehearsal, Review, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
@@ -37,9 +35,8 @@ from construction_twin.ros.messages.convert import change_from_msg, plan_from_ms
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
-from construction_twin.ros.shared.node_shell import NodeShell
+from construction_twin.ros.shared.node_shell import Interface, NodeShell, Ports, Publication, Shared, Subscription
 from construction_twin.ros.shared.params import PrivateSettings
-from construction_twin.ros.shared.ports import Interface, Ports, Publication, Shared, Subscription
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.scene_change import SceneChange
@@ -97,7 +94,7 @@ class RehearsalNode:
             rospy.loginfo("%s", self._absent)
         self._tool, self._of_tool = tool_hash(settings.tool), tool_mass(settings.tool)
         payload = [settings.payload] if settings.payload else []
-        self._constant = digest(_hash_of(settings.drives), _hash_of(settings.self_collision), *payload)
+        self._constant = digest(file_digest(settings.drives), file_digest(settings.self_collision), *payload)
         self._news = threading.Condition()
         self._scenes: dict[str, Scene] = {}
         self._masses, self._placed = dict(self._of_tool), frozenset[str]()
@@ -279,16 +276,11 @@ def _put_newest(kept: dict, key: str, value: object) -> None:
         del kept[next(iter(kept))]
 
 
-def _hash_of(path: str) -> str:
-    return hashlib.sha256(Path(path).read_bytes()).hexdigest() if path else ""
-
-
 def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
     """Check packages and files before anything starts; see `NodeShell`."""
     if settings.mode != "auto":
         check_extras("physics")
-    if settings.drives:
-        read_drives(settings.drives, robot)
+    read_drives(settings.drives, robot)
     if settings.tool:
         read_tool(settings.tool)
     read_self_collision(settings.self_collision, robot)

@@ -69,5 +69,4 @@ class SimulatedTwin:
 def check(settings, robot: RobotModel) -> None:
     """Check payload and drives; see `NodeShell`."""
     payload_of(settings.payload, "payload")
-    if settings.drives:
-        read_drives(settings.drives, robot)
+    read_drives(settings.drives, robot)

@@ -18,11 +18,10 @@ import pydantic
 import rospy
 from actionlib import ServerGoalHandle
 
-from construction_twin.core.errors import GoalError, GoalJointsError
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.execution.tracking import Tracking
 from construction_twin.extensions.planners.goal_states import GoalState
-from construction_twin.extensions.planners.joint_tolerances import Tolerances
+from construction_twin.extensions.planners.joint_tolerances import GoalError, GoalJointsError, Tolerances
 from construction_twin.extensions.planners.nodes.joint_goals import (
     LONGEST,
     GoalDefaults,
@@ -50,10 +49,9 @@ from construction_twin.msg import Execution, Feedback, PlanCaller, Review
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import BY_ACTION
 from construction_twin.ros.shared.diagnostics import OK, Report
-from construction_twin.ros.shared.node_shell import NodeShell
-from construction_twin.ros.shared.params import PrivateSettings
-from construction_twin.ros.shared.ports import (
+from construction_twin.ros.shared.node_shell import (
     Interface,
+    NodeShell,
     Ports,
     PoseSubscription,
     Publication,
@@ -61,6 +59,7 @@ from construction_twin.ros.shared.ports import (
     Subscription,
     has_arm,
 )
+from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.transport.joint_stream import from_time
 from construction_twin.ros.transport.persistent_service import NO_ANSWER
 from construction_twin.ros.transport.subscriber import caller_of

@@ -27,7 +27,7 @@ def main(arguments: list[str]) -> int:
     resource.setrlimit(resource.RLIMIT_CPU, (cpu, cpu + 5))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     # after the limits: what is imported is C++ of several hundred MB
-    from construction_twin.core.work_errors import BuildingError
+    from construction_twin.extensions.work.errors import BuildingError
     from construction_twin.extensions.work.ifc.model_file import save
     from construction_twin.extensions.work.ifc.reader import read_ifc
 

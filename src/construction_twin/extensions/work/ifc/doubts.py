@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import ifcopenshell
 
-from construction_twin.core.work_errors import BuildingError
+from construction_twin.extensions.work.errors import BuildingError
 
 _LOGGED = re.compile(r"^\[(error|warning)\](?: \[(\w+)\])? \[[^\]]*\] (?:\{([^}]*)\} ?)?(.*)$")
 _NUMBER = re.compile(r"#(\d+)")

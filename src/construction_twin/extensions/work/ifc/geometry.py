@@ -17,8 +17,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from construction_twin.core.work_errors import BuildingError
 from construction_twin.extensions.work.building import Body
+from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.ifc.notes import Misread, Notes, Where, label
 from construction_twin.extensions.work.ifc.representations import Items, body_of, bounds
 from construction_twin.scene.solids import hull_solid, mesh_of, solid

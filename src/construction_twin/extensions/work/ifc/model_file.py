@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from pydantic import ConfigDict, TypeAdapter
 
-from construction_twin.core.work_errors import BuildingError
 from construction_twin.extensions.work.building import BuildingModel, Element
+from construction_twin.extensions.work.errors import BuildingError
 
 #: Of the form below and of what the reader understands: another number, and what is in a cache is read anew.
 VERSION = 8

@@ -8,8 +8,8 @@ from collections.abc import Collection
 import ifcopenshell
 import ifcopenshell.util.element
 
-from construction_twin.core.work_errors import BuildingError
 from construction_twin.extensions.work.building import Body, Value
+from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.ifc.notes import Notes, Where, label
 from construction_twin.extensions.work.ifc.units import KINDS, Units, si_factor
 

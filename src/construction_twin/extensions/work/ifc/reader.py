@@ -16,8 +16,8 @@ import ifcopenshell.util.placement
 import numpy as np
 
 from construction_twin.core.files import read_file
-from construction_twin.core.work_errors import BuildingError
 from construction_twin.extensions.work.building import Body, BuildingModel, Element, Task
+from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.ifc.doubts import ABOUT_ALL, Doubts, check_complete, entries
 from construction_twin.extensions.work.ifc.geometry import NO_UNIT_CODES, Shape, shapes
 from construction_twin.extensions.work.ifc.notes import Misread, Notes, Where, label

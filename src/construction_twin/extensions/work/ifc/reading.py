@@ -18,8 +18,8 @@ from pathlib import Path
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.files import read_file
-from construction_twin.core.work_errors import BuildingError
 from construction_twin.extensions.work.building import BuildingModel
+from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.ifc.model_file import VERSION, load
 from construction_twin.extensions.work.ifc.step_text import check_form
 

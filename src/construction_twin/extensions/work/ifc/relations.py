@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import ifcopenshell
 
-from construction_twin.core.work_errors import BuildingError
+from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.ifc.notes import Where, label
 
 _Entities = dict[int, list[ifcopenshell.entity_instance]]

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import ifcopenshell
 import numpy as np
 
-from construction_twin.core.work_errors import BuildingError
+from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.ifc.notes import Where, label
 
 #: Identifiers of representations that are a body, the best first.

@@ -8,7 +8,7 @@ from __future__ import annotations
 import codecs
 import re
 
-from construction_twin.core.work_errors import BuildingError
+from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.ifc.notes import Notes
 
 #: Schemas as the parser calls them: their last publication. Earlier ones of the same name say nothing that it reads otherwise.

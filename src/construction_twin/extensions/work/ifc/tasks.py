@@ -18,8 +18,8 @@ import ifcopenshell.util.element
 import isodate
 import numpy as np
 
-from construction_twin.core.work_errors import BuildingError
 from construction_twin.extensions.work.building import Element, Sequence, Task
+from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.ifc.notes import Notes, Where, label
 from construction_twin.extensions.work.ifc.properties import read_properties
 from construction_twin.extensions.work.ifc.relations import Relations

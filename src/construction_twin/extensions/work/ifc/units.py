@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import ifcopenshell
 import ifcopenshell.util.unit
 
-from construction_twin.core.work_errors import BuildingError
+from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.ifc.notes import Notes, Where
 
 #: Metres per length unit that a building may be drawn in, with much room.

@@ -22,7 +22,7 @@ from visualization_msgs.msg import MarkerArray
 
 from construction_twin import msg, srv
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, PayloadError, RequestRefused
-from construction_twin.core.extensions import check_extras
+from construction_twin.core.extensions import check_extras, extension
 from construction_twin.core.motion_errors import SceneError, TrajectoryError
 from construction_twin.core.reports import EngagementReport, ExecutionReport
 from construction_twin.core.worker import Worker
@@ -42,12 +42,10 @@ from construction_twin.ros.messages.scene_convert import object_to_msg, scene_fr
 from construction_twin.ros.messages.tool import tool_report_from_msg
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
 from construction_twin.ros.shared.frames import FRAMES, listen_to_frames
-from construction_twin.ros.shared.node_shell import NodeShell
-from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.params import PrivateSettings, robot_file, ros_home
-from construction_twin.ros.shared.ports import (
+from construction_twin.ros.shared.node_shell import (
     Interface,
     NewestPose,
+    NodeShell,
     Ports,
     Publication,
     Served,
@@ -56,7 +54,8 @@ from construction_twin.ros.shared.ports import (
     Subscription,
     has_arm,
 )
-from construction_twin.ros.shared.private_files import PrivateFiles
+from construction_twin.ros.shared.outcome import Outcome
+from construction_twin.ros.shared.params import PrivateSettings, robot_file, ros_home
 from construction_twin.scene.objects import product
 from construction_twin.scene.scene_change import SceneChange
 
@@ -150,7 +149,9 @@ class WorkNode:
 
     def _load(self) -> None:
         settings, robot = self._settings, self._robot
-        files = PrivateFiles(ros_home() / settings.private, robot.name) if settings.private else None
+        files = None
+        if settings.private:
+            files = extension("console.private_files").PrivateFiles(ros_home() / settings.private, robot.name)
         if files is not None:
             files.drop_building()
         began, folder = time.monotonic(), ros_home() / settings.folder
@@ -181,7 +182,7 @@ class WorkNode:
         self.session = WorkSession.open(prepared, folder, robot, self.heard, neighbours, time.time_ns)
         self.session.recall(settings.listen_time)
 
-    def _show_building(self, prepared: Prepared, files: PrivateFiles) -> None:
+    def _show_building(self, prepared: Prepared, files: Any) -> None:
         """Write the model where a console serves it; without it everything else goes on."""
         placed = {job.element: prepared.elements[job.element] for job in prepared.schedule.jobs}
         try:

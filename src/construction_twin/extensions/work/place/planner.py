@@ -14,9 +14,9 @@ import numpy as np
 
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.sentences import Sentence
-from construction_twin.core.work_errors import TaskPlanningError
 from construction_twin.extensions.work.contacts import FALL
 from construction_twin.extensions.work.convex_bodies import Pieces
+from construction_twin.extensions.work.errors import TaskPlanningError
 from construction_twin.extensions.work.motions import Failed, Free, PlanBuilder, Search
 from construction_twin.extensions.work.place.grips import Grip, find_grips
 from construction_twin.extensions.work.place.phases import Scenes, Ways, direction, scenes, ways

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 import pydantic
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.work_errors import TaskPlanningError
+from construction_twin.extensions.work.errors import TaskPlanningError
 from construction_twin.extensions.work.process import WorkJob
 from construction_twin.extensions.work.recipe import (
     PROPERTY_SET,

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scene_samples import kr120
 
-from construction_twin.views.shown_poses import REST_PERIOD, STILL, JointVelocities, ShownPoses
+from construction_twin.ros.nodes.display import REST_PERIOD, STILL, JointVelocities, ShownPoses
 
 NAMES = ("a", "b")
 #: Between two poses [s]; sums of it are exact.

@@ -1,4 +1,4 @@
-"""Exceptions of work from a building model: a branch of the tree in `errors`.
+"""Exceptions of work from a building model: a branch of the tree in `core.errors`.
 
 Messages say what, where, the value, what was expected and what to do.
 """
