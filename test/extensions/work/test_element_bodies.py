@@ -46,7 +46,7 @@ def body_of(solid: M) -> Body:
 
 
 def element(*bodies: Body, name: str = "2O2Fr$t4X7Zf8NOew3FLOH") -> Element:
-    return Element(name, "IfcMember", "stud", "", "", "", "", "", HERE, bodies, {}, None)
+    return Element(name, "IfcMember", "stud", "", "", "", HERE, bodies, {}, None)
 
 
 def element_shape(one: Element, folder: Path) -> ElementShape:
