@@ -12,7 +12,7 @@ help:
 	@echo "make test ARGS=changed   lint, and what a change touches; ARGS=changed=COMMIT since then"
 	@echo "make lint             check style, format, order of the folders and types; make test does it too"
 	@echo "make mutations        break chosen lines one at a time: a named test must notice each; ARGS=\"gateway --workers 1\""
-	@echo "make bench            measure inverse kinematics, planning, other planners, the start, link, work, physics, monitor, console and stops; writes results/bench/*.json; ARGS=ik for one of them"
+	@echo "make bench            measure inverse kinematics, planning, the start, link, work, monitor, console and stops; writes results/bench/*.json; ARGS=ik for one of them"
 	@echo "make properties       the property tests with new random examples; make test takes the same ones every time; ARGS=\"-k follower\""
 	@echo "make fuzz             a million hostile messages and telegrams each at a running gateway; ARGS=\"COUNT SEED\""
 	@echo "make scenarios        every fault scenario three times; results/scenarios has the verdicts"

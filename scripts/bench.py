@@ -13,7 +13,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 REQUIREMENTS = ROOT / "setup" / "bench-requirements.txt"
-BENCHMARKS = ("ik", "planning", "planners", "start", "link", "work", "physics", "monitor", "console", "stops")
+BENCHMARKS = ("ik", "planning", "start", "link", "work", "monitor", "console", "stops")
 #: What drives a browser is in a venv of its own.
 BROWSER_PYTHON = ROOT / ".ws" / "browser" / "bin" / "python"
 

@@ -26,7 +26,7 @@ def box(low, high) -> Body:
 def element(identifier: str, *bodies: Body, at=(0.0, 0.0, 0.0), rotation=None, name: str = "") -> Element:
     """An IfcMember of bodies."""
     pose = Pose(np.asarray(at, dtype=float), np.eye(3) if rotation is None else np.asarray(rotation, dtype=float))
-    return Element(identifier, "IfcMember", name or identifier, "", "", "", "", "", pose, bodies, {}, None)
+    return Element(identifier, "IfcMember", name or identifier, "", "", "", pose, bodies, {}, None)
 
 
 def building(*elements: Element, tasks=(), sequences=()) -> BuildingModel:
@@ -34,9 +34,7 @@ def building(*elements: Element, tasks=(), sequences=()) -> BuildingModel:
     return BuildingModel(
         "m.ifc",
         "",
-        "IFC4",
         "project",
-        1.0,
         {one.id: one for one in elements},
         {task.id: task for task in tasks},
         tuple(sequences),

@@ -12,7 +12,7 @@ from simulation import SimulatedChain, SimulatedLink
 
 from construction_twin.core.units import format_allowance, radians
 from construction_twin.mock.program import MockSettings, build_controller
-from construction_twin.monitor.gate import GateSettings
+from construction_twin.monitor.settings import GateSettings
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.plan import Plan

@@ -13,10 +13,10 @@ from construction_twin.core.freshness import Moment
 from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.execution.approval import Approval
-from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.engagement import Engagement
 from construction_twin.execution.executor import Executor, ExecutorState
-from construction_twin.monitor.gate import SyncState
+from construction_twin.execution.segment_run import ToolOrder
+from construction_twin.monitor.states import SyncState
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.executed_path import ExecutedPath
 from construction_twin.robot.plan import Plan, content_hash

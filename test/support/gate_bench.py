@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE, CYCLE_NS
-from construction_twin.monitor.gate import Gate, GateSettings
+from construction_twin.monitor.gate import Gate
+from construction_twin.monitor.settings import GateSettings
 from construction_twin.monitor.states import SyncState
 from construction_twin.mqtt.joint_string import JointStringCodec
 
@@ -29,8 +30,8 @@ def states(gate: Gate) -> list[tuple[str, str]]:
 class Bench:
     """A gate in its loop: the twin executes what passes, the arm answers, one cycle at a time."""
 
-    def __init__(self, settings: GateSettings = SETTINGS, codec: JointStringCodec = CODEC, pose=START):
-        self.gate = Gate(LIMITS, codec, settings)
+    def __init__(self, settings: GateSettings = SETTINGS, codec: JointStringCodec = CODEC, pose=START, compares=True):
+        self.gate = Gate(LIMITS, codec, settings, compares=compares)
         self.stamp = 1000 * CYCLE_NS
         self.twin = pose
         self.offset = 0.0

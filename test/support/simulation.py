@@ -23,8 +23,8 @@ from construction_twin.core.travel_time import StateCheck
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.evaluation.recording import FeedbackStream, PlayedPlan, Recording, Stream
 from construction_twin.execution.approval import Approval
-from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.executor import Executor, ExecutorState
+from construction_twin.execution.segment_run import ToolOrder
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.gateway import Gateway
 from construction_twin.link.observations import LinkState
@@ -32,8 +32,9 @@ from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.link.tool_link import ToolLink
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.faults import FaultBoard, ImpairedLine
-from construction_twin.monitor.gate import REPLAN, Gate, GateSettings
-from construction_twin.monitor.states import SyncState, Transition
+from construction_twin.monitor.gate import Gate
+from construction_twin.monitor.settings import REPLAN, GateSettings
+from construction_twin.monitor.states import SyncEvent, SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, StateProperties
 from construction_twin.review.plan_under_review import Verdict
@@ -218,7 +219,7 @@ class SimulatedChain:
         self.executor.on_sync(gate.state, gate.agreed(stamp), gate.policy, gate.held_stamp)
         last = gate.comparison.last
         if last is not None:
-            self.executor.trail(last.round_trip, last.servo_lag)
+            self.executor.limit.trail(last.round_trip, last.servo_lag)
         # a disk that takes everything at once
         self.executor.engagement.written = self.executor.engagement.present
         theta_next = self.executor.step(stamp, stamp)
@@ -243,7 +244,7 @@ class SimulatedChain:
             asked = change.source is SyncState.IN_SYNC and self.executor.state is ExecutorState.PLAYING
             if asked and self.gate.policy == REPLAN and self.planner is not None:
                 goal = tuple(self.executor.plan.trajectory.positions[-1].tolist())
-                if self.gate.on_replan("the planner was asked", self.now):
+                if self.gate.fire(SyncEvent.REPLAN_ASKED, "the planner was asked", self.now):
                     self.executor.offer(self.planner(self.gate.held, goal))
                     self.transitions += self.gate.take_transitions()
 

@@ -77,13 +77,13 @@ def element(
     """Return a box whose frame is in the middle of its underside."""
     body = Body(_BOX * size, np.empty((0, 3), dtype=int))
     pose = Pose(np.array(position), np.eye(3))
-    return Element(name, ifc_class, name, type_name, "", "", "", "", pose, (body,), properties or {}, mass)
+    return Element(name, ifc_class, name, type_name, "", "", pose, (body,), properties or {}, mass)
 
 
 def building(*elements: Element) -> BuildingModel:
     """Return a model of elements; without any: three bricks in a row, 10 mm apart."""
     found = elements or tuple(element(f"brick{number}", (0.25 * number, 0.0, 0.0)) for number in range(3))
-    return BuildingModel("sample.ifc", "0" * 64, "IFC4", "sample", 1.0, {one.id: one for one in found})
+    return BuildingModel("sample.ifc", "0" * 64, "sample", {one.id: one for one in found})
 
 
 def site(folder: Path, cell: Mapping | None = None, scene: Mapping | None = None) -> Site:

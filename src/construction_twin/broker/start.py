@@ -31,8 +31,6 @@ ACCOUNTS = (
 )
 #: Longest time until a mosquitto on trial listens [s]: long, because a busy machine is no reason to refuse a start.
 TRIAL_TIME = 20.0
-#: Longest time until it has ended by itself [s]; then it is killed.
-END_TIME = 5.0
 #: Pause between two looks at a mosquitto on trial [s].
 _LOOK = 0.02
 #: mosquitto puts the time in front of what it logs.
@@ -121,13 +119,9 @@ def trial(program: str, text: str) -> str:
                     return f"mosquitto does not listen on {sorted(wanted)} within {TRIAL_TIME:g} s"
                 time.sleep(_LOOK)
             ended = mosquitto.poll()
-            mosquitto.terminate()
-            try:
-                words, _ = mosquitto.communicate(timeout=END_TIME)
-            except subprocess.TimeoutExpired:
-                # it listened, and that is what was asked
-                mosquitto.kill()
-                words, _ = mosquitto.communicate()
+            # it has listened, or ended; a killed one writes no persistent state either
+            mosquitto.kill()
+            words, _ = mosquitto.communicate()
     finally:
         os.close(file)
     if ended is None:

@@ -17,18 +17,54 @@ from dataclasses import dataclass, replace
 
 from construction_twin.core.errors import ExecutionError, ExpiredError, RecordError, ReviewError
 from construction_twin.core.freshness import LIFETIME, Moment, staleness
-from construction_twin.core.sentences import Sentence
+from construction_twin.core.limits import outside_tolerance
+from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.execution.engagement import check_way_back
+from construction_twin.execution.engagement import Engagement, check_way_back
 from construction_twin.execution.executor import Executor
+from construction_twin.execution.playback import START_TOLERANCE
+from construction_twin.execution.segment_run import awaited, lacks
+from construction_twin.execution.states import ACTIVE, ExecutorState
+from construction_twin.monitor.states import SyncState
 from construction_twin.review.plan_under_review import APPROVED, REFUSED, REJECTED, Ending, Verdict, prove_hash
 from construction_twin.review.record import Release
+from construction_twin.review.rehearsal_report import RehearsalCheck
+from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 
 #: Reviewer of a plan that was approved without a person, because of a launch argument.
 AUTO_APPROVE = "auto_approve"
 #: The scene that a plan was made for may be announced this long after the plan [ns].
 SCENE_DELAY = NANOSECONDS
+
+
+#: A verdict counts this long [ns]; the watch repeats it ten times a second.
+VERDICT_TIMEOUT = NANOSECONDS // 2
+
+
+class ConflictVerdicts:
+    """The newest verdict on a plan by the watch over the robot `name`; "": there is none, and nothing is ever against a plan.
+
+    `now` is on one clock everywhere [ns].
+    """
+
+    def __init__(self, name: str = ""):
+        self.name = name
+        self._plan_id, self._problem, self._at = "", "", 0
+
+    def on_verdict(self, plan_id: str, problem: str, now: int) -> None:
+        """Take a verdict: why a plan must not be played; empty: its path is free."""
+        self._plan_id, self._problem, self._at = plan_id, problem, now
+
+    def problem(self, plan_id: str, now: int) -> str:
+        """Return why a plan must not start, as one sentence; empty: nothing is against it."""
+        if not self.name:
+            return ""
+        if self._plan_id != plan_id:
+            return Sentence("its path was not checked against {name} yet; does `neighbour` run?", name=self.name)
+        if now - self._at > VERDICT_TIMEOUT:
+            return Sentence("its path is not checked against {name} any more; does `neighbour` run?", name=self.name)
+        return self._problem
 
 
 @dataclass(frozen=True)
@@ -55,6 +91,21 @@ class WithoutPerson:
         return ""
 
 
+def check_start_pose(plan: Plan, pose: tuple[float, ...], robot: RobotModel) -> None:
+    """Check that a plan starts at a pose, shape (n,) [rad]."""
+    start = tuple(plan.trajectory.positions[0])
+    off = outside_tolerance(start, pose, START_TOLERANCE)
+    if off is not None:
+        raise ReviewError(
+            Sentence(
+                "plan {plan} starts {distance} from the present pose at {joint}; plan again",
+                plan=plan.id,
+                distance=Quantity(start[off] - pose[off], "m" if robot.linear[off] else "rad"),
+                joint=robot.joint_names[off],
+            )
+        )
+
+
 class Approval:
     """The only way to start an execution: an approval is carried out only after it was recorded.
 
@@ -64,6 +115,12 @@ class Approval:
         record: Called with each approval and release before it is carried out, with one that is refused, and with the Ending of an
             execution that could then not begin; raises RecordError when it cannot be kept. A rejection's record is the caller's.
         clock: Returns the present moment.
+
+    Attributes:
+        neighbour: Says whether another arm blocks the path of a plan; by default there is none.
+        rehearsal: Says whether a plan has passed its rehearsal; by default none is required.
+        obstacle: Why the plan under review could not be approved, as `look_for_obstacle` has found; empty: it could, or none is.
+        overridable: Whether only its rehearsal is against it.
     """
 
     def __init__(
@@ -77,6 +134,8 @@ class Approval:
         self._record = record
         self._lock = lock
         self._clock = clock
+        self.neighbour, self.rehearsal = ConflictVerdicts(), RehearsalCheck()
+        self.obstacle, self.overridable = "", False
         self._started = clock()
         # one verdict after the other: the record must keep the order in which verdicts took effect
         self._one_verdict_at_a_time = threading.RLock()
@@ -168,7 +227,7 @@ class Approval:
         `which` says which plans need no person. RecordError when it cannot be recorded; the plan is withdrawn.
         """
         with self._lock:
-            plan = self._executor.under_review.plan if self._executor.is_ready() else None
+            plan = self._executor.under_review.plan if self.is_ready() else None
             scene = self._executor.under_review.scene
         reason = which.reason(plan.source) if plan is not None else ""
         if plan is None or not reason:
@@ -211,7 +270,7 @@ class Approval:
         if not person or not reason:
             raise ExecutionError(Sentence("a release needs the name of a person, and how the arm was freed"))
         with self._lock:
-            left = self._executor.check_release()
+            left = self._releasable()
         release = Release(person, reason, left.plan_id, left.task, left.segment)
         asked = self._clock()
         self._record(release)
@@ -219,7 +278,7 @@ class Approval:
             if problem := self._left(asked)[1]:
                 raise ExpiredError(Sentence("the release is {problem}", problem=problem))
             with self._lock:
-                if self._executor.check_release() is not left:
+                if self._releasable() is not left:
                     raise ExecutionError(Sentence("the arm was left in another engaged segment meanwhile; look again"))
                 self._executor.engagement.end()
         except (ExecutionError, ExpiredError) as error:
@@ -234,6 +293,79 @@ class Approval:
             reason=reason,
         )
 
+    # -- what is against it
+
+    def look_for_obstacle(self) -> None:
+        """Look anew why the plan under review could not be approved now, and whether only its rehearsal is against it."""
+        with self._lock:
+            plan = self._executor.under_review.plan
+            self.obstacle, self.overridable = "", False
+            if plan is None:
+                return
+            for override in (False, True):
+                try:
+                    self._check_start(plan, override)
+                except ReviewError as error:
+                    self.obstacle = self.obstacle or str(error)
+                else:
+                    self.overridable = override
+                    return
+
+    def is_ready(self) -> bool:
+        """Return whether a plan is under review and nothing that passes by itself is against approving it. Under the lock."""
+        executor, review = self._executor, self._executor.under_review
+        plan, back = review.plan, executor.engagement.is_way_back
+        idle = executor.state is ExecutorState.IDLE and executor.sync is SyncState.IN_SYNC and not executor.unarmed
+        if not idle or plan is None or not review.scene or not review.scene_alive:
+            return False
+        if awaited(executor.tool, plan) or (self.rehearsal.awaits(plan) and not back(plan)):
+            return False
+        return not self.neighbour.problem(plan.id, executor.now)
+
+    def _check_start(self, plan: Plan, override: bool) -> None:
+        """Raise ReviewError where the plan under review may not start now, naming what is against it."""
+        executor, tool = self._executor, self._executor.tool
+        if executor.state is not ExecutorState.IDLE:
+            values = {"state": executor.state.name, "reason": executor.reason}
+            raise ReviewError(Sentence("the executor is {state} ({reason}); approve when it is idle", **values))
+        if executor.sync is not SyncState.IN_SYNC:
+            state = executor.sync.name
+            raise ReviewError(
+                Sentence("twin and physical arm are not in sync ({state}); approve when they are", state=state)
+            )
+        if executor.unarmed:
+            raise ReviewError(Sentence("the arm is not armed ({reason}); approve when it is", reason=executor.unarmed))
+        problem = self.neighbour.problem(plan.id, executor.now)
+        engagement = executor.engagement
+        if not problem and engagement.engaged and not engagement.is_way_back(plan):
+            problem = engagement.sentence
+        if not problem and plan.segments:
+            first = plan.segments[0].requires
+            problem = lacks(tool, plan) or tool.problem(first)
+            if not problem and engagement.left is not None and set(first) != set(engagement.left.requires(tool)):
+                problem = Sentence("the tool reads something else since the way back was planned; call plan_way_back")
+        if problem:
+            raise ReviewError(Sentence("plan {plan} may not start: {reason}", plan=plan.id, reason=problem))
+        executor.under_review.check_scene()
+        if not override and (unrehearsed := self._rehearsal_problem(plan)):
+            raise ReviewError(unrehearsed)
+        assert executor.setpoint is not None  # in IDLE there always is one
+        check_start_pose(plan, executor.setpoint, executor.robot)
+
+    def _rehearsal_problem(self, plan: Plan) -> str:
+        """Return why its rehearsal is against a plan; empty: it is not. The way back of an engaged arm needs none."""
+        return "" if self._executor.engagement.is_way_back(plan) else self.rehearsal.problem(plan)
+
+    def _releasable(self) -> Engagement:
+        """Return the engagement that could be ended now, by a person who has freed the arm."""
+        left, plan = self._executor.engagement.left, self._executor.plan
+        if left is None:
+            raise ExecutionError(Sentence("the arm is not engaged; there is nothing to release"))
+        if self._executor.state in ACTIVE and plan is not None:
+            values = {"plan": plan.id, "state": self._executor.state.name}
+            raise ExecutionError(Sentence("plan {plan} is {state}; release the arm when it is at rest", **values))
+        return left
+
     def _examine(
         self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str, override: str | None = None
     ) -> Verdict:
@@ -241,22 +373,22 @@ class Approval:
         plan = self._executor.under_review.check(plan_id, plan_hash, reviewer)
         overridden = override is not None
         if approve:
-            self._executor.check_start(plan, overridden)
-        rehearsal = self._executor.rehearsal.on_record(plan, overridden)
+            self._check_start(plan, overridden)
+        rehearsal = self.rehearsal.on_record(plan, overridden)
         if override is not None:
             self._check_override(plan, plan_hash, reason, override)
         return Verdict(APPROVED if approve else REJECTED, plan.id, plan.hash, reviewer, reason, plan, rehearsal)
 
     def _check_override(self, plan: Plan, plan_hash: str, reason: str, seen: str) -> None:
         """Raise ReviewError when there is nothing to override, or it is not what was seen, or the reviewer does not say why."""
-        problem = self._executor.rehearsal_problem(plan)
+        problem = self._rehearsal_problem(plan)
         if not problem:
             raise ReviewError(
                 Sentence("plan {plan} needs no rehearsal, or has passed it: nothing to override", plan=plan.id)
             )
         if not plan_hash:
             raise ReviewError(Sentence("to override the rehearsal of plan {plan}, name the plan's hash", plan=plan.id))
-        report = self._executor.rehearsal.of(plan)
+        report = self.rehearsal.of(plan)
         if seen != (report.hash if report is not None else ""):
             now = Sentence(
                 "the rehearsal of plan {plan} says something else than was seen: {now}", plan=plan.id, now=problem
@@ -288,5 +420,5 @@ class Approval:
         with self._lock:
             plan = self._executor.under_review.plan
             known = plan if plan is not None and plan.id == plan_id else None
-            rehearsal = self._executor.rehearsal.on_record(known, False) if known is not None else None
+            rehearsal = self.rehearsal.on_record(known, False) if known is not None else None
         self._record(Verdict(REFUSED, plan_id, plan_hash, reviewer, reason, known, rehearsal))

@@ -97,16 +97,31 @@ class EngagementKeeper:
         present: What must be on the disk. A segment that is engaged is entered only when it is.
         engaged: Whether the arm was left inside of it, so that only the way back may be played.
         written: What is on the disk.
+        way_back: Id of the plan that `check_way_back` has found to be the way back, and out of which engagement; None: of none.
     """
 
     def __init__(self, found: Engagement | None = None):
         self.present = self.written = found
         self.engaged = self._unseen = found is not None
+        self.way_back: tuple[str, Engagement] | None = None
 
     @property
     def left(self) -> Engagement | None:
         """Where the arm was left; None: it is not engaged."""
         return self.present if self.engaged else None
+
+    @property
+    def sentence(self) -> str:
+        """Where the arm was left and what to do; empty where it is not engaged."""
+        left = self.left
+        if left is None:
+            return ""
+        values = {"segment": repr(left.segment), "plan": left.plan_id, "reason": left.reason, "remedy": REMEDY}
+        return Sentence("the arm was left in engaged segment {segment} of plan {plan} ({reason}); {remedy}", **values)
+
+    def is_way_back(self, plan: Plan) -> bool:
+        """Return whether a plan is the way back of the engaged arm."""
+        return self.engaged and self.way_back == (plan.id, self.present)
 
     @property
     def settled(self) -> bool:

@@ -1,23 +1,30 @@
 """One execution of a plan: which setpoint went out when, where on the path that was, how fast it is played, how it comes to rest.
 
-Pure. Stamps in ns, angles in rad, m for prismatic joints.
+Pure. Stamps in ns, angles in rad, m for prismatic joints. Time along the trajectory is called elapsed time; its rate against the
+clock lies between 0 and 1. However the rate changes, the second difference of every joint's setpoints stays within its
+acceleration limit: that is what gate, gateway and controller measure.
 """
 
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from itertools import islice
+
+import numpy as np
+from numpy.polynomial import Polynomial
 
 from construction_twin.core.errors import ExecutionError
 from construction_twin.core.limits import outside_tolerance
 from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
-from construction_twin.execution.path_progress import Progress
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
+from construction_twin.robot.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
@@ -85,6 +92,220 @@ class StoppingForecast:
         )
 
 
+#: Halvings with which a single step on the path is brought into every joint's acceleration limit.
+HALVINGS = 10
+#: Fraction of the jerk limits that a ramp may use; a plan uses all of it without a ramp.
+JERK_FRACTION = 1.5
+#: Fraction of the acceleration limits that a ramp may use: what rounding can add stays far below the rest.
+ACCELERATION_FRACTION = 1.0 - 1e-9
+#: Lengths of a ramp that are tried [cycles], from 32 ms to 3 s.
+RAMP_CYCLES = (8, 10, 12, 15, 19, 24, 30, 37, 46, 58, 72, 90, 112, 140, 175, 220, 275, 340, 425, 530, 660, 750)
+#: Longest smooth ramp up and down [cycles]: a person who pauses a plan expects it to rest soon.
+LONGEST_RAMP, LONGEST_PAUSE = 750, 112
+#: Most by which the rate, and its slope, change from one cycle to the next where no smooth ramp exists.
+LARGEST_CHANGE = 0.05
+LARGEST_CURVATURE = 0.005
+
+
+@dataclass(frozen=True)
+class _RampStep:
+    """One cycle of a ramp: the step [ns], and rate and slope of the rate [1/cycle] at its end."""
+
+    step: float
+    rate: float
+    slope: float
+
+
+class Progress:
+    """Where an execution is on its trajectory, one setpoint per cycle.
+
+    A rate that is reached stays exactly: at rate 1 the setpoints are the trajectory's samples on the 4 ms grid.
+
+    Args:
+        trajectory: At rest at both ends, and inside the acceleration limits on any grid of 4 ms.
+        acceleration, jerk: Length n. Limits [rad/s^2], [rad/s^3].
+    """
+
+    def __init__(self, trajectory: Trajectory, acceleration: Sequence[float], jerk: Sequence[float]):
+        self.trajectory = trajectory
+        #: Time along the trajectory that is not passed [s].
+        self._bound = trajectory.duration
+        self._difference_limit = np.array(acceleration) * CYCLE**2
+        self._jerk_limit = np.array(jerk) * CYCLE**3
+        # in nanoseconds, because whole cycles of them are exact
+        self._elapsed = 0.0
+        self._now = _RampStep(0.0, 0.0, 0.0)
+        self._goal = 0.0
+        self._ramp: deque[_RampStep] = deque()
+        start = trajectory.positions[0]
+        #: The last three setpoints, the newest last.
+        self._poses = (start, start, start)
+
+    @property
+    def elapsed(self) -> float:
+        """Time along the trajectory [s]."""
+        return min(self._elapsed / NANOSECONDS, self._bound)
+
+    @property
+    def at_rest(self) -> bool:
+        """True when at rest, with no ramp planned."""
+        return self._now.step == 0.0 and not self._ramp
+
+    @property
+    def finished(self) -> bool:
+        """True when the end of the trajectory is reached, or the time before it that may not be passed."""
+        return self.elapsed >= self._bound
+
+    @property
+    def rate(self) -> float:
+        """Present rate, 0 to 1."""
+        return self._now.rate
+
+    @property
+    def steady(self) -> bool:
+        """True when the rate is what was asked for last."""
+        return not self._ramp and self._now.rate == self._goal
+
+    def copy(self) -> Progress:
+        """Return an independent copy, to forecast with."""
+        other = copy(self)
+        other._ramp = self._ramp.copy()
+        return other
+
+    def rest_at(self, elapsed: float) -> None:
+        """Stand still at a time along the trajectory [ns], to the last bit: the gate has brought the joints to rest there."""
+        self._elapsed, self._now, self._goal = elapsed, _RampStep(0.0, 0.0, 0.0), 0.0
+        self._ramp.clear()
+        pose = self._ahead(0.0)
+        self._poses = (pose, pose, pose)
+
+    def stand(self) -> None:
+        """Stand still from the next setpoint on; for a time at which the trajectory rests."""
+        self._now, self._goal = _RampStep(0.0, 0.0, 0.0), 0.0
+        self._ramp.clear()
+
+    def bound(self, time: float) -> None:
+        """Pass no later time along the trajectory than this one [s] from now on; for an execution that stands, see `begin`."""
+        self._elapsed, self._bound = self.elapsed * NANOSECONDS, time
+
+    def begin(self, rate: float) -> tuple[float, ...]:
+        """Return the present setpoint [rad], at rest; it goes on at `rate`, without a ramp, as the trajectory rests there."""
+        self._goal, self._now = rate, _RampStep(rate * CYCLE_NS, rate, 0.0)
+        return tuple(self._poses[2].tolist())
+
+    def advance(self, rate: float) -> tuple[float, ...]:
+        """Go on by one cycle, on a smooth ramp from the present rate to `rate`; return the setpoint, shape (n,) [rad].
+
+        The ramp is the shortest found on which every joint stays within its acceleration limit and `JERK_FRACTION` of its jerk
+        limit; a ramp down from which none leads up again is ended first. Where there is none, or none that comes to rest soon
+        enough, the rate changes as far as the acceleration limits allow, its slope as gently as the jerk limits ask for.
+        """
+        if rate != self._goal:
+            ramp = self._plan_ramp(rate, LONGEST_RAMP if rate >= self._now.rate else LONGEST_PAUSE)
+            if ramp is not None:
+                self._ramp, self._goal = ramp, rate
+            elif not self._ramp or rate < self._now.rate:
+                self._ramp.clear()
+                self._goal = rate
+        if self._ramp:
+            return self._go(self._ramp.popleft())
+        target = self._goal * CYCLE_NS
+        step = target if self._now.step == target else self._step_towards(target)
+        return self._go(_RampStep(step, step / CYCLE_NS, (step - self._now.step) / CYCLE_NS if step != target else 0.0))
+
+    def brake(self) -> tuple[float, ...]:
+        """Go on by as little as the acceleration limits allow, whatever the jerk; return the setpoint [rad]."""
+        self._ramp.clear()
+        self._goal = 0.0
+        step = self._nearest_allowed(0.0)
+        return self._go(_RampStep(step, step / CYCLE_NS, 0.0))
+
+    def _go(self, step: _RampStep) -> tuple[float, ...]:
+        self._elapsed += step.step
+        self._now = step
+        pose = self._ahead(0.0)
+        self._poses = (*self._poses[1:], pose)
+        return tuple(pose.tolist())
+
+    def _ahead(self, step: float) -> np.ndarray:
+        elapsed = (self._elapsed + step) / NANOSECONDS
+        return self.trajectory.sample(min(elapsed, self._bound))[0]
+
+    # -- single steps
+
+    def _step_towards(self, target: float) -> float:
+        """Return the next step [ns], as far towards `target` as acceleration limits and a gentle change of the slope allow."""
+        rest, slope = (target - self._now.step) / CYCLE_NS, self._now.slope
+        speed = np.abs(self.trajectory.sample(self.elapsed)[1]) * CYCLE
+        curvature = min(LARGEST_CURVATURE, float((self._jerk_limit / np.maximum(speed, 1e-12)).min()))
+        if abs(rest) <= curvature:
+            return self._nearest_allowed(target)
+        # the largest change that can still be taken back, by `curvature` in each cycle, until the target is reached
+        most = (math.sqrt(curvature * curvature + 8.0 * curvature * abs(rest)) - curvature) / 2
+        wanted = math.copysign(min(most, LARGEST_CHANGE), rest)
+        change = min(max(wanted, slope - curvature), slope + curvature)
+        return self._nearest_allowed(min(max(self._now.step + change * CYCLE_NS, 0.0), float(CYCLE_NS)))
+
+    def _nearest_allowed(self, step: float) -> float:
+        """Return the step [ns] nearest to `step` that the joints can take; an unchanged one they can, as on the path."""
+        if self._allowed(step):
+            return step
+        refused, accepted = step, self._now.step
+        for _ in range(HALVINGS):
+            middle = (refused + accepted) / 2
+            refused, accepted = (refused, middle) if self._allowed(middle) else (middle, accepted)
+        return accepted
+
+    def _allowed(self, step: float) -> bool:
+        """Tell whether every joint may go there in one cycle: the same second difference that gate and gateway measure."""
+        difference = self._ahead(step) - 2.0 * self._poses[2] + self._poses[1]
+        return bool((np.abs(difference) <= self._difference_limit).all())
+
+    # -- ramps
+
+    def _plan_ramp(self, goal: float, longest: int) -> deque[_RampStep] | None:
+        """Return a short ramp from here to `goal` on which every setpoint was checked; None when there is none.
+
+        The shortest is found by halving, as if every length were easier than any shorter one.
+        """
+        best, shorter, longer = None, -1, bisect_right(RAMP_CYCLES, longest)
+        while longer - shorter > 1:
+            middle = (shorter + longer) // 2
+            ramp = self._ramp_of(goal, RAMP_CYCLES[middle])
+            if ramp is None:
+                shorter = middle
+            else:
+                best, longer = ramp, middle
+        return best
+
+    def _ramp_of(self, goal: float, cycles: int) -> deque[_RampStep] | None:
+        """Return the ramp of that many cycles, None when a setpoint on it fails.
+
+        The rate is the cubic that continues rate and slope and ends flat at the goal.
+        """
+        start, lift, slope = self._now.rate, goal - self._now.rate, self._now.slope * cycles
+        rate = Polynomial((start, slope, 3.0 * lift - 2.0 * slope, slope - 2.0 * lift))
+        x = np.arange(cycles + 1) / cycles
+        rates = rate(x)
+        if rates.min() < -1e-12 or rates.max() > 1.0 + 1e-12:
+            return None
+        steps = np.clip(np.diff(rate.integ()(x)) * cycles, 0.0, 1.0) * CYCLE_NS
+        if not self._smooth(np.concatenate((steps, np.full(3, goal * CYCLE_NS)))):
+            return None
+        rates, slopes = np.clip(rates, 0.0, 1.0), rate.deriv()(x) / cycles
+        rates[-1], slopes[-1] = goal, 0.0
+        return deque(map(_RampStep, steps.tolist(), rates[1:].tolist(), slopes[1:].tolist()))
+
+    def _smooth(self, steps: np.ndarray) -> bool:
+        """Tell whether the setpoints that these steps [ns] lead to stay inside the limits, from the last three on."""
+        elapsed = (self._elapsed + np.cumsum(steps)) / NANOSECONDS
+        poses = np.vstack((*self._poses, self.trajectory.sample_many(np.minimum(elapsed, self._bound))[0]))
+        differences = np.diff(poses, 2, axis=0)[1:]
+        if (np.abs(differences) > ACCELERATION_FRACTION * self._difference_limit).any():
+            return False
+        return bool((np.abs(np.diff(poses, 3, axis=0)) <= JERK_FRACTION * self._jerk_limit).all())
+
+
 #: A plan may start this far from the present pose [rad], and has moved when it is further from its start; rounding, not motion.
 START_TOLERANCE = 1e-6
 #: Setpoints that are remembered: 3 s. What the arm has not reached yet belongs to the forecast of a stop.
@@ -95,7 +316,7 @@ RECENT = 250
 SETPOINTS_AT_ONCE = 4
 
 
-class Playback:
+class Playback(Progress):
     """A plan that is played, paused, held and stopped, one setpoint per cycle, always on its path.
 
     Attributes:
@@ -105,69 +326,40 @@ class Playback:
     """
 
     def __init__(self, plan: Plan, robot: RobotModel):
+        super().__init__(plan.trajectory, robot.acceleration, robot.jerk)
         self.plan = plan
         self.start = 0
         self.goal_stamp = 0
-        self._progress = Progress(plan.trajectory, robot.acceleration, robot.jerk)
         self._begins = True
         #: Time along the trajectory at which it was seen to have moved first [ns].
         self._moved_at = math.inf
         if plan.segments:
             # it stands at its beginning until the first segment is entered
-            self._progress.bound(0.0)
+            self.bound(0.0)
         #: Stamp and time along the trajectory of the last setpoints [ns].
         self._history: deque[tuple[int, float]] = deque(maxlen=HISTORY)
 
     @property
-    def elapsed(self) -> float:
-        """Time along the trajectory [s]."""
-        return self._progress.elapsed
-
-    @property
     def moved(self) -> bool:
         """True from the setpoint on that left the start of the plan, or reached the end of a segment that stays there."""
-        return self._progress.elapsed_ns >= self._moved_at
+        return self._elapsed >= self._moved_at
 
-    @property
-    def rate(self) -> float:
-        """Present fraction of the planned speed, 0 to 1."""
-        return self._progress.rate if self.start else 0.0
-
-    @property
-    def steady(self) -> bool:
-        """True when the rate is what was asked for."""
-        return self._progress.steady
-
-    @property
-    def at_rest(self) -> bool:
-        """True when at rest, with no ramp planned."""
-        return self._progress.at_rest
-
-    def advance(self, stamp: int, rate: float) -> tuple[float, ...]:
+    def play(self, stamp: int, rate: float) -> tuple[float, ...]:
         """Return the setpoint [rad] for a cycle; the rate changes smoothly to `rate`, see `Progress.advance`."""
         if self._begins:
             self.start = self.start or stamp
             self._begins = False
-            setpoint = self._progress.begin(rate)
-        else:
-            setpoint = self._progress.advance(rate)
-        self._remember(stamp, setpoint)
-        return setpoint
+            return self._remember(stamp, self.begin(rate))
+        return self._remember(stamp, self.advance(rate))
 
-    def arrive(self) -> None:
-        """Rest at the end of a segment, which was reached."""
-        self._progress.stand()
+    def stop(self, stamp: int) -> tuple[float, ...]:
+        """Return the setpoint [rad] for a cycle in which it brakes as hard as the acceleration limits allow."""
+        return self._remember(stamp, self.brake())
 
     def enter(self, end: float) -> None:
         """Go on with the next setpoint, from rest, until the time along the trajectory at which the next segment ends [s]."""
-        self._progress.bound(end)
+        self.bound(end)
         self.goal_stamp, self._begins = 0, True
-
-    def brake(self, stamp: int) -> tuple[float, ...]:
-        """Return the setpoint [rad] for a cycle in which it brakes as hard as the acceleration limits allow."""
-        setpoint = self._progress.brake()
-        self._remember(stamp, setpoint)
-        return setpoint
 
     def knows(self, stamp: int) -> bool:
         """Return whether a setpoint of this execution had this nominal stamp [ns]; of those too long ago nothing is known."""
@@ -175,19 +367,20 @@ class Playback:
 
     def rest_where(self, stamp: int) -> None:
         """Stand, from the next setpoint on, where the setpoint with this nominal stamp [ns] was: one that it `knows`."""
-        self._progress.rest_at(next(elapsed for known, elapsed in self._history if known == stamp))
+        self.rest_at(next(elapsed for known, elapsed in self._history if known == stamp))
         self.goal_stamp = 0
 
-    def _remember(self, stamp: int, setpoint: tuple[float, ...]) -> None:
-        elapsed = self._progress.elapsed_ns
+    def _remember(self, stamp: int, setpoint: tuple[float, ...]) -> tuple[float, ...]:
+        elapsed = self._elapsed
         self._history.append((stamp, elapsed))
         if elapsed < self._moved_at and elapsed > 0.0:
             start = self.plan.trajectory.positions[0]
-            if self._progress.finished or outside_tolerance(start, setpoint, START_TOLERANCE) is not None:
+            if self.finished or outside_tolerance(start, setpoint, START_TOLERANCE) is not None:
                 # the next segment begins at the end of this one, which the last step may pass by a part of a cycle
-                self._moved_at = min(elapsed, self._progress.elapsed * NANOSECONDS)
-        if self.goal_stamp == 0 and self._progress.finished:
+                self._moved_at = min(elapsed, self.elapsed * NANOSECONDS)
+        if self.goal_stamp == 0 and self.finished:
             self.goal_stamp = stamp
+        return setpoint
 
     def braking(self, lag: float) -> StopForecaster:
         """Return what is needed to forecast a stop that begins now; nothing is computed yet.
@@ -200,7 +393,7 @@ class Playback:
             lag = 0.0
         cycles = min(-int(-lag * NANOSECONDS // CYCLE_NS), len(self._history) - 1)
         in_flight = [elapsed for _, elapsed in list(self._history)[len(self._history) - 1 - cycles :]]
-        return StopForecaster(self._progress.copy(), in_flight, lag)
+        return StopForecaster(self.copy(), in_flight, lag)
 
 
 class StopForecaster:
@@ -233,68 +426,3 @@ class StopForecaster:
         arm = distance_along(before[:-1] + poses)
         # a cycle more: the arm may be anywhere between two setpoints
         return StoppingForecast(distance_along(poses), replace(arm, time=arm.time + CYCLE), self._lag)
-
-
-#: An arm that trails by so much is waited for, and is no longer when it trails by less than `KEEPS_UP` [s]. The gateway ends a
-#: motion of which it had to put off 2 s.
-TRAILS, KEEPS_UP = 1.0, 0.5
-
-
-class PlayRate:
-    """The newest limit on a plan's speed, and whether the arm is waited for.
-
-    Attributes:
-        waits: For an arm that trails, because replies to it are lost, or because the gateway slows it.
-        fraction: 0 to 1; 0: it stands still until the limit is raised.
-        standing: Whether the plan has come to rest because of either.
-    """
-
-    def __init__(self):
-        self.fraction = 1.0
-        self.standing = self.waits = False
-        self.reason = ""
-
-    @property
-    def rate(self) -> float:
-        """What the plan is played at, as a fraction of its planned speed."""
-        return 0.0 if self.waits else self.fraction
-
-    def trail(self, lag: float) -> bool:
-        """Take how long the arm trails [s]; return whether that is news. What is not known, or no such time, changes nothing."""
-        if not 0.0 <= lag < math.inf:
-            return False
-        waits = lag >= (KEEPS_UP if self.waits else TRAILS)
-        changed = waits is not self.waits
-        self.waits = waits
-        return changed
-
-    def take(self, fraction: float, reason: str) -> bool:
-        """Take a limit and why it is there; return whether that is news. ExecutionError, and no change, when it is no fraction."""
-        if fraction == self.fraction and reason == self.reason:
-            return False
-        # written so that a nan does not pass
-        if not 0.0 <= fraction <= 1.0:
-            raise ExecutionError(
-                f"a rate of {fraction} was asked for; expected a fraction of the planned speed, 0 to 1"
-            )
-        self.fraction, self.reason = fraction, reason
-        return True
-
-    def sentence(self, cause: str) -> str:
-        """Return what a playing plan does, and why: always of the present limit. `cause` is why it plays."""
-        if self.standing and self.fraction == 0.0:
-            return Sentence("stands still on the path, goes on by itself: {reason}", reason=self.reason)
-        if self.waits:
-            return Sentence(
-                "waits on the path until the arm has caught up, goes on by itself: the arm trails by more than {trails:g} s, "
-                "because replies to it are lost or it is slowed down",
-                trails=TRAILS,
-            )
-        if self.fraction < 1.0:
-            return Sentence(
-                "{cause}; at {percent:.0f}% of the planned speed: {reason}",
-                cause=cause,
-                percent=100.0 * self.fraction,
-                reason=self.reason,
-            )
-        return cause

@@ -1,20 +1,21 @@
 """One execution of a work plan: which segment it is in, what the next boundary waits for, and what is expected of tool and scene.
 
-Pure. Stamps in ns, `now` in ns on the monotonic clock, times in s.
+At a boundary the arm stands at rest: its switches are armed, fire and are confirmed, and the scene becomes the one planned for. The
+setpoints go on repeating its pose, so that the playout passes the stamps of the switches. Pure. Stamps [ns] are those of setpoints;
+`now` [ns] is on the monotonic clock; times in s.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from construction_twin.core.reports import ToolReport
+from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
 from construction_twin.core.sentences import Sentence
-from construction_twin.core.units import NANOSECONDS
-from construction_twin.execution.boundary import Boundary, BoundaryEvent, ToolOrder
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.engagement import Engagement, EngagementKeeper, Holding, engagement_of, holding_of
 from construction_twin.execution.states import ExecutorEvent
 from construction_twin.robot.plan import Plan
-from construction_twin.robot.segments import Segment
+from construction_twin.robot.segments import Segment, Signal, Switch
 
 #: Why there is none without a physical arm.
 NO_ARM = Sentence("there is no physical arm (`arm:=none`), so nothing switches or reads a tool")
@@ -49,6 +50,247 @@ def lacks(report: ToolReport, plan: Plan) -> str:
 def needs_tool(plan: Plan) -> bool:
     """Return whether a plan switches the tool or requires something of its inputs."""
     return any(segment.switches or segment.requires for segment in plan.segments)
+
+
+#: A switch is armed for the setpoint this far ahead [ns]: its acknowledgement takes a message there and one back, over a link that
+#: may be wireless, and the playout adds its delay of about 20 ms on top.
+LEAD = NANOSECONDS * 3 // 20 // CYCLE_NS * CYCLE_NS
+#: A switch must have fired this long after it was armed [ns]: the lead, the playout's delay, and a report over a slow link.
+FIRE_TIMEOUT = 3 * NANOSECONDS
+#: What is asked to change the scene must have done so within this time [ns]: longer than a node that was killed takes to come back.
+SCENE_TIMEOUT = 30 * NANOSECONDS
+
+
+@dataclass(frozen=True)
+class ToolOrder:
+    """What is asked of the tool.
+
+    Attributes:
+        id: Of the switch; empty: forget every switch that is armed and has not fired.
+        stamp: Nominal stamp of the setpoint with which it fires [ns].
+    """
+
+    id: str
+    plan_id: str
+    switch: Switch | None = None
+    stamp: int = 0
+
+
+@dataclass(frozen=True)
+class BoundaryEvent:
+    """What has become of the waiting, and why."""
+
+    event: ExecutorEvent
+    reason: str = ""
+
+
+@dataclass
+class _Order:
+    """One switch, as it was armed last: its place among those of the segment, id, how often, and when it was seen to fire [ns]."""
+
+    switch: Switch
+    place: int
+    id: str = ""
+    attempts: int = 0
+    fired: int | None = None
+
+
+class Boundary:
+    """The end of one segment. What a switch has done is done: none fires twice, whatever is paused and resumed.
+
+    `wants_scene`: the switches are confirmed, and the scene is not yet `scene_after`.
+    """
+
+    def __init__(self, plan_id: str, number: int, segment: Segment | None, scene_after: str):
+        self.segment = segment
+        self.scene_after = scene_after
+        self.wants_scene = False
+        self._plan_id, self._number = plan_id, number
+        self._ordered = [_Order(switch, place) for place, switch in enumerate(segment.switches)] if segment else []
+        self._armed_at: int | None = None
+        self._voided = False
+        self._confirmed = not self._ordered
+        self._wanted_at: int | None = None
+        self._orders: list[ToolOrder] = []
+
+    @property
+    def fired(self) -> bool:
+        """Whether a switch is known to have fired."""
+        return any(order.fired is not None for order in self._ordered)
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether all switches have fired and were confirmed; true without switches."""
+        return self._confirmed
+
+    @property
+    def may_have_switched(self) -> bool:
+        """Whether a switch was armed: it may have fired although nobody has heard of it."""
+        return any(order.attempts for order in self._ordered)
+
+    @property
+    def done(self) -> bool:
+        """Whether switches and scene are as planned."""
+        return self._confirmed and not self.wants_scene and self._wanted_at is not None
+
+    @property
+    def confirmation(self) -> tuple[Signal, ...]:
+        """What the inputs must read once the switches have fired."""
+        return tuple(signal for order in self._ordered for signal in order.switch.confirm)
+
+    @property
+    def required(self) -> tuple[Signal, ...]:
+        """What the inputs must read now."""
+        if self._confirmed and self._ordered:
+            return self.confirmation
+        return self.segment.requires if self.segment is not None and not self.fired else ()
+
+    def take_orders(self) -> list[ToolOrder]:
+        """Return what is to be asked of the tool since the last call."""
+        orders, self._orders = self._orders, []
+        return orders
+
+    def observe(self, tool: ToolReport, now: int) -> None:
+        """Note what a report says of the switches; also while it is paused."""
+        for order in self._ordered:
+            report = tool.switches.get(order.id) if order.id else None
+            if report is not None and report.state is SwitchState.FIRED and order.fired is None:
+                order.fired = now
+
+    def void(self) -> None:
+        """Ask that what is armed and has not fired is forgotten: a pause, or the end of the plan."""
+        if not self._voided and any(order.attempts and order.fired is None for order in self._ordered):
+            self._orders.append(ToolOrder("", self._plan_id))
+            self._voided = True
+
+    def resume(self, now: int) -> None:
+        """Go on after a pause: what has fired stays so; what is known to be void is armed anew."""
+        if self._armed_at is not None:
+            self._armed_at = now
+        if self._wanted_at is not None:
+            self._wanted_at = now
+
+    def update(self, stamp: int, now: int, tool: ToolReport, scene: str, may_switch: bool) -> BoundaryEvent | None:
+        """Go on by one cycle, whose setpoint has this stamp [ns]; return what ends the waiting badly, else None (see `done`).
+
+        Args:
+            scene: Hash of the present scene; empty: not known.
+            may_switch: Whether a switch may be armed now: not while a speed limit of 0 keeps everything still, or the arm is waited
+                for.
+        """
+        self.observe(tool, now)
+        if not self._confirmed:
+            return self._switch(stamp, now, tool, may_switch)
+        if self._wanted_at is None:
+            self._wanted_at = now
+        self.wants_scene = scene != self.scene_after
+        if self.wants_scene and now - self._wanted_at > SCENE_TIMEOUT:
+            wanted, seconds = self.scene_after[:12], SCENE_TIMEOUT / NANOSECONDS
+            late = Sentence(
+                "the scene did not become {scene} within {seconds:g} s; does its node run?",
+                scene=wanted,
+                seconds=seconds,
+            )
+            return BoundaryEvent(ExecutorEvent.TIMEOUT, late)
+        return None
+
+    # -- switches
+
+    def _switch(self, stamp: int, now: int, tool: ToolReport, may_switch: bool) -> BoundaryEvent | None:
+        if problem := tool.unknown():
+            return BoundaryEvent(ExecutorEvent.LOST, problem)
+        if self._armed_at is None:
+            if confirmed := self._confirmed_before(tool):
+                return confirmed
+            if may_switch:
+                self._arm(self._ordered, stamp, now)
+            return None
+        if not may_switch:
+            # the gateway fires nothing either while everything is kept still
+            self.void()
+        if refused := self._refused(tool):
+            return refused
+        if self._voided:
+            self._arm_again(stamp, now, tool, may_switch)
+        return self._late(now, tool)
+
+    def _confirmed_before(self, tool: ToolReport) -> BoundaryEvent | None:
+        """Tell of a switch that would confirm nothing: a sensor that is stuck reads the same before and after it."""
+        for order in self._ordered:
+            if order.switch.confirm and not tool.problem(order.switch.confirm):
+                stuck = Sentence(
+                    "what confirms {switch} reads so already; look at sensor and tool", switch=_name(order)
+                )
+                return BoundaryEvent(ExecutorEvent.LOST, stuck)
+        return None
+
+    def _arm(self, which: list[_Order], stamp: int, now: int) -> None:
+        for order in which:
+            order.attempts += 1
+            order.id = f"{self._plan_id}/{self._number}/{order.place}/{order.attempts}"
+            self._orders.append(ToolOrder(order.id, self._plan_id, order.switch, stamp + LEAD))
+        self._armed_at = now
+
+    def _arm_again(self, stamp: int, now: int, tool: ToolReport, may_switch: bool) -> None:
+        """After a pause: what the gateway says will not fire any more is armed anew, once it has said so of all that are open."""
+        open_ones = [order for order in self._ordered if order.fired is None]
+        if not all(_is_void(tool.switches.get(order.id)) for order in open_ones):
+            return
+        if may_switch or not open_ones:
+            self._voided = False
+            self._arm(open_ones, stamp, now)
+        else:
+            self._armed_at = now
+
+    def _refused(self, tool: ToolReport) -> BoundaryEvent | None:
+        for order in self._ordered:
+            report = tool.switches.get(order.id)
+            if order.fired is not None or report is None:
+                continue
+            if report.state is SwitchState.REFUSED or (_is_void(report) and not self._voided):
+                values = {"switch": _name(order), "reason": report.reason}
+                sentence = Sentence("the gateway has refused {switch}: {reason}", **values)
+                if report.state is not SwitchState.REFUSED:
+                    sentence = Sentence("the gateway has forgotten {switch}: {reason}", **values)
+                return BoundaryEvent(ExecutorEvent.REFUSED, sentence)
+        return None
+
+    def _late(self, now: int, tool: ToolReport) -> BoundaryEvent | None:
+        """Confirm what has fired, and tell what takes too long."""
+        assert self._armed_at is not None  # the caller has seen to that
+        late, all_in = None, True
+        for order in self._ordered:
+            if order.fired is None:
+                all_in = False
+                if now - self._armed_at > FIRE_TIMEOUT:
+                    name, seconds = _name(order), FIRE_TIMEOUT / NANOSECONDS
+                    words = Sentence(
+                        "{switch} was not reported as fired within {seconds:g} s", switch=name, seconds=seconds
+                    )
+                    late = BoundaryEvent(ExecutorEvent.TIMEOUT, words)
+            elif problem := tool.problem(order.switch.confirm):
+                all_in = False
+                if now - order.fired > order.switch.timeout * NANOSECONDS:
+                    words = Sentence(
+                        "{switch} has fired, but was not confirmed within {seconds:g} s: {problem}",
+                        switch=_name(order),
+                        seconds=order.switch.timeout,
+                        problem=problem,
+                    )
+                    late = BoundaryEvent(ExecutorEvent.TIMEOUT, words)
+        self._confirmed = all_in
+        return late
+
+
+def _is_void(report: SwitchReport | None) -> bool:
+    return report is not None and report.state is SwitchState.VOID
+
+
+def _name(order: _Order) -> str:
+    output = order.switch.output
+    if order.switch.value:
+        return Sentence("the switch of {output} to on", output=output)
+    return Sentence("the switch of {output} to off", output=output)
 
 
 #: An engaged segment must be on the disk within this time [ns].

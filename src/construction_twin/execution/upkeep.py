@@ -12,8 +12,10 @@ import pydantic
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.reports import ExecutionReport, ToolReport
 from construction_twin.core.speed_limit import LimitState, SpeedLimit
+from construction_twin.execution.approval import Approval
 from construction_twin.execution.engagement import Engagement
-from construction_twin.execution.executor import Executor, ExecutorState
+from construction_twin.execution.executor import Executor
+from construction_twin.execution.states import ACTIVE, ExecutorState
 from construction_twin.robot.description import ESTIMATES, RobotModel
 
 #: States of the limit in which who should tell it does not.
@@ -50,10 +52,10 @@ class Permission(pydantic.BaseModel):
 
 
 class News:
-    """What is new of an executor and its speed limit."""
+    """What is new of an executor, its approvals and its speed limit."""
 
-    def __init__(self, executor: Executor, limit: SpeedLimit):
-        self._executor, self._limit = executor, limit
+    def __init__(self, executor: Executor, approval: Approval, limit: SpeedLimit):
+        self._executor, self._approval, self._limit = executor, approval, limit
         self._told: tuple = (None,)
         self._limit_state: LimitState | None = None
 
@@ -68,7 +70,7 @@ class News:
         Args:
             moments: Returns ROS time [ns] and the robot's clock. A stop that comes after that is not known to the report.
         """
-        executor, news = self._executor, self._executor.news()
+        executor, news = self._executor, self._news()
         lines: list[tuple[bool, str]] = []
         if self._limit.state is not self._limit_state:
             self._limit_state = self._limit.state
@@ -77,10 +79,49 @@ class News:
             return None, lines
         if news[0] != self._told[0]:
             lines.append((False, f"{executor.state.name}: {executor.reason}"))
-        report = executor.report(*moments())
+        report = self._report(*moments())
         # after what may fail: what was not reported is news in the next cycle, too
         self._told = news
         return report, lines
+
+    def _news(self) -> tuple:
+        """Return what of the report is worth a new one when it changes: first what is worth a line in a log, too."""
+        executor, approval, limit = self._executor, self._approval, self._executor.limit
+        work, playback, active = executor.segment_run, executor.playback, executor.state in ACTIVE
+        where = work and (work.number, active and work.at_boundary, active and work.expected_scene)
+        steady = not active or playback is None or playback.steady
+        # a limit that follows a sensor changes all the time: a hundredth is worth a report
+        limited = executor.state is ExecutorState.PLAYING and (limit.waits, limit.fraction < 1.0 and limit.reason)
+        logged = executor.state, executor.cause, limit.standing
+        review = approval.obstacle, approval.overridable, executor.engagement.engaged
+        return logged, round(limit.fraction, 2), limited, executor.plan_start, executor.outcome, steady, where, review
+
+    def _report(self, stamp: int, moment: str) -> ExecutionReport:
+        executor, active = self._executor, self._executor.state in ACTIVE
+        plan, work = executor.plan, executor.segment_run
+        segment = work.segment if work is not None else None
+        expected = work.expected_scene if work is not None and active else ""
+        return ExecutionReport(
+            state=executor.state.value,
+            text=executor.state.name,
+            reason=executor.reason,
+            plan_id=plan.id if plan is not None else "",
+            outcome=executor.outcome,
+            plan_start=executor.plan_start,
+            duration=plan.trajectory.duration if plan is not None else 0.0,
+            rate=executor.rate,
+            speed_limit=executor.limit.fraction,
+            segment=work.number if work is not None else -1,
+            segment_name=segment.name if segment is not None else "",
+            at_boundary=work is not None and active and work.at_boundary,
+            wants_scene=bool(expected),
+            engaged=executor.engagement.engaged,
+            expected_scene=expected,
+            approval_obstacle=self._approval.obstacle,
+            overridable=self._approval.overridable,
+            stamp=stamp,
+            moment=moment,
+        )
 
 
 class Disk:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.limits import MotionCheck, outside_tolerance
 from construction_twin.core.sentences import Sentence
@@ -25,21 +23,6 @@ REMEMBERED = 64
 #: Sequence numbers that one command may be ahead of the last one taken: more than are sent while a stream survives.
 FARTHEST = 10_000
 _ALL = (1 << REMEMBERED) - 1
-
-
-class Command(NamedTuple):
-    """A command that was read.
-
-    Attributes:
-        stamp: On the sender's clock [ns]; on ours when commands carry none.
-        q: Shape (n,). Axis angles [rad].
-        lost: Commands missing between the last one and this.
-    """
-
-    # a NamedTuple, and not a frozen dataclass: one is made and unpacked for every command, and it is faster at both
-    stamp: int
-    q: tuple[float, ...]
-    lost: int
 
 
 class CommandStream:
@@ -65,8 +48,15 @@ class CommandStream:
         self._last_q: tuple[float, ...] = ()
         self._begin_block()
 
-    def read(self, payload: bytes, properties: CommandProperties | PayloadError | None, now: int) -> Command:
+    def read(
+        self, payload: bytes, properties: CommandProperties | PayloadError | None, now: int
+    ) -> tuple[int, tuple[float, ...], int]:
         """Read a joint string with what was beside it at `now` [ns].
+
+        Returns:
+            stamp: On the sender's clock [ns]; on ours when commands carry none.
+            q: Shape (n,). Axis angles [rad].
+            lost: Commands missing between the last one and this.
 
         Raises:
             PayloadError: ``properties``, ``session``, ``duplicate`` (was taken), ``reordered`` (comes behind a newer one),
@@ -76,7 +66,7 @@ class CommandStream:
             raise properties
         if not self._config.properties:
             q = self._codec.decode(payload)
-            return Command(self._arrival_stamp(now, q), q, 0)
+            return self._arrival_stamp(now, q), q, 0
         if properties is None:
             raise PayloadError("properties", "command without session, seq and stamp")
         if properties.session != self.session:
@@ -97,7 +87,7 @@ class CommandStream:
             raise PayloadError("stale", f"command is {late:.3f} s older than the freshest")
         self._sequence = properties.seq
         self._taken = 1 if step >= REMEMBERED else (self._taken << step | 1) & _ALL
-        return Command(properties.stamp, q, step - 1)
+        return properties.stamp, q, step - 1
 
     def _arrival_stamp(self, now: int, q: tuple[float, ...]) -> int:
         """Return a stamp for a command without one: the sender's 4 ms grid, begun anew after a gap in which it was given up.

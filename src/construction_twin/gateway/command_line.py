@@ -9,7 +9,6 @@ import secrets
 import signal
 import sys
 import threading
-from dataclasses import dataclass
 from logging.handlers import QueueHandler, QueueListener
 from pathlib import Path
 from queue import SimpleQueue
@@ -137,17 +136,8 @@ def _address(text: str, option: str) -> tuple[str, int]:
     return host, int(port)
 
 
-@dataclass(frozen=True)
-class _Ends:
-    """Between whom the gateway stands."""
-
-    broker: Broker
-    topics: Topics
-    address: tuple[str, int]
-    controller: str | None
-
-
-def _ends(arguments: argparse.Namespace, config: GatewayConfig) -> _Ends:
+def _ends(arguments: argparse.Namespace, config: GatewayConfig) -> tuple[Broker, Topics, tuple[str, int], str | None]:
+    """Return broker and topics, the address for the controller, and the controller's own."""
     account = load_account(arguments.account) if arguments.account else None
     if account is not None and account.password_file:
         account.password()
@@ -159,12 +149,12 @@ def _ends(arguments: argparse.Namespace, config: GatewayConfig) -> _Ends:
     if controller is None and not is_loopback(host):
         expected = f"the controller's address: what comes to {host} comes from a network, and only the controller may"
         raise ConfigurationError("--controller", "", expected)
-    return _Ends(broker, Topics(arguments.prefix, config.robot), (host, port or config.layout.port), controller)
+    return broker, Topics(arguments.prefix, config.robot), (host, port or config.layout.port), controller
 
 
 def check(arguments: argparse.Namespace, config: GatewayConfig) -> None:
     """Raise the ConstructionTwinError that a gateway with these options would not start with; leave nothing behind."""
-    bind(*_ends(arguments, config).address).close()
+    bind(*_ends(arguments, config)[2]).close()
     if arguments.trace:
         check_trace(arguments.trace, len(config.axes))
 
@@ -173,15 +163,14 @@ def _run(argv: list[str]) -> int:
     try:
         arguments = read_arguments(argv)
         config = load_config(arguments.config)
-        ends = _ends(arguments, config)
-        address, controller = ends.address, ends.controller
+        broker, topics, address, controller = _ends(arguments, config)
         file = arguments.ethernet_xml
         told = config.make.form_of(file).sends_to(file, config.layout) if file else address[0]
         run, commissioning = secrets.token_hex(8), arguments.commissioning == "true"
         sock = bind(*address)
         # behind the address, which no second gateway gets
         stops = StopFile(arguments.stop_file or Path(arguments.config).with_name(f"{config.robot}.stopped"))
-        service = GatewayService(config, sock, ends.broker, ends.topics, run, controller, commissioning, stops=stops)
+        service = GatewayService(config, sock, broker, topics, run, controller, commissioning, stops=stops)
         # last: it takes room on a disk, which what else may be refused must not leave taken
         trace = TraceWriter(arguments.trace, len(config.axes)) if arguments.trace else None
         if trace is not None:

@@ -92,14 +92,6 @@ def _remember(known: dict[object, None], thing: object) -> None:
         del known[next(iter(known))]
 
 
-@dataclass(frozen=True, slots=True)
-class _Given:
-    """A fraction of the velocity limits, and since when it was given [ns]."""
-
-    since: int
-    fraction: float
-
-
 class EnforcedSpeedLimit:
     """The fraction of the velocity limits at which the arm may move.
 
@@ -125,8 +117,8 @@ class EnforcedSpeedLimit:
         self.fraction = 1.0
         # session and number of the last message that was taken
         self._numbered: tuple[str, int] = ("", -1)
-        # fractions fall from left to right, so the first is the highest
-        self._recent: deque[_Given] = deque(maxlen=REMEMBERED)
+        # since when [ns] which fraction was given; they fall from left to right, so the first is the highest
+        self._recent: deque[tuple[int, float]] = deque(maxlen=REMEMBERED)
 
     @staticmethod
     def refusal(control: Control, session: str) -> str:
@@ -169,9 +161,9 @@ class EnforcedSpeedLimit:
         if silent:
             self.source = "silence"
             self._take(self._source.fraction_when_silent, now)
-        while len(recent) > 1 and now - recent[1].since >= self._grace:
+        while len(recent) > 1 and now - recent[1][0] >= self._grace:
             recent.popleft()
-        self.fraction = recent[0].fraction
+        self.fraction = recent[0][1]
         return silent
 
     def _take(self, fraction: float, now: int) -> None:
@@ -179,14 +171,14 @@ class EnforcedSpeedLimit:
         recent = self._recent
         if not recent:
             # before the first one there was none
-            recent.append(_Given(now, 1.0))
-        if fraction == recent[-1].fraction:
+            recent.append((now, 1.0))
+        if fraction == recent[-1][1]:
             return
         since = now
-        while recent and recent[-1].fraction <= fraction:
+        while recent and recent[-1][1] <= fraction:
             # what was lower is no higher than this: the grace began there
-            since = recent.pop().since
-        recent.append(_Given(since, fraction))
+            since, _ = recent.pop()
+        recent.append((since, fraction))
 
     def report(self) -> dict:
         """Return what the status says: the fraction in force, the one given last, and by whom."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 from functools import partial
 
 from construction_twin.controller.telegram import Telegram
+from construction_twin.core.errors import PayloadError
 from construction_twin.core.follower import Follower
 from construction_twin.core.records import document
 from construction_twin.core.sentences import Sentence, both
@@ -20,7 +21,6 @@ from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.control import CommandSide
 from construction_twin.gateway.controller_session import moved
 from construction_twin.gateway.states import ROWS, Action, Event, Guard, Mode, Occasion, Row, State
-from construction_twin.gateway.status import StateReport
 from construction_twin.mqtt.messages import PROTOCOL, StateProperties
 
 #: States in which nothing is commanded, and the held pose follows what a program of the controller does.
@@ -49,7 +49,8 @@ class Gateway(ArmSide):
         self._cycle = config.cycle_ns
         self._absolute = config.make.absolute
         self._began = ""
-        self._states = StateReport(self.codec, self.counters, config.properties)
+        # without properties commands carry no stamps, and states none of theirs
+        self._stamps = config.properties
         self._silence = round(config.silence * NANOSECONDS)
         self.machine = Machine(
             ROWS,
@@ -265,7 +266,7 @@ class Gateway(ArmSide):
     # -- what the rows of the table do
 
     def _on_session_began(self, row: Row, occasion: Occasion) -> None:
-        self.player.remove()
+        self.player.follower = None
         if self.tool is not None:
             self.tool.begin_session()
         self.disarm(occasion.reason)
@@ -278,7 +279,7 @@ class Gateway(ArmSide):
     def _on_session_ended(self, row: Row, occasion: Occasion) -> None:
         self.controller.end()
         self.clock.restart()
-        self.player.remove()
+        self.player.follower = None
         if self.tool is not None:
             self.tool.end_session(occasion.reason)
         self.disarm(occasion.reason)
@@ -287,7 +288,16 @@ class Gateway(ArmSide):
 
     def state_message(self, stamp: int) -> tuple[bytes, StateProperties] | None:
         """Return the joint string of the measured pose and its properties, None without one; `stamp` is the gateway's own [ns]."""
-        return self._states.message(self.controller.measured, self.command_stamp, stamp)
+        measured, counters = self.controller.measured, self.counters
+        if not measured:
+            return None
+        try:
+            payload = self.codec.encode(measured)
+        except PayloadError as error:
+            counters[f"state_refused_{error.reason}"] += 1
+            return None
+        counters["states_sent"] += 1
+        return payload, StateProperties(counters["states_sent"], stamp, self.command_stamp if self._stamps else 0)
 
     def take_change(self) -> bool:
         """Return whether the state changed since the last call."""

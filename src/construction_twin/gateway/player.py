@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from construction_twin.core.follower import Follower
 from construction_twin.core.units import NANOSECONDS
@@ -142,15 +141,6 @@ class SubCycleInterpolator:
         return tuple([start + part * (end - start) for start, end in zip(self._before, now)])
 
 
-@dataclass(frozen=True, slots=True)
-class _Stall:
-    """A stream that was given up: whose, how late its next command was then [ns], and when [ns]."""
-
-    session: str
-    shortfall: int
-    since: int
-
-
 class Player:
     """Plays a command stream, and brakes where it has run dry."""
 
@@ -161,7 +151,8 @@ class Player:
         self.playout = Playout(PlayoutBounds.of(config), rate)
         #: For telegrams that come faster than one a cycle.
         self.parts = SubCycleInterpolator(config.cycle_ns)
-        self._stalled: _Stall | None = None
+        # the stream that was given up: whose, how late its next command was then [ns], and when [ns]
+        self._stalled: tuple[str, int, int] | None = None
         #: Fraction of the velocity limits at which the arm may move.
         self.fraction = 1.0
         #: Stands at the position last sent; None without an origin.
@@ -187,10 +178,6 @@ class Player:
         self.follower = Follower(config.limits, config.decimals, position, config.period)
         self.follower.limit(self.fraction)
         return self.follower
-
-    def remove(self) -> None:
-        """Stand nowhere: there is no origin."""
-        self.follower = None
 
     def clear(self) -> None:
         """Forget the stream; what was learned about the link stays."""
@@ -236,15 +223,15 @@ class Player:
 
     def give_up(self, session: str, now: int) -> None:
         """Note that the stream of `session` is given up because of its silence; call it before `clear`."""
-        self._stalled = _Stall(session, self.playout.shortfall, now)
+        self._stalled = session, self.playout.shortfall, now
 
     def learn_from_stall(self, session: str | None, now: int) -> None:
         """Take note of a command that comes after its stream was given up: the stream did not end, it was held up.
 
         The next stream begins with a delay that absorbs this, as far as the bounds allow. `session`: None where commands have none.
         """
-        stall = self._stalled
-        if stall is None or session not in (None, stall.session):
+        if self._stalled is None or session not in (None, self._stalled[0]):
             return
-        self.playout.learn(stall.shortfall + now - stall.since)
+        _, shortfall, since = self._stalled
+        self.playout.learn(shortfall + now - since)
         self._stalled = None

@@ -200,7 +200,8 @@ class Playout:
         self.rate.clear()
         self._commands.clear()
         self._before = None
-        self._newest = 0
+        #: Stamp of the newest command [ns]; 0 when there is none.
+        self.newest = 0
         self._now = 0
         # playout time before the last advance: that one is taken back when the reply it was for does not arrive
         self._advanced_from = 0
@@ -209,14 +210,9 @@ class Playout:
         self.delay = self.bounds.delay(self._arrivals.learned)
 
     @property
-    def newest(self) -> int:
-        """Stamp of the newest command [ns]; 0 when there is none."""
-        return self._newest
-
-    @property
     def silence(self) -> int:
         """How far playout time has run past the newest command [ns]; 0 while commands are ahead of it."""
-        return max(0, self._now - self._newest)
+        return max(0, self._now - self.newest)
 
     @property
     def overdue(self) -> int:
@@ -224,7 +220,7 @@ class Playout:
 
         A sender that falls silent is noticed no later because the arm trails it.
         """
-        return max(0, self._now + self.rate.put_off - self._newest)
+        return max(0, self._now + self.rate.put_off - self.newest)
 
     @property
     def backlog(self) -> int:
@@ -242,7 +238,7 @@ class Playout:
     @property
     def shortfall(self) -> int:
         """How late the next command already is against the quickest ones [ns]."""
-        return self._arrivals.high - (self._newest - self._clock)
+        return self._arrivals.high - (self.newest - self._clock)
 
     def lead(self, stamp: int) -> int:
         """Return how far `stamp` [ns] lies ahead of playout time [ns], without what a speed limit has put off."""
@@ -258,7 +254,7 @@ class Playout:
         if not commands:
             # the next telegram adds all of its cycle, of which so much was over; in whole steps of the grid
             self._now = self._advanced_from = stamp - self.delay - waited // CYCLE_NS * CYCLE_NS
-            self._newest = stamp
+            self.newest = stamp
         self._resting = self._resting + 1 if commands and commands[-1][1] == q else 0
         if self.rate.put_off and self._resting > 3 and len(commands) > 3:
             # of a delayed rest only the first and last command are kept: a limit of 0 may hold for hours
@@ -267,8 +263,8 @@ class Playout:
             commands[-1] = stamp, q
         else:
             commands.append((stamp, q))
-        self._arrivals.note_command(self._newest - self._clock, stamp - self._clock - waited)
-        self._newest = stamp
+        self._arrivals.note_command(self.newest - self._clock, stamp - self._clock - waited)
+        self.newest = stamp
         return stamp > self._now
 
     def learn(self, jitter: int) -> None:
@@ -301,7 +297,7 @@ class Playout:
             self._skip_rest()
         before = self._advanced_from = self._now
         self._clock += elapsed
-        if self._arrivals.note_telegram(self._newest - self._clock, self._clock):
+        if self._arrivals.note_telegram(self.newest - self._clock, self._clock):
             self._choose_delay(before + elapsed)
         if rate.steady and elapsed == rate.cycle_ns:
             self._now += elapsed
@@ -317,10 +313,10 @@ class Playout:
         return {
             "delay_ms": self.delay / 1e6,
             "jitter_ms": self._arrivals.observed / 1e6,
-            "lead_ms": (self._newest - self._now) / 1e6,
+            "lead_ms": (self.newest - self._now) / 1e6,
             "to_move_ms": self.rate.remaining / 1e6,
             "put_off_ms": self.rate.put_off / 1e6,
-            "rate_percent": self.rate.percent,
+            "rate_percent": 100.0 * (self.rate.shift / self.rate.cycle_ns),
             "drift_ppm": None if drift is None else round(drift, 1),
         }
 

@@ -96,11 +96,6 @@ class PlayoutRate:
         """Whether playout time runs as the controller's: nothing is to be moved, and there is no speed limit."""
         return not (self.remaining or self.shift or self._limits)
 
-    @property
-    def percent(self) -> float:
-        """Present deviation from 1 [%], without a speed limit's."""
-        return 100.0 * (self.shift / self.cycle_ns)
-
     def note(self, target: Pose) -> None:
         """Remember the target of a cycle, one cycle after the one before it."""
         self._before, self._last = self._last, target

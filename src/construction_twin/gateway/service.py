@@ -93,13 +93,12 @@ class GatewayService:
             while self._running:
                 self._turn()
             self.guarded(self.gateway.end, Sentence("the gateway is ending"), True)
-            self.controller.last_resort.ending = self.gateway.config.layout.stop
-            deadline = time.monotonic() + _LONGEST_BRAKING
-            while self._braking and time.monotonic() < deadline:
-                self._turn()
-            deadline = time.monotonic() + _LAST_STOP
-            while self._ends and time.monotonic() < deadline:
-                self._turn()
+            gateway, resort = self.gateway, self.controller.last_resort
+            resort.ending = gateway.config.layout.stop
+            self._turn_while(
+                lambda: not resort.at_rest if self.failure else gateway.state is State.BRAKING, _LONGEST_BRAKING
+            )
+            self._turn_while(lambda: resort.ends if self.failure else gateway.ends, _LAST_STOP)
         finally:
             self.guarded(self._tell_failure)
             self.guarded(self.mqtt.publish_status, True)
@@ -108,17 +107,14 @@ class GatewayService:
                 self.guarded(self._stops.close)
             self._sock.close()
 
+    def _turn_while(self, goes_on: Callable[[], bool], longest: float) -> None:
+        deadline = time.monotonic() + longest
+        while goes_on() and time.monotonic() < deadline:
+            self._turn()
+
     def stop(self) -> None:
         """Make `run` brake and return; safe in a signal handler."""
         self._running, self.mqtt.ending = False, True
-
-    @property
-    def _braking(self) -> bool:
-        return not self.controller.last_resort.at_rest if self.failure else self.gateway.state is State.BRAKING
-
-    @property
-    def _ends(self) -> bool:
-        return self.controller.last_resort.ends if self.failure else self.gateway.ends
 
     # -- failure
 

@@ -1,18 +1,12 @@
-"""What the gateway tells on MQTT: what it refuses, when its `status` is due, and the messages of `state`.
-
-It takes values and knows nothing of the gateway. rad and ns.
-"""
+"""What the gateway's `status` says of refusals, and when it is due."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
 
-from construction_twin.core.errors import PayloadError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.mqtt.messages import StateProperties
 
 #: Without a telegram for this long no controller waits for an answer [s].
 QUIET = 0.05
@@ -89,32 +83,6 @@ class Refusals:
             self.later = said
         else:
             self.last = said
-
-
-class StateReport:
-    """Makes the messages of the `state` topic; without `properties` commands carry no stamps, and states none of theirs."""
-
-    def __init__(self, codec: JointStringCodec, counters: Counter[str], properties: bool):
-        self._codec = codec
-        self._counters = counters
-        self._properties = properties
-
-    def message(
-        self, measured: tuple[float, ...], command_stamp: int, stamp: int
-    ) -> tuple[bytes, StateProperties] | None:
-        """Return a pose's joint string and what goes beside it; None without a pose, or when it does not fit the format.
-
-        `command_stamp` is that of the target in the reply before this telegram, 0 for none; `stamp` the gateway's own time [ns].
-        """
-        if not measured:
-            return None
-        try:
-            payload = self._codec.encode(measured)
-        except PayloadError as error:
-            self._counters[f"state_refused_{error.reason}"] += 1
-            return None
-        self._counters["states_sent"] += 1
-        return payload, StateProperties(self._counters["states_sent"], stamp, command_stamp if self._properties else 0)
 
 
 class StatusClock:

@@ -91,11 +91,6 @@ class ToolSwitches:
     # -- the controller's side
 
     @property
-    def known(self) -> bool:
-        """Whether the outputs have been read back in this controller session, and still are."""
-        return not self._unknown
-
-    @property
     def difference(self) -> str:
         """Which outputs read back as something else than commanded, in one sentence; "" for none, or not for long."""
         if self._differs <= self._longest_difference or self._reading is None:

@@ -316,7 +316,9 @@ class Bridge:
         # a status of a gateway that is gone says nothing of now
         if supervisor.state in (LinkState.DISCONNECTED, LinkState.GATEWAY_OFFLINE):
             return supervisor.reason
-        return both(supervisor.reason, controller_sentence(supervisor.status), clock_sentence(supervisor.status))
+        return both(
+            supervisor.reason, controller_sentence(supervisor.inputs.status), clock_sentence(supervisor.inputs.status)
+        )
 
     def news(self, now: int, connection: str) -> tuple[bool, bool]:
         """Return whether the link is to be reported now, and whether it has changed but for figures."""
@@ -337,14 +339,14 @@ class Bridge:
 
     @property
     def _gateway_values(self) -> dict[str, object]:
-        return self.supervisor.status.get("counters", {}) | self._values
+        return self.supervisor.inputs.status.get("counters", {}) | self._values
 
     def report(self, connection: str, refused: Mapping[str, int], stamp: int) -> LinkReport:
         """Return the report on `link`; `refused`: how often inputs were refused, by reason."""
         supervisor = self.supervisor
-        reply = supervisor.status.get("reply_us", {})
+        reply = supervisor.inputs.status.get("reply_us", {})
         counters = self._gateway_values | {
-            "decimals": supervisor.status.get("decimals", ""),
+            "decimals": supervisor.inputs.status.get("decimals", ""),
             "reply_us_max": reply.get("max", 0),
             "states_lost": self._strings.lost,
         }
@@ -352,7 +354,7 @@ class Bridge:
         return LinkReport(
             supervisor.state.name,
             self.reason(connection),
-            gateway_state=str(supervisor.status.get("state", "offline")),
+            gateway_state=str(supervisor.inputs.status.get("state", "offline")),
             gateway_counters={key: str(value) for key, value in sorted(counters.items())},
             commands_refused=sum(refused.values()) - states_refused,
             states_refused=states_refused,

@@ -280,10 +280,11 @@ class LinkObservations(ArmAndStream):
         return self._stop_told if self._stopped_in not in ("", self.run) else ""
 
     @property
-    def holds_after_silence(self) -> bool:
-        """True when the gateway holds, and its last stop was for silence."""
+    def could_go_on(self) -> bool:
+        """True when the gateway is ready, armed for a stream that never began, or holds and its last stop was for silence."""
         stop = self.status.get("stop")
-        return self.gateway == "holding" and isinstance(stop, dict) and stop.get("cause") == "silence"
+        by_silence = isinstance(stop, dict) and stop.get("cause") == "silence"
+        return self.gateway in ("ready", "armed") or (self.gateway == "holding" and by_silence)
 
     def follows(self, session: str) -> bool:
         """Return whether the gateway is armed for a session or follows it."""

@@ -89,11 +89,6 @@ class LinkSupervisor:
         return Sentence("{state}, {reason}", state=self.state.name, reason=self.reason)
 
     @property
-    def status(self) -> dict:
-        """The gateway's last status; empty while there is none."""
-        return self.inputs.status
-
-    @property
     def waits_for(self) -> str:
         """Why only a person leads on, in a sentence for the process after this one; "" when nothing stands against arming.
 
@@ -135,7 +130,7 @@ class LinkSupervisor:
             self._was_armed, self._under_way = True, ""
             self.inputs.forget_stop()
             armed = Sentence("session {session}", session=self.session)
-            if self.status.get("mode") == "commissioning":
+            if self.inputs.status.get("mode") == "commissioning":
                 # the link is armed, and yet the arm stands still
                 armed = Sentence("session {session}; gateway is in commissioning mode", session=self.session)
             self._go(LinkState.ARMED, armed)
@@ -289,7 +284,8 @@ class LinkSupervisor:
             self._go(LinkState.NEEDS_RESET, _with_remedy(self.inputs, stopped))
         elif not self._was_armed and known.gateway == "ready":
             self._begin_session(Sentence("first session"))
-        elif self._nothing_could_jump(now):
+        elif known.could_go_on and known.within_tolerance(now) and known.at_rest(now):
+            # nothing could jump
             self._begin_session(Sentence("the link is back and the poses agree within the start tolerance"))
         elif self.state is not LinkState.NEEDS_RESET:
             self._go(LinkState.NEEDS_RESET, Sentence("{reason}; call reset", reason=_gateway_sentence(self.inputs)))
@@ -317,12 +313,7 @@ class LinkSupervisor:
                 self._begin_session(Sentence("another session, because {reason}", reason=self.reason))
                 self._asked_for = asked_for
             else:
-                self._send("arm", self.session, now, arm_value(self._hash, self.status["run"]))
-
-    def _nothing_could_jump(self, now: int) -> bool:
-        # "armed" is a stream that never began
-        no_fault = self.inputs.gateway in ("ready", "armed") or self.inputs.holds_after_silence
-        return no_fault and self.inputs.within_tolerance(now) and self.inputs.at_rest(now)
+                self._send("arm", self.session, now, arm_value(self._hash, self.inputs.status["run"]))
 
     def _begin_session(self, reason: str) -> None:
         self.session = self._new_id()

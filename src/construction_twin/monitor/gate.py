@@ -7,32 +7,30 @@ put off every time-out. Stamps are on a clock of their own. Angles in rad, prism
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from construction_twin.core.errors import ConfigurationError, MotionRefused, PayloadError
 from construction_twin.core.limits import MotionCheck, MotionLimits
-from construction_twin.core.sentences import Quantity, Sentence
-from construction_twin.core.state_table import conditions
+from construction_twin.core.sentences import Quantity, Sentence, Value
+from construction_twin.core.state_table import row_of
 from construction_twin.core.travel_time import TravelTime
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS, axis_name, from_people, to_people
-from construction_twin.monitor.comparison import Comparison, ComparisonSettings, PoseComparison, RoundTrips
+from construction_twin.monitor.comparison import Comparison, PoseComparison, RoundTrips
 from construction_twin.monitor.servo_watch import ServoDifference, ServoWatch
+from construction_twin.monitor.settings import STOP, GateSettings
 from construction_twin.monitor.states import (
     HELD_STATES,
+    ROWS,
     Action,
     Guard,
+    Row,
     SyncEvent,
-    SyncMachine,
-    SyncOccasion,
     SyncState,
     Transition,
 )
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.servo.model import ServoModel
 
-#: What may happen after a violation.
-REPLAN, RESUME, STOP = "replan", "resume", "stop"
 #: A setpoint may be this much later than the quickest one [ns]: an executor that catches up sends what is 80 ms late, and what is
 #: later the gateway has bridged and braked for.
 LATEST = NANOSECONDS // 10
@@ -42,51 +40,6 @@ _IN_TIME = Sentence(
     "at most {latest:g} s: the monitor was not run, or the executor's clock was set back (then call reset)",
     latest=LATEST / NANOSECONDS,
 )
-
-
-@dataclass(frozen=True)
-class GateSettings:
-    """How strict the gate is.
-
-    Attributes:
-        threshold, threshold_linear: Agreement at rest of revolute joints [rad], and of prismatic ones [m].
-        thresholds: Other values for single joints, by joint name.
-        aligned: Compare by command stamp where there is one; otherwise always with the twin's present pose.
-        lag_allowance, lag_margin: [s], see `ComparisonSettings`.
-        feedback_timeout: Physical feedback older than this counts as out of sync [s].
-        agree_share: Fraction of the threshold, up to 1, that every error must stay below for the poses to agree again.
-        agree_time: They must do so this long before the gate opens [s].
-        policy: What happens after a violation: ``replan``, ``resume`` or ``stop``.
-        give_up_time: A gate that is closed this long stays closed until there is a new command session [s].
-        escalate_count, escalate_time: So does one that closes this often within this time, but not for stale feedback [s].
-        compares: False without a physical arm: the gate then only checks the motion.
-    """
-
-    threshold: float = 0.01
-    threshold_linear: float = 0.005
-    thresholds: Mapping[str, float] = field(default_factory=dict)
-    aligned: bool = True
-    lag_allowance: float = 0.05
-    lag_margin: float = 0.02
-    feedback_timeout: float = 0.1
-    agree_share: float = 0.8
-    agree_time: float = 0.1
-    policy: str = REPLAN
-    give_up_time: float = 30.0
-    escalate_count: int = 5
-    escalate_time: float = 30.0
-    compares: bool = True
-
-    def comparison(self, limits: MotionLimits) -> ComparisonSettings:
-        """Return the part that the comparison needs, for the joints of `limits` in their order."""
-        foreign = [name for name in self.thresholds if name not in limits.names]
-        if foreign:
-            raise ConfigurationError("thresholds", foreign[0], f"names of joints: {', '.join(limits.names)}")
-        threshold = tuple(
-            self.thresholds.get(name, self.threshold_linear if slides else self.threshold)
-            for name, slides in zip(limits.names, limits.linear)
-        )
-        return ComparisonSettings(threshold, self.lag_allowance, self.lag_margin, self.aligned)
 
 
 @dataclass(frozen=True)
@@ -106,6 +59,7 @@ class Gate:
     Args:
         codec: The wire's; everything that passes is rounded by it, so that both robots execute identical numbers.
         servos: How the arm's servos answer; None: unknown, and the arm is compared with the twin alone.
+        compares: False without a physical arm: the gate then only checks the motion.
     """
 
     def __init__(
@@ -115,34 +69,25 @@ class Gate:
         settings: GateSettings,
         now: int = 0,
         servos: ServoModel | None = None,
+        compares: bool = True,
     ):
-        self._limits = limits
+        self._limits, self._compares = limits, compares
         #: Compares the arm with where its servos should have it; None: nobody knows these.
-        self.watch_of_servos = ServoWatch(servos, settings.comparison(limits).threshold) if servos is not None else None
+        self.watch_of_servos = ServoWatch(servos, settings.compared(limits).threshold) if servos is not None else None
         self._codec = codec
         self.settings = settings
         self.violations = 0
         self.refused = 0
         #: Whether the arm leads: then nothing opens the gate.
         self.mirrored = False
-        guards = {
-            Guard.UNCOUNTED: lambda occasion: not self._counted,
-            Guard.STOP_POLICY: lambda occasion: self._policy == STOP,
-            Guard.TOO_MANY: lambda occasion: len(self._closings) >= self.settings.escalate_count,
-            Guard.HELD_TOO_LONG: lambda occasion: self._held_too_long(occasion.now),
-        }
-        actions = {
-            Action.FORGET: lambda row, occasion: self._forget(),
-            Action.HOLD: lambda row, occasion: self._hold(occasion.now),
-            Action.HOLD_AND_COUNT: lambda row, occasion: self._hold_and_count(occasion.now),
-            Action.COUNT: lambda row, occasion: self._count(occasion.now),
-        }
-        self._machine = SyncMachine(conditions(guards), actions)
+        #: Changes of state that nobody has taken yet, oldest first.
+        self.transitions: list[Transition] = []
+        self.state, self._entered_for = SyncState.WAITING, ""
         self._forget()
-        self._machine.on(SyncEvent.STARTED, SyncOccasion(Sentence("started"), now))
+        self.fire(SyncEvent.STARTED, Sentence("started"), now)
 
     def _forget(self) -> None:
-        self.comparison = PoseComparison(self.settings.comparison(self._limits))
+        self.comparison = PoseComparison(self.settings.compared(self._limits))
         if self.watch_of_servos is not None:
             self.watch_of_servos.restart()
         #: Nominal stamp of the last setpoint that passed [ns]; 0 when none.
@@ -171,17 +116,11 @@ class Gate:
         self._counted = False
 
     @property
-    def state(self) -> SyncState:
-        """Present state."""
-        return self._machine.state
-
-    @property
     def reason(self) -> str:
         """Why that state was entered, and why it is not left although the poses agree."""
-        reason = self._machine.reason
         if not self._obstacle:
-            return reason
-        return Sentence("{reason}; not opened: {obstacle}", reason=reason, obstacle=self._obstacle)
+            return self._entered_for
+        return Sentence("{reason}; not opened: {obstacle}", reason=self._entered_for, obstacle=self._obstacle)
 
     @property
     def cause(self) -> Cause | None:
@@ -202,29 +141,73 @@ class Gate:
         """Last command that passed [rad], which a closed gate repeats; empty while it has never been open."""
         return self._check.position
 
-    @property
-    def changed(self) -> bool:
-        """True when there are transitions to take."""
-        return self._machine.changed
-
     def take_transitions(self) -> list[Transition]:
         """Return the changes of state since the last call, oldest first."""
-        return self._machine.take()
+        taken, self.transitions = self.transitions, []
+        return taken
+
+    # -- the table
+
+    def fire(self, event: SyncEvent, reason: str, now: int) -> bool:
+        """Take an event: the first row of the table whose guard is true counts; return whether there was one."""
+        self._obstacle = ""
+        row, comparison, held_stamp = self._row(event, now), self.comparison.last, self.held_stamp
+        if row is None:
+            return False
+        self._act(row.action, now)
+        if row.target is not None:
+            self.state = row.target
+            if row.action is not Action.KEEP_REASON:
+                self._entered_for = reason
+            cause = row.state, row.target, event, reason
+            self.transitions.append(Transition(now, *cause, comparison, held_stamp))
+        return True
+
+    def _row(self, event: SyncEvent, now: int) -> Row | None:
+        """Return the row that would apply to an event now."""
+        settings = self.settings
+
+        def holds(guard: Guard) -> bool:
+            match guard:
+                case Guard.UNCOUNTED:
+                    return not self._counted
+                case Guard.STOP_POLICY:
+                    return self._policy == STOP
+                case Guard.TOO_MANY:
+                    return len(self._closings) >= settings.escalate_count
+                case Guard.HELD_TOO_LONG:
+                    return now - self._closed_at > settings.give_up_time * NANOSECONDS
+            return True
+
+        return row_of(ROWS, self.state, event, holds)
+
+    def _act(self, action: Action, now: int) -> None:
+        if action is Action.FORGET:
+            self._forget()
+        if action in (Action.HOLD, Action.HOLD_AND_COUNT):
+            self.violations += 1
+            # whatever closed the gate, agreement counts from now on
+            self._agreed, self._agreed_since = False, None
+            self._policy, self._closed_at, self._counted = self.settings.policy, now, False
+            if self.watch_of_servos is not None:
+                # what stops here is not what the gateway plays: it brakes
+                self.watch_of_servos.doubt()
+        if action in (Action.COUNT, Action.HOLD_AND_COUNT):
+            self._counted = True
+            self._closings.append(now)
+            while self._closings[0] < now - self.settings.escalate_time * NANOSECONDS:
+                self._closings.popleft()
 
     # -- from outside
 
     def restart(self, reason: str, now: int) -> None:
         """Close the gate and forget every pose: a new command session, in which twin and arm start over."""
-        self._fire(SyncEvent.NEW_SESSION, reason, now)
-
-    def stay_stopped(self, reason: str, now: int) -> None:
-        """Begin in STOPPED: a monitor before this one was, and no person has seen to it since."""
-        self._fire(SyncEvent.STOPPED_BEFORE, reason, now)
+        self.fire(SyncEvent.NEW_SESSION, reason, now)
 
     def mirror(self, leads: bool, now: int) -> None:
         """Take whether the arm leads: then nothing is sent, and what has been STOPPED stays so. A new session follows."""
         if leads and not self.mirrored:
-            self._fire(SyncEvent.MIRROR, Sentence("the arm leads: nothing is commanded"), now)
+            self.fire(SyncEvent.MIRROR, Sentence("the arm leads: nothing is commanded"), now)
         self.mirrored = leads
 
     def rests(self, now: int) -> bool:
@@ -245,20 +228,12 @@ class Gate:
     def configure(self, settings: GateSettings, reason: str, now: int) -> None:
         """Go on with other settings, from rest; the change is a transition."""
         self.check_rest(now)
-        comparison = settings.comparison(self._limits)
+        comparison = settings.compared(self._limits)
         if self.watch_of_servos is not None:
             self.watch_of_servos.configure(comparison.threshold)
         self.comparison.configure(comparison)
         self.settings = settings
-        self._fire(SyncEvent.CONFIGURED, reason, now)
-
-    def on_replan(self, reason: str, now: int) -> bool:
-        """Take that a path from the held pose to the interrupted goal was asked for; return whether the gate still holds."""
-        return self._fire(SyncEvent.REPLAN_ASKED, reason, now)
-
-    def on_replan_failed(self, reason: str, now: int) -> bool:
-        """Take that there will be none; return whether the gate still waited for it."""
-        return self._fire(SyncEvent.REPLAN_FAILED, reason, now)
+        self.fire(SyncEvent.CONFIGURED, reason, now)
 
     # -- poses
 
@@ -280,62 +255,49 @@ class Gate:
         continued = self._fresh(now)
         round_trip = self._round_trips.since(command_stamp, now)
         comparison = self.comparison.compare(q, command_stamp, now if received is None else received, round_trip)
-        servos = self._compare_servos(q, seq, command_stamp, comparison)
+        servos = None
+        if self.watch_of_servos is not None and self._compares:
+            in_sync = self.state is SyncState.IN_SYNC and comparison is not None and comparison.agrees
+            servos = self.watch_of_servos.on_pose(q, seq, command_stamp, in_sync)
         if comparison is None:
             return None
         self._last_feedback = now
-        if servos is not None:
+        if servos is not None or not comparison.agrees:
             self._agreed, self._agreed_since = False, None
-            self._close_for(self._servo_sentence(servos), now)
-            return comparison
-        if not comparison.agrees:
-            self._agreed, self._agreed_since = False, None
-            self._on_difference(comparison, now)
+            self._on_difference(comparison, servos, now)
             return comparison
         self._difference = None
         if not continued:
             self._agreed, self._agreed_since = False, None
         if not self._agreed:
-            self._note_agreement(comparison, now)
+            if not comparison.agrees_within(self.settings.agree_share):
+                self._agreed_since = None
+            else:
+                self._agreed_since = now if self._agreed_since is None else self._agreed_since
+                self._agreed = now - self._agreed_since >= self.settings.agree_time * NANOSECONDS
         return comparison
 
-    def _compare_servos(
-        self, q: tuple[float, ...], seq: int, command_stamp: int, comparison: Comparison | None
-    ) -> ServoDifference | None:
-        watch = self.watch_of_servos
-        if watch is None or not self.settings.compares:
-            return None
-        in_sync = self.state is SyncState.IN_SYNC and comparison is not None and comparison.agrees
-        return watch.on_pose(q, seq, command_stamp, in_sync)
-
-    def _servo_sentence(self, difference: ServoDifference) -> Sentence:
-        joint, shown, allowed = self._for_people(difference.joint, difference.residual, difference.threshold)
-        return Sentence(
-            "{joint} is {difference:.3} from where its servo should have it, {threshold:.3} allowed",
-            joint=joint,
-            difference=shown,
-            threshold=allowed,
-        )
-
-    def _for_people(self, joint: int, difference: float, threshold: float) -> tuple[str, Quantity, Quantity]:
-        """Return the axis' name, and a difference that reads as more than its threshold with three decimals of deg or mm."""
-        unit = "m" if self._limits.linear[joint] else "rad"
-        (shown, _), (allowed, people) = to_people(difference, unit), to_people(threshold, unit)
-        if round(shown, 3) <= round(allowed, 3):
-            difference, _ = from_people(round(allowed, 3) + 0.001, people)
-        return axis_name(self._limits.names[joint]), Quantity(difference, unit), Quantity(threshold, unit)
-
-    def _note_agreement(self, comparison: Comparison, now: int) -> None:
-        if not comparison.agrees_within(self.settings.agree_share):
-            self._agreed_since = None
+    def _on_difference(self, comparison: Comparison, servos: ServoDifference | None, now: int) -> None:
+        """Take that the poses differ, or the servos have the arm elsewhere; close the gate where that closes it."""
+        closes = self._row(SyncEvent.POSE_DIFFERS, now) is not None
+        if not self._compares or (self._difference is not None and not closes):
             return
-        if self._agreed_since is None:
-            self._agreed_since = now
-        self._agreed = now - self._agreed_since >= self.settings.agree_time * NANOSECONDS
+        if servos is None:
+            worst = comparison.worst()
+            values = for_people(self._limits, worst, comparison.error[worst], comparison.threshold[worst])
+            sentence = Sentence("{joint} differs by {difference:.3}, {threshold:.3} allowed", **values)
+        else:
+            values = for_people(self._limits, servos.joint, servos.residual, servos.threshold)
+            sentence = Sentence(
+                "{joint} is {difference:.3} from where its servo should have it, {threshold:.3} allowed", **values
+            )
+        self._difference = self._difference or Cause(sentence, now)
+        if closes:
+            self._close(SyncEvent.POSE_DIFFERS, sentence, now)
 
     def agreed(self, now: int) -> bool:
         """True when fresh feedback agrees with the twin, and once did so for `agree_time` within `agree_share` of the threshold."""
-        if not self.settings.compares:
+        if not self._compares:
             return self.comparison.twin.latest is not None
         return self._agreed and self._fresh(now)
 
@@ -374,80 +336,33 @@ class Gate:
     def watch(self, now: int) -> None:
         """Close an open gate when feedback has gone stale, give up on a closed one: also while no theta_next comes."""
         if self.state is SyncState.IN_SYNC:
-            if self.settings.compares and not self._fresh(now) and self._last_feedback is not None:
+            if self._compares and not self._fresh(now) and self._last_feedback is not None:
                 age = (now - self._last_feedback) / NANOSECONDS
                 stale = Sentence("last comparable feedback is {age:.3f} s old", age=age)
                 self._close(SyncEvent.FEEDBACK_STALE, stale, now)
-            elif self.watch_of_servos is not None and self.watch_of_servos.refinement.due and self.rests(now):
-                self._refine(self.watch_of_servos, now)
-        elif self._held_too_long(now) and self.state in HELD_STATES:
+            elif (watch := self.watch_of_servos) is not None and watch.refinement.due and self.rests(now):
+                # what was learned of the servos takes effect at rest; a change is a transition
+                if changes := watch.refine():
+                    told = ", ".join(f"{name} {1e3 * change:+.2f} ms" for name, change in changes.items())
+                    refined = Sentence("the servos' lag was refined: {lags}", lags=told)
+                    self.fire(SyncEvent.SERVOS_REFINED, refined, now)
+        elif self._row(SyncEvent.GAVE_UP, now) is not None:
             held = (now - self._closed_at) / NANOSECONDS
-            sentence = Sentence("held for {held:.3f} s; {reason}; call reset", held=held, reason=self._machine.reason)
-            self._fire(SyncEvent.GAVE_UP, sentence, now)
-
-    def _refine(self, watch: ServoWatch, now: int) -> None:
-        """Let what was learned of the servos take effect, at rest; a change is a transition."""
-        changes = watch.refine()
-        if changes:
-            told = ", ".join(f"{name} {1e3 * change:+.2f} ms" for name, change in changes.items())
-            self._fire(SyncEvent.SERVOS_REFINED, Sentence("the servos' lag was refined: {lags}", lags=told), now)
-
-    def _held_too_long(self, now: int) -> bool:
-        return now - self._closed_at > self.settings.give_up_time * NANOSECONDS
+            sentence = Sentence("held for {held:.3f} s; {reason}; call reset", held=held, reason=self._entered_for)
+            self.fire(SyncEvent.GAVE_UP, sentence, now)
 
     def _fresh(self, now: int) -> bool:
         last = self._last_feedback
         return last is not None and now - last <= self.settings.feedback_timeout * NANOSECONDS
 
-    def _on_difference(self, comparison: Comparison, now: int) -> None:
-        if not self.settings.compares:
-            return
-        closes = self._machine.row(SyncEvent.POSE_DIFFERS, SyncOccasion(now=now)) is not None
-        if self._difference is not None and not closes:
-            return
-        worst = comparison.worst()
-        joint, difference, allowed = self._for_people(worst, comparison.error[worst], comparison.threshold[worst])
-        sentence = Sentence(
-            "{joint} differs by {difference:.3}, {threshold:.3} allowed",
-            joint=joint,
-            difference=difference,
-            threshold=allowed,
-        )
-        self._close_for(sentence, now)
-
-    def _close_for(self, sentence: Sentence, now: int) -> None:
-        """Take that the poses differ, and close the gate where that closes it."""
-        self._difference = self._difference or Cause(sentence, now)
-        if self._machine.row(SyncEvent.POSE_DIFFERS, SyncOccasion(now=now)) is not None:
-            self._close(SyncEvent.POSE_DIFFERS, sentence, now)
-
     def _close(self, event: SyncEvent, reason: str, now: int) -> None:
         """Take a violation, and see whether that is the end of it."""
-        if self._fire(event, reason, now):
+        if self.fire(event, reason, now):
             self._violation = Cause(reason, self._closed_at)
-        self._fire(SyncEvent.POLICY_STOP, Sentence("the policy is to stop; {reason}; call reset", reason=reason), now)
+        self.fire(SyncEvent.POLICY_STOP, Sentence("the policy is to stop; {reason}; call reset", reason=reason), now)
         count, time = len(self._closings), self.settings.escalate_time
         held = Sentence("held {count} times in {time:g} s; {reason}; call reset", count=count, time=time, reason=reason)
-        self._fire(SyncEvent.ESCALATED, held, now)
-
-    def _hold(self, now: int) -> None:
-        self.violations += 1
-        # whatever closed the gate, agreement counts from now on
-        self._agreed, self._agreed_since = False, None
-        self._policy, self._closed_at, self._counted = self.settings.policy, now, False
-        if self.watch_of_servos is not None:
-            # what stops here is not what the gateway plays: it brakes
-            self.watch_of_servos.doubt()
-
-    def _hold_and_count(self, now: int) -> None:
-        self._hold(now)
-        self._count(now)
-
-    def _count(self, now: int) -> None:
-        self._counted = True
-        self._closings.append(now)
-        while self._closings[0] < now - self.settings.escalate_time * NANOSECONDS:
-            self._closings.popleft()
+        self.fire(SyncEvent.ESCALATED, held, now)
 
     def _try_to_open(self, stamp: int, theta_next: tuple[float, ...], late: int, now: int) -> None:
         if self.state is SyncState.STOPPED or self.mirrored or not self.agreed(now):
@@ -469,7 +384,7 @@ class Gate:
         self._check.start(stamp - CYCLE_NS, self._codec.quantise(held))
         self._before = stamp - CYCLE_NS
         self._violation = None
-        self._fire(SyncEvent.OPENED, Sentence("poses agree and the stream continues from the held pose"), now)
+        self.fire(SyncEvent.OPENED, Sentence("poses agree and the stream continues from the held pose"), now)
 
     def _checked(self, stamp: int, theta_next: tuple[float, ...], now: int) -> tuple[float, ...]:
         try:
@@ -492,6 +407,12 @@ class Gate:
             self._moved_at = now
         return command
 
-    def _fire(self, event: SyncEvent, reason: str, now: int) -> bool:
-        self._obstacle = ""
-        return not self._machine.on(event, SyncOccasion(reason, now, self.comparison.last, self.held_stamp))
+
+def for_people(limits: MotionLimits, joint: int, difference: float, threshold: float) -> dict[str, Value]:
+    """Return the axis' name, and a difference that reads as more than its threshold with three decimals of deg or mm."""
+    unit = "m" if limits.linear[joint] else "rad"
+    (shown, _), (allowed, people) = to_people(difference, unit), to_people(threshold, unit)
+    if round(shown, 3) <= round(allowed, 3):
+        difference, _ = from_people(round(allowed, 3) + 0.001, people)
+    name = axis_name(limits.names[joint])
+    return {"joint": name, "difference": Quantity(difference, unit), "threshold": Quantity(threshold, unit)}

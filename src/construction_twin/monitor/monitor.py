@@ -10,19 +10,15 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
-
-import pydantic
-import yaml
 
 from construction_twin.core.append_only import AppendOnlyFile, iso_time
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused
 from construction_twin.core.reports import SyncReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.core.validation import configuration_error
-from construction_twin.monitor.gate import REPLAN, Gate, GateSettings
-from construction_twin.monitor.states import SyncState, Transition
+from construction_twin.monitor.gate import Gate
+from construction_twin.monitor.settings import REPLAN
+from construction_twin.monitor.states import SyncEvent, SyncState, Transition
 
 #: Plans remembered besides the one that was played last.
 KEPT = 20
@@ -32,61 +28,6 @@ SYNC_RATE = 50.0
 RESTING_SYNC = NANOSECONDS // 10
 #: Transitions shown on `/diagnostics`, the newest first.
 SHOWN = 5
-
-
-#: A difference of poses [rad], [m]: above 1 the gate would compare nothing.
-_Threshold = Annotated[float, pydantic.Field(gt=0, le=1, strict=True)]
-
-
-class Behaviour(pydantic.BaseModel):
-    """How strict the gate is: what the service `configure_gate` can change at rest; see config/pca_monitor.yaml."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
-
-    threshold: _Threshold
-    threshold_linear: _Threshold
-    thresholds: dict[str, _Threshold] = {}
-    comparison: Literal["aligned", "instant"]
-    lag_allowance: float = pydantic.Field(ge=0, le=1, strict=True)
-    lag_margin: float = pydantic.Field(ge=0, le=1, strict=True)
-    feedback_timeout: float = pydantic.Field(gt=0, le=10, strict=True)
-    agree_share: float = pydantic.Field(gt=0, le=1, strict=True)
-    agree_time: float = pydantic.Field(ge=0, le=60, strict=True)
-    policy: Literal["replan", "resume", "stop"]
-    give_up_time: float = pydantic.Field(gt=0, le=3600, strict=True)
-    escalate_count: int = pydantic.Field(ge=1, le=1000, strict=True)
-    escalate_time: float = pydantic.Field(gt=0, le=3600, strict=True)
-
-    def gate_settings(self, compares: bool) -> GateSettings:
-        """Return the same for the gate; `compares` is False without a physical arm."""
-        values = {name: getattr(self, name) for name in Behaviour.model_fields if name in GateSettings.__match_args__}
-        return GateSettings(**values, aligned=self.comparison == "aligned", compares=compares)
-
-    def changed(self, text: str) -> Behaviour:
-        """Return the behaviour with some settings changed.
-
-        Args:
-            text: YAML, as in config/pca_monitor.yaml: ``{policy: resume, thresholds: {joint_a3: 0.02}}``.
-        """
-        try:
-            changes = yaml.safe_load(text)
-        # a date that does not exist is a ValueError, brackets nested by the thousand are a RecursionError
-        except (yaml.YAMLError, ValueError, RecursionError) as error:
-            raise ConfigurationError("settings", text[:200], f"YAML ({' '.join(str(error).split())})") from error
-        if not isinstance(changes, dict):
-            raise ConfigurationError("settings", text, "a YAML mapping, e.g. {policy: resume}")
-        try:
-            return Behaviour.model_validate(self.model_dump() | changes)
-        except pydantic.ValidationError as error:
-            raise configuration_error(error, Behaviour) from error
-
-    def difference(self, other: Behaviour) -> str:
-        """Return what another behaviour changes, as words; empty when nothing."""
-        return ", ".join(
-            f"{name} {getattr(self, name)} -> {getattr(other, name)}"
-            for name in Behaviour.model_fields
-            if getattr(self, name) != getattr(other, name)
-        )
 
 
 @dataclass(frozen=True)
@@ -134,18 +75,17 @@ class Monitor:
     """The gate with what it needs to know beside setpoints and poses. Not for use from several threads at once.
 
     Args:
-        behaviour: What the gate was given.
         stopped_in: The session in which a monitor before this one was STOPPED: the gate stays so until the link tells of another.
     """
 
-    def __init__(self, gate: Gate, behaviour: Behaviour, names: tuple[str, ...], stopped_in: str = "", now: int = 0):
-        self.gate, self._behaviour, self._names = gate, behaviour, names
+    def __init__(self, gate: Gate, names: tuple[str, ...], stopped_in: str = "", now: int = 0):
+        self.gate, self._names = gate, names
         self._session = stopped_in
         if stopped_in:
             was = Sentence(
                 "the monitor before was STOPPED in session {session}; see to it, call reset", session=stopped_in
             )
-            gate.stay_stopped(was, now)
+            gate.fire(SyncEvent.STOPPED_BEFORE, was, now)
         self._goals: dict[str, ReplanGoal] = {}
         self._played = _Played()
         #: The executor's sentence while a plan is being executed, at rest or not; empty otherwise.
@@ -175,15 +115,13 @@ class Monitor:
                 raise ConfigurationError("the executor", self._executing, "no plan that is being executed")
             # before the text is read: whatever reading it costs, it costs at rest
             self.gate.check_rest(now)
-            behaviour = self._behaviour.changed(text)
-            difference = self._behaviour.difference(behaviour)
+            settings = self.gate.settings.changed(text)
+            difference = self.gate.settings.difference(settings)
             if not difference:
                 return "nothing to change"
-            settings = behaviour.gate_settings(self.gate.settings.compares)
             self.gate.configure(settings, f"{operator.strip()} changed {difference}", now)
         except ConfigurationError as error:
             raise RequestRefused(f"{str(error)}; nothing was changed") from error
-        self._behaviour = behaviour
         return f"changed {difference}"
 
     # -- the re-plan
@@ -230,7 +168,7 @@ class Monitor:
         if not closed or self.gate.policy != REPLAN or wanted is None:
             return changes, None
         asked = Sentence("a path to the goal of plan {plan} was asked for, no faster than that", plan=wanted.plan_id)
-        asks = self.gate.on_replan(asked, first.at)
+        asks = self.gate.fire(SyncEvent.REPLAN_ASKED, asked, first.at)
         changes += self.gate.take_transitions()
         replan = Replan(self.gate.held, wanted, self.gate.violations)
         return changes, replan if asks else None
@@ -238,7 +176,8 @@ class Monitor:
     def on_replan_failed(self, replan: Replan, problem: str, now: int) -> None:
         """Take that there will be no new plan; in another hold it means nothing."""
         if self.gate.violations == replan.violation:
-            self.gate.on_replan_failed(Sentence("re-plan failed: {problem}", problem=problem), now)
+            failed = Sentence("re-plan failed: {problem}", problem=problem)
+            self.gate.fire(SyncEvent.REPLAN_FAILED, failed, now)
 
     # -- what is told
 

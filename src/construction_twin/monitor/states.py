@@ -6,7 +6,6 @@ an event, and kept why.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 
@@ -128,39 +127,3 @@ class Transition:
 
     def __str__(self) -> str:
         return f"{self.source.name} -> {self.target.name} ({self.event.value}): {self.reason}"
-
-
-@dataclass(frozen=True, slots=True)
-class SyncOccasion(state_table.Occasion):
-    """What came with an event: the newest comparison, and the stamp of the last setpoint that passed; see `Transition`."""
-
-    comparison: Comparison | None = None
-    held_stamp: int = 0
-
-
-class SyncMachine(state_table.Machine[SyncState, SyncEvent, Guard, Action, SyncOccasion]):
-    """The present state, and how it changes: every change is kept, with its cause, until it is taken.
-
-    Other settings are no reason to be in a state.
-    """
-
-    def __init__(
-        self,
-        guards: Mapping[Guard, Callable[[SyncOccasion], str]],
-        actions: Mapping[Action, Callable[[Row, SyncOccasion], str | None]],
-    ):
-        keeps = {Action.KEEP_REASON: lambda row, occasion: self.reason}
-        super().__init__(ROWS, SyncState.WAITING, "", guards, {**keeps, **actions}, after=self._note)
-        self.changed = False
-        self._taken: list[Transition] = []
-
-    def _note(self, row: Row, occasion: SyncOccasion) -> None:
-        if row.target is not None:
-            cause = row.state, row.target, row.event, occasion.reason
-            self._taken.append(Transition(occasion.now, *cause, occasion.comparison, occasion.held_stamp))
-
-    def take(self) -> list[Transition]:
-        """Return the transitions since the last call, oldest first."""
-        taken, self._taken = self._taken, []
-        self.changed = False
-        return taken

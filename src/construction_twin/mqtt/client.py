@@ -18,14 +18,12 @@ import secrets
 import socket
 import ssl
 import stat
-from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
-from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from construction_twin.core.errors import ConfigurationError
@@ -212,22 +210,6 @@ def make_client(
 
 def _without_delay(client: paho.Client, userdata: object, sock: Any) -> None:
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-
-
-def watch_answer(client: paho.Client, mid: int, on_refused: Callable[[ReasonCode], None]) -> None:
-    """Call `on_refused` with the reason code when the broker's access rules refuse one message that was just published.
-
-    For one message only: a callback for every published message would cost time with each command. MQTT 3.1.1 has no such answer.
-    Call this from the thread that serves the client, so that the answer to `mid` cannot be here already.
-    """
-
-    def on_publish(client, userdata, answered, reason_code, properties) -> None:
-        if answered == mid:
-            client.on_publish = None
-            if reason_code.is_failure:
-                on_refused(reason_code)
-
-    client.on_publish = on_publish
 
 
 def subscriptions(client: paho.Client, topics: list[tuple[str, int]]) -> list[tuple[str, int | SubscribeOptions]]:

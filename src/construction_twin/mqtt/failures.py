@@ -11,7 +11,7 @@ from paho.mqtt import client as paho
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
-from construction_twin.mqtt.client import Broker, watch_answer
+from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.plain_client import PlainClient
 
 #: OpenSSL's numbers of what is wrong with a certificate (X509_V_ERR_...).
@@ -146,15 +146,23 @@ class ConnectionReport:
         self._report(f"connection to {where} {why}; trying again{more}")
 
     def watch_publish(self, client: paho.Client, topic: str, mid: int) -> None:
-        """Report when the broker's access rules refuse a message; see `watch_answer`."""
+        """Report when the broker's access rules refuse one message that was just published.
+
+        One only: a callback for every message would cost time with each command. MQTT 3.1.1 has no such answer. To be called from
+        the thread that serves the client, so that the answer cannot be here already.
+        """
         account = self._broker.account
         who = account.user or account.cert_file if account else "somebody without an account"
 
-        def refused(reason_code: ReasonCode) -> None:
-            found = f"{self._where} does not let {who} publish on {topic}: {reason_code}"
-            self._say(f"{found}; this program needs the account of its role")
+        def on_publish(client, userdata, answered, reason_code, properties) -> None:
+            if answered != mid:
+                return
+            client.on_publish = None
+            if reason_code.is_failure:
+                found = f"{self._where} does not let {who} publish on {topic}: {reason_code}"
+                self._say(f"{found}; this program needs the account of its role")
 
-        watch_answer(client, mid, refused)
+        client.on_publish = on_publish
 
     def _report(self, sentence: str) -> None:
         if sentence != self.sentence:

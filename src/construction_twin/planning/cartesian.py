@@ -24,13 +24,13 @@ from construction_twin.kinematics.solution import InverseKinematics
 from construction_twin.planning.curves import JointCurve
 from construction_twin.planning.ik_branch import Branch
 from construction_twin.planning.limit_usage import cycle_times
-from construction_twin.planning.recheck import World
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.timing import WAYPOINT_SPACING, TimedCurve, time_curve
 from construction_twin.planning.tool_path import Piece, ToolPath, ToolWaypoint
 from construction_twin.planning.work_plan import joined
 from construction_twin.robot.description import JointValues
 from construction_twin.robot.trajectory import Trajectory
+from construction_twin.scene.collision_world import CollisionWorld
 
 #: Largest deviation of a 4 ms sample from the commanded path.
 DEVIATION_M = 1e-4
@@ -70,7 +70,7 @@ def plan_cartesian(
     start: JointValues,
     waypoints: Sequence[ToolWaypoint],
     inverse: InverseKinematics,
-    world: World | None = None,
+    world: CollisionWorld | None = None,
     speed: float | None = None,
     speed_scale: float = 1.0,
     acceleration_scale: float | None = None,
@@ -189,7 +189,7 @@ class _Part:
         speeds = np.linalg.norm(np.diff(positions, axis=0), axis=1) / CYCLE
         return cls(piece, timed, q, away, turned, float(np.max(speeds)))
 
-    def check_free(self, branch: Branch, world: World) -> None:
+    def check_free(self, branch: Branch, world: CollisionWorld) -> None:
         """Check every sample for contact, and the motion between them."""
         found = world.first_contact(self.samples)
         if found is None:

@@ -21,7 +21,7 @@ from construction_twin.core.motion_errors import (
 from construction_twin.core.sentences import Sentence
 from construction_twin.kinematics.batch_kinematics import BatchKinematics
 from construction_twin.kinematics.chain import Pose
-from construction_twin.kinematics.solution import InverseKinematics
+from construction_twin.kinematics.solution import InverseKinematics, pose_error
 from construction_twin.planning.tool_path import ToolPath
 
 #: Smallest allowed singular value of the scaled Jacobian. Near a singular wrist it is about sin(A5) / sqrt(2): 0.007 is reached
@@ -129,7 +129,7 @@ class Branch:
     def _newton(self, q: np.ndarray, target: Pose, pace: np.ndarray) -> np.ndarray | None:
         p = q
         for _ in range(NEWTON_STEPS):
-            error = _error(self.chain.forward(p), target)
+            error = pose_error(self.chain.forward(p), target)
             if np.abs(error).max() < REACHED:
                 return p
             scaled = self.chain.jacobian(p) * pace
@@ -233,11 +233,3 @@ class Branch:
             then=then,
         )
         return self.end("flip", begin, what)
-
-
-def _error(reached: Pose, target: Pose) -> np.ndarray:
-    """Return the twist from one pose to another near it, shape (6,)."""
-    turn = target.rotation @ reached.rotation.T
-    x, y, z = (target.position - reached.position).tolist()
-    (_, xy, xz), (yx, _, yz), (zx, zy, _) = turn.tolist()
-    return np.array([x, y, z, 0.5 * (zy - yz), 0.5 * (xz - zx), 0.5 * (yx - xy)])

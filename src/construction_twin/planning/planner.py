@@ -127,22 +127,6 @@ class PlanRequest:
         )
 
 
-@dataclass(frozen=True)
-class _Timed:
-    """A trajectory and what was measured on it."""
-
-    trajectory: Trajectory
-    report: PlanReport
-
-
-@dataclass(frozen=True)
-class _Found:
-    """A motion, and the planner that found its path."""
-
-    planner: str
-    timed: _Timed
-
-
 class Planner:
     """Plans joint motions of one robot. Not for use from several threads at once.
 
@@ -226,20 +210,21 @@ class Planner:
     def _plan(
         self, start: np.ndarray, goals: list[np.ndarray], request: PlanRequest, world: CollisionWorld, began: float
     ) -> Plan:
-        found = self._find(start, goals, request, world, began)
-        planning_time = self._clock() - began - found.timed.report.recheck_time
-        return request.plan(found.planner, planning_time, found.timed.trajectory, found.timed.report, world.scene.hash)
+        planner, trajectory, report = self._find(start, goals, request, world, began)
+        planning_time = self._clock() - began - report.recheck_time
+        return request.plan(planner, planning_time, trajectory, report, world.scene.hash)
 
     def _find(
         self, start: np.ndarray, goals: list[np.ndarray], request: PlanRequest, world: CollisionWorld, began: float
-    ) -> _Found:
+    ) -> tuple[str, Trajectory, PlanReport]:
+        """Return which planner found a motion, the motion, and what was measured on it."""
         settings = self._settings
         validator = self._validator(world, 0)
         for goal in goals:
             if validator.free(start, goal):
                 timed = self._timed(np.array([start, goal]), request, world)
                 if timed is not None:
-                    return _Found(DIRECT, timed)
+                    return DIRECT, *timed
         goals = goals[:GOALS]
         lower, upper = self._bounds(start, goals)
         attempt = 0
@@ -251,7 +236,7 @@ class Planner:
                 raise NoPathError(self._search.name, self._clock() - began) from error
             timed = self._timed(path, request, world)
             if timed is not None:
-                return _Found(self._search.name, timed)
+                return self._search.name, *timed
             # the path passed through something thinner than the step of its check: check with smaller steps
             attempt += 1
             validator = self._validator(world, attempt)
@@ -285,8 +270,9 @@ class Planner:
         timed = self._timed(path, request, world, (parameters(points, pace), times))
         if timed is None:
             return None
-        planning_time = self._clock() - began - timed.report.recheck_time
-        return request.plan(planner, planning_time, timed.trajectory, timed.report, world.scene.hash)
+        trajectory, report = timed
+        planning_time = self._clock() - began - report.recheck_time
+        return request.plan(planner, planning_time, trajectory, report, world.scene.hash)
 
     def _timed(
         self,
@@ -294,7 +280,7 @@ class Planner:
         request: PlanRequest,
         world: CollisionWorld,
         asked: tuple[np.ndarray, np.ndarray] | None = None,
-    ) -> _Timed | None:
+    ) -> tuple[Trajectory, PlanReport] | None:
         """Round a path's corners, time it and check every sample; None if it touches something even with the tightest corners.
 
         Args:
@@ -324,7 +310,7 @@ class Planner:
             )
             try:
                 report = recheck(timed.trajectory, self._robot, world, self._clock, timed.usage)
-                return _Timed(timed.trajectory, report)
+                return timed.trajectory, report
             except CollisionError as error:
                 if len(path) == 2:
                     return None

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 
@@ -21,36 +20,19 @@ from construction_twin.core.motion_errors import CollisionError, LimitError
 from construction_twin.core.sentences import Sentence
 from construction_twin.planning.limit_usage import SampledUsage, range_excess, sampled_usage
 from construction_twin.robot.description import RobotModel
-from construction_twin.robot.plan import Clearance, LimitUsage, PlanReport
+from construction_twin.robot.plan import LimitUsage, PlanReport
 from construction_twin.robot.trajectory import Trajectory
+from construction_twin.scene.collision_world import CollisionWorld
 
 #: Rounding allowed on a fraction of a limit.
 ROUNDING = 1e-6
 _QUANTITIES = ("velocity", "acceleration", "jerk")
 
 
-class Contact(Protocol):
-    """As `scene.collision_world.Contact`."""
-
-    @property
-    def between(self) -> tuple[str, str]:
-        """Names of the two bodies."""
-
-
-class World(Protocol):
-    """The part of `scene.collision_world.CollisionWorld` that planning uses."""
-
-    def first_contact(self, qs: np.ndarray) -> tuple[float, Contact] | None:
-        """Return where a motion first touches something, in rows and parts of them, and what; None: nowhere on it."""
-
-    def clearance_of(self, qs: np.ndarray, changing: bool) -> tuple[Clearance, float]:
-        """Return the smallest distance over all rows and between them, and where it is."""
-
-
 def recheck(
     trajectory: Trajectory,
     robot: RobotModel,
-    world: World,
+    world: CollisionWorld,
     clock: Callable[[], float],
     sampled: SampledUsage | None = None,
 ) -> PlanReport:
@@ -96,7 +78,7 @@ def _check_usage(sampled: SampledUsage, robot: RobotModel) -> LimitUsage:
     return sampled.largest()
 
 
-def check_free(q: np.ndarray, times: np.ndarray, world: World) -> None:
+def check_free(q: np.ndarray, times: np.ndarray, world: CollisionWorld) -> None:
     """Raise CollisionError for the first contact in the rows or between them, where each joint goes evenly to the next row.
 
     `times`: when each row is reached [s], for the message.

@@ -24,7 +24,7 @@ from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.packages import with_mesh_files
 from construction_twin.scene.mesh_file import parse_mesh
 from construction_twin.scene.objects import Scene, SceneObject, listed, read_mesh_file
-from construction_twin.scene.triangle_mesh import hull_mesh, surface
+from construction_twin.scene.triangle_mesh import surface
 
 #: A closed mesh is convex when no vertex lies further outside one of its faces than this fraction of its size.
 _CONVEX_TOLERANCE = 1e-6
@@ -283,8 +283,6 @@ def scene_shapes(item: SceneObject) -> ObjectShapes:
     if not isinstance(whole, coal.BVHModelBase):
         return ObjectShapes((whole,))
     # loaded here: most scenes have no such mesh, and manifold3d and scipy.spatial are tens of MB
-    from scipy.spatial import ConvexHull  # noqa: PLC0415
-
     from construction_twin.scene.convex_pieces import convex_pieces  # noqa: PLC0415
 
     vertices, triangles = mesh_triangles(whole)
@@ -293,7 +291,7 @@ def scene_shapes(item: SceneObject) -> ObjectShapes:
         return ObjectShapes((whole,))
     shapes = []
     for corners in pieces.corners:
-        piece = _solid(surface(*hull_mesh(ConvexHull(corners))))
+        piece = _solid(surface(corners, np.empty((0, 3))))
         if piece is None:
             # a part less would be a hole
             return ObjectShapes((whole,))

@@ -26,6 +26,9 @@ _EDGE = 0.1
 #: So many stretches are divided together, those first where most is to be expected.
 _DIVIDED = 64
 
+#: What a stretch is, one row each of a table: of bounds, no distance on it is smaller [m].
+_LOW, _HIGH, _AT_LOW, _AT_HIGH, _MOVED_LOW, _MOVED_HIGH, _BOUND = range(7)
+
 
 def pair_levers(robot: RobotBodies, bodies: Sequence[Body], pairs: Sequence[tuple]) -> np.ndarray:
     """Return how far the two bodies of each pair move relative to each other at most per unit of each joint, shape (p, size).
@@ -127,10 +130,10 @@ class Motion:
             closest = int(measured[np.argmin(self._distances[measured])])
             best = float(self._distances[closest])
             below = best - max(ACCURACY, ACCURACY_PART * best)
-            chosen = np.flatnonzero((gaps.bounds < below) & wanted[gaps.pairs])
+            chosen = np.flatnonzero((gaps.table[_BOUND] < below) & wanted[gaps.pairs])
             if not len(chosen):
                 return float(self._places[closest]), int(self._pairs[closest])
-            self._divide(_first_of(chosen, gaps.bounds[chosen], _DIVIDED))
+            self._divide(_first_of(chosen, gaps.table[_BOUND, chosen], _DIVIDED))
 
     def first_contact(
         self, margins: np.ndarray, touches: Callable[[float, int], bool]
@@ -162,17 +165,17 @@ class Motion:
                     else:
                         beside.append((place, place))
             gaps = self._gaps
-            open_ = gaps.bounds < limits[gaps.pairs]
+            open_ = gaps.table[_BOUND] < limits[gaps.pairs]
             if first is not None:
-                open_ &= gaps.lows < first[0]
+                open_ &= gaps.table[_LOW] < first[0]
             chosen = np.flatnonzero(open_)
             chosen = chosen[gaps.divisible(chosen)]
             if not len(chosen):
                 left = np.flatnonzero(open_)
-                beside += zip(gaps.lows[left].tolist(), gaps.highs[left].tolist())
+                beside += zip(gaps.table[_LOW, left].tolist(), gaps.table[_HIGH, left].tolist())
                 return first, _rows_within(beside, math.inf if first is None else first[0])
             # earlier ones first: a contact that is found ends the search of all that comes later
-            self._divide(_first_of(chosen, gaps.lows[chosen], _DIVIDED))
+            self._divide(_first_of(chosen, gaps.table[_LOW, chosen], _DIVIDED))
 
     def _divide(self, chosen: np.ndarray) -> None:
         """Measure somewhere within stretches, and put their two parts in their place."""
@@ -184,12 +187,8 @@ class Motion:
         self._gaps.divide(chosen, places, distances, self._travel.at(places, pairs))
 
 
-#: What a stretch is, one row each of a table.
-_LOW, _HIGH, _AT_LOW, _AT_HIGH, _MOVED_LOW, _MOVED_HIGH, _BOUND = range(7)
-
-
 class _Gaps:
-    """Stretches of a motion between two places, each of one pair, at first one of each from 0 to the last row.
+    """Stretches of a motion between two places, each of one of `pairs`, at first one of each from 0 to the last row.
 
     At both ends a lower bound of the distance is kept, and the travel of the pair up to there. Between the ends the distance is
     nowhere smaller than half of what is left of both when the travel between them is taken off. `distances`, `moved`: Shape (2, p).
@@ -197,44 +196,23 @@ class _Gaps:
     """
 
     def __init__(self, last: float, distances: np.ndarray, moved: np.ndarray):
-        self._count = distances.shape[1]
-        self._pairs = np.arange(self._count)
-        self._table = np.empty((7, self._count))
-        self._table[_LOW], self._table[_HIGH] = 0.0, last
-        self._table[_AT_LOW], self._table[_AT_HIGH] = distances
-        self._table[_MOVED_LOW], self._table[_MOVED_HIGH] = moved
-        self._table[_BOUND] = _bounds(self._table)
-
-    @property
-    def pairs(self) -> np.ndarray:
-        """Shape (k,). The pair of each stretch."""
-        return self._pairs[: self._count]
-
-    @property
-    def lows(self) -> np.ndarray:
-        """Shape (k,). Where each begins."""
-        return self._table[_LOW, : self._count]
-
-    @property
-    def highs(self) -> np.ndarray:
-        """Shape (k,). Where each ends."""
-        return self._table[_HIGH, : self._count]
-
-    @property
-    def bounds(self) -> np.ndarray:
-        """Shape (k,). Nowhere on the stretch the distance is smaller [m]."""
-        return self._table[_BOUND, : self._count]
+        self.pairs = np.arange(distances.shape[1])
+        self.table = np.empty((7, len(self.pairs)))
+        self.table[_LOW], self.table[_HIGH] = 0.0, last
+        self.table[_AT_LOW], self.table[_AT_HIGH] = distances
+        self.table[_MOVED_LOW], self.table[_MOVED_HIGH] = moved
+        self.table[_BOUND] = _bounds(self.table)
 
     def divisible(self, which: np.ndarray) -> np.ndarray:
         """Return whether the bodies move on some stretches."""
-        return self._table[_MOVED_HIGH, which] - self._table[_MOVED_LOW, which] > RESOLUTION
+        return self.table[_MOVED_HIGH, which] - self.table[_MOVED_LOW, which] > RESOLUTION
 
     def middles(self, which: np.ndarray) -> np.ndarray:
         """Return where to measure in some stretches, shape (k,): about where the bounds from both ends meet.
 
         In a row as long as there is one in between, then between two.
         """
-        gap = self._table[:, which]
+        gap = self.table[:, which]
         lows, highs, at_lows, at_highs = gap[:4]
         ways = np.maximum(gap[_MOVED_HIGH] - gap[_MOVED_LOW], 1e-300)
         # not too near an end, or the search would hardly get on
@@ -245,7 +223,7 @@ class _Gaps:
 
     def divide(self, which: np.ndarray, places: np.ndarray, distances: np.ndarray, moved: np.ndarray) -> None:
         """Put two parts in the place of some stretches, given what was measured where they meet."""
-        first = self._table[:, which]
+        first = self.table[:, which]
         second = first.copy()
         first[_HIGH], first[_AT_HIGH], first[_MOVED_HIGH] = places, distances, moved
         second[_LOW], second[_AT_LOW], second[_MOVED_LOW] = places, distances, moved
@@ -253,14 +231,9 @@ class _Gaps:
         np.maximum(first[_AT_LOW], distances - (moved - first[_MOVED_LOW]), out=first[_AT_LOW])
         np.maximum(second[_AT_HIGH], distances - (second[_MOVED_HIGH] - moved), out=second[_AT_HIGH])
         first[_BOUND], second[_BOUND] = _bounds(first), _bounds(second)
-        more = self._count + len(which)
-        if more > len(self._pairs):
-            self._pairs = np.concatenate((self._pairs, np.empty(more, dtype=int)))
-            self._table = np.concatenate((self._table, np.empty((7, more))), axis=1)
-        self._table[:, which] = first
-        self._table[:, self._count : more] = second
-        self._pairs[self._count : more] = self._pairs[which]
-        self._count = more
+        self.table[:, which] = first
+        self.table = np.concatenate((self.table, second), axis=1)
+        self.pairs = np.concatenate((self.pairs, self.pairs[which]))
 
 
 def _bounds(gap: np.ndarray) -> np.ndarray:

@@ -9,17 +9,13 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
 import coal
 import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-from scipy.spatial import ConvexHull, QhullError
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.robot.description import RobotModel, read_robot_files
@@ -32,97 +28,59 @@ from construction_twin.scene.self_collision import (
     sample_self_collision,
     self_collision_yaml,
 )
-from construction_twin.scene.solids import parts, solid, union
-from construction_twin.scene.triangle_mesh import hull_mesh
+from construction_twin.scene.solids import hull_solid, mesh_of, parts, solid, union
 
 
-@dataclass(frozen=True, eq=False)
-class Hull:
-    """The convex hull of one collision mesh.
-
-    Attributes:
-        number: Which collision element of the link, from 0.
-        triangles: Of the mesh.
-        volume: Of the mesh [m^3]; None: it is not closed, so that it has none.
-        vertices: Shape (v, 3). Of the hull, in the frame of the collision element [m].
-        faces: Shape (t, 3), integers. Of the hull, counterclockwise seen from outside.
-        hull_volume: [m^3]
-    """
-
-    link: str
-    number: int
-    triangles: int
-    volume: float | None
-    vertices: np.ndarray
-    faces: np.ndarray
-    hull_volume: float
-
-
-def mesh_hulls(bodies: RobotBodies) -> list[Hull]:
-    """Return the hull of every collision mesh that is not convex itself, in the order of the links."""
-    hulls = []
-    numbers: dict[str, int] = {}
-    for body in bodies.bodies:
-        number = numbers.get(body.link, 0)
-        numbers[body.link] = number + 1
+def propose_hulls(robot: RobotModel, folder: Path) -> list[str]:
+    """Write the hulls of a robot's collision meshes that are not convex, and a URDF with them; return what to tell about it."""
+    folder = folder.absolute()
+    root = ElementTree.fromstring(robot.urdf.encode())
+    links = {link.get("name"): link for link in root.iter("link")}
+    numbers: Counter[str] = Counter()
+    lines = []
+    for body in RobotBodies(robot).bodies:
+        number = numbers[body.link]
+        numbers[body.link] += 1
         if not isinstance(body.geometry, coal.BVHModelBase):
             continue
         vertices, triangles = mesh_triangles(body.geometry)
         if is_convex(vertices, triangles):
             continue
-        try:
-            # of the numbers that an STL file can hold: rounded later, the faces would no longer be those of a convex body
-            hull = ConvexHull(vertices.astype(np.float32).astype(float))
-        except QhullError as error:
+        # of the numbers that an STL file can hold: rounded later, the faces would no longer be those of a convex body
+        hull = hull_solid(vertices.astype(np.float32))
+        if not hull.volume() > 0.0:
             raise ConfigurationError(
                 f"URDF link {body.link} collision mesh", f"{len(triangles)} triangles in one plane",
                 "a mesh that has a volume; mend it, or have no hulls proposed",
-            ) from error  # fmt: skip
-        closed = solid(vertices, triangles)
-        # closed surfaces that reach into each other count once
-        volume = None if closed is None else float(union(parts(closed)).volume())
-        corners, faces = hull_mesh(hull)
-        hulls.append(Hull(body.link, number, len(triangles), volume, corners, faces, float(hull.volume)))
-    return hulls
-
-
-def write_proposal(urdf: str, hulls: Sequence[Hull], folder: Path) -> Path:
-    """Write the meshes of the hulls, and a URDF with them in place of the meshes, into a folder; return the URDF's path."""
-    folder = folder.absolute()
-    folder.mkdir(parents=True, exist_ok=True)
-    root = ElementTree.fromstring(urdf.encode())
-    links = {link.get("name"): link for link in root.iter("link")}
-    for hull in hulls:
-        file = folder / f"{hull.link}_{hull.number}.stl"
-        file.write_bytes(binary_stl(hull.vertices[hull.faces]))
-        mesh = links[hull.link].findall("collision")[hull.number].find("geometry/mesh")
+            )  # fmt: skip
+        corners, faces = mesh_of(hull)
+        folder.mkdir(parents=True, exist_ok=True)
+        file = folder / f"{body.link}_{number}.stl"
+        file.write_bytes(binary_stl(corners[faces]))
+        mesh = links[body.link].findall("collision")[number].find("geometry/mesh")
         assert mesh is not None
         # the hull is in metres: a scale was applied
         mesh.attrib = {"filename": f"file://{file}"}
+        added, closed = "? l more, the mesh is not closed", solid(vertices, triangles)
+        if closed is not None:
+            # closed surfaces that reach into each other count once
+            volume = union(parts(closed)).volume()
+            more = hull.volume() - volume
+            added = f"{more * 1e3:.2f} l more than {volume * 1e3:.2f} l ({100 * more / volume:.0f} %)"
+        lines.append(f"  {body.link} {number}: {len(triangles)} -> {len(faces)} triangles, {added}")
+    if not lines:
+        return []
     path = folder / "robot.urdf"
     note = "<!-- A proposal by `rosrun construction_twin self_collision`: convex hulls in place of the collision meshes. -->"
     text = f'<?xml version="1.0"?>\n{note}\n{ElementTree.tostring(root, encoding="unicode")}\n'
     path.write_text(text, encoding="utf-8")
-    return path
+    return [
+        f"{path}: a proposal, convex hulls in place of {len(lines)} meshes; take it as URDF where the added volume does no harm:",
+        *lines,
+    ]
 
 
-def hull_lines(hulls: Sequence[Hull]) -> list[str]:
-    """Return a table of the hulls for a terminal: volumes in litres."""
-    width = max(len("link"), *(len(hull.link) for hull in hulls))
-    lines = [f"{'link':<{width}}  {'triangles':>17}  {'mesh':>9}  {'hull':>9}  added"]
-    for hull in hulls:
-        mesh, added = "?", "unknown: the mesh is not closed"
-        if hull.volume is not None:
-            more = hull.hull_volume - hull.volume
-            mesh, added = f"{hull.volume * 1e3:.2f} l", f"{more * 1e3:.2f} l ({100 * more / hull.volume:.0f} %)"
-        lines.append(
-            f"{hull.link:<{width}}  {hull.triangles:>7} -> {len(hull.faces):>6}  {mesh:>9}  "
-            f"{hull.hull_volume * 1e3:>7.2f} l  {added}"
-        )
-    return lines
-
-
-#: Without a terminal a line is printed each time this part of the poses is done.
+#: A line is printed each time this part of the poses is done.
 _PART = 0.25
 
 
@@ -136,8 +94,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _check_folder(output)
         robot = read_robot_files(options.urdf, options.robot, options.robot_xacro_args)
         _check_owner(output, robot)
-        with progress(options.samples) as report:
-            found = sample_self_collision(robot, options.samples, options.seed, report)
+        found = sample_self_collision(robot, options.samples, options.seed, progress(options.samples))
         text = self_collision_yaml(robot, found, options.samples, options.seed)
         if output is None:
             print(text, end="")
@@ -184,36 +141,8 @@ def _check_owner(output: Path | None, robot: RobotModel) -> None:
         )
 
 
-def propose_hulls(robot: RobotModel, folder: Path) -> list[str]:
-    """Write the proposal of a robot's hulls, if it has meshes that are not convex; return what to tell about it."""
-    hulls = mesh_hulls(RobotBodies(robot))
-    if not hulls:
-        return []
-    path = write_proposal(robot.urdf, hulls, folder)
-    return [
-        f"{path}: a proposal, convex hulls in place of {len(hulls)} meshes; take it as URDF where the added volume does no harm:",
-        *(f"  {line}" for line in hull_lines(hulls)),
-    ]
-
-
-@contextmanager
-def progress(samples: int) -> Iterator[Callable[[int, int], None]]:
-    """Give a function that shows how far the sampling is: a bar on a terminal, single lines otherwise. On standard error."""
-    console = Console(stderr=True, highlight=False)
-    if not console.is_terminal:
-        yield _lines(samples)
-        return
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("sampling", total=samples)
-
-        def report(poses: int, pairs: int) -> None:
-            bar.update(task, completed=poses, description=f"sampling, {pairs} pairs not decided")
-
-        yield report
-
-
-def _lines(samples: int) -> Callable[[int, int], None]:
+def progress(samples: int) -> Callable[[int, int], None]:
+    """Return a function that says on standard error how far the sampling is."""
     reported = 0.0
 
     def report(poses: int, pairs: int) -> None:

@@ -65,9 +65,3 @@ def parts(body: manifold3d.Manifold) -> list[manifold3d.Manifold]:
         # manifold3d gives the wall of a cavity as a body of its own, turned inside out
         return [body]
     return sorted(pieces, key=lambda piece: tuple(round(value, 6) for value in piece.bounding_box()))
-
-
-def triangle_area(vertices: np.ndarray, triangles: np.ndarray) -> float:
-    """Return the area of a mesh [m^2]."""
-    first, second, third = (vertices[triangles[:, corner]] for corner in range(3))
-    return float(np.linalg.norm(np.cross(second - first, third - first), axis=1).sum()) / 2.0

@@ -1,5 +1,4 @@
-"""How the arm's servos answer: their model, the file it is kept in, how it is identified, and how it is refined on line.
+"""How the arm's servos answer: their model, and the file it is kept in (identified in physics, refined on line by the monitor).
 
-In: the targets that the controller took, one per cycle, and where the arm was measured. Out: where the servos should have the arm.
-May import ``core``.
+In: the targets that the controller took, one per cycle. Out: where the servos should have the arm. May import ``core``.
 """

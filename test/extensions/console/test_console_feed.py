@@ -25,6 +25,7 @@ from geometry_msgs.msg import Point
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.errors import PoseUnknownError
+from construction_twin.core.freshness import parse_moment
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.extensions.console.nodes import feed as module
 from construction_twin.extensions.console.nodes.endpoint import Connection
@@ -316,13 +317,14 @@ def test_the_view_has_what_only_a_console_shows(broker, clock):
     made.on_sync(Sync(text="IN_SYNC", round_trip=0.0321))
     made.on_hold(Hold(cause="joint_a3 differs", since=rospy.Time(7)))
     boundary = Execution(text="AT_BOUNDARY", segment=1, segment_name="carry", at_boundary=True, engaged=True)
-    boundary.approval_obstacle = "not in sync"
+    boundary.approval_obstacle, boundary.overridable = "not in sync", True
     made.on_execution(boundary)
     message = view()
     assert (message["plan"], message["closest"]["between"]) == ("p7", ["link_3", "wall"])
     assert (message["link"]["round_trip_ms"], message["link"]["late"]) == (32.1, 3)
     assert message["hold"] == {"cause": "joint_a3 differs", "since": 7.0}
-    assert message["approval_obstacle"] == "not in sync"
+    assert (message["approval_obstacle"], message["overridable"]) == ("not in sync", True)
+    parse_moment(message["moment"])
     assert message["execution"]["segment"] == {"number": 1, "name": "carry", "at_boundary": True}
     assert made.is_engaged()
     made.on_link(Link(text="ARMED", gateway_counters=[KeyValue("telegrams", "9")]))

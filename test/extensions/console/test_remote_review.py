@@ -180,41 +180,12 @@ def test_a_path_that_returns_to_its_start_is_measured_too():
 # -- board
 
 
-def test_a_plan_lies_on_the_board_until_it_is_decided():
-    board = PlanBoard()
-    assert board.payload == b""
-    board.on_plan("p1", b"one")
-    assert board.payload == b"one"
-    board.on_verdict("another")
-    assert board.payload == b"one"
-    board.on_verdict("p1")
-    assert board.payload == b""
-
-
-def test_a_newer_plan_takes_its_place():
-    board = PlanBoard()
-    board.on_plan("p1", b"one")
-    board.on_plan("p2", b"two")
-    board.on_verdict("p1")
-    assert board.payload == b"two"
-
-
 def test_a_verdict_that_arrives_before_its_plan_counts():
     """After a restart of the node the latched plan and the latched verdict come in any order."""
     board = PlanBoard()
     board.on_verdict("p1")
     board.on_plan("p1", b"one")
     assert board.payload == b""
-
-
-def test_a_new_session_takes_the_plan_away_for_good():
-    board = PlanBoard()
-    board.on_plan("p1", b"one")
-    board.restart()
-    board.on_plan("p1", b"one")
-    assert board.payload == b""
-    board.on_plan("p2", b"two")
-    assert board.payload == b"two"
 
 
 # -- work plans

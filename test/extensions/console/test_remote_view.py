@@ -104,26 +104,6 @@ def test_a_reader_of_version_1_finds_all_that_it_knows():
             assert not inner or message[key] is None or inner <= set(message[key]), key
 
 
-def test_what_version_2_adds_is_in_it():
-    message = read(writer().write(NOW, SEEN, MOMENT))
-    assert (message["plan"], message["link"]["round_trip_ms"], message["link"]["late"]) == ("p2", 31.25, 4)
-    assert message["execution"]["segment"] == {"number": 1, "name": "carry", "at_boundary": False}
-    assert message["closest"] == {
-        "distance": 0.123,
-        "between": ["link_3", "wall"],
-        "point": [1.0, 0.5, 0.25],
-        "age": 0.1,
-    }
-    unknown = read(writer().write(NOW, Seen(link=Shown(LinkReport("ARMED", "", gateway_kind="rsi"), 0.0)), MOMENT))
-    assert unknown["link"]["round_trip_ms"] is unknown["link"]["late"] is unknown["closest"] is None
-    assert unknown["plan"] == ""
-
-
-def test_what_version_3_adds_is_in_it():
-    assert read(writer().write(NOW, SEEN, MOMENT))["moment"] == "c0ffee00-81234"
-    assert read(writer().offline())["moment"] == "", "there is nothing that a request could repeat"
-
-
 def test_what_version_4_adds_is_in_it():
     held = replace(SEEN, hold=HoldReport("joint_a1 differs", NOW - 10**9))
     report = replace(SEEN.execution.report, approval_obstacle="not in sync", overridable=True)
@@ -162,36 +142,6 @@ def test_what_version_5_adds_is_in_it():
     for told in ({}, {"sentence": ""}, {"mode": "", "program": "", "override_percent": ""}, {"override_percent": "?"}):
         assert controller(**told) is None
     assert read(writer().write(NOW, replace(SEEN, link=None), MOMENT))["link"] is None
-
-
-def test_what_version_6_adds_is_in_it():
-    expected = PoseView(1_795_369_597.388, 0.005, (1.5, 1.0472))
-    message = read(writer().write(NOW, replace(SEEN, expected=expected), MOMENT))
-    assert message["expected"] == {"stamp": 1_795_369_597.388, "age": 0.005, "positions": [1.5, 1.0472]}
-    assert read(writer().write(NOW, SEEN, MOMENT))["expected"] is None
-
-
-def test_what_was_seen_is_in_it():
-    message = read(writer().write(NOW, SEEN, MOMENT))
-    assert (message["robot"], message["online"], message["stamp"]) == ("kr120", True, 1_795_369_597.396012)
-    assert message["joints"] == {"names": ["track", "joint_a1"], "types": ["prismatic", "revolute"]}
-    assert message["twin"] == {"stamp": 1_795_369_597.39, "age": 0.004, "positions": [1.5, pytest.approx(math.pi / 3)]}
-    assert message["arm"]["positions"] == [1.5, 1.0471]
-    assert (message["sync"]["state"], message["sync"]["error"], message["sync"]["servo_lag"]) == (
-        "IN_SYNC",
-        [0.0, 1e-4],
-        None,
-    )
-    assert (message["link"]["state"], message["link"]["gateway_state"]) == ("ARMED", "following")
-    assert (message["execution"]["plan_id"], message["execution"]["progress"]) == ("p1", 0.25)
-
-
-def test_what_is_not_known_is_null_and_never_a_number():
-    message = read(writer().write(NOW, Seen(), MOMENT))
-    assert {key: message[key] for key in ("twin", "arm", "sync", "link", "execution")} == dict.fromkeys(
-        ("twin", "arm", "sync", "link", "execution")
-    )
-    assert message["online"]
 
 
 def test_messages_of_a_run_are_numbered_so_that_a_lost_or_old_one_is_noticed():

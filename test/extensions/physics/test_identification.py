@@ -10,8 +10,7 @@ import pytest
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.units import CYCLE, CYCLE_NS
 from construction_twin.extensions.physics.identification import Drive, identify, response, servo_file
-from construction_twin.servo.file import read_servos
-from construction_twin.servo.model import JointServo
+from construction_twin.servo.model import JointServo, read_servos
 
 #: One step of the wire, 3 decimals of a degree [rad].
 STEP = math.radians(1e-3)

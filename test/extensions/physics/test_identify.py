@@ -17,7 +17,7 @@ from construction_twin.evaluation.bag import read_recording
 from construction_twin.evaluation.summary import evaluate
 from construction_twin.extensions.physics.commands.identify import main
 from construction_twin.ros.transport.joint_stream import to_time
-from construction_twin.servo.file import read_servos
+from construction_twin.servo.model import read_servos
 
 
 def pose(stamp: int, q, kind: type = JointState, **fields):

@@ -12,7 +12,6 @@ from construction_twin.extensions.physics.process import Question, rehearse
 from construction_twin.extensions.work.ifc.reading import read_building
 from construction_twin.extensions.work.process import TaskMotions
 from construction_twin.extensions.work.site import read_site
-from construction_twin.extensions.work.site_scene import WorkState
 from construction_twin.planning.work_plan import joined
 from construction_twin.review.rehearsal_report import PASSED
 from construction_twin.robot.segments import Segment
@@ -29,7 +28,7 @@ def laid(request) -> tuple[tuple[str, ...], TaskMotions]:
     elements = [one for one in model.elements.values() if one.bodies]
     layout = work_samples.layout(read_site(CONFIG / f"work/{name}.yaml"), work_samples.building(*elements))
     lying, own = layout.order[:count], layout.order[count]
-    scene = layout.scene(WorkState({one: layout.base_T_goal(one) for one in lying}))
+    scene = layout.scene({one: layout.base_T_goal(one) for one in lying})
     job = layout.job_for(own, scene)
     return lying, work_samples.planner().plan(job, work_samples.robot().home, scene)
 

@@ -14,7 +14,6 @@ from executor_bench import ROBOT
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.execution.tracking import Motion, Sample
 from construction_twin.extensions.planners.joint_tolerances import GoalError, GoalJointsError, Tolerances
 from construction_twin.extensions.planners.nodes.joint_goals import (
     GoalDefaults,
@@ -22,6 +21,7 @@ from construction_twin.extensions.planners.nodes.joint_goals import (
     fill_feedback,
     trajectory_goal,
 )
+from construction_twin.extensions.planners.tracking import Motion, Sample
 
 #: md5 sums of control_msgs 1.5 of ROS Noetic, as published in bindings that were generated from it for other languages.
 OFFICIAL = {

@@ -10,9 +10,9 @@ from executor_bench import ROBOT
 from construction_twin.core.sentences import both
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.executor import ExecutorState
-from construction_twin.execution.tracking import Motion, Sample
 from construction_twin.extensions.planners.goal_states import TABLE, Action, GoalEvent, GoalState
 from construction_twin.extensions.planners.joint_tolerances import Tolerances
+from construction_twin.extensions.planners.tracking import Motion, Sample
 from construction_twin.extensions.planners.trajectory_goals import (
     REPLACED,
     RETRY,

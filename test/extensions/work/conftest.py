@@ -6,8 +6,8 @@ import pytest
 from ifc_models import IfcModel
 
 from construction_twin.extensions.work.building import BuildingModel
-from construction_twin.extensions.work.ifc.model_file import load, save
 from construction_twin.extensions.work.ifc.reader import read_ifc
+from construction_twin.extensions.work.ifc.reading import load, save
 
 
 @pytest.fixture

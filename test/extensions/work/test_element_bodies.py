@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from piece_checks import points_on
 
 from construction_twin.extensions.work import element_bodies
 from construction_twin.extensions.work.building import Body, Element
@@ -18,25 +19,24 @@ from construction_twin.extensions.work.element_bodies import ElementShape, eleme
 from construction_twin.extensions.work.errors import BodyError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.collision_bodies import scene_geometry
-from construction_twin.scene.convex_pieces import points_on
 from construction_twin.scene.solids import mesh_of
 
 M = manifold3d.Manifold
 HERE = Pose(np.zeros(3), np.eye(3))
 HOLLOW = {
-    "tube": (lambda: M.cube((0.1, 0.1, 2.0), True) - M.cube((0.08, 0.08, 3.0), True), 4, "cut"),
-    "closed box": (lambda: M.cube((2.0, 2.0, 2.0), True) - M.cube((1.8, 1.8, 1.8), True), 6, "cut"),
+    "tube": (lambda: M.cube((0.1, 0.1, 2.0), True) - M.cube((0.08, 0.08, 3.0), True), 4),
+    "closed box": (lambda: M.cube((2.0, 2.0, 2.0), True) - M.cube((1.8, 1.8, 1.8), True), 6),
     "room with a door": (
         lambda: M.cube((5.0, 4.0, 3.0), True) - M.cube((4.8, 3.8, 2.8), True) - M.cube((1.0, 1.0, 2.0)).translate((2.0, 0.0, -1.4)),
-        12, "cut",
+        12,
     ),
-    "U": (lambda: M.cube((1.0, 0.2, 1.0), True) - M.cube((0.8, 1.0, 0.9), True).translate((0.0, 0.0, 0.1)), 3, "cut"),
-    "wall with a window": (lambda: M.cube((5.0, 0.2, 3.0)) - M.cube((1.0, 0.2, 1.0)).translate((1.0, 0.0, 1.0)), 4, "cut"),
-    "pipe": (lambda: M.cylinder(2.0, 0.1, 0.1, 24) - M.cylinder(2.0, 0.08, 0.08, 24), 24, "cut"),
-    "hall": (lambda: M.cube((30.0, 20.0, 8.0), True) - M.cube((29.6, 19.6, 7.6), True), 6, "cut"),
+    "U": (lambda: M.cube((1.0, 0.2, 1.0), True) - M.cube((0.8, 1.0, 0.9), True).translate((0.0, 0.0, 0.1)), 3),
+    "wall with a window": (lambda: M.cube((5.0, 0.2, 3.0)) - M.cube((1.0, 0.2, 1.0)).translate((1.0, 0.0, 1.0)), 4),
+    "pipe": (lambda: M.cylinder(2.0, 0.1, 0.1, 24) - M.cylinder(2.0, 0.08, 0.08, 24), 24),
+    "hall": (lambda: M.cube((30.0, 20.0, 8.0), True) - M.cube((29.6, 19.6, 7.6), True), 6),
     "notched rafter, turned": (
         lambda: (M.cube((3.0, 0.08, 0.2)) - M.cube((0.1, 0.08, 0.05)).translate((0.5, 0.0, 0.0))).rotate((10, 20, 30)),
-        3, "cut",
+        3,
     ),
 }  # fmt: skip
 
@@ -46,7 +46,7 @@ def body_of(solid: M) -> Body:
 
 
 def element(*bodies: Body, name: str = "2O2Fr$t4X7Zf8NOew3FLOH") -> Element:
-    return Element(name, "IfcMember", "stud", "", "", "", "", "", HERE, bodies, {}, None)
+    return Element(name, "IfcMember", "stud", "", "", "", HERE, bodies, {}, None)
 
 
 def element_shape(one: Element, folder: Path) -> ElementShape:
@@ -62,10 +62,9 @@ def triangles_of(size: tuple, centre=(0.0, 0.0, 0.0)) -> M:
 
 @pytest.mark.parametrize("name", HOLLOW)
 def test_hollow_things_stay_hollow(name, tmp_path):
-    make, most, way = HOLLOW[name]
+    make, most = HOLLOW[name]
     solid = make()
     shape = element_shape(element(body_of(solid)), tmp_path)
-    assert shape.ways == (way,)
     assert len(shape.objects) <= most
     assert shape.excess <= 1e-6
     pieces = Pieces(shape.objects)
@@ -96,30 +95,27 @@ def test_a_wedge_is_one_solid_mesh_with_all_digits(tmp_path):
 
 def test_a_curved_hollow_is_held_and_its_excess_is_stated(tmp_path, monkeypatch):
     bowl = (M.sphere(0.3, 12) - M.sphere(0.24, 12)).trim_by_plane((0, 0, -1), 0.0)
-    # so few pieces that it is not divided by its own faces
     monkeypatch.setattr(element_bodies, "BOUND", 0.1)
-    monkeypatch.setattr(element_bodies, "MOST_PIECES", 8)
     shape = element_shape(element(body_of(bowl)), tmp_path)
     vertices, triangles = mesh_of(bowl)
-    assert shape.ways == ("cover",)
     assert 0 < shape.excess <= 0.1
     assert Pieces(shape.objects).contain(points_on(vertices, triangles), 1e-6).all()
     assert not Pieces(shape.objects).contain(np.array([(0.0, 0.0, -0.01)])).any()
 
 
-def test_with_too_few_pieces_a_curved_hollow_becomes_its_surface_with_a_margin(tmp_path, monkeypatch):
+def test_what_pieces_would_make_too_large_becomes_its_surface_with_a_margin(tmp_path, monkeypatch):
     bowl = (M.sphere(0.3, 24) - M.sphere(0.27, 24)).trim_by_plane((0, 0, -1), 0.0)
-    monkeypatch.setattr(element_bodies, "MOST_PIECES", 2)
+    monkeypatch.setattr(element_bodies, "BOUND", 1e-5)
     monkeypatch.setattr(element_bodies, "MARGIN", 0.008)
     shape = element_shape(element(body_of(bowl)), tmp_path)
-    assert (shape.ways, shape.excess, shape.objects[0].padding) == (("surface",), 0.008, 0.008)
+    assert (shape.excess, shape.objects[0].padding) == (0.008, 0.008)
     assert isinstance(scene_geometry(shape.objects[0]), coal.BVHModelBase)
 
 
 def test_a_body_that_is_not_closed_stays_a_surface(tmp_path):
     vertices, triangles = mesh_of(triangles_of((1.0, 1.0, 1.0)))
     shape = element_shape(element(Body(vertices, triangles[2:])), tmp_path)
-    assert shape.ways == ("surface",)
+    assert shape.excess == element_bodies.MARGIN == shape.objects[0].padding
 
 
 def test_faces_in_any_order_of_corners_are_the_same_body(tmp_path):
@@ -172,6 +168,6 @@ def test_blocks_with_random_notches_are_divided_exactly(seed, cuts, tmp_path_fac
         solid = solid - M.cube(tuple(rng.uniform(0.1, 0.6, 3)), True).translate(tuple(rng.uniform(-0.6, 0.6, 3)))
     solid = solid.rotate(tuple(rng.uniform(-180, 180, 3)))
     shape = element_shape(element(body_of(solid)), tmp_path_factory.mktemp("bodies"))
-    assert set(shape.ways) <= {"hull", "cut"} and shape.excess <= 0.005
+    assert shape.excess <= 0.001
     pieces = Pieces(shape.objects)
     assert pieces.contain(points_on(*mesh_of(solid)), 2e-6).all()

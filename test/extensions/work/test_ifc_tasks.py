@@ -127,25 +127,6 @@ def test_a_task_that_is_part_of_itself_is_refused_with_its_number(read):
         read(model)
 
 
-def test_a_ratio_of_50_as_lag_is_half_of_the_duration_before(read):
-    model, _, _, (first, second) = two_tasks()
-    first.TaskTime = model.make("IfcTaskTime", ScheduleDuration="PT8H")
-    model.sequence(first, second, lag=50.0)
-    found = read(model)
-    assert [each.lag for each in found.sequences] == [4 * 3600.0]
-    assert noted(found.notes, "taken as percent of it")
-
-
-@pytest.mark.parametrize(("parts", "done"), [((100.0, 1.0), (True, False)), ((0.5, 1.0), (False, True))])
-def test_a_file_counts_what_is_done_in_percent_or_in_parts(read, parts, done):
-    model, _, _, tasks = two_tasks()
-    for task, part in zip(tasks, parts):
-        task.TaskTime = model.make("IfcTaskTime", Completion=part)
-    found = read(model)
-    assert tuple(found.tasks[task.GlobalId].completed for task in tasks) == done
-    assert noted(found.notes, "counted in percent") == (max(parts) > 1.0)
-
-
 def test_without_a_scheduled_start_the_early_one_is_taken_and_else_the_late_one(read):
     model, _, _, (first, second) = two_tasks()
     first.TaskTime = model.make("IfcTaskTime", EarlyStart="2027-01-05T08:00:00", LateStart="2027-01-07T08:00:00")

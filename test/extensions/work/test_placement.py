@@ -5,7 +5,7 @@ import pytest
 from building_models import box, building, element
 
 from construction_twin.extensions.work.errors import PlacementError
-from construction_twin.extensions.work.standing import check_placement
+from construction_twin.extensions.work.worker_functions import check_placement
 from construction_twin.kinematics.chain import Pose
 
 HERE = Pose(np.zeros(3), np.eye(3))

@@ -13,7 +13,6 @@ from work_samples import BRICK, CELL, SCENE, building, element, layout, site
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.site import CellFile
-from construction_twin.extensions.work.site_scene import WorkState
 
 RACK = CELL["racks"]["bricks"]
 
@@ -184,14 +183,14 @@ def test_the_scene_of_a_state_has_the_tool_the_stock_and_what_stands(tmp_path):
         "floor", "table", "rack", "tool/post", "tool/frame", "tool/cups", "b0/0", "b1/0", "b2/0"
     }  # fmt: skip
     built = found.base_T_goal("b0")
-    scene = found.scene(WorkState({"b0": built}, frozenset({"b1"})))
+    scene = found.scene({"b0": built}, frozenset({"b1"}))
     assert "b1/0" not in scene.names
     assert np.allclose(scene.get("b0/0").position, (0, 1.6, 0.6 + BRICK[2] / 2))
 
 
 def test_supports_of_a_job_are_what_the_cell_names_and_the_neighbours(tmp_path):
     found = layout(site(tmp_path), bricks(3))
-    built = WorkState({"b0": found.base_T_goal("b0")})
+    built = {"b0": found.base_T_goal("b0")}
     # b0 stands 10 mm beside the place of b1, and 0.26 m from that of b2
     assert found.job_for("b1", found.scene(built)).supports == ("b0/0", "rack", "table")
     assert found.job_for("b2", found.scene(built)).supports == ("rack", "table")

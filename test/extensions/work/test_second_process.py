@@ -26,8 +26,7 @@ from work_samples import (
 )
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.extensions.work import process
-from construction_twin.extensions.work.check import Checker
+from construction_twin.extensions.work import decisions, process
 from construction_twin.extensions.work.errors import LedgerError
 from construction_twin.extensions.work.following import after_restart
 from construction_twin.extensions.work.heard import GripReading
@@ -37,6 +36,7 @@ from construction_twin.extensions.work.recipes import read_recipes
 from construction_twin.extensions.work.schedule import Job, Schedule
 from construction_twin.extensions.work.site_scene import StockPlan
 from construction_twin.extensions.work.task_memory import Entry, NotNow, TaskMemory, TaskState
+from construction_twin.extensions.work.worker_functions import Checker
 from construction_twin.planning.planner import PlanRequest
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.work_plan import plan_work
@@ -166,7 +166,7 @@ def test_a_stop_at_the_element_asks_whether_it_was_done(bench, answer, state):
     assert "carried out?" in bench.row.question
     assert work_bench.PLACED.name in bench.scene.names
     board = bench.board
-    board.answer(work_bench.TASK, answer, "eva", "looked")
+    decisions.answer(board, work_bench.TASK, answer, "eva", "looked")
     assert board.book.tasks[work_bench.TASK].state.value == state
 
 

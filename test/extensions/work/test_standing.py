@@ -6,8 +6,8 @@ import numpy as np
 from building_models import box
 from work_samples import box_pieces, building, element, robot, site
 
-from construction_twin.extensions.work.site_scene import Layout, WorkState
-from construction_twin.extensions.work.standing import standing
+from construction_twin.extensions.work.site_scene import Layout
+from construction_twin.extensions.work.worker_functions import standing
 
 #: Of the tool of the samples [m].
 REACH = 6.0
@@ -28,7 +28,7 @@ def test_a_wall_that_no_task_makes_is_a_fixed_obstacle_where_the_model_has_it(tm
     found = standing(model, ["b"], at, REACH, tmp_path)
     assert set(found.pieces) == {"wall"} and not found.notes
     layout = Layout(at, model, made(model, "b"), ["b"], robot().tip_link, found.pieces)
-    for state in (WorkState(), WorkState({"b": layout.base_T_goal("b")})):
+    for state in ({}, {"b": layout.base_T_goal("b")}):
         item = next(one for one in layout.scene(state).objects if one.name == "wall/0")
         # model_T_base is (0, -1.6, -0.6), the middle of the wall (1, 0.35, 0.5) in the model
         assert item.fixed and not item.link and np.allclose(item.position, (1.0, 1.95, 1.1))
@@ -70,4 +70,4 @@ def test_what_was_taken_down_is_in_no_scene(tmp_path):
     found = standing(model, ["b"], at, REACH, tmp_path)
     layout = Layout(at, model, made(model, "b"), ["b"], robot().tip_link, found.pieces)
     assert "old/0" in layout.scene().names
-    assert "old/0" not in layout.scene(WorkState(gone=frozenset({"old"}))).names
+    assert "old/0" not in layout.scene(gone=frozenset({"old"})).names

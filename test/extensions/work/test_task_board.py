@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from construction_twin.extensions.work import decisions
 from construction_twin.extensions.work.built import as_built, change, deviation, pose_tuple
 from construction_twin.extensions.work.ledger import Ledger
 from construction_twin.extensions.work.prepared import ElementFacts, Prepared
@@ -84,11 +85,11 @@ def test_a_proposed_schedule_must_be_accepted_by_a_person_first(tmp_path, clock)
     assert one.schedule_word == "proposed" and one.next(clock()) == ""
     assert "the schedule is a proposal from the geometry" in one.obstacle("T1", clock())
     with pytest.raises(WorkRefused, match=r"who says so\?"):
-        one.accept(" ", "")
-    one.accept("eva", "looks right")
+        decisions.accept(one, " ", "")
+    decisions.accept(one, "eva", "looks right")
     assert one.schedule_word == "accepted" and one.next(clock()) == "T1"
     with pytest.raises(WorkRefused, match="the schedule is accepted already"):
-        one.accept("eva", "")
+        decisions.accept(one, "eva", "")
 
 
 def test_an_accepted_schedule_that_has_changed_is_a_proposal_again(tmp_path, clock):
@@ -129,7 +130,7 @@ def test_one_task_at_a_time(tmp_path, clock):
     one.ledger.add(Entry("offered", "T1", "E1", offer="o"))
     assert one.book.busy == "T1" and "is under review" in one.obstacle("T2", clock())
     with pytest.raises(WorkRefused, match="and cannot be skipped"):
-        one.skip("T1", "eva", "")
+        decisions.skip(one, "T1", "eva", "")
 
 
 def test_a_question_comes_before_everything_else(tmp_path, clock):
@@ -139,13 +140,16 @@ def test_a_question_comes_before_everything_else(tmp_path, clock):
     row = one.report(clock()).tasks[0]
     assert row.state == "asks" and "where is " in row.question and "in_grip" in row.answers
     assert row.question in one.obstacle("T1", clock())
-    for refused in (lambda: one.skip("T1", "eva", ""), lambda: one.answer("T1", "perhaps", "eva", "")):
+    for refused in (
+        lambda: decisions.skip(one, "T1", "eva", ""),
+        lambda: decisions.answer(one, "T1", "perhaps", "eva", ""),
+    ):
         with pytest.raises(WorkRefused):
             refused()
-    one.answer("T1", "in_grip", "eva", "")
+    decisions.answer(one, "T1", "in_grip", "eva", "")
     assert one.next(clock()) == "T1"
     with pytest.raises(WorkRefused, match="and asks nothing"):
-        one.answer("T1", "in_grip", "eva", "")
+        decisions.answer(one, "T1", "in_grip", "eva", "")
 
 
 def test_an_answer_to_a_question_that_is_no_longer_open_is_refused(tmp_path, clock):
@@ -154,8 +158,8 @@ def test_an_answer_to_a_question_that_is_no_longer_open_is_refused(tmp_path, clo
     one.ledger.add(Entry("stopped", "T1", "E1"))
     question = one.report(clock()).tasks[0].question
     with pytest.raises(WorkRefused, match="another question is open by now"):
-        one.answer("T1", "in_grip", "eva", "", "where was it yesterday?")
-    one.answer("T1", "in_grip", "eva", "", question)
+        decisions.answer(one, "T1", "in_grip", "eva", "", "where was it yesterday?")
+    decisions.answer(one, "T1", "in_grip", "eva", "", question)
 
 
 def test_what_is_in_the_grip_comes_first(tmp_path, clock):
@@ -164,22 +168,22 @@ def test_what_is_in_the_grip_comes_first(tmp_path, clock):
     clock.now += MINUTE + 1
     build(one, "T2", until="gripped")
     one.ledger.add(Entry("stopped", "T2", "E2"))
-    one.answer("T2", "in_grip", "eva", "")
-    one.redo("T1", "eva", "") if not one.ledger.book.followers("T1") else None
+    decisions.answer(one, "T2", "in_grip", "eva", "")
+    decisions.redo(one, "T1", "eva", "") if not one.ledger.book.followers("T1") else None
     assert "is in the grip" in one.obstacle("T1", clock())
 
 
 @pytest.mark.parametrize("by_person", [True, False])
 def test_what_counts_as_carried_can_be_doubted(tmp_path, clock, by_person):
     one = board(tmp_path, clock)
-    assert one.lost() == ""
+    assert decisions.lost(one) == ""
     build(one, "T1", until="gripped")
     one.ledger.add(Entry("stopped", "T1", "E1"))
-    one.answer("T1", "in_grip", "eva", "")
-    sentence = one.redo("T1", "eva", "it fell") if by_person else one.lost()
+    decisions.answer(one, "T1", "in_grip", "eva", "")
+    sentence = decisions.redo(one, "T1", "eva", "it fell") if by_person else decisions.lost(one)
     assert "where is element 1 now?" in sentence
     assert one.ledger.book.tasks["T1"].possible_answers() == ("in_stock", "in_grip", "placed", "gone")
-    one.answer("T1", "gone", "eva", "")
+    decisions.answer(one, "T1", "gone", "eva", "")
     assert one.ledger.book.in_state(TaskState.HELD) == ("T1",)
 
 
@@ -189,23 +193,23 @@ def test_what_others_came_after_is_not_done_again_before_them(tmp_path, clock):
     clock.now += MINUTE + 1
     build(one, "T2")
     with pytest.raises(WorkRefused, match="'Place stud' came after"):
-        one.redo("T1", "eva", "")
+        decisions.redo(one, "T1", "eva", "")
     # the third counts as delivered where the second lay
-    one.skip("T3", "eva", "")
-    one.redo("T2", "eva", "")
-    one.redo("T1", "eva", "")
+    decisions.skip(one, "T3", "eva", "")
+    decisions.redo(one, "T2", "eva", "")
+    decisions.redo(one, "T1", "eva", "")
     assert one.ledger.book.in_state(TaskState.READY) == ("T1",)
     with pytest.raises(WorkRefused, match="it was not done or skipped yet"):
-        one.redo("T1", "eva", "")
+        decisions.redo(one, "T1", "eva", "")
 
 
 def test_a_measured_pose_replaces_the_arms(tmp_path, clock):
     one = board(tmp_path, clock)
     with pytest.raises(WorkRefused, match="is not placed yet"):
-        one.measured("E1", one.goal("T1"), "eva", "tape")
+        decisions.measured(one, "E1", one.goal("T1"), "eva", "tape")
     build(one, "T1")
-    assert one.deviation("T1").distance == pytest.approx(0.0, abs=1e-12)
-    found = one.measured("E1", product(one.goal("T1"), at(0.003, 0.0, 0.0, 0.01)), "eva", "tape")
+    assert one.built.deviation("T1").distance == pytest.approx(0.0, abs=1e-12)
+    found = decisions.measured(one, "E1", product(one.goal("T1"), at(0.003, 0.0, 0.0, 0.01)), "eva", "tape")
     assert (found.distance, found.angle) == (pytest.approx(0.003), pytest.approx(0.01))
     row = one.report(clock()).tasks[0]
     assert row.deviation_mm == pytest.approx(found.distance * 1e3)
@@ -213,9 +217,9 @@ def test_a_measured_pose_replaces_the_arms(tmp_path, clock):
     assert row.reason == "placed, measured by eva"
     for wrong in (at(50.0), at(float("nan"))):
         with pytest.raises(WorkRefused, match="m from where the model has"):
-            one.measured("E1", wrong, "eva", "")
+            decisions.measured(one, "E1", wrong, "eva", "")
     with pytest.raises(WorkRefused, match="`twin work list` names them"):
-        one.measured("E9", one.goal("T1"), "eva", "")
+        decisions.measured(one, "E9", one.goal("T1"), "eva", "")
 
 
 def test_an_element_that_can_never_be_planned_stops_only_what_waits_for_it(tmp_path, clock):
@@ -232,8 +236,8 @@ def test_an_element_that_can_never_be_planned_stops_only_what_waits_for_it(tmp_p
     assert " waits for " in one.obstacle("T3", clock())
     assert {row.id: row.state for row in one.report(clock()).tasks} == {"T1": "done", "T2": "ready", "T3": "waiting"}
     assert not any(name.startswith("E2") for name in scene_of(one, Scene()).names)
-    assert [each.word for each in one.appearances(clock()) if each.element == "E2"] == ["todo"]
-    one.skip("T2", "eva", "stands already")
+    assert [each.word for each in one.built.appearances(one.next(clock())) if each.element == "E2"] == ["todo"]
+    decisions.skip(one, "T2", "eva", "stands already")
     assert one.next(clock()) == "T3"
 
 
@@ -241,13 +245,13 @@ def test_an_element_that_can_never_be_planned_stops_only_what_waits_for_it(tmp_p
 
 
 def scene_of(one: TaskBoard, scene: Scene) -> Scene:
-    wanted, alone = one.wanted_scene()
+    wanted, alone = one.built.wanted_scene()
     wrong = change(scene, wanted, alone)
     for name in wrong.remove:
         scene = scene.remove(name)
     for item in wrong.put:
         scene = scene.add(item, True)
-    assert change(scene, *one.wanted_scene()) == SceneChange()
+    assert change(scene, *one.built.wanted_scene()) == SceneChange()
     return scene
 
 
@@ -262,7 +266,7 @@ def test_the_scene_follows_the_ledger(tmp_path, clock):
     assert (scene.get("E1/0").link, scene.get("E1/0").position) == ("tool0", (0.0, 0.0, 0.3))
     one.ledger.add(Entry("stopped", "T1", "E1"))
     assert scene_of(one, scene).hash == scene.hash, "what is asked about is left as it is"
-    one.answer("T1", "gone", "eva", "")
+    decisions.answer(one, "T1", "gone", "eva", "")
     assert "E1/0" not in scene_of(one, scene).names
 
 
@@ -271,15 +275,17 @@ def test_a_planned_pose_is_not_told_as_measured(tmp_path, clock):
     build(one, "T1", until="releasing")
     one.ledger.add(Entry("released", "T1", "E1", pose=pose_tuple(one.goal("T1")), source="planned"))
     one.ledger.add(Entry("finished", "T1", "E1"))
-    assert one.deviation("T1") is None and "placed; as planned, not measured" in one.report(clock()).tasks[0].reason
-    one.measured("E1", one.goal("T1"), "eva", "tape")
-    assert one.deviation("T1").distance == pytest.approx(0.0, abs=1e-12)
+    assert (
+        one.built.deviation("T1") is None and "placed; as planned, not measured" in one.report(clock()).tasks[0].reason
+    )
+    decisions.measured(one, "E1", one.goal("T1"), "eva", "tape")
+    assert one.built.deviation("T1").distance == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_skipped_element_is_taken_out_and_the_next_delivered(tmp_path, clock):
     one = board(tmp_path, clock)
-    one.skip("T1", "eva", "")
-    assert "take its element out of the stock" in one.skip("T2", "eva", "")
+    decisions.skip(one, "T1", "eva", "")
+    assert "take its element out of the stock" in decisions.skip(one, "T2", "eva", "")
     assert set(scene_of(one, Scene()).names) == {"tool/post", "E3/0"}
 
 
@@ -293,13 +299,13 @@ def test_nothing_comes_back_into_a_slot_that_was_filled_again(tmp_path, clock, a
         one.ledger.add(Entry("stopped", "T2", "E2"))
 
     def back() -> None:
-        one.answer("T2", "in_stock", "eva", "") if asked else one.redo("T2", "eva", "")
+        decisions.answer(one, "T2", "in_stock", "eva", "") if asked else decisions.redo(one, "T2", "eva", "")
 
     with pytest.raises(WorkRefused, match="element 3 counts as delivered in the slot of element 2"):
         back()
-    one.skip("T3", "eva", "")
+    decisions.skip(one, "T3", "eva", "")
     back()
-    one.redo("T3", "eva", "")
+    decisions.redo(one, "T3", "eva", "")
     names = scene_of(one, Scene()).names
     assert "E2/0" in names and "E3/0" not in names
 
@@ -308,7 +314,7 @@ def test_people_see_what_comes_next_what_is_there_and_what_is_off(tmp_path, cloc
     one = board(tmp_path, clock)
 
     def words(element: str) -> list[str]:
-        return [each.word for each in one.appearances(clock()) if each.element == element]
+        return [each.word for each in one.built.appearances(one.next(clock())) if each.element == element]
 
     assert (words("E1"), words("E2"), words("E3")) == (["next", "stock"], ["todo", "stock"], ["todo"])
     build(one, "T1", until="gripped")
@@ -317,11 +323,11 @@ def test_people_see_what_comes_next_what_is_there_and_what_is_off(tmp_path, cloc
     one.ledger.add(Entry("released", "T1", "E1", pose=pose_tuple(one.goal("T1"))))
     assert words("E1") == ["placed"]
     one.ledger.add(Entry("finished", "T1", "E1"))
-    one.measured("E1", product(one.goal("T1"), at(0.05)), "eva", "tape")
+    decisions.measured(one, "E1", product(one.goal("T1"), at(0.05)), "eva", "tape")
     assert words("E1") == ["off"]
-    there = next(each.pose.position for each in one.appearances(clock()) if each.element == "E1")
+    there = next(each.pose.position for each in one.built.appearances(one.next(clock())) if each.element == "E1")
     assert there == pytest.approx(product(one.goal("T1"), at(0.05)).position), "it is drawn where it stands"
-    one.skip("T2", "eva", "")
+    decisions.skip(one, "T2", "eva", "")
     assert words("E2") == ["skipped"]
 
 
@@ -375,33 +381,33 @@ def test_what_is_to_be_taken_down_stands_and_holds_up_until_a_person_says_that_i
     assert one.next(clock()) == "" and one.obstacle("T1", clock()).endswith("waits for 'Take down wall'")
     assert "`twin work removed 'Take down wall'`" in one.obstacle("D1", clock())
     assert "`twin work removed 'Take down wall'`" in one.summary(clock())
-    assert "W1/0" in one.wanted_scene()[0]
+    assert "W1/0" in one.built.wanted_scene()[0]
     with pytest.raises(WorkRefused, match=r"who says so\?"):
-        one.removed("D1", "", "")
+        decisions.removed(one, "D1", "", "")
     with pytest.raises(WorkRefused, match="has placed nothing"):
-        one.removed("T1", "eva", "")
-    assert "is gone: it is no obstacle" in one.removed("D1", "eva", "seen")
+        decisions.removed(one, "T1", "eva", "")
+    assert "is gone: it is no obstacle" in decisions.removed(one, "D1", "eva", "seen")
     scene = Scene((*one.prepared.standing, *one.prepared.tool_objects), 0.01)
-    wanted, alone = one.wanted_scene()
+    wanted, alone = one.built.wanted_scene()
     assert "W1/0" not in wanted and "W2/0" in wanted and change(scene, wanted, alone).remove == ("W1/0",)
     assert one.next(clock()) == "T1"
     row = next(row for row in one.report(clock()).tasks if row.id == "D1")
     assert (row.state, row.reason) == ("done", "taken down, as a person says")
     with pytest.raises(WorkRefused, match="is gone already"):
-        one.removed("D1", "eva", "")
+        decisions.removed(one, "D1", "eva", "")
 
 
 def test_that_it_is_gone_is_remembered_whatever_model_comes_and_can_be_taken_back(tmp_path, clock):
     one = with_removal(tmp_path, clock)
-    one.removed("D1", "eva", "")
+    decisions.removed(one, "D1", "eva", "")
     one.ledger.close()
     again = Ledger(tmp_path / "ledger", one.prepared.after, "b" * 64, clock, "", one.prepared.schedule.placing)
     other = TaskBoard(one.prepared, again, "kr120", "tool0")
-    assert "W1/0" not in other.wanted_scene()[0] and again.book.in_state(TaskState.ASKS) == ()
-    assert "standing again" in other.redo("D1", "eva", "wrong wall")
-    assert "W1/0" in other.wanted_scene()[0] and other.next(clock()) == ""
-    assert "wall stays" in other.skip("D1", "eva", "it may stay")
-    assert "W1/0" in other.wanted_scene()[0] and other.next(clock()) == "T1"
+    assert "W1/0" not in other.built.wanted_scene()[0] and again.book.in_state(TaskState.ASKS) == ()
+    assert "standing again" in decisions.redo(other, "D1", "eva", "wrong wall")
+    assert "W1/0" in other.built.wanted_scene()[0] and other.next(clock()) == ""
+    assert "wall stays" in decisions.skip(other, "D1", "eva", "it may stay")
+    assert "W1/0" in other.built.wanted_scene()[0] and other.next(clock()) == "T1"
 
 
 def test_what_the_arm_placed_stands_as_built_when_the_model_calls_it_completed(tmp_path, clock):
@@ -418,4 +424,4 @@ def test_what_the_arm_placed_stands_as_built_when_the_model_calls_it_completed(t
     )
     ledger = Ledger(tmp_path / "ledger", later.after, later.digest, clock, "", {"E2": "T2"}, later.standing_elements)
     again = TaskBoard(later, ledger, "kr120", "tool0")
-    assert again.book.asking == () and np.allclose(again.wanted_scene()[0]["E1/0"].position, (1.003, 1.0, 0.0))
+    assert again.book.asking == () and np.allclose(again.built.wanted_scene()[0]["E1/0"].position, (1.003, 1.0, 0.0))

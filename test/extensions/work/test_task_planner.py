@@ -13,7 +13,7 @@ from construction_twin.extensions.work.contacts import Shapes
 from construction_twin.extensions.work.errors import TaskPlanningError
 from construction_twin.extensions.work.motions import TaskLimits
 from construction_twin.extensions.work.process import TaskMotions
-from construction_twin.extensions.work.site_scene import Layout, WorkState
+from construction_twin.extensions.work.site_scene import Layout
 from construction_twin.kinematics.chain import Pose
 from construction_twin.planning.limit_usage import cycle_times
 from construction_twin.planning.planner import PlanRequest
@@ -36,7 +36,7 @@ def plans(work) -> list[TaskMotions]:
     """The three bricks, one after the other."""
     made, placed, q = [], {}, HOME
     for brick in work.order:
-        scene = work.scene(WorkState(placed))
+        scene = work.scene(placed)
         made.append(planner().plan(work.job_for(brick, scene), q, scene))
         q = made[-1].segments[-1].trajectory.positions[-1]
         placed[brick] = work.base_T_goal(brick)
@@ -88,13 +88,13 @@ def test_a_carry_is_engaged_when_the_recipe_says_so(work):
 def test_each_scene_follows_from_the_one_before_as_the_scene_node_changes_it(plans, work):
     placed = {}
     for plan, brick in zip(plans, work.order):
-        scene = work.scene(WorkState(placed))
+        scene = work.scene(placed)
         assert plan.scenes[0].hash == scene.hash
         for segment, after in zip(plan.segments, plan.scenes[1:], strict=True):
             scene = segment.change.apply(scene)
             assert after.hash == scene.hash
         placed[brick] = work.base_T_goal(brick)
-        assert scene.hash == work.scene(WorkState(placed)).hash
+        assert scene.hash == work.scene(placed).hash
 
 
 def test_only_what_has_to_touch_may_touch(plans):
@@ -191,7 +191,7 @@ def test_the_tools_other_shapes_keep_the_padding_to_a_neighbour(tmp_path):
         element("low", (0, 0, 0)), element("high", (0, 0.14, 0), (0.24, 0.115, 0.15), type_name="240x115x71 x2")
     )
     found = layout(site(tmp_path), model)
-    scene = found.scene(WorkState({"high": found.base_T_goal("high")}))
+    scene = found.scene({"high": found.base_T_goal("high")})
     with pytest.raises(TaskPlanningError, match="tool/frame would touch high/0"):
         planner().plan(found.job_for("low", scene), HOME, scene)
 
@@ -199,7 +199,7 @@ def test_the_tools_other_shapes_keep_the_padding_to_a_neighbour(tmp_path):
 def test_a_tool_beside_a_neighbour_needs_the_recipes_word(tmp_path):
     model = building(*(element(f"b{number}", (0.25 * number, 0, 0)) for number in range(3)))
     found = layout(site(tmp_path), model)
-    both = WorkState({"b0": found.base_T_goal("b0"), "b2": found.base_T_goal("b2")})
+    both = {"b0": found.base_T_goal("b0"), "b2": found.base_T_goal("b2")}
     scene = found.scene(both)
     job = found.job_for("b1", scene)
     with pytest.raises(TaskPlanningError, match="tool/cups would touch"):

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from construction_twin.extensions.work import decisions
 from construction_twin.extensions.work.built import pose_tuple
 from construction_twin.extensions.work.errors import LedgerError
 from construction_twin.extensions.work.ledger import Ledger, read_entries
@@ -59,7 +60,7 @@ def opened(folder: Path, ready: Prepared, name: str = "kr120_deck", robot: str =
         ready.standing_elements, robot, ready.present,
     )  # fmt: skip
     board = TaskBoard(ready, ledger, robot, "tool0")
-    board.look_around()
+    decisions.look_around(board)
     return board
 
 
@@ -86,7 +87,7 @@ def row(board: TaskBoard, name: str):
 
 
 def stands(board: TaskBoard, element: str) -> SceneObject | None:
-    return board.wanted_scene()[0].get(f"{element}/0")
+    return board.built.wanted_scene()[0].get(f"{element}/0")
 
 
 def of_b(board: TaskBoard) -> SceneObject:
@@ -106,7 +107,7 @@ def test_what_was_deleted_from_the_model_stands_and_is_asked_about_before_anythi
     assert "still stand? The model does not have it." in row(board, "B").question
     assert row(board, "B").answers == ("stands", "taken_away")
     assert "asks first" in board.obstacle("ToldX", NOW) and "B" in board.obstacle("ToldX", NOW)
-    board.answer("ToldB", "stands", "eva", "")
+    decisions.answer(board, "ToldB", "stands", "eva", "")
     of_b(board)
     assert board.next(NOW) == "ToldX" and "placed, and not in the model" in row(board, "B").reason
     assert board.called("set down: oldX/0 would touch oldB/0") == "set down: oldX/0 would touch 'B'"
@@ -115,7 +116,7 @@ def test_what_was_deleted_from_the_model_stands_and_is_asked_about_before_anythi
 def test_it_is_asked_once_for_each_version_and_stands_over_every_start(two_placed):
     changed = model("old", "A", "X", "C", "D", digest="b")
     board = opened(two_placed, changed)
-    board.answer("ToldB", "stands", "eva", "")
+    decisions.answer(board, "ToldB", "stands", "eva", "")
     for _ in range(2):
         lines = board.ledger.lines
         board.ledger.close()
@@ -129,24 +130,24 @@ def test_it_is_no_obstacle_when_a_person_has_taken_it_away(two_placed, asked):
     changed = model("old", "A", "X", "C", "D", digest="b")
     board = opened(two_placed, changed)
     if asked:
-        board.answer("ToldB", "taken_away", "eva", "")
+        decisions.answer(board, "ToldB", "taken_away", "eva", "")
     else:
-        board.answer("ToldB", "stands", "eva", "")
-        assert "is gone: it is no obstacle" in board.removed("ToldB", "eva", "rotten")
+        decisions.answer(board, "ToldB", "stands", "eva", "")
+        assert "is gone: it is no obstacle" in decisions.removed(board, "ToldB", "eva", "rotten")
     board.ledger.close()
     again = opened(two_placed, changed)
     assert stands(again, "oldB") is None and "ToldB" not in again.book.former
     with pytest.raises(WorkRefused, match="`twin work list` names them"):
-        again.removed("ToldB", "eva", "")
+        decisions.removed(again, "ToldB", "eva", "")
 
 
 def test_what_stands_in_the_models_own_version_can_be_taken_away_too(two_placed):
     board = opened(two_placed, model("old", "A", "B", "C", "D"))
     assert board.next(NOW) == "ToldC"
-    board.removed("ToldB", "eva", "rotten")
+    decisions.removed(board, "ToldB", "eva", "rotten")
     assert stands(board, "oldB") is None and board.book.tasks["ToldB"].state is TaskState.HELD
     with pytest.raises(WorkRefused, match="has placed nothing"):
-        board.removed("ToldC", "eva", "")
+        decisions.removed(board, "ToldC", "eva", "")
 
 
 def test_an_element_that_is_asked_about_is_in_the_scene_of_a_node_that_starts(two_placed):
@@ -160,7 +161,7 @@ def test_it_stands_with_the_shape_that_it_was_placed_with(two_placed):
     slim = (SceneObject("oldB/0", "box", (0.1, 0.1, 0.1)),)
     changed = replace(changed, elements={**changed.elements, "oldB": replace(changed.elements["oldB"], bodies=slim)})
     board = opened(two_placed, changed)
-    board.answer("ToldB", "placed", "eva", "")
+    decisions.answer(board, "ToldB", "placed", "eva", "")
     of_b(board)
 
 
@@ -186,8 +187,8 @@ def test_an_answer_counts_for_later_versions_that_say_the_same_and_for_no_other(
 
     board = asked("A", "X", "C", digest="b", by=0.2)
     assert board.book.asking == ("ToldA", "ToldB")
-    assert board.answer_all("placed", "eva", "").values["left"] == 1
-    assert board.answer_all("stands", "eva", "").values["count"] == 1 and board.book.asking == ()
+    assert decisions.answer_all(board, "placed", "eva", "").values["left"] == 1
+    assert decisions.answer_all(board, "stands", "eva", "").values["count"] == 1 and board.book.asking == ()
     board.ledger.close()
     later = asked("A", "X", "C", "D", digest="c", by=0.2)
     assert later.book.asking == () and later.next(NOW) == "ToldX" and stands(later, "oldA").position[0] == 0.0
@@ -207,17 +208,17 @@ def test_the_same_element_with_a_new_task_is_not_asked_about_and_not_placed_twic
     board = opened(two_placed, replace(ready, schedule=Schedule(jobs, ())))
     assert board.book.asking == () and board.book.former == {} and board.next(NOW) == "NToldC"
     of_b(board)
-    assert board.deviation("NToldB").distance == pytest.approx(0.001)
+    assert board.built.deviation("NToldB").distance == pytest.approx(0.001)
 
 
 def test_all_that_was_placed_is_answered_at_once_where_that_leaves_it_an_obstacle(two_placed):
     board = opened(two_placed, model("new", "A", "B", "C", "D", digest="b"))
     for answer in ("taken_away", "gone", "in_stock"):
         with pytest.raises(WorkRefused, match="is answered for one task at a time"):
-            board.answer_all(answer, "eva", "")
+            decisions.answer_all(board, answer, "eva", "")
     with pytest.raises(WorkRefused, match=r"who says so\?"):
-        board.answer_all("same", " ", "")
-    said = board.answer_all("same", "eva", "")
+        decisions.answer_all(board, "same", " ", "")
+    said = decisions.answer_all(board, "same", "eva", "")
     assert (said.values["count"], said.values["left"]) == (2, 0) and board.next(NOW) == "TnewC"
     board.ledger.close()
     again = opened(two_placed, model("new", "A", "B", "C", "D", "E", digest="c"))
@@ -231,7 +232,7 @@ def test_what_may_be_in_the_grip_is_not_answered_with_all_others(two_placed):
     board.ledger.close()
     again = opened(two_placed, model("old", "A", "B", "C", "D", digest="b", shifted=0.3))
     assert again.book.asking == ("ToldA", "ToldB", "ToldC") and "placed" in row(again, "ToldC").answers
-    again.answer_all("placed", "eva", "")
+    decisions.answer_all(again, "placed", "eva", "")
     assert again.book.asking == ("ToldC",)
 
 
@@ -251,7 +252,7 @@ def test_a_task_that_has_another_element_now_does_not_take_over_what_it_has_plac
     board.ledger.close()
     again = opened(two_placed, ready)
     assert again.book.asking == ("oldB",)
-    again.answer("oldB", answer, "eva", "")
+    decisions.answer(again, "oldB", answer, "eva", "")
     assert again.next(NOW) == "ToldB" and again.element_of("ToldB") == "oldX"
     assert (stands(again, "oldB") is not None) == (answer == "stands")
 
@@ -278,7 +279,7 @@ def test_what_a_removal_has_taken_down_says_nothing_of_its_next_element(tmp_path
         )  # fmt: skip
 
     board = opened(tmp_path, takes_down("old wall", "a"))
-    board.removed("TR", "eva", "")
+    decisions.removed(board, "TR", "eva", "")
     assert stands(board, "old wall") is None
     board.ledger.close()
     again = opened(tmp_path, takes_down("other wall", "b"))
@@ -293,10 +294,10 @@ def test_a_model_with_other_ids_asks_by_name_whether_it_is_the_same_and_places_n
     assert board.next(NOW) == "" and "of the model the one that stands there?" in row(board, "A").question
     assert row(board, "A").answers == ("same", "stands", "taken_away")
     for task in ("ToldA", "ToldB"):
-        board.answer(task, "same", "eva", "")
+        decisions.answer(board, task, "same", "eva", "")
     assert board.next(NOW) == "TnewC" and board.book.former == {}
     assert stands(board, "oldB") is None and np.allclose(stands(board, "newB").position, (0.6, 1.001, 0.6))
-    assert board.deviation("TnewB").distance == pytest.approx(0.001)
+    assert board.built.deviation("TnewB").distance == pytest.approx(0.001)
     board.ledger.close()
     again = opened(two_placed, model("new", "A", "B", "C", "D", digest="b"))
     assert again.next(NOW) == "TnewC" and again.book.asking == ()
@@ -316,12 +317,12 @@ def test_another_name_class_or_place_is_another_element(two_placed, difference):
 def test_the_former_model_again_asks_again_and_places_nothing_twice(two_placed):
     board = opened(two_placed, model("new", "A", "B", "C", "D", digest="b"))
     for task in ("ToldA", "ToldB"):
-        board.answer(task, "same", "eva", "")
+        decisions.answer(board, task, "same", "eva", "")
     board.ledger.close()
     again = opened(two_placed, model("old", "A", "B", "C", "D"))
     assert again.book.asking == ("TnewA", "TnewB") and row(again, "TnewB").answers[0] == "same"
-    again.answer("TnewA", "same", "eva", "")
-    again.answer("TnewB", "same", "eva", "")
+    decisions.answer(again, "TnewA", "same", "eva", "")
+    decisions.answer(again, "TnewB", "same", "eva", "")
     assert again.next(NOW) == "ToldC" and again.book.tasks["ToldB"].placed
     of_b(again)
 
@@ -330,8 +331,8 @@ def test_a_kill_after_any_line_of_the_questions_asks_again_and_forgets_nothing(t
     path, changed = two_placed / "kr120_deck.jsonl", model("new", "A", "B", "C", "D", digest="b")
     before = len(path.read_bytes().splitlines())
     board = opened(two_placed, changed)
-    board.answer("ToldA", "same", "eva", "")
-    board.answer("ToldB", "stands", "eva", "")
+    decisions.answer(board, "ToldA", "same", "eva", "")
+    decisions.answer(board, "ToldB", "stands", "eva", "")
     board.ledger.close()
     lines = path.read_bytes().splitlines(keepends=True)
     for left in range(before, len(lines) + 1):
@@ -391,8 +392,8 @@ def test_the_same_ids_in_another_ledger_are_asked_about_once(two_placed):
     assert board.next(NOW) == "" and board.book.asking == ("ToldA", "ToldB")
     assert "the ledger kr120_deck.jsonl in the same folder" in row(board, "ToldB").question
     assert row(board, "ToldB").answers == ("in_stock", "placed", "gone")
-    board.answer("ToldA", "placed", "eva", "")
-    board.answer("ToldB", "in_stock", "eva", "another one")
+    decisions.answer(board, "ToldA", "placed", "eva", "")
+    decisions.answer(board, "ToldB", "in_stock", "eva", "another one")
     assert board.next(NOW) == "ToldB"
     lines = board.ledger.lines
     board.ledger.close()
@@ -404,7 +405,7 @@ def test_the_same_places_in_another_ledger_are_asked_about_and_others_are_not(tw
     board = opened(two_placed, model("new", "X", digest="b"), "kr120_shed")
     assert board.book.asking == ("oldA",) and "in the same folder says that it was placed" in row(board, "A").question
     assert stands(board, "oldA") is not None and stands(board, "oldB") is None
-    board.answer("oldA", "taken_away", "eva", "")
+    decisions.answer(board, "oldA", "taken_away", "eva", "")
     board.ledger.close()
     again = opened(two_placed, model("new", "X", digest="b"), "kr120_shed")
     assert again.next(NOW) == "TnewX" and stands(again, "oldA") is None

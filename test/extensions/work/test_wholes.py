@@ -10,7 +10,7 @@ from ifc_models import IfcModel, noted
 from work_samples import box_pieces, building, element, robot, site
 
 from construction_twin.extensions.work.schedule import Schedule
-from construction_twin.extensions.work.site_scene import Layout, WorkState
+from construction_twin.extensions.work.site_scene import Layout
 from construction_twin.extensions.work.wholes import comes_after
 
 STUD = (0.1, 0.1, 1.0)
@@ -150,8 +150,8 @@ def test_what_is_on_an_element_is_in_the_scene_when_that_stands(tmp_path):
     pieces = {name: box_pieces(model.element(name)) for name in model.elements}
     layout = Layout(at, model, pieces, ["b", "c"], robot().tip_link, {"nail": pieces["nail"]})
     assert "nail/0" not in layout.scene().names
-    assert "nail/0" not in layout.scene(WorkState({"c": layout.base_T_goal("c")})).names
-    stands = layout.scene(WorkState({"b": layout.base_T_goal("b")}))
+    assert "nail/0" not in layout.scene({"c": layout.base_T_goal("c")}).names
+    stands = layout.scene({"b": layout.base_T_goal("b")})
     assert "nail/0" in stands.names and stands.get("nail/0").fixed
 
 

@@ -9,8 +9,8 @@ import pytest
 from scene_samples import box_triangles
 from visualization_msgs.msg import Marker, MarkerArray
 
-from construction_twin.extensions.work.nodes.work_markers import COLOURS, TEXT, work_markers
-from construction_twin.extensions.work.task_board import Appearance
+from construction_twin.extensions.work.built import Appearance
+from construction_twin.extensions.work.nodes.work import COLOURS, TEXT, work_markers
 from construction_twin.kinematics.chain import Pose
 
 QUARTER = np.array([(0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)])

@@ -47,7 +47,7 @@ def test_plans_at_full_speed_are_played_to_their_ends_although_datagrams_are_los
         assert chain.run_until(over, 60.0)
         assert (chain.executor.outcome, chain.gateway.state) == ("finished", State.FOLLOWING), chain.executor.reason
         # a plan that is approved earlier waits for it, and not for ever
-        assert chain.run_until(lambda: chain.executor.lag < 0.1, 60.0)
+        assert chain.run_until(lambda: chain.executor.limit.lag < 0.1, 60.0)
         chain.run_for(0.5)
     chain.faults.end(Fault("drop"))
     # what was put off is played

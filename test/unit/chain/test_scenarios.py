@@ -26,16 +26,16 @@ from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import NANOSECONDS, from_wire, to_wire
 from construction_twin.evaluation.recording import PlayedPlan
 from construction_twin.execution.approval import Approval
-from construction_twin.execution.rehearsal_check import RehearsalCheck
 from construction_twin.extensions.physics.process import prepared
 from construction_twin.extensions.physics.rehearsal import Rehearsal
 from construction_twin.gateway.states import State
 from construction_twin.gateway.trace import TraceEntry
 from construction_twin.mock.faults import KINDS, Fault
 from construction_twin.mock.program import MockSettings, axis_angles, build_controller, joint_angles
-from construction_twin.monitor.monitor import Behaviour
+from construction_twin.monitor.settings import GateSettings
 from construction_twin.mqtt.messages import Control
 from construction_twin.planning.timing import time_path
+from construction_twin.review.rehearsal_report import RehearsalCheck
 from construction_twin.robot.plan import Plan
 from construction_twin.ros.commands.experiment import RestDetector
 from construction_twin.ros.commands.scenario import print_verdict
@@ -80,20 +80,19 @@ class ScenarioRun:
         mock = MockSettings(gateway_host="simulated", gateway_port=1, **mock_file)
         monitor = yaml.safe_load((ROOT / "config/pca_monitor.yaml").read_text()) | {"lag_margin": LAG_MARGIN}
         monitor |= content.get("pca_monitor", {})
-        behaviour = Behaviour(**{key: value for key, value in monitor.items() if key in Behaviour.model_fields})
+        gate = GateSettings(**{key: value for key, value in monitor.items() if key in GateSettings.model_fields})
         controller = build_controller(mock, ROBOT)
         self.chain = SimulatedChain(
             ROBOT,
             config,
             controller,
-            behaviour.gate_settings(True),
+            gate,
             planner=self._replan,
             restart_after=mock.restart_after,
         )
         #: What rehearses each plan; None: nothing does.
         self._rehearsal: Rehearsal | None = None
         if content.get("executor", {}).get("rehearsal") == "require":
-            self.chain.executor.rehearsal = RehearsalCheck(required=True)
             files = str(ROOT / "config/kr120_self_collision.yaml"), DRIVES
             self._rehearsal = prepared(ROBOT, *files, payload=tuple(content["rehearsal"]["payload"]))
         #: What the gateway sent.
@@ -104,6 +103,8 @@ class ScenarioRun:
         self._approval = Approval(
             chain.executor, chain.verdicts.append, nullcontext(), lambda: Moment("c0ffee00", chain.now)
         )
+        if self._rehearsal is not None:
+            self._approval.rehearsal = RehearsalCheck(required=True)
         self._ids = map(str, itertools.count(1))
         self._seen: list[Change] = []
         self._actions: list[Change] = []
@@ -201,7 +202,7 @@ class ScenarioRun:
     def _offer(self, trajectory) -> None:
         plan = self._plan(trajectory)
         if self._rehearsal is not None:
-            self.chain.executor.rehearsal.on_report(self._rehearsal.of_plan(plan, {SCENE: Scene()}, lambda: 0.0))
+            self._approval.rehearsal.on_report(self._rehearsal.of_plan(plan, {SCENE: Scene()}, lambda: 0.0))
         self.chain.executor.offer(plan)
 
     def _plan(self, trajectory) -> Plan:

@@ -16,7 +16,7 @@ from construction_twin.execution.executor import ExecutorState
 from construction_twin.gateway.states import State
 from construction_twin.link.observations import LinkState
 from construction_twin.mock.faults import Fault
-from construction_twin.monitor.gate import GateSettings
+from construction_twin.monitor.settings import GateSettings
 from construction_twin.monitor.states import SyncEvent, SyncState, Transition
 
 A3 = 2

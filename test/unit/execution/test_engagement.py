@@ -36,8 +36,8 @@ from construction_twin.execution.engagement import (
     read_engagement,
     write_engagement,
 )
-from construction_twin.execution.rehearsal_check import RehearsalCheck
-from construction_twin.monitor.gate import SyncState
+from construction_twin.monitor.states import SyncState
+from construction_twin.review.rehearsal_report import RehearsalCheck
 from construction_twin.robot.executed_path import LARGEST_ENTRY, WAY_BACK_TOLERANCE, ExecutedPath
 from construction_twin.robot.segments import Switch
 
@@ -140,14 +140,6 @@ def pose_at(share: float) -> np.ndarray:
 
 
 class TestEngaged:
-    def test_no_other_plan_can_be_reviewed(self, bench):
-        stopped_in(bench, 2)
-        other = make_plan("other", reach(bench.twin, ROBOT.home), LATER[0], bench.stamp)
-        with pytest.raises(
-            ReviewError, match="left in engaged segment 'lift' of plan w .* plan_way_back, or free the arm by hand"
-        ):
-            bench.executor.offer(other)
-
     def test_nor_started_by_an_approval_that_came_first(self, bench):
         stopped_in(bench, 2)
         plan = way_back(bench)
@@ -163,11 +155,11 @@ class TestEngaged:
 
     def test_a_required_rehearsal_never_blocks_it(self, bench):
         stopped_in(bench, 2)
-        bench.executor.rehearsal = RehearsalCheck(required=True)
+        bench.approval.rehearsal = RehearsalCheck(required=True)
         plan = way_back(bench)
         offer_back(bench, plan)
-        bench.executor.look_for_obstacle()
-        assert bench.executor.approval_obstacle == ""
+        bench.approval.look_for_obstacle()
+        assert bench.approval.obstacle == ""
         bench.review(plan.id, plan.hash, True, "Ada")
         bench.run_until_idle()
         assert bench.executor.outcome == "finished" and not bench.executor.engagement.engaged

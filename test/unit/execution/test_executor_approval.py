@@ -12,8 +12,9 @@ from executor_bench import GOAL, ROBOT, SCENE, Bench, between, make_plan, make_w
 from construction_twin.core.errors import ExpiredError, RecordError, ReviewError
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.approval import AUTO_APPROVE, SCENE_DELAY, Approval, WithoutPerson
-from construction_twin.execution.executor import START_TOLERANCE, ExecutorState
-from construction_twin.monitor.gate import SyncState
+from construction_twin.execution.executor import ExecutorState
+from construction_twin.execution.playback import START_TOLERANCE
+from construction_twin.monitor.states import SyncState
 from construction_twin.robot.trajectory import Trajectory
 
 #: Cycles in a second.
@@ -75,24 +76,18 @@ class TestApproval:
             bench.approve(plan)
         assert bench.state is ExecutorState.IDLE and bench.executor.under_review.plan is plan
 
-    def test_only_with_the_hash_that_was_looked_at(self, bench):
-        bench.executor.offer(make_plan())
-        with pytest.raises(ReviewError, match="has hash .*, not 0+; look at it again"):
-            bench.review("p", "0" * 64, True, "Ada")
-        assert bench.state is ExecutorState.IDLE
-
     @pytest.mark.parametrize("sync", [state for state in SyncState if state is not SyncState.IN_SYNC])
     def test_only_in_sync(self, bench, sync):
         bench.executor.on_sync(sync, True)
-        bench.executor.look_for_obstacle()
-        assert bench.executor.approval_obstacle == "", "no plan waits"
+        bench.approval.look_for_obstacle()
+        assert bench.approval.obstacle == "", "no plan waits"
         with pytest.raises(ReviewError, match=rf"twin and physical arm are not in sync \({sync.name}\)") as refused:
             bench.approve(make_plan())
-        bench.executor.look_for_obstacle()
-        assert bench.executor.approval_obstacle == str(refused.value)
+        bench.approval.look_for_obstacle()
+        assert bench.approval.obstacle == str(refused.value)
         bench.executor.on_sync(SyncState.IN_SYNC, True)
-        bench.executor.look_for_obstacle()
-        assert bench.executor.approval_obstacle == ""
+        bench.approval.look_for_obstacle()
+        assert bench.approval.obstacle == ""
         bench.review("p", "", True, "Ada")
         assert bench.state is ExecutorState.PLAYING
 
@@ -275,19 +270,6 @@ class TestAge:
 
         bench.record = record
 
-    @pytest.mark.parametrize("age, taken", [(0.0, True), (2.9, True), (3.1, False), (6.0, False)])
-    def test_what_lay_on_its_way_counts_from_what_the_screen_had_shown(self, bench, age, taken):
-        plan, seen = make_plan(), bench.present()
-        bench.executor.offer(plan)
-        bench.clock += round(age * NANOSECONDS)
-        if taken:
-            assert "approved" in bench.review("p", plan.hash, True, "Ada", seen=seen)
-            return
-        with pytest.raises(ExpiredError):
-            bench.review("p", plan.hash, True, "Ada", seen=seen)
-        (refused,) = bench.records
-        assert refused.verdict == "refused" and "too old" in refused.reason and bench.state is ExecutorState.IDLE
-
     def test_the_way_and_the_disk_together_may_take_no_longer(self, bench):
         plan, seen = make_plan(), bench.present()
         bench.executor.offer(plan)
@@ -338,7 +320,7 @@ class TestAge:
     @pytest.mark.parametrize("work", [False, True])
     def test_what_an_arm_that_trails_kept_from_beginning_never_begins_by_itself(self, bench, work):
         bench.with_tool()
-        bench.executor.trail(2.0)
+        bench.executor.limit.trail(2.0)
         bench.play(make_work_plan() if work else make_plan(), SECOND * 34 // 10)
         assert bench.state is ExecutorState.IDLE and bench.executor.outcome == "stopped"
         assert "not begun, waits on the path until the arm has caught up" in bench.executor.reason
@@ -348,7 +330,7 @@ class TestAge:
     def test_what_a_speed_limit_kept_from_moving_never_begins_by_itself(self, bench, work, limit):
         plan = make_work_plan() if work else make_plan()
         bench.with_tool()
-        bench.executor.limit_rate(limit, "speed limit 0 by /scanner: somebody is near")
+        bench.executor.limit.take(limit, "speed limit 0 by /scanner: somebody is near")
         bench.play(plan, SECOND * 29 // 10)
         assert bench.state is ExecutorState.PLAYING
         bench.run(SECOND // 2)
@@ -356,16 +338,16 @@ class TestAge:
         assert "not begun, speed limit 0 by /scanner: somebody is near: an approval is void after 3 s" in (
             bench.executor.reason
         )
-        bench.executor.limit_rate(1.0)
+        bench.executor.limit.take(1.0)
         bench.run(SECOND)
         assert np.abs(np.array(bench.outputs[3:]) - ROBOT.home).max() < START_TOLERANCE
 
     @pytest.mark.parametrize("limit", [0.005, 0.02])
     def test_what_moves_slowly_goes_on(self, bench, limit):
-        bench.executor.limit_rate(limit, "somebody is near")
+        bench.executor.limit.take(limit, "somebody is near")
         bench.play(make_plan(), 4 * SECOND)
         assert bench.state is ExecutorState.PLAYING
-        bench.executor.limit_rate(1.0)
+        bench.executor.limit.take(1.0)
         bench.run_until_idle()
         assert bench.executor.outcome == "finished"
 
@@ -394,22 +376,16 @@ class TestAge:
         assert bench.state is ExecutorState.PLAYING
 
     def test_what_has_begun_to_move_within_its_time_goes_on_after_it(self, bench):
-        bench.executor.limit_rate(0.0, "somebody is near")
+        bench.executor.limit.take(0.0, "somebody is near")
         bench.play(make_plan(), SECOND * 29 // 10)
-        bench.executor.limit_rate(1.0)
+        bench.executor.limit.take(1.0)
         bench.run(10)
-        bench.executor.limit_rate(0.0, "somebody is near")
+        bench.executor.limit.take(0.0, "somebody is near")
         bench.run(5 * SECOND)
         assert bench.state is ExecutorState.PLAYING and bench.executor.limit.standing
-        bench.executor.limit_rate(1.0)
+        bench.executor.limit.take(1.0)
         bench.run_until_idle()
         assert bench.executor.outcome == "finished"
-
-    def test_a_rejection_is_never_too_old(self, bench):
-        plan, seen = make_plan(), bench.present()
-        bench.executor.offer(plan)
-        bench.clock += 3600 * NANOSECONDS
-        assert "rejected by Ada" in bench.review("p", plan.hash, False, "Ada", seen=seen)
 
     def test_nothing_is_approved_by_itself_long_after_it_could(self, bench):
         bench.executor.offer(make_plan())

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from construction_twin.core.errors import ExecutionError, MotionRefused, ReviewError
 from construction_twin.core.limits import MotionCheck, MotionLimits
 from construction_twin.core.units import CYCLE, CYCLE_NS
-from construction_twin.execution.executor import START_TOLERANCE, ExecutorState
-from construction_twin.monitor.gate import SyncState
+from construction_twin.execution.executor import ExecutorState
+from construction_twin.execution.playback import START_TOLERANCE
+from construction_twin.monitor.states import SyncState
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.trajectory import Trajectory
@@ -130,10 +131,10 @@ class TestHeld:
 
     @pytest.mark.parametrize("limit", [0.0, 1e-3])
     def test_what_was_held_before_it_moved_does_not_begin_when_its_approval_is_void(self, bench, limit):
-        bench.executor.limit_rate(limit, "somebody is near")
+        bench.executor.limit.take(limit, "somebody is near")
         last = hold(bench, 10)
         assert bench.state is HELD
-        bench.executor.limit_rate(1.0)
+        bench.executor.limit.take(1.0)
         bench.run(round(3.0 / CYCLE))
         assert bench.state is not HELD and bench.executor.outcome == "stopped"
         assert "not begun, the gate holds (HOLDING): an approval is void after 3 s" in bench.executor.reason
@@ -297,7 +298,7 @@ def act(bench: HoldBench, action) -> None:
         except ExecutionError:
             assert bench.state is not PLAYING
     elif isinstance(action, float):
-        bench.executor.limit_rate(action, "test")
+        bench.executor.limit.take(action, "test")
 
 
 def play_with(bench: HoldBench, actions) -> None:
@@ -307,7 +308,7 @@ def play_with(bench: HoldBench, actions) -> None:
         before, opened = bench.twin, bench.open
         bench.run(cycles)
         assert opened or bench.twin == before
-    bench.executor.limit_rate(1.0)
+    bench.executor.limit.take(1.0)
     for _ in range(20_000):
         if bench.state is IDLE:
             return

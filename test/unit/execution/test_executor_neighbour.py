@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from construction_twin.core.errors import ReviewError
 from construction_twin.core.units import CYCLE_NS
-from construction_twin.execution.conflict_verdicts import VERDICT_TIMEOUT, ConflictVerdicts
+from construction_twin.execution.approval import VERDICT_TIMEOUT, ConflictVerdicts
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.review.plan_under_review import Ending
 
@@ -21,7 +21,7 @@ class Beside(Bench):
 
     def __init__(self):
         super().__init__()
-        self.executor.neighbour = ConflictVerdicts("b")
+        self.approval.neighbour = ConflictVerdicts("b")
         self.verdict: str | None = ""
         self.plan = make_plan()
 
@@ -30,8 +30,9 @@ class Beside(Bench):
             self.say(self.verdict)
         return super().step()
 
-    def say(self, problem: str) -> None:
-        self.executor.on_conflict(self.plan.id, problem, self.stamp)
+    def say(self, problem: str, plan_id: str = "") -> None:
+        self.approval.neighbour.on_verdict(plan_id or self.plan.id, problem, self.stamp)
+        self.executor.on_conflict(plan_id or self.plan.id, problem)
 
     def offered(self) -> Beside:
         self.ready()
@@ -107,12 +108,12 @@ def test_a_watch_that_has_fallen_silent_lets_nothing_start():
 def test_a_verdict_on_another_plan_is_none():
     bench = Beside().offered()
     bench.verdict = None
-    bench.executor.on_conflict("another", "", bench.stamp)
+    bench.say("", "another")
     with pytest.raises(ReviewError, match="not checked against b"):
         bench.approve()
     bench.say("")
     bench.approve()
-    bench.executor.on_conflict("another", PROBLEM, bench.stamp)
+    bench.say(PROBLEM, "another")
     bench.run_until_idle()
     assert bench.executor.outcome == "finished"
 

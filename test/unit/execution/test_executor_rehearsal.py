@@ -11,10 +11,9 @@ from construction_twin.core.errors import ReviewError
 from construction_twin.core.sentences import Sentence
 from construction_twin.execution.approval import AUTO_APPROVE
 from construction_twin.execution.executor import ExecutorState
-from construction_twin.execution.rehearsal_check import RehearsalCheck
 from construction_twin.monitor.states import SyncState
 from construction_twin.review.plan_under_review import NOT_REHEARSED, Rehearsed
-from construction_twin.review.rehearsal_report import BROKEN, FAILED, PASSED, RehearsalReport
+from construction_twin.review.rehearsal_report import BROKEN, FAILED, PASSED, RehearsalCheck, RehearsalReport
 
 #: What simulated.
 ENGINE = "MuJoCo 4.0.0"
@@ -31,7 +30,7 @@ def report_of(plan, state=PASSED, **changes) -> RehearsalReport:
 @pytest.fixture
 def bench() -> Bench:
     bench = Bench()
-    bench.executor.rehearsal = RehearsalCheck(required=True, tool="t")
+    bench.approval.rehearsal = RehearsalCheck(required=True, tool="t")
     return bench.ready()
 
 
@@ -39,7 +38,7 @@ def offered(bench, report=None):
     plan = make_plan()
     bench.executor.offer(plan)
     if report is not None:
-        bench.executor.rehearsal.on_report(report(plan))
+        bench.approval.rehearsal.on_report(report(plan))
     return plan
 
 
@@ -68,12 +67,12 @@ class TestRequired:
     )
     def test_nothing_else_is_approved_and_the_refusal_is_on_record(self, bench, report, words):
         plan = offered(bench, report)
-        bench.executor.look_for_obstacle()
-        obstacle = bench.executor.approval_obstacle
-        assert isinstance(obstacle, Sentence) and words in obstacle and bench.executor.overridable
+        bench.approval.look_for_obstacle()
+        obstacle = bench.approval.obstacle
+        assert isinstance(obstacle, Sentence) and words in obstacle and bench.approval.overridable
         bench.executor.on_sync(SyncState.HOLDING, True)
-        bench.executor.look_for_obstacle()
-        assert bench.executor.approval_obstacle != obstacle and not bench.executor.overridable
+        bench.approval.look_for_obstacle()
+        assert bench.approval.obstacle != obstacle and not bench.approval.overridable
         bench.executor.on_sync(SyncState.IN_SYNC, True)
         with pytest.raises(ReviewError, match=words):
             bench.review(plan.id, plan.hash, True, "Ada")
@@ -82,7 +81,7 @@ class TestRequired:
 
     def test_the_newest_result_of_a_plan_counts(self, bench):
         plan = offered(bench, report_of)
-        bench.executor.rehearsal.on_report(report_of(plan, FAILED))
+        bench.approval.rehearsal.on_report(report_of(plan, FAILED))
         with pytest.raises(ReviewError, match=f"has failed its rehearsal: {WHY}"):
             bench.review(plan.id, plan.hash, True, "Ada")
 
@@ -91,7 +90,7 @@ class TestRequired:
 
         def disk(record):
             bench.records.append(record)
-            bench.executor.rehearsal.on_report(report_of(plan, FAILED))
+            bench.approval.rehearsal.on_report(report_of(plan, FAILED))
 
         bench.record = disk
         with pytest.raises(ReviewError, match=f"has failed its rehearsal: {WHY}"):
@@ -106,21 +105,21 @@ class TestRequired:
     def test_results_of_other_plans_are_forgotten_only_behind_the_newest(self, bench):
         plan = offered(bench, report_of)
         for number in range(3):
-            bench.executor.rehearsal.on_report(report_of(make_plan(f"q{number}")))
-        assert bench.executor.rehearsal.of(plan) is not None
-        bench.executor.rehearsal.on_report(report_of(make_plan("q4")))
-        assert bench.executor.rehearsal.of(plan) is None
+            bench.approval.rehearsal.on_report(report_of(make_plan(f"q{number}")))
+        assert bench.approval.rehearsal.of(plan) is not None
+        bench.approval.rehearsal.on_report(report_of(make_plan("q4")))
+        assert bench.approval.rehearsal.of(plan) is None
 
     def test_what_needs_no_person_waits_for_it_and_is_withdrawn_when_it_fails(self, bench):
         plan = offered(bench)
         assert bench.approval.approve_by_itself(bench.stamp) is None
         assert bench.executor.under_review.plan is plan
-        bench.executor.rehearsal.on_report(report_of(plan, FAILED))
+        bench.approval.rehearsal.on_report(report_of(plan, FAILED))
         assert bench.approval.approve_by_itself(bench.stamp) is None
         assert bench.executor.under_review.plan is None and bench.state is ExecutorState.IDLE
         passed = make_plan("q")
         bench.executor.offer(passed)
-        bench.executor.rehearsal.on_report(report_of(passed))
+        bench.approval.rehearsal.on_report(report_of(passed))
         taken = bench.approval.approve_by_itself(bench.stamp)
         assert taken is not None and taken.reviewer == AUTO_APPROVE
 
@@ -171,7 +170,7 @@ class TestOverride:
 
         def disk(record):
             bench.records.append(record)
-            bench.executor.rehearsal.on_report(report_of(plan, state, hash="2nd"))
+            bench.approval.rehearsal.on_report(report_of(plan, state, hash="2nd"))
 
         bench.record = disk
         with pytest.raises(ReviewError, match=words):
@@ -214,7 +213,7 @@ class TestOverride:
 class TestAdvised:
     def test_a_failed_rehearsal_is_on_record_and_holds_nothing_back(self):
         bench = Bench()
-        bench.executor.rehearsal = RehearsalCheck(tool="t")
+        bench.approval.rehearsal = RehearsalCheck(tool="t")
         bench.ready()
         plan = offered(bench, lambda plan: report_of(plan, FAILED))
         bench.review(plan.id, plan.hash, True, "Ada")

@@ -24,11 +24,19 @@ from construction_twin.core.errors import ExecutionError, ReviewError
 from construction_twin.core.freshness import LIFETIME
 from construction_twin.core.reports import ToolReport
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
-from construction_twin.execution.boundary import FIRE_TIMEOUT, LEAD, SCENE_TIMEOUT, ToolOrder
 from construction_twin.execution.executor import ExecutorState
-from construction_twin.execution.segment_run import NO_ARM, RECORD_TIMEOUT, SegmentRun
+from construction_twin.execution.segment_run import (
+    FIRE_TIMEOUT,
+    LEAD,
+    NO_ARM,
+    RECORD_TIMEOUT,
+    SCENE_TIMEOUT,
+    SegmentRun,
+    ToolOrder,
+)
 from construction_twin.execution.states import ACTIVE
-from construction_twin.monitor.gate import RESUME, SyncState
+from construction_twin.monitor.settings import RESUME
+from construction_twin.monitor.states import SyncState
 from construction_twin.review.plan_under_review import Verdict
 from construction_twin.robot.segments import Segment, Switch
 
@@ -63,7 +71,7 @@ class TestPlayedThrough:
     @pytest.mark.parametrize("fraction", [0.3, 0.77])
     def test_under_a_speed_limit_it_rests_exactly_at_each_end(self, bench, fraction):
         plan = make_work_plan()
-        bench.executor.limit_rate(fraction)
+        bench.executor.limit.take(fraction)
         bench.approve(plan)
         for number in range(4):
             bench.run_to_end_of(number)
@@ -244,8 +252,8 @@ class TestBoundary:
     @pytest.mark.parametrize(
         "stands, goes_on",
         [
-            (lambda executor: executor.limit_rate(0.0, "somebody is near"), lambda executor: executor.limit_rate(1.0)),
-            (lambda executor: executor.trail(2.0), lambda executor: executor.trail(0.1)),
+            (lambda executor: executor.limit.take(0.0, "somebody is near"), lambda executor: executor.limit.take(1.0)),
+            (lambda executor: executor.limit.trail(2.0), lambda executor: executor.limit.trail(0.1)),
         ],
         ids=["speed limit of 0", "arm that trails"],
     )
@@ -263,10 +271,10 @@ class TestBoundary:
         bench.approve(make_work_plan())
         bench.run_to_end_of(1)
         bench.run(3)
-        bench.executor.limit_rate(0.0, "somebody is near")
+        bench.executor.limit.take(0.0, "somebody is near")
         bench.run(1500)
         assert bench.tool.fired == [] and bench.state is ExecutorState.AT_BOUNDARY
-        bench.executor.limit_rate(1.0)
+        bench.executor.limit.take(1.0)
         bench.run_into(2)
         assert [order.id for order in bench.tool.orders] == ["w/1/0/1", "", "w/1/0/2"]
         assert bench.tool.fired == [("vacuum", True)]
@@ -276,14 +284,14 @@ class TestBoundary:
         plan = make_work_plan()
         bench.executor.offer(plan)
         known = bench.executor.tool
-        assert known.known and bench.executor.is_ready()
+        assert known.known and bench.approval.is_ready()
         bench.executor.on_tool(ToolReport(), bench.stamp)
-        assert not bench.executor.is_ready()
+        assert not bench.approval.is_ready()
         bench.executor.on_tool(known, bench.stamp)
-        assert bench.executor.is_ready()
+        assert bench.approval.is_ready()
         # without an arm it will never be known: then it is refused, not waited for
         bench.executor.on_tool(ToolReport(reason=NO_ARM), bench.stamp)
-        assert bench.executor.is_ready()
+        assert bench.approval.is_ready()
 
     def test_a_confirmation_that_reads_so_before_the_switch_confirms_nothing(self, bench):
         bench.approve(make_work_plan(segment_1={"requires": ()}))
@@ -579,9 +587,9 @@ EVENTS = {
     "lost": lambda bench: setattr(bench.tool, "inputs", {"gripped": False}),
     "broken": lambda bench: setattr(bench.tool, "works", False),
     "unknown": lambda bench: setattr(bench.tool, "known", False),
-    "slow": lambda bench: bench.executor.limit_rate(0.3),
-    "still": lambda bench: bench.executor.limit_rate(0.0),
-    "fast": lambda bench: bench.executor.limit_rate(1.0),
+    "slow": lambda bench: bench.executor.limit.take(0.3),
+    "still": lambda bench: bench.executor.limit.take(0.0),
+    "fast": lambda bench: bench.executor.limit.take(1.0),
 }
 #: Most of what happens is that time passes.
 HAPPENINGS = st.lists(st.tuples(st.integers(0, 260), st.sampled_from(sorted(EVENTS))), min_size=1, max_size=12)

@@ -52,13 +52,6 @@ class TestStop:
         assert (bench.state, bench.executor.outcome) == (ExecutorState.IDLE, "stopped")
         assert set(bench.run(100)) == {ROBOT.home}
 
-    def test_takes_the_waiting_plan_out_of_review(self, bench):
-        plan = make_plan()
-        bench.executor.offer(plan)
-        assert "nothing is playing" in bench.executor.stop(bench.stamp)
-        with pytest.raises(ReviewError, match="was decided already or withdrawn"):
-            bench.review(plan.id, plan.hash, True, "Ada")
-
     def test_a_plan_asked_for_before_the_stop_is_void_when_it_arrives(self, bench):
         bench.executor.stop(bench.stamp)
         with pytest.raises(ReviewError, match="plan p was asked for before the last stop, pause"):

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from construction_twin.core.units import CYCLE
-from construction_twin.execution.path_progress import Progress
+from construction_twin.execution.playback import Progress
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.trajectory import Trajectory
 

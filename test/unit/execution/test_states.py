@@ -17,7 +17,8 @@ from construction_twin.execution.states import (
     ExecutorState,
     Guard,
 )
-from construction_twin.monitor.gate import RESUME, SyncState
+from construction_twin.monitor.settings import RESUME
+from construction_twin.monitor.states import SyncState
 
 
 def test_every_state_event_guard_and_action_means_something():

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from construction_twin.core.units import CYCLE
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.execution.playback import SETPOINTS_AT_ONCE, StoppingForecast, StoppingPath, distance_along
-from construction_twin.monitor.gate import SyncState
+from construction_twin.monitor.states import SyncState
 
 
 def way(rows) -> np.ndarray:
@@ -53,9 +53,9 @@ def test_ways_there_and_back_add_up():
 def test_the_motion_after_a_stop_is_the_stated_one(seed, waypoints, span, fraction, rate, lag):
     motion = limited_motion(np.random.default_rng(seed), waypoints, span)
     bench = Bench().ready()
-    bench.executor.limit_rate(rate)
+    bench.executor.limit.take(rate)
     bench.play(make_plan(motion=motion), 1 + int(fraction * motion.duration / CYCLE))
-    bench.executor.trail(lag)
+    bench.executor.limit.trail(lag)
     if bench.state is not ExecutorState.PLAYING:
         return
     bench.executor.stop(bench.stamp)
@@ -74,7 +74,7 @@ def test_looking_ahead_changes_nothing():
     with_it, without = Bench().ready(), Bench().ready()
     for bench in (with_it, without):
         bench.play(make_plan(), 250)
-        bench.executor.limit_rate(0.5)
+        bench.executor.limit.take(0.5)
         bench.run(5)
         bench.executor.stop(bench.stamp)
         if bench is with_it:
@@ -86,7 +86,7 @@ def test_looking_ahead_changes_nothing():
 def test_looking_ahead_pauses_again_and_again_for_those_who_wait():
     bench = Bench().ready()
     bench.play(make_plan(), 250)
-    bench.executor.trail(0.2)
+    bench.executor.limit.trail(0.2)
     bench.executor.stop(bench.stamp)
     pauses = []
     forecast = bench.executor.braking().forecast(lambda: pauses.append(1))

@@ -48,7 +48,7 @@ PARTS = {
     "reply's encoder": lambda service: (service.controller.encoder, "encode"),
     "reply's socket": lambda service: (service.controller, "_send"),
     "state publisher": lambda service: (service.mqtt.polled.client, "send_stream"),
-    "state's codec": lambda service: (service.gateway._states, "message"),
+    "state's codec": lambda service: (service.gateway.codec, "encode"),
     "status": lambda service: (service.gateway, "status"),
     "status publisher": lambda service: (service.mqtt.polled.client, "publish"),
     "status clock": lambda service: (service.mqtt.status_clock, "is_due"),

@@ -85,7 +85,7 @@ class TestEveryMoment:
         bench = begun("stopped")
         STOPS[route](bench)
         bench.run(early / 1000)
-        shown = bench.supervisor.status["fault_number"] == bench.gateway.fault_number
+        shown = bench.supervisor.inputs.status["fault_number"] == bench.gateway.fault_number
         assert shown == (early * MS >= bench.down) or early in (16, 20)
         bench.reset()
         if shown:
@@ -158,7 +158,7 @@ class TestNumbers:
         bench.run(1.0)
         assert bench.supervisor.inputs.on_status(old, bench.now).startswith("an old status, of stop 0 after stop 1")
         bench.supervisor.poll(bench.now)
-        assert bench.link is LinkState.NEEDS_RESET and bench.supervisor.status["fault"]
+        assert bench.link is LinkState.NEEDS_RESET and bench.supervisor.inputs.status["fault"]
 
 
 class TestRestart:

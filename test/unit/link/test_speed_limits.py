@@ -82,12 +82,6 @@ def test_people_limit_beside_a_program_that_is_required_and_was_never_heard():
     assert (in_force(limits), limits.report(START).by) == (SILENT, "program")
 
 
-def test_lowering_acts_at_once():
-    limits = made()
-    set_(limits, 0.8, 1.0)
-    assert limits.people.limit == 0.8 == in_force(limits, 1.0)
-
-
 def test_who_lowers_raises_nothing_and_who_raises_lowers_nothing():
     limits = made()
     set_(limits, 0.3, 1.0)

@@ -6,14 +6,10 @@ import math
 import re
 
 import pytest
-from gate_bench import CODEC, FIRST_STEP, LIMITS, SETTINGS, START, Bench, moved
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from gate_bench import CODEC, FIRST_STEP, SETTINGS, START, Bench, moved
 
-from construction_twin.core.limits import MotionCheck
 from construction_twin.core.sentences import told
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
-from construction_twin.monitor.gate import Gate, GateSettings
 from construction_twin.monitor.states import SyncState
 from construction_twin.mqtt.joint_string import JointStringCodec
 
@@ -95,7 +91,7 @@ class TestOpening:
         assert bench.cycle(moved(START, FIRST_STEP)) == CODEC.quantise(moved(START, FIRST_STEP))
 
     def test_without_an_arm_only_the_motion_is_checked(self):
-        bench = Bench(GateSettings(compares=False))
+        bench = Bench(compares=False)
         bench.feedback = False
         assert bench.cycle() == START and bench.state is SyncState.IN_SYNC
         bench.gate.watch(bench.stamp + NANOSECONDS)
@@ -260,95 +256,3 @@ class TestRestart:
         bench.stamp = 5 * CYCLE_NS
         bench.run(0.2)
         assert bench.state is SyncState.IN_SYNC
-
-
-steps = st.fixed_dictionaries(
-    {
-        "cycles": st.sampled_from([1, 1, 1, 1, 2, 5, 0]),
-        "repeat": st.integers(1, 40),
-        "feedback": st.sampled_from(["agrees", "agrees", "agrees", "lags", "differs", "none"]),
-        "twin": st.sampled_from(["executes", "executes", "executes", "still"]),
-        "next": st.sampled_from(["accelerate", "accelerate", "repeat", "repeat", "reverse", "jump", "outside", "nan"]),
-        "fraction": st.floats(-1.2, 1.2),
-        "restart": st.sampled_from([False] * 20 + [True]),
-    }
-)
-
-
-class Interleaving:
-    """Feeds a gate whatever comes, and checks what it lets out with a motion check of its own."""
-
-    def __init__(self, decimals: int, compares: bool):
-        self.codec = JointStringCodec(2, decimals)
-        often = GateSettings(agree_time=0.02, compares=compares, escalate_count=1000)
-        self.gate = Gate(LIMITS, self.codec, often)
-        self.check = MotionCheck(LIMITS, decimals)
-        self.decimals = decimals
-        self.stamp = 1000 * CYCLE_NS
-        self.twin = self.target = self.codec.quantise((1.7, 0.9))
-        self.step = (0.0, 0.0)
-        self.last = None
-        self.newest = 0
-        self.passed = 0
-
-    def play(self, op: dict) -> None:
-        if op["restart"]:
-            self.gate.restart("test", self.stamp)
-            self.last, self.newest = None, 0
-        for _ in range(op["repeat"]):
-            self.stamp += op["cycles"] * CYCLE_NS
-            self.gate.on_twin(self.stamp - CYCLE_NS, self.twin)
-            if op["feedback"] != "none":
-                error = {"agrees": 0.0, "lags": 0.0079, "differs": 0.5}[op["feedback"]]
-                self.gate.on_physical(moved(self.twin, error), 0, self.stamp)
-            command = self.gate.pass_next(self.stamp, self.next_setpoint(op), self.stamp)
-            self.verify(command)
-            if command is not None and op["twin"] == "executes":
-                self.twin = command
-
-    def next_setpoint(self, op: dict) -> tuple[float, ...]:
-        base = self.last or self.twin
-        period = max(op["cycles"], 1) * CYCLE
-        gained = tuple(op["fraction"] * a * CYCLE * CYCLE for a in LIMITS.acceleration)
-        if op["next"] == "accelerate":
-            self.step = tuple(s + g for s, g in zip(self.step, gained))
-        elif op["next"] == "reverse":
-            self.step = tuple(-s for s in self.step)
-        else:
-            self.step = (0.0, 0.0)
-        special = {"jump": moved(base, op["fraction"]), "outside": (2.1, base[1]), "nan": (math.nan, base[1])}
-        self.target = tuple(b + s * period / CYCLE for b, s in zip(base, self.step))
-        return special.get(op["next"], self.target)
-
-    def verify(self, command) -> None:
-        if self.stamp <= self.newest:
-            assert command is None
-            return
-        self.newest = self.stamp
-        if command is None:
-            assert self.gate.state is SyncState.WAITING
-            return
-        assert self.codec.quantise(command) == command
-        if self.gate.state is not SyncState.IN_SYNC:
-            assert command == self.last
-        if self.last is None:
-            self.check.start(self.stamp - CYCLE_NS, self.codec.quantise(self.twin))
-        self.check.accept(self.stamp, command)
-        self.passed += command != self.last
-        self.last = command
-
-
-@settings(max_examples=150, deadline=None)
-@given(st.sampled_from([3, 6]), st.booleans(), st.lists(steps, min_size=1, max_size=30))
-def test_whatever_comes_in_only_an_executable_stream_or_the_held_pose_goes_out(decimals, compares, ops):
-    world = Interleaving(decimals, compares)
-    for op in ops:
-        world.play(op)
-
-
-def test_the_interleaving_above_can_move_the_robot():
-    world = Interleaving(6, True)
-    calm = {"cycles": 1, "feedback": "agrees", "twin": "executes", "restart": False, "fraction": -0.5}
-    world.play(calm | {"repeat": 20, "next": "repeat"})
-    world.play(calm | {"repeat": 100, "next": "accelerate"})
-    assert world.passed == 101

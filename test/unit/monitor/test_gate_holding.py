@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import pytest
@@ -11,7 +10,8 @@ from gate_bench import CODEC, LIMITS, SETTINGS, START, Bench, moved, states
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
-from construction_twin.monitor.gate import REST, Gate, GateSettings
+from construction_twin.monitor.gate import REST, Gate
+from construction_twin.monitor.settings import GateSettings
 from construction_twin.monitor.states import SyncEvent, SyncState
 
 
@@ -30,12 +30,12 @@ def held_often(gate: Gate) -> tuple[int, float]:
 
 class TestThresholds:
     def test_one_value_holds_for_all_joints_and_others_are_given_by_name(self):
-        settings = GateSettings(threshold=0.02, thresholds={"joint_a2": 0.005}).comparison(LIMITS)
+        settings = GateSettings(threshold=0.02, thresholds={"joint_a2": 0.005}).compared(LIMITS)
         assert settings.threshold == (0.02, 0.005)
 
     def test_linear_joints_have_a_value_of_their_own(self):
         limits = MotionLimits(("joint_a1", "track"), (-2.0, 0.0), (2.0, 3.0), (2.0, 1.0), (3.0, 1.0), (False, True))
-        assert GateSettings(threshold=0.02, threshold_linear=0.003).comparison(limits).threshold == (0.02, 0.003)
+        assert GateSettings(threshold=0.02, threshold_linear=0.003).compared(limits).threshold == (0.02, 0.003)
 
     def test_a_name_that_is_no_joint_is_refused(self):
         with pytest.raises(ConfigurationError, match="joint_a9"):
@@ -73,7 +73,7 @@ class TestThresholds:
         gate = bench().gate
         before = gate.settings
         if stopped:
-            gate.stay_stopped("by an earlier monitor", gate.held_stamp)
+            gate.fire(SyncEvent.STOPPED_BEFORE, "by an earlier monitor", gate.held_stamp)
         gate.mirror(True, gate.held_stamp)
         with pytest.raises(ConfigurationError, match="the gate.*an arm that does not: it can move at any moment"):
             gate.configure(GateSettings(threshold=0.3), "Ada", gate.held_stamp)
@@ -181,7 +181,7 @@ class TestPolicy:
     def test_a_closed_gate_keeps_the_settings_that_it_closed_with(self):
         cell = bench(policy="resume")
         cell.gate.on_physical(moved(START, 0.2), 0, cell.stamp)
-        stricter = dataclasses.replace(cell.gate.settings, policy="stop")
+        stricter = cell.gate.settings.model_copy(update={"policy": "stop"})
         with pytest.raises(ConfigurationError, match="HOLDING"):
             cell.gate.configure(stricter, "Ada", cell.stamp)
         assert cell.gate.policy == "resume"
@@ -197,30 +197,31 @@ class TestPolicy:
         assert command != START and gate.state is SyncState.IN_SYNC
         for now in (stamp, stamp + REST - 1):
             with pytest.raises(ConfigurationError, match="the gate.*a command that has not changed for"):
-                gate.configure(dataclasses.replace(gate.settings, threshold=0.3), "Ada", now)
-        gate.configure(dataclasses.replace(gate.settings, threshold=0.3), "Ada", stamp + REST)
+                gate.configure(gate.settings.model_copy(update={"threshold": 0.3}), "Ada", now)
+        gate.configure(gate.settings.model_copy(update={"threshold": 0.3}), "Ada", stamp + REST)
         assert gate.settings.threshold == 0.3
 
     def test_a_re_plan_is_a_state_of_its_own_until_the_poses_agree(self):
         cell = bench()
         cell.gate.on_physical(moved(START, 0.2), 0, cell.stamp)
-        assert cell.gate.on_replan("asked", cell.stamp) and not cell.gate.on_replan("again", cell.stamp)
+        asked = [cell.gate.fire(SyncEvent.REPLAN_ASKED, words, cell.stamp) for words in ("asked", "again")]
+        assert asked == [True, False]
         cell.run(0.2)
         expected = [("pose_differs", "HOLDING"), ("replan_asked", "REPLANNING"), ("opened", "IN_SYNC")]
         assert states(cell.gate) == expected
-        assert not cell.gate.on_replan_failed("too late", cell.stamp)
+        assert not cell.gate.fire(SyncEvent.REPLAN_FAILED, "too late", cell.stamp)
 
     def test_a_re_plan_that_fails_leaves_it_holding(self):
         cell = bench()
         cell.gate.on_physical(moved(START, 0.2), 0, cell.stamp)
-        cell.gate.on_replan("asked", cell.stamp)
-        assert cell.gate.on_replan_failed("no path found", cell.stamp)
+        cell.gate.fire(SyncEvent.REPLAN_ASKED, "asked", cell.stamp)
+        assert cell.gate.fire(SyncEvent.REPLAN_FAILED, "no path found", cell.stamp)
         assert (cell.state, cell.gate.reason) == (SyncState.HOLDING, "no path found")
 
     def test_nobody_plans_around_a_fault(self):
         cell = bench()
         cell.cycle(moved(START, 1.0))
-        assert cell.state is SyncState.FAULT and not cell.gate.on_replan("asked", cell.stamp)
+        assert cell.state is SyncState.FAULT and not cell.gate.fire(SyncEvent.REPLAN_ASKED, "asked", cell.stamp)
 
 
 def close(cell: Bench, cause: str) -> None:
@@ -237,7 +238,7 @@ def close(cell: Bench, cause: str) -> None:
     else:
         cell.offset = 0.2
         cell.cycle()
-        cell.gate.on_replan("asked", cell.stamp)
+        cell.gate.fire(SyncEvent.REPLAN_ASKED, "asked", cell.stamp)
 
 
 class TestCause:
@@ -254,8 +255,8 @@ class TestCause:
         cause = gate.cause
         assert cause.sentence.startswith("A1 differs by ") and cause.since == since
         for happens, state in (
-            (lambda: gate.on_replan("asked", cell.stamp), SyncState.REPLANNING),
-            (lambda: gate.on_replan_failed("no path found", cell.stamp), SyncState.HOLDING),
+            (lambda: gate.fire(SyncEvent.REPLAN_ASKED, "asked", cell.stamp), SyncState.REPLANNING),
+            (lambda: gate.fire(SyncEvent.REPLAN_FAILED, "no path found", cell.stamp), SyncState.HOLDING),
             (lambda: cell.run(0.6), SyncState.STOPPED),
         ):
             happens()
@@ -362,7 +363,7 @@ class TestEscalation:
             cell.feedback = False
             cell.run(0.2)
             if replans:
-                assert cell.gate.on_replan("asked", cell.stamp)
+                assert cell.gate.fire(SyncEvent.REPLAN_ASKED, "asked", cell.stamp)
             cell.feedback, cell.offset = True, 0.2
             cell.run(0.1)
             assert (cell.state is SyncState.STOPPED) is (left == 0)
@@ -383,7 +384,7 @@ class TestStoppedBefore:
     def test_begins_stopped_and_only_a_new_session_leads_out(self):
         cell = Bench()
         cell.gate.take_transitions()
-        cell.gate.stay_stopped("it was STOPPED before", cell.stamp)
+        cell.gate.fire(SyncEvent.STOPPED_BEFORE, "it was STOPPED before", cell.stamp)
         assert states(cell.gate) == [("stopped_before", "STOPPED")]
         assert set(cell.run(1.0)) == {None} and cell.state is SyncState.STOPPED
         cell.gate.restart("new command session", cell.stamp)
@@ -419,4 +420,4 @@ class TestMirror:
 def test_a_setpoint_every_cycle_costs_no_transition():
     cell = bench()
     cell.run(250 * CYCLE)
-    assert not cell.gate.changed
+    assert not cell.gate.transitions

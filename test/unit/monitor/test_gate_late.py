@@ -9,7 +9,7 @@ from gate_bench import CODEC, SETTINGS, START, Bench, moved, states
 
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.monitor.comparison import KEPT, RoundTrips
-from construction_twin.monitor.gate import GateSettings
+from construction_twin.monitor.settings import GateSettings
 from construction_twin.monitor.states import SyncEvent, SyncState
 
 

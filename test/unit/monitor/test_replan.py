@@ -9,7 +9,7 @@ from construction_twin.monitor.monitor import KEPT, Monitor, ReplanGoal
 
 
 def monitor() -> Monitor:
-    return Monitor(None, None, ())
+    return Monitor(None, ())
 
 
 def test_asks_for_the_goal_of_what_plays_at_its_largest_shares():
@@ -19,14 +19,6 @@ def test_asks_for_the_goal_of_what_plays_at_its_largest_shares():
     assert goals.interrupted is None
     goals.on_execution("a", "", True, "c0ffee00-7")
     assert goals.interrupted == ReplanGoal("a", (0.1, 0.2), 0.2, 1.0, "c0ffee00-7")
-
-
-def test_what_a_person_stopped_or_paused_is_not_taken_up():
-    goals = monitor()
-    goals.on_plan("a", [0.1], [0.2], [0.3])
-    goals.on_execution("a", "", True, "c0ffee00-7")
-    goals.on_execution("a", "", False, "c0ffee00-7")
-    assert goals.interrupted is None
 
 
 def test_a_played_plan_is_remembered_however_many_are_offered():

@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 
 from construction_twin.core.units import CYCLE, CYCLE_NS
 from construction_twin.monitor.gate import Gate
-from construction_twin.monitor.servo_watch import LONGEST_GAP, ServoWatch
+from construction_twin.monitor.servo_watch import ENOUGH, LONGEST_GAP, ServoWatch
 from construction_twin.monitor.states import SyncEvent, SyncState
 from construction_twin.servo.model import STEADY, JointServo, ServoModel, ServoState
-from construction_twin.servo.refine import ENOUGH
 
 MODEL = ServoModel(("joint_a1", "joint_a2"), (JointServo(60.0, 0.8), JointServo(40.0, 1.0, 1.3)), CYCLE_NS)
 THRESHOLD = (0.01, 0.01)

@@ -8,11 +8,11 @@ import pytest
 import yaml
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.monitor.monitor import Behaviour
+from construction_twin.monitor.settings import GateSettings
 
 FILE = Path(__file__).resolve().parents[3] / "config/pca_monitor.yaml"
-BEHAVIOUR = Behaviour.model_validate(
-    {name: value for name, value in yaml.safe_load(FILE.read_text()).items() if name in Behaviour.model_fields}
+BEHAVIOUR = GateSettings.model_validate(
+    {name: value for name, value in yaml.safe_load(FILE.read_text()).items() if name in GateSettings.model_fields}
 )
 
 

@@ -12,7 +12,7 @@ import yaml
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE, CYCLE_NS
 from construction_twin.monitor.comparison import ENOUGH, ComparisonSettings, PoseComparison
-from construction_twin.monitor.gate import GateSettings
+from construction_twin.monitor.settings import GateSettings
 from construction_twin.robot.description import read_robot_files
 
 ROOT = Path(__file__).parents[3]
@@ -74,7 +74,7 @@ def test_the_direction_and_the_kind_of_joint_are_of_no_account():
 def test_what_is_shipped_for_a_real_arm():
     assert SHIPPED["lag_margin"] <= 0.02 and GateSettings().lag_margin == SHIPPED["lag_margin"]
     limits = MotionLimits.of(ROBOT)
-    settings = GateSettings(lag_allowance=SHIPPED["lag_allowance"], lag_margin=SHIPPED["lag_margin"]).comparison(limits)
+    settings = GateSettings(lag_allowance=SHIPPED["lag_allowance"], lag_margin=SHIPPED["lag_margin"]).compared(limits)
     degrees = [round(math.degrees(one), 2) for one in undetected(settings, limits.velocity)]
     assert degrees == DEGREES
 

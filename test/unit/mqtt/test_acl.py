@@ -256,14 +256,6 @@ def site_of(**changes) -> Site:
     return Site(**({"hosts": ("broker",), "robots": ROBOTS, "folder": "/etc/mosquitto/site"} | changes))
 
 
-def test_every_account_has_rules_and_none_may_command_without_being_asked_for():
-    rules = access_rules(site_of(persons=("anna:operate,approve,reset", "ben:look")), template)
-    users = [line.removeprefix("user ") for line in rules.splitlines() if line.startswith("user ")]
-    assert users == [*(f"{robot}-{who}" for robot in ROBOTS for who in ("bridge", "gateway")), "anna", "ben"]
-    commanders = [part for part in rules.split("user ") if "write twin/one/command" in part]
-    assert [part.split("\n")[0] for part in commanders] == ["one-bridge"]
-
-
 def test_a_prefix_of_ones_own_stands_in_every_rule():
     rules = access_rules(site_of(prefix="hall7", robots=("kr120",)), template)
     topics = [line.split()[2] for line in rules.splitlines() if line.startswith("topic")]

@@ -7,7 +7,8 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.reasoncodes import ReasonCode
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.mqtt.client import Account, Broker, make_client, unique_id, watch_answer
+from construction_twin.mqtt.client import Account, Broker, make_client, unique_id
+from construction_twin.mqtt.failures import ConnectionReport
 
 ACCOUNT = Account(user="x", password_file="/nowhere/password", name="x.json")
 
@@ -39,14 +40,12 @@ def test_an_account_whose_files_are_missing_makes_no_client():
 
 
 def test_only_the_watched_answer_counts_and_the_watch_ends_with_it():
-    client = make_client(Broker(), "id", "a/status")
-    refused = []
-    watch_answer(client, 5, refused.append)
+    client, refused = make_client(Broker(), "id", "a/status"), []
+    report = ConnectionReport(Broker(), refused.append)
     fine, denied = (ReasonCode(PacketTypes.PUBACK, name) for name in ("Success", "Not authorized"))
-    client.on_publish(client, None, 4, denied, None)
-    assert refused == [] and client.on_publish is not None
-    client.on_publish(client, None, 5, denied, None)
-    assert refused == [denied] and client.on_publish is None
-    watch_answer(client, 6, refused.append)
-    client.on_publish(client, None, 6, fine, None)
-    assert refused == [denied] and client.on_publish is None
+    for answer, count in ((denied, 1), (fine, 1)):
+        report.watch_publish(client, "a/status", 5)
+        client.on_publish(client, None, 4, denied, None)
+        assert client.on_publish is not None
+        client.on_publish(client, None, 5, answer, None)
+        assert len(refused) == count and client.on_publish is None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import socket
 import threading
 
@@ -40,11 +39,6 @@ def packet(topic: str, pairs, payload: bytes) -> bytes:
     return len(name).to_bytes(2, "big") + name + paho_properties(pairs).pack() + payload
 
 
-@given(PAIRS)
-def test_packs_what_paho_packs(pairs):
-    assert UserProperties(pairs).pack() == paho_properties(pairs).pack()
-
-
 @given(ASCII, st.lists(st.tuples(ASCII, ASCII), max_size=3), st.binary(max_size=80))
 @example("twin/kr120/state", [("seq", "1"), ("stamp", "1764000000000000000"), ("command_stamp", "0")], b"+000.000")
 def test_reads_a_joint_string_as_paho_does(topic, pairs, payload):
@@ -74,37 +68,6 @@ def test_whatever_it_reads_paho_reads_alike(data, draw):
         pytest.fail(f"paho refuses {data!r}, which was read as {plain}")
     assert (known.topic, known.payload) == (plain[0], plain[2])
     assert list(getattr(known.properties, "UserProperty", ())) == plain[1].UserProperty
-
-
-@pytest.fixture
-def received():
-    """A client that is not connected, and what its callback is given."""
-    client = FastClient(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
-    messages = []
-    client.on_message = lambda client, userdata, message: messages.append(message)
-
-    def receive(header: int, data: bytes) -> paho.MQTTMessage:
-        client._in_packet["command"], client._in_packet["packet"] = header, bytearray(data)
-        client._handle_publish()
-        return messages[-1]
-
-    return receive
-
-
-@pytest.mark.parametrize("retain", [0, 1])
-@pytest.mark.parametrize("pairs", [[], [("seq", "7")], [("seq", "7" * 200)], [("größe", "7")]])
-def test_callback_gets_the_same_message_on_both_paths(received, pairs, retain):
-    message = received(0x30 | retain, packet("twin/arm/state", pairs, b"+000.000"))
-    assert (message.topic, message.payload, message.retain) == ("twin/arm/state", b"+000.000", bool(retain))
-    assert (message.qos, message.mid, message.dup) == (0, 0, False)
-    assert received_pairs(message) == pairs
-
-
-def test_other_properties_go_to_paho(received):
-    properties = Properties(PacketTypes.PUBLISH)
-    properties.ContentType = "text"
-    message = received(0x30, b"\x00\x01t" + properties.pack() + b"x")
-    assert message.properties.ContentType == "text" and message.payload == b"x"
 
 
 @pytest.fixture
@@ -164,25 +127,6 @@ def test_packets_of_several_threads_stay_whole_and_in_order(direct, topics):
     for thread in range(4):
         numbers = [number for sender, number in got if sender == thread]
         assert numbers == list(range(30))
-
-
-def test_connects_again_when_the_broker_comes_back(broker_process, topics):
-    client = make_client(Broker(port=broker_process.port), "direct", topics.bridge_status, direct=True)
-    counts = itertools.count(1)
-    connections = []
-    client.on_connect = lambda *_: connections.append(next(counts))
-    client.connect_async("127.0.0.1", broker_process.port)
-    client.loop_start()
-    wait_until(client.is_connected, what="connection")
-    broker_process.kill()
-    wait_until(
-        lambda: not client.is_connected() or client.publish(topics.command, b"x").rc, what="the loss to be noticed"
-    )
-    broker_process.start()
-    wait_until(lambda: len(connections) == 2 and client.is_connected(), 15.0, "a second connection")
-    client.disconnect()
-    client.loop_stop()
-    assert not client._server.is_alive()
 
 
 class Reader:
@@ -272,12 +216,6 @@ def test_sends_what_paho_sends(protocol, pairs, payload):
             sent.append(broker.recv(100_000))
             client._sock = None
     assert sent[0] == sent[1]
-
-
-def test_without_a_connection_a_message_is_dropped():
-    client = FastClient(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
-    client.send_stream("t", b"x")
-    assert not client.want_write()
 
 
 def test_a_connection_that_is_lost_while_it_sends_is_noticed(direct, topics):

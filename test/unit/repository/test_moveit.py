@@ -17,7 +17,7 @@ import yaml
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.urdf import chain_joints, parse_urdf
 from construction_twin.scene.collision_bodies import RobotBodies
-from construction_twin.scene.collision_world import checked_pairs
+from construction_twin.scene.pair_checks import checked_pairs
 from construction_twin.scene.self_collision import read_self_collision
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -13,8 +13,7 @@ import yaml
 from construction_twin.controller.last_resort import LONGEST_GAP_MS
 from construction_twin.core.freshness import LIFETIME
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.execution.boundary import FIRE_TIMEOUT, LEAD, SCENE_TIMEOUT
-from construction_twin.execution.segment_run import RECORD_TIMEOUT
+from construction_twin.execution.segment_run import FIRE_TIMEOUT, LEAD, RECORD_TIMEOUT, SCENE_TIMEOUT
 from construction_twin.link.observations import STATUS_TIMEOUT
 from construction_twin.robot.executed_path import WAY_BACK_TOLERANCE
 

@@ -23,13 +23,6 @@ def queue() -> PlanUnderReview:
     return queue
 
 
-@pytest.mark.parametrize("compared", [True, False])
-def test_a_verdict_takes_the_plan_out_of_review(queue, compared):
-    plan = queue.plan
-    assert queue.decide("a", plan.hash if compared else "", "Ada") is plan
-    assert queue.plan is None
-
-
 def test_a_decided_plan_that_is_offered_again_stays_out_of_review(queue):
     plan = queue.plan
     queue.decide("a", "", "Ada")

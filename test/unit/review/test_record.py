@@ -13,7 +13,7 @@ from plan_samples import make_plan
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.reports import SessionRequest, SpeedChange
 from construction_twin.review.plan_under_review import APPROVED, REFUSED, Ending, Verdict
-from construction_twin.review.record import Responsibility, ReviewLog
+from construction_twin.review.record import ReviewLog
 from construction_twin.robot.plan import Clearance
 from construction_twin.robot.trajectory import Trajectory
 
@@ -97,29 +97,6 @@ class TestContent:
         log.append(verdict(reason=reason))
         log.append(verdict())
         assert lines(path)[0]["reason"] == reason and len(lines(path)) == 2
-
-    def test_who_is_responsible_for_a_bare_plc_is_recorded_and_stands_in_every_verdict(self, log, path):
-        bare = Responsibility("Grace", "s1", ("configuration: not compared", "age: not known"))
-        log.append(verdict("before"))
-        log.responsibility = bare
-        log.defer(bare)
-        log.defer(verdict("deferred"))
-        log.responsibility = None
-        log.append(verdict("after"))
-        before, armed, deferred, after = lines(path)
-        assert (armed["record"], armed["responsible"], armed["session"]) == ("responsibility", "Grace", "s1")
-        for line in (armed, deferred):
-            assert line["responsible"] == "Grace" and line["not_checked"] == list(bare.not_checked)
-        assert not {"responsible", "not_checked"} & {*before, *after}
-
-    def test_who_has_asked_for_a_session_or_set_the_speed_limit_is_recorded(self, log, path):
-        log.defer(SessionRequest("reset", "ada", "stop 3", 7))
-        log.defer(SpeedChange("dora", 0.5, 0.3, "bob", 8))
-        log.flush()
-        told = ("record", "verb", "person", "lifts", "limit", "before", "whose")
-        session, speed = ({key: line[key] for key in told if key in line} for line in lines(path))
-        assert session == {"record": "session", "verb": "reset", "person": "ada", "lifts": "stop 3"}
-        assert speed == {"record": "speed", "person": "dora", "limit": 0.5, "before": 0.3, "whose": "bob"}
 
 
 class TestContinuation:

@@ -29,8 +29,8 @@ from executor_world import GIVEN, World, records
 
 from construction_twin.core.freshness import Moment
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
-from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.executor import ExecutorState
+from construction_twin.execution.segment_run import ToolOrder
 from construction_twin.robot.segments import Switch
 from construction_twin.ros.nodes import executor as module
 from construction_twin.ros.shared.diagnostics import ERROR, LINES_KEPT, DeferredLog
@@ -466,6 +466,9 @@ def test_a_new_session_drops_what_is_played_and_what_waits(world):
     world.node.on_link(Link(state=Link.ARMED, session="t"))
     assert world.executor.outcome == "dropped" and world.executor.under_review.plan is None
     assert world.executor.state is ExecutorState.WAITING
+    # nor is one reviewed that was asked for before, and comes late
+    world.offer(make_plan("late", asked_ns=world.booted - 1))
+    assert world.executor.under_review.plan is None and "before the last stop, pause or reset" in world.refused[-1][1]
 
 
 def tool_message(tool: Gripper) -> ToolState:

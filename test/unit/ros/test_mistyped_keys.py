@@ -10,7 +10,6 @@ from pathlib import Path
 import pydantic
 import pytest
 import yaml
-from launch_files import refusals
 from scene_samples import kr120
 
 from construction_twin.core.errors import ConstructionTwinError
@@ -102,30 +101,3 @@ def test_a_mistyped_key_of_a_file_is_named(name, tmp_path):
                 READERS[name](file)
                 pytest.fail(f"{place} as {wrong} was taken")
             assert wrong in str(refusal.value), place
-
-
-#: Nodes with a file of config/, and the words with which bringup.launch starts them.
-NODES = (
-    "executor",
-    "pca_monitor",
-    "planner",
-    "rehearsal",
-    "mqtt_bridge",
-    "console_node",
-    "mock_rsi",
-    "follow_joint_trajectory",
-    "tool_marker",
-    "separation",
-    "gateway",
-)
-
-
-@pytest.mark.parametrize("node", NODES)
-def test_a_mistyped_key_of_a_node_s_file_is_named(node):
-    document = yaml.safe_load((CONFIG / f"{node}.yaml").read_text())
-    asked = "mqtt_bridge" if node == "gateway" else node
-    words = ("broker:=false", "gateway:=false", "tool_marker:=true", "separation:=true")
-    for place in places(document):
-        changed, wrong = mistyped(document, place, keep=False)
-        changes = {f"{node}__{key}": changed.get(key) for key in {*document, *changed}}
-        assert any(wrong in said for said in refusals("bringup", *words, only=asked, **changes)), place

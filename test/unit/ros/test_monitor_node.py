@@ -17,7 +17,7 @@ from unplugged import ask
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.monitor.gate import Gate
-from construction_twin.monitor.monitor import Behaviour
+from construction_twin.monitor.settings import GateSettings
 from construction_twin.monitor.states import SyncEvent, SyncState
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.ros.nodes import pca_monitor as module
@@ -68,8 +68,8 @@ class World:
 
     def start(self, sync=None) -> module.PcaMonitorNode:
         """Return a monitor, and keep its gate; `sync` is a publisher in place of the one that notes what it is given."""
-        behaviour, codec = Behaviour(**SETTINGS), JointStringCodec.of(ROBOT, 6)
-        self.gate = Gate(MotionLimits.of(ROBOT), codec, behaviour.gate_settings(True), self.steady, self.servos)
+        codec = JointStringCodec.of(ROBOT, 6)
+        self.gate = Gate(MotionLimits.of(ROBOT), codec, GateSettings(**SETTINGS), self.steady, self.servos)
         self.patch(module, "make_gate", lambda *_: self.gate)
         log = SimpleNamespace(add=self.report, flush=lambda: None, problem="", values=dict)
         self.patch(module, "TransitionLog", lambda *_: log)
@@ -173,7 +173,7 @@ def test_sync_is_told_at_its_rate_in_motion_and_while_the_gate_is_closed_and_les
 
 
 def test_settings_of_this_test_are_all_there_are():
-    assert set(SETTINGS) | {"thresholds"} == set(Behaviour.model_fields)
+    assert set(SETTINGS) | {"thresholds"} == set(GateSettings.model_fields)
 
 
 class TestSettings:
@@ -226,7 +226,7 @@ class TestSettings:
 
     def test_are_not_even_read_unless_a_named_person_asks_at_rest(self, world, monkeypatch):
         node = opened(world)
-        monkeypatch.setattr(Behaviour, "changed", lambda *_: pytest.fail("read the settings"))
+        monkeypatch.setattr(GateSettings, "changed", lambda *_: pytest.fail("read the settings"))
         assert "operator" in world.change(node, "{policy: stop}", "").message
         node.on_execution(Execution(state=Execution.PLAYING, text="PLAYING", plan_id="p"))
         assert "plan p" in world.change(node, "{policy: stop}").message

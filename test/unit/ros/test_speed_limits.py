@@ -21,9 +21,8 @@ from construction_twin.core.freshness import Moment
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.link.requests import LEAST_SPEED
 from construction_twin.ros.nodes import pca_monitor
-from construction_twin.ros.shared import speed_limits as module
+from construction_twin.ros.nodes.pca_monitor import PROGRAM
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN
-from construction_twin.ros.shared.speed_limits import PROGRAM
 
 BOOT = "c0ffee00"
 RULES = {"speed_limit_deadline": 0.5, "speed_limit_silent": 0.1, "speed_limit_required": False, "arm": "mock"}
@@ -41,9 +40,9 @@ class Bench:
         self.server = {"executor": executor, "gateway": gateway, PROGRAM: ""}
         self.file = home / "construction_twin" / "speed_limits" / f"{ROBOT.name}.json"
         monkeypatch.setenv("ROS_HOME", str(home))
-        patch(module.time, "monotonic_ns", lambda: round(self.now * NANOSECONDS))
-        patch(module, "now_ns", lambda: round(self.now * NANOSECONDS))
-        patch(module, "present", lambda: Moment(BOOT, round(self.now * NANOSECONDS)))
+        patch(pca_monitor.time, "monotonic_ns", lambda: round(self.now * NANOSECONDS))
+        patch(pca_monitor, "now_ns", lambda: round(self.now * NANOSECONDS))
+        patch(pca_monitor, "present", lambda: Moment(BOOT, round(self.now * NANOSECONDS)))
         # what it records of its gate is another file, of which one process has one
         record = SimpleNamespace(add=lambda _: None, flush=lambda: None, problem="", values=dict)
         patch(pca_monitor, "TransitionLog", lambda *_: record)
@@ -166,10 +165,10 @@ class Disk:
 
 def test_the_answer_to_a_lower_limit_waits_for_a_disk_that_is_quick_and_not_for_one_that_hangs(bench, monkeypatch):
     """So a kill right behind the answer raises nothing, and one lower limit holds up no other."""
-    monkeypatch.setattr(module, "PATIENCE", 30.0)
+    monkeypatch.setattr(pca_monitor, "PATIENCE", 30.0)
     assert bench.sets(0.3).success and json.loads(bench.file.read_text())["limit"] == 0.3
     disk = Disk(monkeypatch)
-    monkeypatch.setattr(module, "PATIENCE", 0.05)
+    monkeypatch.setattr(pca_monitor, "PATIENCE", 0.05)
     assert bench.sets(0.2).success and bench.sets(0.1).success and bench.limit == 0.1
     disk.works.set()
     wait_until(lambda: json.loads(bench.file.read_text())["limit"] == 0.1, what="the newest limit on the disk")
@@ -179,7 +178,7 @@ def test_while_a_raise_waits_for_the_disk_setpoints_sync_and_lower_limits_go_on(
     bench.sets(0.5)
     bench.later(1.0)
     disk = Disk(monkeypatch)
-    monkeypatch.setattr(module, "PATIENCE", 0.0)
+    monkeypatch.setattr(pca_monitor, "PATIENCE", 0.0)
     answers = []
     raising = threading.Thread(target=lambda: answers.append(bench.sets(0.8, moment=bench.shown())))
     raising.start()
@@ -302,7 +301,7 @@ def test_a_raise_that_is_overtaken_while_it_is_written_is_void_also_on_the_disk(
     bench.speed.write()
     bench.later(1.0)
     write, seen = os.write, bench.shown()
-    monkeypatch.setattr(module, "PATIENCE", 0.0)
+    monkeypatch.setattr(pca_monitor, "PATIENCE", 0.0)
 
     def overtaken(*given):
         monkeypatch.setattr(os, "write", write)

@@ -16,6 +16,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from physics_samples import READY, bodies_of, drives, model_of, pairs_of, robot_of
+from piece_checks import distances, lost
 from scene_samples import box_triangles, bracket_triangles, write_obj, write_stl
 from scipy.spatial import ConvexHull
 
@@ -33,7 +34,7 @@ from construction_twin.scene.collision_bodies import (
     scene_shapes,
 )
 from construction_twin.scene.collision_world import CollisionWorld
-from construction_twin.scene.convex_pieces import HELD, convex_pieces, distances, excess, farthest_outside, lost
+from construction_twin.scene.convex_pieces import HELD, convex_pieces, farthest_outside
 from construction_twin.scene.mesh_file import parse_mesh
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.solids import mesh_of, solid
@@ -91,8 +92,8 @@ def test_pieces_are_the_mesh_wherever_it_lies(name, quaternion, place, scale, se
     assert found is not None and found.whole is None and len(found.corners) == {"L": 2, "U": 3}[name]
     pieces = found.corners
     closed = solid(vertices, triangles)
-    assert lost(vertices, triangles, closed, pieces) == 0.0
-    assert excess(closed, pieces) <= 2e-6
+    assert lost(closed, pieces) == 0.0
+    assert sum(coal_hull(piece).computeVolume() for piece in pieces) == pytest.approx(closed.volume(), rel=1e-6)
     # outside, each point is as far from the nearest piece as from the surface
     shapes = [coal_hull(piece) for piece in pieces]
     points = np.random.default_rng(seed).uniform(vertices.min(axis=0) - scale, vertices.max(axis=0) + scale, (30, 3))
@@ -250,16 +251,6 @@ def test_closed_bodies_of_one_mesh_that_reach_into_each_other_are_one():
         assert sum(coal_hull(piece).computeVolume() for piece in pieces.corners) == pytest.approx(volume, rel=1e-9)
 
 
-def test_pieces_that_lose_something_are_not_taken(monkeypatch):
-    """Each time another mesh: what was divided is kept."""
-    cells, cover = module.convex_cells, module.convex_cover
-    monkeypatch.setattr(module, "convex_cells", lambda *given: cells(*given)[1:])
-    # a cover of flat pieces is exact as well, but nobody has checked that they do not overlap
-    assert convex_pieces(*indexed(1.01 * extruded(U))).whole is not None
-    monkeypatch.setattr(module, "convex_cover", lambda *given: cover(*given)[1:])
-    assert convex_pieces(*indexed(1.02 * extruded(U))) is None
-
-
 def test_the_same_mesh_gives_the_same_pieces_and_is_divided_once(tmp_path, monkeypatch):
     one, other = (
         SceneObject(name, "mesh", (), (2.0, y, 1.0), mesh=write_stl(tmp_path / f"{name}.stl", 1.03 * extruded(U)))
@@ -309,9 +300,9 @@ def test_curved_meshes_are_held_by_pieces_that_reach_little_beyond(name):
     vertices, triangles = indexed(corners)
     found = convex_pieces(vertices, triangles)
     closed = solid(vertices, triangles)
-    assert found is not None and len(found.corners) <= {"rounded U": 16, "I-beam": 12, "torus": 64}[name]
+    assert found is not None and len(found.corners) <= {"rounded U": 18, "I-beam": 12, "torus": 64}[name]
     # by all that `containment` can find, not only by corners
-    assert lost(vertices, triangles, closed, found.corners) == 0.0
+    assert lost(closed, found.corners) == 0.0
     # what the pieces have more is as thin as they say, also at points that the search has not looked at
     assert found.reach <= {"rounded U": 0.0011, "I-beam": 0.0011, "torus": 0.0025}[name]
     rng = np.random.default_rng(5)
@@ -400,6 +391,6 @@ def test_a_box_with_any_dents_is_in_its_pieces(holes):
     found = convex_pieces(vertices, triangles)
     assume(found is not None)
     whole = solid(vertices, triangles)
-    assert lost(vertices, triangles, whole, found.corners) == 0.0
+    assert lost(whole, found.corners) == 0.0
     volumes = [coal_hull(piece).computeVolume() for piece in found.corners]
     assert sum(volumes) >= whole.volume() * (1.0 - 1e-6)

@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 from scene_samples import kr120, kr120_pairs, track7, track7_pairs
 
 from construction_twin.scene.collision_bodies import RobotBodies
-from construction_twin.scene.collision_world import CollisionWorld, checked_pairs
+from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.distance_bounds import TOLERANCE, Motion, Travel, pair_levers
 from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.scene.pair_checks import checked_pairs
 
 #: Of all pairs [m].
 MARGIN = 0.01

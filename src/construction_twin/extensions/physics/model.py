@@ -28,8 +28,8 @@ from construction_twin.extensions.physics.mass import (
 )
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.scene.collision_bodies import Body, RobotBodies, is_convex, mesh_triangles
-from construction_twin.scene.collision_world import checked_pairs
 from construction_twin.scene.objects import Scene
+from construction_twin.scene.pair_checks import checked_pairs
 from construction_twin.scene.self_collision import SelfCollision
 
 #: Bodies that touch give way like a spring of this time constant [s] and damping; twice the step is MuJoCo's smallest.

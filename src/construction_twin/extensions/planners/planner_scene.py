@@ -16,9 +16,9 @@ import pinocchio
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.scene.collision_bodies import RobotBodies
-from construction_twin.scene.collision_world import checked_pairs
 from construction_twin.scene.mesh_file import parse_mesh
 from construction_twin.scene.objects import Scene, SceneObject, product, read_mesh_file
+from construction_twin.scene.pair_checks import checked_pairs
 from construction_twin.scene.self_collision import SelfCollision
 
 

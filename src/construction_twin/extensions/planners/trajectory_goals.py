@@ -14,9 +14,9 @@ from construction_twin.core.sentences import Sentence, both
 from construction_twin.core.state_table import Machine, Occasion, conditions
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.states import ACTIVE, ExecutorState
-from construction_twin.execution.tracking import Sample
 from construction_twin.extensions.planners.goal_states import ROWS, Action, GoalEvent, GoalState, Guard, Row
 from construction_twin.extensions.planners.joint_tolerances import Tolerances
+from construction_twin.extensions.planners.tracking import Sample
 from construction_twin.review.plan_under_review import EXECUTOR
 from construction_twin.robot.description import RobotModel
 

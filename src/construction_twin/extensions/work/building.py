@@ -61,7 +61,7 @@ class Element:
     Attributes:
         id: GlobalId; ``#123``, its number in the file, where that is missing, wrong or another one's.
         ifc_class: ``IfcMember``.
-        name, type_name, tag, storey, material: Empty: the model has none.
+        name, type_name, tag: Empty: the model has none.
         assembly: GlobalId of the element it is a part of: an IfcElementAssembly, or another (a wall of layers); empty: none.
         bodies: Empty: the element has no geometry.
         properties: Values by property set (or quantity set) and name, the type's own included; the element's win. Measures in SI.
@@ -77,8 +77,6 @@ class Element:
     name: str
     type_name: str
     tag: str
-    storey: str
-    material: str
     assembly: str
     model_T_element: Pose
     bodies: tuple[Body, ...]
@@ -107,7 +105,6 @@ class Task:
 
     id: str
     name: str
-    description: str = ""
     parent: str = ""
     products: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
@@ -141,8 +138,6 @@ class BuildingModel:
     """One IFC file.
 
     Attributes:
-        schema: ``IFC2X3``, ``IFC4``, ``IFC4X3``.
-        unit: Metres per length unit of the file.
         tasks: By GlobalId, in the file's order; empty: it has no schedule.
         notes: One sentence for each thing that was left out or understood in a way that the user should know.
         remarks: The same by the id of the element or task that they are about, of those that there are any of.
@@ -150,9 +145,7 @@ class BuildingModel:
 
     file: str
     digest: str
-    schema: str
     project: str
-    unit: float
     elements: Mapping[str, Element] = field(repr=False)
     tasks: Mapping[str, Task] = field(default_factory=dict, repr=False)
     sequences: tuple[Sequence, ...] = field(default=(), repr=False)

@@ -5,13 +5,18 @@ Metres, radians; poses in the robot's base_link unless the name says otherwise. 
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from construction_twin.extensions.work.task_memory import TaskMemory, TaskState
+from construction_twin.extensions.work.convex_bodies import Pieces
+from construction_twin.extensions.work.ledger import Book, Ledger
+from construction_twin.extensions.work.prepared import ElementFacts, Prepared, element_in
+from construction_twin.extensions.work.schedule import Job
+from construction_twin.extensions.work.task_memory import SETTLED, TaskMemory, TaskState
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import quaternion_to_rotation, rotation_to_quaternion
 from construction_twin.scene.objects import Scene, SceneObject, product, relative
@@ -106,3 +111,204 @@ def change(scene: Scene, wanted: Mapping[str, SceneObject], left_alone: Collecti
     put = tuple(item for name, item in wanted.items() if name not in there or there[name].contents() != item.contents())
     mine = [name for name in there if "/" in name and name.split("/", 1)[0] not in left_alone]
     return SceneChange(put, tuple(name for name in mine if name not in wanted))
+
+
+#: A placed element further than this from where the model has it is shown as off [m], [rad].
+OFF, OFF_ANGLE = 0.005, 0.01
+#: Boxes whose sides are all closer than this are at the same place; boxes that reach further than that into each other overlap [m].
+SAME_PLACE, OVERLAP = 0.02, 0.005
+ORIGIN = Pose(np.zeros(3), np.eye(3))
+
+
+def box_of(bodies: tuple[SceneObject, ...], pose: Pose) -> np.ndarray:
+    """Return the lowest and highest coordinates of an element's pieces at its pose, shape (2, 3)."""
+    points = _corners(bodies) @ pose.rotation.T + pose.position
+    return np.array([points.min(axis=0), points.max(axis=0)])
+
+
+@functools.lru_cache(maxsize=4096)
+def _corners(bodies: tuple[SceneObject, ...]) -> np.ndarray:
+    return Pieces(bodies).points
+
+
+@dataclass(frozen=True, eq=False)
+class Appearance:
+    """An element as people see it.
+
+    Attributes:
+        word: ``todo``, ``next``, ``stock``, ``carried``, ``placed``, ``off`` or ``skipped``, as in `nodes.work.COLOURS`.
+        pose: In the base_link, or in the tip link where it is carried.
+    """
+
+    element: str
+    name: str
+    word: str
+    pose: Pose
+
+
+class AsBuilt:
+    """What stands, lies in stock or is in the grip: the ledger read against the model."""
+
+    def __init__(self, prepared: Prepared, ledger: Ledger, tip_link: str):
+        self.prepared, self.ledger = prepared, ledger
+        self._tip_link = tip_link
+        self._kept: dict[tuple[str, str], tuple[SceneObject, ...]] = {}
+        for memory in self.book.tasks.values():
+            if memory.placed and memory.body:
+                # what stands and cannot be shown is told at once
+                self.bodies(memory)
+
+    @property
+    def book(self) -> Book:
+        """What the ledger says now."""
+        return self.ledger.book
+
+    def job(self, task: str) -> Job:
+        """Return a task's job; of one that the schedule does not have any more what the ledger says."""
+        if task in self.book.after:
+            return self.prepared.schedule.job(task)
+        memory = self.book.tasks[task]
+        return Job(task, task, memory.name, memory.element, (), ())
+
+    def element(self, task: str) -> ElementFacts:
+        """Return what is known of a task's element; of one that the model does not have any more what the ledger says."""
+        if task in self.book.after:
+            return self.prepared.elements[self.job(task).element]
+        memory = self.book.tasks[task]
+        name, bodies = memory.name or memory.element or task, self.bodies(memory) if memory.body else ()
+        return ElementFacts(name, bodies, placed_at(memory, ORIGIN), np.empty((0, 3, 3)))
+
+    def elements(self) -> list[str]:
+        """Return the elements that jobs place or work on, in their order."""
+        return list(dict.fromkeys(job.element for job in self.prepared.schedule.jobs))
+
+    def bodies(self, memory: TaskMemory) -> tuple[SceneObject, ...]:
+        """Return an element's pieces as they were placed; they are kept, because they do not change."""
+        key = memory.element, memory.body
+        if key not in self._kept:
+            self._kept[key] = self.ledger.body(*key)
+        return self._kept[key]
+
+    def goal_box(self, task: str) -> np.ndarray:
+        """Return the box of a task's element where the model has it, shape (2, 3)."""
+        facts = self.element(task)
+        return box_of(facts.bodies, facts.base_T_goal)
+
+    def stock(self, element: str) -> Pose | None:
+        """Return where an element lies before it is taken; None: it has no slot."""
+        slot = self.prepared.stock.slots.get(element)
+        return None if slot is None else slot.base_T_element
+
+    def present(self) -> tuple[str, ...]:
+        """Return the elements that lie in their stock."""
+        return self.prepared.stock.present(self.taken())
+
+    def taken(self) -> list[str]:
+        """Return the elements that do not lie in their stock any more."""
+        tasks = self.book.tasks
+        return [element for element, task in self.prepared.schedule.placing.items() if tasks[task].taken]
+
+    def gone(self) -> set[str]:
+        """Return what was taken down."""
+        return {element for task, element in self.prepared.removals.items() if self.book.tasks[task].gone}
+
+    def placing(self, element: str) -> TaskMemory | None:
+        """Return what is known of where an element is: of the task that places it, or did; None: it stands as the model has it."""
+        task = self.prepared.schedule.placing.get(element)
+        if task is not None:
+            return self.book.tasks[task]
+        return next((memory for memory in self.book.former.values() if memory.element == element), None)
+
+    def deviation(self, task: str) -> Deviation | None:
+        """Return how far a placed element stands from the model; None: it is not placed, not in it, or where was not measured."""
+        memory = self.book.tasks[task]
+        if task not in self.book.after or not (memory.placed and memory.base_T_element) or memory.as_planned:
+            return None
+        return deviation(pose_of_tuple(memory.base_T_element), self.element(task).base_T_goal)
+
+    def is_off(self, element: str) -> bool:
+        """Return whether a placed element stands so far from its place that people are shown it."""
+        task = self.prepared.schedule.placing.get(element)
+        far = None if task is None else self.deviation(task)
+        return far is not None and (far.distance > OFF or far.angle > OFF_ANGLE)
+
+    def wanted_scene(self) -> tuple[dict[str, SceneObject], tuple[str, ...]]:
+        """Return the work's objects of the scene by name, and the elements whose objects are left as they are."""
+        gone, former = self.gone(), {memory.element: memory for memory in self.book.former.values()}
+        wanted = {item.name: item for item in self.prepared.tool_objects}
+        # what was placed stands as it was placed, whatever the model says of it
+        for item in self.prepared.standing:
+            element = element_in(item)
+            before = map(self.placing, self.prepared.comes_after.get(element, ()))
+            there = element not in gone and all(memory is not None and memory.placed for memory in before)
+            if there and not (element in former and former[element].body):
+                wanted[item.name] = item
+        present = self.present()
+        found: list[tuple[str, tuple[SceneObject, ...] | None]] = []
+        for element, memory in former.items():
+            bodies = self.bodies(memory) if memory.body else ()
+            found.append((element, objects_of(bodies, memory, None, ORIGIN, self._tip_link) if bodies else None))
+        for element in self.elements():
+            if element in gone or (element in former and former[element].body):
+                continue
+            facts, stock = self.prepared.elements[element], self.stock(element) if element in present else None
+            known = self.placing(element)
+            bodies = self.bodies(known) if known is not None and known.placed and known.body else facts.bodies
+            found.append((element, objects_of(bodies, known, stock, facts.base_T_goal, self._tip_link)))
+        wanted |= {item.name: item for _, items in found for item in items or ()}
+        return wanted, tuple(element for element, items in found if items is None)
+
+    def counterpart(self, task: str) -> str:
+        """Return the task that is to place what has name, class and place of what one that is no more has placed; empty: none."""
+        memory = self.book.tasks[task]
+        if task in self.book.after or not (memory.placed and memory.body):
+            return ""
+        here = box_of(self.bodies(memory), placed_at(memory, ORIGIN))
+        for element, heir in self.prepared.schedule.placing.items():
+            facts = self.prepared.elements[element]
+            free = self.book.tasks[heir].state in (TaskState.WAITING, TaskState.READY)
+            if free and facts.bodies and (facts.name, facts.ifc_class) == (memory.name, memory.ifc_class):
+                if np.abs(here - self.goal_box(heir)).max() <= SAME_PLACE:
+                    return heir
+        return ""
+
+    def forms(self, task: str) -> tuple[tuple[SceneObject, ...], ...]:
+        """Return the objects of a task's element as the record can have them: in its stock, in the grip, at its place."""
+        facts, memory = self.element(task), self.placing(self.job(task).element)
+        stock = self.stock(self.job(task).element)
+        places = [(stock, "")] if stock is not None else []
+        if memory is not None and memory.base_T_element:
+            places.append((pose_of_tuple(memory.base_T_element), ""))
+        if memory is not None and memory.tool0_T_element:
+            places.append((pose_of_tuple(memory.tool0_T_element), self._tip_link))
+        places.append((facts.base_T_goal, ""))
+        return tuple(at(facts.bodies, place, link) for place, link in places)
+
+    def appearances(self, following: str) -> tuple[Appearance, ...]:
+        """Return what each element looks like: in stock and where it is to come, or where it is.
+
+        `following`: The task that comes next.
+        """
+        found = []
+        present = self.present()
+        for element in self.elements():
+            facts, memory = self.prepared.elements[element], self.placing(element)
+            mine = [job.id for job in self.prepared.schedule.jobs if job.element == element]
+            states = {self.book.tasks[task].state for task in mine}
+            placed, where = False, facts.base_T_goal
+            if memory is not None and memory.placed:
+                placed, where = True, placed_at(memory, facts.base_T_goal)
+            if placed and self.is_off(element):
+                word = "off"
+            elif following in mine:
+                word = "next"
+            elif placed or (TaskState.DONE in states and states <= {*SETTLED}):
+                word = "placed"
+            else:
+                word = "skipped" if states == {TaskState.SKIPPED} else "todo"
+            found.append(Appearance(element, facts.name, word, where))
+            if memory is not None and memory.in_grip:
+                found.append(Appearance(element, facts.name, "carried", pose_of_tuple(memory.tool0_T_element)))
+            elif element in present and (stock := self.stock(element)) is not None:
+                found.append(Appearance(element, facts.name, "stock", stock))
+        return tuple(found)

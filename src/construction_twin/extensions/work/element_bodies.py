@@ -1,20 +1,17 @@
 """An element of a building as objects of the scene: few convex pieces that hold all of it and reach little beyond. Metres.
 
-Each body is tried in this order: one convex hull; cut exactly by planes of its own faces; hulls of its parts; its surface with a
-margin. The first that holds the body and reaches no further beyond it than the bound is taken. Mesh files are named by their
-contents, results by what they were made from.
+A body becomes convex pieces (`scene.convex_pieces`) if these reach no further beyond it than the bound, otherwise its surface with
+a margin. Mesh files are named by their contents, results by what they were made from.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import manifold3d
 import numpy as np
 from scipy.spatial import ConvexHull
 
@@ -23,20 +20,15 @@ from construction_twin.core.files import read_file, write_whole
 from construction_twin.extensions.work.building import Body, Element
 from construction_twin.extensions.work.errors import BodyError, WorkError
 from construction_twin.robot.frames import rotation_to_quaternion
-from construction_twin.scene.convex_pieces import convex_cells, convex_cover, excess, extra_volume, lost
+from construction_twin.scene.convex_pieces import convex_pieces
 from construction_twin.scene.mesh_file import MOST_TRIANGLES
 from construction_twin.scene.objects import SceneObject
-from construction_twin.scene.solids import hull_solid, mesh_of, parts, solid, welded
-from construction_twin.scene.triangle_mesh import hull_mesh
+from construction_twin.scene.solids import hull_solid, mesh_of, welded
 
 #: Changes when the same body would give other pieces.
-_VERSION = 6
+_VERSION = 7
 #: How far a piece may reach beyond its body, and the padding of a body that remains a surface [m].
 BOUND, MARGIN = 0.005, 0.005
-#: Most pieces of one body; of one that is divided exactly four times as many.
-MOST_PIECES = 32
-#: Triangles beyond which a body is not divided at all, and not by planes of its faces, which are those of curved ones.
-_MOST_DIVIDED, _MOST_CUT = 5000, 2000
 #: Largest file of a result [bytes].
 _LARGEST = 8 * 2**20
 #: A box around something flat is as thick [m].
@@ -53,12 +45,10 @@ class ElementShape:
     Attributes:
         objects: ``<GlobalId>/0``, ``<GlobalId>/1``, ...; poses in the element's frame, `link` empty.
         excess: How far they reach beyond the element, at most, where measured [m]; of a surface its margin.
-        ways: How each body was made: ``hull``, ``cut``, ``cover``, ``surface``.
     """
 
     objects: tuple[SceneObject, ...]
     excess: float
-    ways: tuple[str, ...]
 
 
 def element_shapes(elements: Iterable[Element], folder: Path) -> tuple[dict[str, ElementShape], dict[str, BodyError]]:
@@ -85,41 +75,40 @@ def _shape(element: str, bodies: tuple[Body, ...], folder: Path) -> ElementShape
     if not bodies:
         raise BodyError(element, "found no geometry, expected at least one body; leave it out or give it a shape")
     objects: list[SceneObject] = []
-    ways, most = [], 0.0
+    most = 0.0
     for body in bodies:
         try:
-            way, reach, pieces = _cached(body, folder)
+            reach, pieces = _cached(body, folder)
         except ConstructionTwinError as error:
             raise BodyError(element, str(error)) from error
         except OSError as error:
             raise BodyError(element, f"its mesh files cannot be kept in {folder}: {error.strerror}") from error
         objects += [replace(piece, name=f"{element}/{len(objects) + number}") for number, piece in enumerate(pieces)]
-        ways.append(way)
         most = max(most, reach)
-    return ElementShape(tuple(objects), most, tuple(ways))
+    return ElementShape(tuple(objects), most)
 
 
-def _cached(body: Body, folder: Path) -> tuple[str, float, list[SceneObject]]:
-    """Return how a body was made, its excess, and its objects; from an earlier run if its files are as they were."""
+def _cached(body: Body, folder: Path) -> tuple[float, list[SceneObject]]:
+    """Return a body's excess, and its objects; from an earlier run if its files are as they were."""
     vertices = np.ascontiguousarray(body.vertices, dtype=float)
     triangles = np.ascontiguousarray(body.triangles, dtype=np.int64)
-    made_of = [_VERSION, BOUND, MOST_PIECES, MARGIN, vertices.shape, triangles.shape]
+    made_of = [_VERSION, BOUND, MARGIN, vertices.shape, triangles.shape]
     digest = hashlib.sha256(json.dumps(made_of).encode() + vertices.tobytes() + triangles.tobytes()).hexdigest()
     path = folder / f"{digest}.json"
     try:
         kept = json.loads(read_file(path, _LARGEST))
         pieces = [_object(item, folder) for item in kept["pieces"]]
         if all(not item.mesh or item.mesh_digest == Path(item.mesh).stem for item in pieces):
-            return kept["way"], kept["excess"], pieces
+            return kept["excess"], pieces
     except FileNotFoundError:
         pass  # not made yet
     except (ValueError, KeyError, TypeError, ConstructionTwinError):
         # a damaged file, or a mesh that is gone: made anew, and written over
         path.unlink(missing_ok=True)
     folder.mkdir(parents=True, exist_ok=True)
-    way, reach, descriptions = _made(vertices, triangles, folder)
-    write_whole(path, json.dumps({"way": way, "excess": reach, "pieces": descriptions}) + "\n")
-    return way, reach, [_object(item, folder) for item in descriptions]
+    reach, descriptions = _made(vertices, triangles, folder)
+    write_whole(path, json.dumps({"excess": reach, "pieces": descriptions}) + "\n")
+    return reach, [_object(item, folder) for item in descriptions]
 
 
 def _object(item: dict, folder: Path) -> SceneObject:
@@ -128,54 +117,19 @@ def _object(item: dict, folder: Path) -> SceneObject:
     return SceneObject("piece", item["shape"], size, position, quaternion, item["padding"], mesh)
 
 
-def _made(vertices: np.ndarray, triangles: np.ndarray, folder: Path) -> tuple[str, float, list[dict]]:
+def _made(vertices: np.ndarray, triangles: np.ndarray, folder: Path) -> tuple[float, list[dict]]:
     if not len(triangles) or not np.isfinite(vertices).all():
         raise WorkError(f"found a body of {len(triangles)} triangles, expected triangles with finite corners")
     if len(triangles) > MOST_TRIANGLES:
         raise WorkError(f"found a body of {len(triangles)} triangles, expected at most {MOST_TRIANGLES}; simplify it")
-    closed = solid(vertices, triangles)
-    # of what has no inside nobody knows what pieces have more
-    for way, pieces in _candidates(closed, len(triangles)) if closed is not None else ():
-        reach = _reach(vertices, triangles, closed, pieces, way == "cut")
-        if reach <= BOUND:
-            return way, reach, [_description(points, folder) for points in pieces]
+    pieces = convex_pieces(vertices, triangles)
+    if pieces is not None and pieces.reach <= BOUND:
+        return pieces.reach, [_description(points, folder) for points in pieces.corners]
     vertices, triangles = welded(vertices, triangles)
     if not len(triangles):
         raise WorkError("found a body without area, expected one that can be checked")
     mesh = _write_mesh(vertices, triangles, folder)
-    return "surface", MARGIN, [{"shape": "mesh", **_UNIT, "padding": MARGIN, "mesh": mesh}]
-
-
-def _candidates(closed: manifold3d.Manifold, triangles: int) -> Iterator[tuple[str, list[np.ndarray]]]:
-    """Give ways to divide a body, the best first, each when it is asked for."""
-    if triangles > _MOST_DIVIDED:
-        yield "hull", [mesh_of(closed.hull())[0]]
-        return
-    hulls = [mesh_of(part)[0] for part in parts(closed)]
-    if len(hulls) <= MOST_PIECES:
-        yield "hull", hulls
-    cut = convex_cells(closed, 4 * MOST_PIECES) if triangles <= _MOST_CUT else None
-    if cut is not None:
-        yield "cut", cut
-    held = convex_cover(closed, MOST_PIECES, 0.4 * BOUND)
-    if held is not None:
-        yield "cover", held
-
-
-def _reach(
-    vertices: np.ndarray, triangles: np.ndarray, closed: manifold3d.Manifold, pieces: Sequence[np.ndarray], exact: bool
-) -> float:
-    """Return how far pieces reach beyond the body [m]; infinite: one is flat, or they do not hold it.
-
-    Args:
-        exact: They have no overlaps and the volume of the body. manifold3d is not asked for the difference then, because faces lie
-            in the same planes: with the same volume, points on the surface suffice.
-    """
-    if any(hull_solid(points).is_empty() for points in pieces) or (exact and extra_volume(closed, pieces)):
-        return math.inf
-    if lost(vertices, triangles, None if exact else closed, pieces):
-        return math.inf
-    return 0.0 if exact else excess(closed, pieces)
+    return MARGIN, [{"shape": "mesh", **_UNIT, "padding": MARGIN, "mesh": mesh}]
 
 
 def _description(points: np.ndarray, folder: Path) -> dict:
@@ -183,7 +137,7 @@ def _description(points: np.ndarray, folder: Path) -> dict:
     box = _as_box(points)
     if box is not None:
         return {**box, "shape": "box", "padding": 0.0, "mesh": ""}
-    mesh = _write_mesh(*hull_mesh(ConvexHull(points)), folder)
+    mesh = _write_mesh(*mesh_of(hull_solid(points)), folder)
     return {"shape": "mesh", **_UNIT, "padding": 0.0, "mesh": mesh}
 
 

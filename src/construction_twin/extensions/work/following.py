@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from construction_twin.core.errors import PayloadError, PoseUnknownError
 from construction_twin.core.reports import EngagementReport, ExecutionReport
-from construction_twin.extensions.work import engaged_scene
+from construction_twin.extensions.work import decisions, engaged_scene
 from construction_twin.extensions.work.built import as_built, pose_of_tuple, pose_tuple
 from construction_twin.extensions.work.heard import GripReading, Heard, KnownPlan
 from construction_twin.extensions.work.task_board import TaskBoard
@@ -202,7 +202,7 @@ class Follower:
         self._drop_if_turned_down()
         self.settle_if_lost()
         # what counts as carried is asked about when the tool is surely open
-        if not self._heard.playing and self.grip().surely_open and (sentence := self._board.lost()):
+        if not self._heard.playing and self.grip().surely_open and (sentence := decisions.lost(self._board)):
             self._log(sentence)
 
     def grip(self) -> GripReading:

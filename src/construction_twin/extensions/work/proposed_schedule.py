@@ -49,7 +49,7 @@ def propose(model: BuildingModel) -> BuildingModel:
     before = _supports(solids)
     notes += _held_at_the_side(solids, before)
     order = _built(solids, before, notes)
-    root = Task(global_id("proposed schedule", model.project), "Proposed order", "From the geometry; not accepted yet.")
+    root = Task(global_id("proposed schedule", model.project), "Proposed order")
     tasks = {}
     for number in order:
         element = solids[number].element

@@ -78,9 +78,7 @@ class Job:
 
 
 class Schedule:
-    """A checked graph of jobs.
-
-    Made by `Schedule.of`.
+    """A checked graph of jobs, made by `Schedule.of`.
 
     Attributes:
         jobs: In an order in which they can be done one after the other: as the tasks are scheduled if all say when, else as in the
@@ -114,12 +112,10 @@ class Schedule:
         everything = reading.jobs()
         reading.note_unmade(everything)
         ordered = _in_order(everything, model.tasks)
-        reading.notes += _order_notes(everything, model.tasks, proposed)
         said = model.remarks
         remarks = {job.id: (*said.get(job.task, ()), *said.get(job.element, ())) for job in everything}
-        jobs, removals = (
-            tuple(job for job in ordered if (job.id in reading.removals) is down) for down in (False, True)
-        )
+        removals = tuple(job for job in ordered if job.id in reading.removals)
+        jobs = tuple(job for job in ordered if job not in removals)
         remarks = {name: each for name, each in remarks.items() if each}
         return cls(jobs, tuple(reading.notes), proposed or reading.guessed, removals, remarks)
 
@@ -257,15 +253,12 @@ class _Reading:
             if task.parent not in self._tasks:
                 raise ScheduleError(f"task {identifier} ({task.name!r}) nests in {task.parent}, which is no task")
             self._children[task.parent].append(identifier)
-        for identifier in self._tasks:
-            chain: dict[str, None] = {}
-            at = identifier
-            while at and at not in chain:
-                chain[at] = None
-                at = self._tasks[at].parent
-            if at:
-                circle = tuple(chain)[tuple(chain).index(at) :]
-                raise ScheduleError(f"tasks nest in each other in a circle: {', '.join(circle)}")
+        try:
+            TopologicalSorter({one: [task.parent] for one, task in self._tasks.items() if task.parent}).prepare()
+        except CycleError as error:
+            raise ScheduleError(
+                f"tasks nest in each other in a circle: {', '.join(dict.fromkeys(error.args[1]))}"
+            ) from error
 
     def _above(self, identifier: str) -> tuple[str, ...]:
         """Return the task and those that it nests in, from inside."""
@@ -278,7 +271,6 @@ class _Reading:
     def _checked_sequences(self) -> dict[str, list[Sequence]]:
         """Return the sequences by the task that waits."""
         into: dict[str, list[Sequence]] = {identifier: [] for identifier in self._tasks}
-        leads, needless = [], []
         for sequence in self._model.sequences:
             ids = (sequence.before, sequence.after)
             missing = [identifier for identifier in ids if identifier not in self._tasks]
@@ -291,19 +283,15 @@ class _Reading:
                 if sequence.kind not in ("START_START", "FINISH_FINISH") or ids[0] == ids[1]:
                     why = "they are the same, or one nests in the other"
                     raise ScheduleError(f"{called} makes a task wait for itself: {why}")
-                needless.append(ids)
+                self.notes.append(f"{called[0].upper()}{called[1:]} is left out: one of them nests in the other.")
                 continue
             if not math.isfinite(sequence.lag):
                 raise ScheduleError(f"{called} has a lag of {sequence.lag:g} s")
             if sequence.lag < 0.0:
-                leads.append(ids)
-            if sequence.lag > 0.0 and self._is_completed(sequence.before):
-                self.notes.append(f"The lag after {ids[0]}, which is completed, is not waited for by {ids[1]}.")
+                self.notes.append(
+                    f"The lead from {ids[0]} to {ids[1]} is not used: the arm waits as if its lag were 0."
+                )
             into[sequence.after].append(sequence)
-        for ids in needless:
-            self.notes.append(f"The sequence from {ids[0]} to {ids[1]} is left out: one of them nests in the other.")
-        for ids in leads:
-            self.notes.append(f"The lead from {ids[0]} to {ids[1]} is not used: the arm waits as if its lag were 0.")
         return into
 
     def _checked_products(self) -> dict[str, tuple[str, ...]]:
@@ -317,14 +305,14 @@ class _Reading:
             given = (*task.products, *(task.inputs if task.kind == "takes_down" else ()))
             known = tuple(dict.fromkeys(one for one in given if one in self._model.elements))
             unknown = tuple(one for one in task.products if one not in self._model.elements)
-            if unknown and not nested:
+            if nested:
+                if known:
+                    said = f"What task {identifier} makes is taken from the tasks that nest in it"
+                    self.notes.append(f"{said}: {self._called(known)}.")
+                continue
+            if unknown:
                 said = f"Task {identifier} makes {first_few(unknown)}, which the arm cannot place"
                 self.notes.append(f"{said}: no such element was read.")
-            if nested and known:
-                said = f"What task {identifier} makes is taken from the tasks that nest in it"
-                self.notes.append(f"{said}: {self._called(known)}.")
-            if nested:
-                continue
             known = self._to_do(identifier, known)
             if not known:
                 empty.append(identifier)
@@ -343,8 +331,8 @@ class _Reading:
             if element in maker:
                 self._sequences[identifier].append(Sequence(maker[element], identifier))
         self._leave_temporary(found, maker)
-        idle = [one for one in empty if not self._tasks[one].milestone and self._tasks[one].kind == "makes"]
-        idle = [one for one in idle if not self._is_completed(one)]
+        makes = [one for one in empty if not self._tasks[one].milestone and self._tasks[one].kind == "makes"]
+        idle = [one for one in makes if not self._is_completed(one)]
         if idle:
             said = f"{len(idle)} {'tasks' if len(idle) > 1 else 'task'} without element: {self._called(idle)}"
             self.notes.append(f"{said}; kept for the order, no time is waited for.")
@@ -355,12 +343,12 @@ class _Reading:
         task, elements = self._tasks[identifier], self._model.elements
         if self._takes_down(identifier):
             # what the file calls completed still stands here until a person says that it does not
-            every = dict.fromkeys(part for one in known for part in (one, *self._parts(one)))
+            every = dict.fromkeys(part for one in known for part in (one, *parts_of(self._model.elements, one)))
             return tuple(one for one in every if elements[one].bodies)
         if task.kind != "makes":
             return ()
         if self._is_completed(identifier):
-            self._standing |= {*known, *(part for one in known for part in self._parts(one))}
+            self._standing |= {*known, *(part for one in known for part in parts_of(self._model.elements, one))}
             return ()
         works = tuple(one for one in known if elements[one].bodies and not self._moves(identifier, one))
         there = tuple(one for one in known if elements[one].status and one not in works)
@@ -376,15 +364,12 @@ class _Reading:
                 found += self._of_assembly(identifier, one)
         return tuple(dict.fromkeys(found))
 
-    def _parts(self, whole: str) -> list[str]:
-        return parts_of(self._model.elements, whole)
-
     def _of_assembly(self, identifier: str, element: str) -> tuple[str, ...]:
         """Return an element; of what has no body but parts or members: its workpieces that no other task makes, as proposed."""
         model = self._model
         if model.elements[element].bodies:
             return (element,)
-        parts = set(self._parts(element))
+        parts = set(parts_of(self._model.elements, element))
         if not parts:
             return (element,)
         # also the parts of an assembly within this one that has a task of its own, done or not
@@ -395,7 +380,7 @@ class _Reading:
             for one in task.products if name != identifier and task.kind == "makes" else ():
                 if one not in model.elements or not self._moves(name, one):
                     continue
-                theirs = set(self._parts(one))
+                theirs = set(parts_of(self._model.elements, one))
                 # of groups with something in common the smaller one has it, else the first
                 if one in parts or (theirs & parts and (theirs < parts or (earlier and not theirs > parts))):
                     elsewhere |= {one, *theirs}
@@ -419,12 +404,11 @@ class _Reading:
         removed: set[str] = set()
         for identifier in [one for one in found if self._takes_down(one)]:
             placed = [element for element in found[identifier] if element in maker]
-            twice = [element for element in found[identifier] if element in removed]
-            removed |= set(found[identifier])
             if placed:
                 said = f"Task {identifier} takes down {self._called(placed)}, which another task places: not read"
                 self.notes.append(f"{said}, it stays; what comes after does not wait for it to be gone.")
-            left = tuple(element for element in found[identifier] if element not in {*placed, *twice})
+            left = tuple(element for element in found[identifier] if element not in {*placed, *removed})
+            removed |= set(found[identifier])
             if left:
                 found[identifier] = left
             else:
@@ -445,7 +429,13 @@ class _Reading:
         started: dict[str, _Waits] = {}
         finished: dict[str, _Waits] = {}
         gates: dict[str, _Waits] = {}
-        for identifier, node in self._topological(before):
+        try:
+            order = list(TopologicalSorter(before).static_order())
+        except CycleError as error:
+            circle = dict.fromkeys(identifier for identifier, _ in error.args[1])
+            names = ", ".join(f"{identifier} ({self._tasks[identifier].name!r})" for identifier in circle)
+            raise ScheduleError(f"tasks wait for each other in a circle: {names}") from error
+        for identifier, node in order:
             if node == 0:
                 parent = self._tasks[identifier].parent
                 own = self._sequences[identifier]
@@ -465,15 +455,6 @@ class _Reading:
             else:
                 started[identifier] = finished[identifier] = gates[identifier]
         return gates
-
-    def _topological(self, before: dict[tuple[str, int], list[tuple[str, int]]]) -> list[tuple[str, int]]:
-        """Return the nodes so that each comes after those before it."""
-        try:
-            return list(TopologicalSorter(before).static_order())
-        except CycleError as error:
-            circle = tuple(dict.fromkeys(identifier for identifier, _ in error.args[1]))
-            names = ", ".join(f"{identifier} ({self._tasks[identifier].name!r})" for identifier in circle)
-            raise ScheduleError(f"tasks wait for each other in a circle: {names}") from error
 
 
 def _merged(first: _Waits, second: _Waits, lag: float) -> _Waits:
@@ -505,41 +486,12 @@ def _places(jobs: tuple[Job, ...], tasks: Mapping[str, Task]) -> dict[str, tuple
     try:
         # what is to be taken down without a task has no date and comes first
         starts = {job.id: datetime.fromisoformat(tasks[job.task].start) for job in jobs if job.task in tasks}
+        if len({start.tzinfo is None for start in starts.values()}) > 1:
+            starts = {}
     except ValueError:
-        starts = {}
-    if len({start.tzinfo is None for start in starts.values()}) > 1:
         starts = {}
     moments = {identifier: start.timestamp() for identifier, start in starts.items()}
     return {job.id: (moments.get(job.id, -math.inf), number) for number, job in enumerate(jobs)}
-
-
-def _order_notes(jobs: tuple[Job, ...], tasks: Mapping[str, Task], proposed: bool) -> list[str]:
-    """Return what a person should know of the order: that dates are not used, or that the file says none."""
-    starts = {job.task: tasks[job.task].start for job in jobs if job.task in tasks}
-    without = [identifier for identifier, start in starts.items() if not start]
-    unused = "Dates are not used for the order, because"
-    if without and len(without) < len(starts):
-        named = first_few(_called(tasks[one].name, one) for one in without)
-        why = f"there is no start for {len(without)} of {len(starts)} tasks: {named}"
-        return [f"{unused} {why}. What no sequence orders comes as it stands in the file."]
-    if not without and len({_has_zone(start) for start in starts.values()}) > 1:
-        return [f"{unused} some starts have a time zone and others have none."]
-    on = {job.id: job.element for job in jobs}
-    # of the jobs of one task, and of one element, the file need not say an order
-    free = all(wait.job.startswith(f"{job.task}/") or on[wait.job] == job.element for job in jobs for wait in job.after)
-    if len(starts) > 1 and without and free and not proposed:
-        return [
-            "The file says no order of its tasks, neither sequences nor dates: they come as they stand in the file."
-        ]
-    return []
-
-
-def _has_zone(start: str) -> bool | None:
-    """Return whether a start has a time zone; None: it is no date."""
-    try:
-        return datetime.fromisoformat(start).tzinfo is not None
-    except ValueError:
-        return None
 
 
 def _called(name: str, identifier: str) -> str:

@@ -16,8 +16,8 @@ from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.reports import ExecutionReport, WorkReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.worker import WorkerError
-from construction_twin.extensions.work import engaged_scene
-from construction_twin.extensions.work.built import Deviation, change, pose_tuple
+from construction_twin.extensions.work import decisions, engaged_scene
+from construction_twin.extensions.work.built import Appearance, Deviation, change, pose_tuple
 from construction_twin.extensions.work.errors import WorkError
 from construction_twin.extensions.work.following import Follower
 from construction_twin.extensions.work.heard import Heard
@@ -25,7 +25,7 @@ from construction_twin.extensions.work.ledger import Ledger
 from construction_twin.extensions.work.prepared import Prepared
 from construction_twin.extensions.work.process import TaskMotions
 from construction_twin.extensions.work.recipe import DEFAULT
-from construction_twin.extensions.work.task_board import Appearance, TaskBoard, WorkRefused
+from construction_twin.extensions.work.task_board import TaskBoard, WorkRefused
 from construction_twin.extensions.work.task_memory import UNDER_WAY, Entry, TaskState
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.planning.work_segment import WorkSegment
@@ -112,7 +112,7 @@ class WorkSession:
             prepared.present,
         )  # fmt: skip
         board = TaskBoard(prepared, ledger, robot.name, robot.tip_link)
-        board.look_around()
+        decisions.look_around(board)
         opened = f"{prepared.model}: {len(prepared.schedule.jobs)} tasks, {ledger.lines} lines in {ledger.path}"
         for said in (opened, *board.notes):
             calls.log(said)
@@ -172,7 +172,7 @@ class WorkSession:
         if scene is None:
             return
         with self.lock:
-            wrong = change(scene, *self.board.wanted_scene())
+            wrong = change(scene, *self.board.built.wanted_scene())
         if wrong != SceneChange():
             self._edit(scene.hash, wrong)
 
@@ -206,7 +206,7 @@ class WorkSession:
             if about == self._blocked_in:
                 return self._blocked
             element = board.element_of(left.task) if memory is not None else ""
-            forms = board.forms(left.task) if memory is not None else ()
+            forms = board.built.forms(left.task) if memory is not None else ()
             found = engaged_scene.due(left, scene, segments, changes, heard.scenes(), element, forms)
         if found.change is None:
             self._blocked, self._blocked_in = found.sentence, about
@@ -272,7 +272,7 @@ class WorkSession:
             scene = self._heard.scene
             if scene is None:
                 raise WorkRefused("the scene is not known; see why the scene node is down")
-            if change(scene, *board.wanted_scene()) != SceneChange():
+            if change(scene, *board.built.wanted_scene()) != SceneChange():
                 raise WorkRefused(
                     "the scene could not be made what the ledger says; /diagnostics of the node work says why"
                 )
@@ -342,15 +342,15 @@ class WorkSession:
         with self.lock:
             match decision:
                 case "accept_schedule":
-                    sentence = board.accept(person, reason)
+                    sentence = decisions.accept(board, person, reason)
                 case "answer_all":
-                    sentence = board.answer_all(answer, person, reason)
+                    sentence = decisions.answer_all(board, answer, person, reason)
                 case "answer":
-                    sentence = board.answer(task, answer, person, reason, question)
+                    sentence = decisions.answer(board, task, answer, person, reason, question)
                     if problem := board.left_closed(self._follower.grip().commanded):
                         sentence = Sentence("{first}; {second}", first=sentence, second=problem)
                 case "skip" | "redo" | "removed":
-                    sentence = getattr(board, decision)(task, person, reason)
+                    sentence = getattr(decisions, decision)(board, task, person, reason)
                 case _:
                     raise WorkRefused(f"decision {decision!r}; expected skip, redo, answer, removed or accept_schedule")
         self._calls.log(f"{sentence} ({person})")
@@ -360,7 +360,7 @@ class WorkSession:
     def measured(self, element: str, pose: Pose, person: str, reason: str) -> Deviation:
         """Take where a person has measured an element."""
         with self.lock:
-            found = self.board.measured(element, pose, person, reason)
+            found = decisions.measured(self.board, element, pose, person, reason)
         self._heard.announce()
         return found
 
@@ -373,9 +373,9 @@ class WorkSession:
         return replace(report, engaged=True, reason=_only_way_back(self._blocked))
 
     def appearances(self) -> tuple[Appearance, ...]:
-        """Return what each element looks like, see `TaskBoard.appearances`."""
+        """Return what each element looks like, see `AsBuilt.appearances`."""
         with self.lock:
-            return self.board.appearances(self._clock())
+            return self.board.built.appearances(self.board.next(self._clock()))
 
 
 def _only_way_back(problem: str) -> str:

@@ -7,7 +7,7 @@ stands as built, and what no task makes or moves stands where the model has it.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -161,25 +161,12 @@ def _delivered(rack: DeliveredRack, element: Element, base_T_model: Pose, file: 
 _STOOD = 5000
 
 
-@dataclass(frozen=True, eq=False)
-class WorkState:
-    """What has been done.
-
-    Attributes:
-        placed: ``base_T_element`` of the elements that stand, as built.
-        gone: Elements that are neither in stock nor placed: lost, in the grip, or taken down.
-    """
-
-    placed: Mapping[str, Pose] = field(default_factory=dict)
-    gone: frozenset[str] = frozenset()
-
-
 class Layout:
     """Where every element of a work is before and after.
 
     Args:
         pieces: Convex pieces of each element in `order`, in its own frame, called ``<GlobalId>/<number>``.
-        standing: Pieces, as above, of the elements that stand where the model has them and that no task makes, see `work.standing`.
+        standing: Pieces, as above, of the elements that stand where the model has them and that no task makes.
         jobs: Who works on them; by default one for each, called as the element, by the process of the element's own recipe.
 
     Attributes:
@@ -230,28 +217,28 @@ class Layout:
         """Return where an element is to stand, as designed."""
         return product(self._base_T_model, self.building.element(element).model_T_element)
 
-    def delivered(self, state: WorkState) -> tuple[str, ...]:
-        """Return the elements that lie in stock."""
-        return self.stock.present({*state.placed, *state.gone})
+    def scene(self, placed: Mapping[str, Pose] = MappingProxyType({}), gone: Collection[str] = ()) -> Scene:
+        """Return the scene at a state of the work: surroundings, the tool on the arm, what is in stock, what stands.
 
-    def scene(self, state: WorkState = WorkState()) -> Scene:
-        """Return the scene at a state: surroundings, the tool on the arm, what is in stock, what stands."""
-        surroundings = self.site.scene
-        objects = [*surroundings.objects]
+        Args:
+            placed: ``base_T_element`` of the elements that stand, as built.
+            gone: Elements that are neither in stock nor placed: lost, in the grip, or taken down.
+        """
+        objects = [*self.site.scene.objects]
         for item in self.standing:
             element = item.name.split("/", 1)[0]
-            if element not in state.gone and state.placed.keys() >= self.comes_after.get(element, frozenset()):
+            if element not in gone and placed.keys() >= self.comes_after.get(element, frozenset()):
                 objects.append(item)
         objects += self._tool
-        for element in self.delivered(state):
-            objects += self._standing(element, self.stock.slots[element].base_T_element)
+        for element in self.stock.present({*placed, *gone}):
+            objects += self._at(element, self.stock.slots[element].base_T_element)
         for element in self.stays:
-            if element not in state.placed and element not in state.gone:
-                objects += self._standing(element, self.base_T_goal(element))
-        for element, pose in state.placed.items():
+            if element not in placed and element not in gone:
+                objects += self._at(element, self.base_T_goal(element))
+        for element, pose in placed.items():
             if element in self._pieces:
-                objects += self._standing(element, pose)
-        return Scene(tuple(objects), surroundings.padding)
+                objects += self._at(element, pose)
+        return Scene(tuple(objects), self.site.scene.padding)
 
     def job_for(self, element: str, scene: Scene, task: str = "") -> WorkJob:
         """Return the job of an element; `task`: id of the job; one that the layout does not know: its first one."""
@@ -288,7 +275,7 @@ class Layout:
             return self.base_T_goal(element)
         return product(scene.get(first.name).pose, inverse(first.pose))
 
-    def _standing(self, element: str, base_T_element: Pose) -> tuple[SceneObject, ...]:
+    def _at(self, element: str, base_T_element: Pose) -> tuple[SceneObject, ...]:
         """Return an element's pieces at a pose; they are kept, because most elements stay where they are."""
         key = element, base_T_element.position.tobytes() + base_T_element.rotation.tobytes()
         if key not in self._stood:

@@ -244,8 +244,7 @@ def _settle(
     for _ in range(_ATTEMPTS):
         description = with_home(description, home.q)
         robot = load_robot(robot.urdf, description)
-        with progress(samples) as report:
-            pairs = sample_self_collision(robot, samples, SEED, report)
+        pairs = sample_self_collision(robot, samples, SEED, progress(samples))
         world = CollisionWorld(robot, scene, pairs)
         if world.is_free(robot.home):
             measured = world.clearance(robot.home)

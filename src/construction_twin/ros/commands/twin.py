@@ -235,11 +235,7 @@ class Command:
                 return
             if publishing_nodes(f"{self._namespace}/{name}"):
                 listener.wait(partial(listener.publishers, name), self._options.timeout)
-                listener.wait(partial(self._reported, listener, name), patience / 2 if name == "review" else patience)
-
-    @staticmethod
-    def _reported(listener: RobotListener, name: str) -> bool:
-        return listener.newest(name) is not None
+                listener.wait(partial(listener.newest, name), patience / 2 if name == "review" else patience)
 
     def _print_plan(self, plan: Plan, listener: RobotListener, with_names: Callable[[str], str] = str) -> None:
         lines = plan_lines(plan, self._robot().linear, listener.changes(plan.id))
@@ -270,17 +266,8 @@ class Command:
 
     def _review(self, plan: Plan, verdict: str, seen: str | None = None) -> Exit:
         """Give a verdict; `seen`: an approval in spite of the rehearsal whose result has this hash, "" for none."""
-        reviewer = self._options.reviewer or account_name()
-        override = seen is not None
-        request = ReviewRequest(
-            plan.id,
-            plan.hash,
-            verdict,
-            reviewer,
-            self._options.reason,
-            override_rehearsal=override,
-            rehearsal_hash=seen or "",
-        )
+        given = plan.id, plan.hash, verdict, self._options.reviewer or account_name(), self._options.reason
+        request = ReviewRequest(*given, override_rehearsal=seen is not None, rehearsal_hash=seen or "")
         return _print(self._client.review(request))
 
     def _wait(self, listener: RobotListener, plan: Plan) -> Exit:

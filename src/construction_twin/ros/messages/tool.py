@@ -6,8 +6,8 @@ import genpy
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
-from construction_twin.execution.boundary import ToolOrder
 from construction_twin.execution.engagement import Engagement
+from construction_twin.execution.segment_run import ToolOrder
 from construction_twin.msg import Engagement as EngagementMsg
 from construction_twin.msg import Signal, ToolCommand, ToolState
 from construction_twin.ros.messages.convert import trajectory_to_msg

@@ -26,17 +26,15 @@ from construction_twin.core.reports import SessionRequest, SpeedChange, ToolRepo
 from construction_twin.core.sentences import Sentence, both
 from construction_twin.core.speed_limit import SpeedLimit
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.execution.approval import AUTO_APPROVE, Approval, WithoutPerson
-from construction_twin.execution.conflict_verdicts import ConflictVerdicts
+from construction_twin.execution.approval import AUTO_APPROVE, Approval, ConflictVerdicts, WithoutPerson
 from construction_twin.execution.engagement import read_engagement
 from construction_twin.execution.executor import Executor
-from construction_twin.execution.rehearsal_check import RehearsalCheck
 from construction_twin.execution.segment_run import NO_ARM
 from construction_twin.execution.upkeep import Disk, News, Permission
-from construction_twin.monitor.gate import SyncState
+from construction_twin.monitor.states import SyncState
 from construction_twin.review.plan_under_review import EXECUTOR, REJECTED, Verdict
 from construction_twin.review.record import Responsibility, ReviewLog
-from construction_twin.review.rehearsal_report import RehearsalReport, is_whole
+from construction_twin.review.rehearsal_report import RehearsalCheck, RehearsalReport, is_whole
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.tool import tool_hash
 from construction_twin.ros.messages.convert import plan_from_msg
@@ -90,7 +88,7 @@ def _do(_what: str, part: Callable[..., _Result], *arguments: object) -> _Result
 
 
 class ExecutorNode:
-    """ROS around an `Executor`, whose lock it holds for every use."""
+    """ROS around an `Executor`, whose lock it holds for every use. A method for each of 18 topics and services."""
 
     def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
         self._robot, self._ports, self._diagnostics = robot, ports, ports.diagnostics
@@ -98,8 +96,6 @@ class ExecutorNode:
         file = self._log.file.path
         left = file.with_name(f"{file.stem}_engagement.json")
         self.executor = executor = Executor(robot, read_engagement(left, robot.joint_names))
-        executor.neighbour = ConflictVerdicts(settings.neighbour)
-        executor.rehearsal = RehearsalCheck(settings.rehearsal == "require", tool_hash(settings.tool))
         if settings.arm != "none":
             executor.on_link(False, Sentence("no report of the link yet"))
         else:
@@ -109,16 +105,18 @@ class ExecutorNode:
         )
         self._lock = threading.Lock()
         self._approval = Approval(executor, self._log.append, self._lock, lambda: present())
+        self._approval.neighbour = ConflictVerdicts(settings.neighbour)
+        self._approval.rehearsal = RehearsalCheck(settings.rehearsal == "require", tool_hash(settings.tool))
         self._without_person = WithoutPerson(settings.auto_approve, settings.auto_approve_sources)
         self._log_queue = DeferredLog()
         self.side_effects = executor.side_effects
         self._sync_at = 0
-        self._news = News(executor, self._limit)
+        self._news = News(executor, self._approval, self._limit)
         self._disk = Disk(executor, left, self._lock, lambda problem: rospy.logerr_throttle(5.0, "%s", problem))
         rospy.on_shutdown(self.write_records)
         rospy.loginfo("verdicts are recorded in %s (%d so far)", file, self._log.file.lines)
         if executor.engagement.engaged:
-            rospy.logwarn("%s", executor.engaged())
+            rospy.logwarn("%s", executor.engagement.sentence)
         if settings.auto_approve:
             rospy.logwarn("auto_approve is on: every plan is approved by itself, without a person")
         elif settings.auto_approve_sources:
@@ -137,7 +135,7 @@ class ExecutorNode:
                     executor.on_sync(SyncState.STALE, False)
                 if stalled:
                     executor.stall(Sentence("this process was not run for {seconds:.3f} s", seconds=stalled / 1e9))
-                executor.limit_rate(self._limit.update(now), self._limit.reason)
+                executor.limit.take(self._limit.update(now), self._limit.reason)
                 setpoint = executor.step(stamp, now)
             if setpoint is not None:
                 publish(stamp, setpoint)
@@ -159,7 +157,7 @@ class ExecutorNode:
         with self._lock:
             self._sync_at = time.monotonic_ns()
             self.executor.on_sync(state, message.agreed, message.policy, from_time(message.held_stamp))
-            self.executor.trail(message.round_trip, message.servo_lag)
+            self.executor.limit.trail(message.round_trip, message.servo_lag)
 
     def on_limit(self, message: msg.SpeedLimitInForce) -> None:
         """Take the speed limit in force."""
@@ -177,7 +175,8 @@ class ExecutorNode:
         """Take a verdict on the other arm."""
         problem = sentence_of(message, message.reason) if message.conflict else ""
         with self._lock:
-            self.executor.on_conflict(message.plan_id, problem, time.monotonic_ns())
+            self._approval.neighbour.on_verdict(message.plan_id, problem, time.monotonic_ns())
+            self.executor.on_conflict(message.plan_id, problem)
 
     def on_rehearsal(self, message: msg.Rehearsal) -> None:
         """Take what the rehearsal of a plan has found."""
@@ -185,7 +184,7 @@ class ExecutorNode:
         if not is_whole(report):
             raise PayloadError("rehearsal", f"the rehearsal of plan {report.plan_id!r} is not what its hash says")
         with self._lock:
-            self.executor.rehearsal.on_report(report)
+            self._approval.rehearsal.on_report(report)
 
     def on_plan(self, message: msg.Plan) -> None:
         """Take a plan to be reviewed."""
@@ -208,13 +207,9 @@ class ExecutorNode:
         who, unchecked = message.responsible, tuple(message.not_checked)
         self._log.on_responsible(Responsibility(who, message.session, unchecked) if who else None)
 
-    def on_session_request(self, message: msg.SessionRequest) -> None:
-        """Record who has lifted a stop or fault, or armed."""
-        self._log.defer(from_msg(SessionRequest, message))
-
-    def on_speed_change(self, message: msg.SpeedChange) -> None:
-        """Record who has set the speed limit of people."""
-        self._log.defer(from_msg(SpeedChange, message))
+    def record(self, request: SessionRequest | SpeedChange) -> None:
+        """Record who has lifted a stop or fault, or armed; or has set the speed limit of people."""
+        self._log.defer(request)
 
     # -- services
 
@@ -310,7 +305,7 @@ class ExecutorNode:
         self.side_effects.run("the engagement", self.keep_engagement)
         with self._lock:
             self.executor.under_review.scene_alive = self._ports.connections("scene") > 0
-            self.executor.look_for_obstacle()
+        self._approval.look_for_obstacle()
         self._disk.write("an approval", self._approve_by_itself)
 
     def _approve_by_itself(self) -> None:
@@ -390,7 +385,7 @@ class ExecutorNode:
         if problem := self._disk.problem:
             return Report(ERROR, problem, values)
         with self._lock:
-            engaged = executor.engaged()
+            engaged = executor.engagement.sentence
         if failed := engaged or self.side_effects.sentence:
             return Report(WARN, failed, values)
         return Report(WARN if self._news.waits else OK, f"{executor.state.name}: {executor.reason}", values)
@@ -422,14 +417,20 @@ INTERFACE = Interface(
         Subscription(
             "speed_limit_in_force", msg.SpeedLimitInForce, ExecutorNode.on_limit, queue_size=5, tcp_nodelay=True
         ),
-        Subscription("speed_change", msg.SpeedChange, ExecutorNode.on_speed_change, queue_size=50),
+        Subscription(
+            "speed_change", msg.SpeedChange, lambda node, said: node.record(from_msg(SpeedChange, said)), queue_size=50
+        ),
         Subscription(
             "conflict", msg.Conflict, ExecutorNode.on_conflict, queue_size=20, tcp_nodelay=True,
             when=lambda settings: bool(settings.neighbour),
         ),
         Subscription("link", msg.Link, ExecutorNode.on_link, queue_size=5, when=has_arm),
         Subscription(
-            "session_request", msg.SessionRequest, ExecutorNode.on_session_request, queue_size=10, when=has_arm
+            "session_request",
+            msg.SessionRequest,
+            lambda node, said: node.record(from_msg(SessionRequest, said)),
+            queue_size=10,
+            when=has_arm,
         ),
         Subscription("tool", msg.ToolState, ExecutorNode.on_tool, queue_size=20, tcp_nodelay=True, when=has_arm),
     ),

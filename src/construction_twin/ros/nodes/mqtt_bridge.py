@@ -70,7 +70,7 @@ class Settings(MqttSettings):
 
 
 class MqttBridge:
-    """ROS and MQTT around a `Bridge`.
+    """ROS and MQTT around a `Bridge`: a method for each topic and service of either side.
 
     `_lock` guards the `Bridge`; nothing is sent while it is held. Its times are monotonic: a wall clock that is set must not make a
     gateway look alive, or an arm at rest.

@@ -1,6 +1,6 @@
 """pca_monitor: the pose checking algorithm as the gate between `next/joint_states` and `command/joint_states`.
 
-It also merges what limits the speed, beside the gate: see `ros.shared.speed_limits`.
+It also merges what limits the speed, beside the gate: `SpeedLimitService`.
 """
 
 from __future__ import annotations
@@ -9,19 +9,25 @@ import threading
 import time
 from collections import deque
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated, Literal
 
 import pydantic
 import rospy
 
 from construction_twin import msg, srv
-from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.errors import ConfigurationError, ExpiredError, PayloadError
 from construction_twin.core.files import check_writable
+from construction_twin.core.freshness import TOO_OLD, present
 from construction_twin.core.limits import MotionLimits
-from construction_twin.core.reports import HoldReport
+from construction_twin.core.reports import HoldReport, SpeedChange
 from construction_twin.core.sentences import Sentence
+from construction_twin.core.speed_limit import LimitState, SpeedLimit
+from construction_twin.gateway.config import GatewayConfig
+from construction_twin.link.speed_limits import NOBODY, UNKNOWN, SpeedLimits, read_people, write_people
 from construction_twin.monitor.gate import Cause, Gate
-from construction_twin.monitor.monitor import SYNC_RATE, Behaviour, Monitor, Replan, TransitionLog
+from construction_twin.monitor.monitor import SYNC_RATE, Monitor, Replan, TransitionLog
+from construction_twin.monitor.settings import GateSettings
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.robot.description import RobotModel
@@ -42,11 +48,11 @@ from construction_twin.ros.shared.node_shell import (
     has_arm,
 )
 from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.params import NodeSettings, robot_file, ros_home
-from construction_twin.ros.shared.speed_limits import AGAIN, PERIOD, PROGRAM, SpeedLimitService
+from construction_twin.ros.shared.params import NodeSettings, robot_file, ros_home, settings_of
 from construction_twin.ros.shared.stop_memory import PARAMETER, StopMemory
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
-from construction_twin.servo.file import read_servos
+from construction_twin.ros.transport.subscriber import caller_of
+from construction_twin.servo.model import read_servos
 
 #: Setpoints kept while the gate is busy, 0.1 s: what is older it does not let pass.
 SETPOINTS_KEPT = 25
@@ -54,18 +60,129 @@ SETPOINTS_KEPT = 25
 FEEDBACK_KEPT = 50
 #: How long transitions wait for their file [s].
 WRITE_PERIOD = 0.1
+#: Parameter of the robot: what holds while the program that was heard is silent, and its name. The launch file clears it.
+PROGRAM = "speed_limit_program"
+#: Between two messages of the limit in force, well below `speed_limit_deadline`, and between two tries to write a file [s].
+LIMIT_PERIOD, LIMIT_AGAIN = 0.05, 0.5
+#: So long the answer to a lower limit, which acts already, waits for the disk [s]: one that hangs holds up no lower one.
+PATIENCE = 0.5
 #: Which states are worth a warning in the node's log, and which an error; the others are part of normal work.
 _WARNED = (SyncState.HOLDING, SyncState.REPLANNING, SyncState.STALE)
 _SERIOUS = (SyncState.STOPPED, SyncState.FAULT)
 
 
-class Settings(NodeSettings, Behaviour):
+class Settings(NodeSettings, GateSettings):
     """Private parameters; see config/pca_monitor.yaml."""
 
     arm: Literal["mock", "real", "none"]
     decimals: int = pydantic.Field(ge=1, le=6)
     transition_file: Annotated[str, pydantic.Field(min_length=1)]
     servo_model: str
+
+
+class Rules(pydantic.BaseModel):
+    """What executor or gateway is told of a source that falls silent, among their other parameters; see config/executor.yaml."""
+
+    speed_limit_deadline: float = pydantic.Field(GatewayConfig.speed_limit_deadline, gt=0)
+    speed_limit_silent: float = pydantic.Field(GatewayConfig.speed_limit_silent, ge=0, le=1)
+    speed_limit_required: bool = False
+
+
+class SpeedLimitService:
+    """ROS around a SpeedLimits: of one program on `speed_limit`, of people by `limit_speed`; the lowest is published, and repeated.
+
+    Beside the gate, in threads of its own: no setpoint waits for its lock or file. A raise of people is on the disk before it acts,
+    a lower limit acts at once: a restart raises nothing. Not safety rated. The file `path` keeps what people set; None: it ends
+    with the process.
+    """
+
+    def __init__(self, path: Path | None, ports: Ports):
+        # the stricter of what executor and gateway are told holds here; without an arm there is no gateway
+        told = {name: ports.parameters[name] for name in ("executor", "gateway") if ports.parameters[name] is not None}
+        rules = [settings_of(Rules, given, rospy.resolve_name(name)) for name, given in told.items()]
+        deadline = min(each.speed_limit_deadline for each in rules)
+        silent = min(each.speed_limit_silent for each in rules)
+        program = SpeedLimit(deadline, silent, rules[0].speed_limit_required)
+        fraction, _, name = ports.parameters[PROGRAM].partition(" ")
+        if name:
+            # a process before this one has heard it: it is silent until it is heard again
+            program.hear(float(fraction), name, time.monotonic_ns() - round(2e9 * deadline) - 1)
+        self._memory = StopMemory(ports.parameters[PROGRAM], ports.keeper(PROGRAM), PROGRAM)
+        people, problem = read_people(path) if path else (NOBODY, "")
+        self._limits = SpeedLimits(program, people, present(), problem)
+        # what the file holds, and a lock that is held while the disk is waited for
+        self._path, self._kept, self._file_problem, self._file_lock = path, people, "", threading.Lock()
+        self._in_force, self._changes = (ports.publishers[name] for name in ("speed_limit_in_force", "speed_change"))
+        self._refuse = ports.diagnostics.refuse
+        # also orders what is published: the last message is what was decided last
+        self._lock = threading.Lock()
+
+    def on_program(self, message: msg.SpeedLimit) -> None:
+        """Take what a program allows; it is in force at once."""
+        try:
+            with self._lock:
+                self._limits.program.accept(message.limit, caller_of(message), time.monotonic_ns(), message.reason)
+                self._publish()
+        except PayloadError as error:
+            self._refuse(error.reason, str(error))
+
+    def on_limit_speed(self, request: srv.LimitSpeedRequest) -> Outcome:
+        """Take what a person sets: a lower limit is in force before anything is written, a higher one is written first."""
+        given, limits = (request.limit, request.person, request.moment), self._limits
+        try:
+            if request.limit > limits.people.limit:
+                with self._file_lock:
+                    self._write(limits.asked(*given, present(), now_ns()))
+                    if self._file_problem:
+                        raise PayloadError("file", f"the speed limit of people is not raised: {self._file_problem}")
+            with self._lock:
+                before, sentence = limits.people, limits.set(*given, present(), now_ns())
+                self._publish()
+                if limits.people is not before:
+                    self._changes.publish(to_msg(limits.people, msg.SpeedChange))
+        except (PayloadError, ExpiredError) as error:
+            self._refuse(error.reason if isinstance(error, PayloadError) else TOO_OLD, str(error))
+            return Outcome(False, str(error), isinstance(error, ExpiredError), {"limit": limits.people.limit})
+        writer = threading.Thread(target=self.write, name="speed limit", daemon=True)
+        writer.start()
+        writer.join(PATIENCE)
+        return Outcome(True, sentence, fields={"limit": limits.people.limit})
+
+    def write(self) -> None:
+        """Write what people have set, where the file does not hold it; for a thread that may wait for a disk."""
+        with self._file_lock:
+            # an unreadable file stays as it is until a person has set a limit
+            if self._limits.people != self._kept:
+                self._write(self._limits.people)
+
+    def _write(self, people: SpeedChange) -> None:
+        self._file_problem = write_people(self._path, people) if self._path else ""
+        self._kept = UNKNOWN if self._file_problem else people
+
+    def repeat(self) -> None:
+        """Publish what is in force again, and notice a program's silence; to be called every `LIMIT_PERIOD`."""
+        program = self._limits.program
+        with self._lock:
+            self._publish()
+            # it changes seldom, however often the limit does
+            memory = f"{int(100 * program.fraction_when_silent) / 100:g} {program.name}" if program.name else ""
+        self._memory.keep(memory, time.monotonic_ns())
+
+    def _publish(self) -> None:
+        if report := self._limits.report(time.monotonic_ns()):
+            self._in_force.publish(to_msg(replace(report, stamp=now_ns()), msg.SpeedLimitInForce))
+
+    def report(self) -> Report:
+        """Return the state for `/diagnostics`."""
+        program = self._limits.program
+        with self._lock:
+            said = self._limits.report(time.monotonic_ns())
+        limit, reason = (said.limit, said.reason) if said else (1.0, program.reason)
+        values = {"speed limit": f"{limit:.3f}", "speed limit because": reason}
+        slow = program.state in (LimitState.SILENT, LimitState.MISSING)
+        problem = self._file_problem or self._memory.problem
+        level = ERROR if problem or self._limits.problem else WARN if slow else OK
+        return Report(level, problem or f"speed limit {limit:g}: {reason}", values)
 
 
 class PcaMonitorNode:
@@ -80,9 +197,8 @@ class PcaMonitorNode:
         self._command = ports.publishers["command/joint_states"]
         # without a model of the arm's servos nothing is expected
         self._expected = ports.publishers.get("expected/joint_states")
-        behaviour = Behaviour.model_validate(settings.model_dump(include=set(Behaviour.model_fields)))
         self._gate = make_gate(settings, robot, now)
-        self._monitor = Monitor(self._gate, behaviour, robot.joint_names, stopped_in, now)
+        self._monitor = Monitor(self._gate, robot.joint_names, stopped_in, now)
         transitions = robot_file(settings.transition_file, robot.name)
         rospy.loginfo("transitions are recorded in %s", transitions)
         self._transitions = TransitionLog(transitions, robot.joint_names)
@@ -187,7 +303,7 @@ class PcaMonitorNode:
 
     def _note_changes(self) -> None:
         """Take over the gate's transitions, and ask for a plan beside the stream; under the lock, before a change can be heard."""
-        if not self._gate.changed:
+        if not self._gate.transitions:
             return
         changes, replan = self._monitor.take_transitions()
         if replan is not None:
@@ -274,7 +390,8 @@ def make_gate(settings: Settings, robot: RobotModel, now: int) -> Gate:
     """Return the gate of a robot; ConfigurationError where the parameters do not fit it."""
     codec = JointStringCodec.of(robot, settings.decimals)
     servos = read_servos(settings.servo_model, robot.joint_names) if knows_servos(settings) else None
-    return Gate(MotionLimits.of(robot), codec, settings.gate_settings(settings.arm != "none"), now, servos)
+    given = GateSettings.model_validate(settings.model_dump(include=set(GateSettings.model_fields)))
+    return Gate(MotionLimits.of(robot), codec, given, now, servos, settings.arm != "none")
 
 
 def knows_servos(settings: Settings) -> bool:
@@ -335,8 +452,8 @@ INTERFACE = Interface(
     every=(
         Every(lambda _settings: 1 / SYNC_RATE, PcaMonitorNode.watch),
         Every(lambda _settings: WRITE_PERIOD, PcaMonitorNode.write_transitions),
-        Every(lambda _settings: PERIOD, lambda node: node.speed.repeat()),
-        Every(lambda _settings: AGAIN, lambda node: node.speed.write()),
+        Every(lambda _settings: LIMIT_PERIOD, lambda node: node.speed.repeat()),
+        Every(lambda _settings: LIMIT_AGAIN, lambda node: node.speed.write()),
     ),
 )
 NODE = NodeShell("pca_monitor", Settings, PcaMonitorNode, INTERFACE, check, fast=True)

@@ -15,7 +15,6 @@ from importlib import import_module
 from types import MethodType
 from typing import Any, Generic, TypeVar
 
-import pydantic
 import rospy
 from sensor_msgs.msg import JointState
 
@@ -289,10 +288,6 @@ class Ports:
         return self._interface.report(self._node)
 
 
-def nothing_more(_settings: pydantic.BaseModel, _robot: RobotModel, _shared: Shared) -> None:
-    """Check nothing: what the model of the parameters accepts, the node can start with."""
-
-
 @dataclass(frozen=True)
 class NodeShell(Generic[Settings]):
     """One robot's node, as its process starts it and as `preflight` checks it before anything starts.
@@ -308,7 +303,7 @@ class NodeShell(Generic[Settings]):
     settings: type[Settings]
     start: Callable[[Settings, RobotModel, Ports], object]
     interface: Interface
-    check: Callable[[Settings, RobotModel, Shared], object] = nothing_more
+    check: Callable[[Settings, RobotModel, Shared], object] = lambda *_: None
     fast: bool = False
     refused: Callable[[str], object] = refuse
 

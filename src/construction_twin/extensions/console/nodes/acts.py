@@ -82,9 +82,10 @@ class Acts:
 
     def __init__(self, connection: Connection, services: Services):
         self._connection, self._services = connection, services
-        names = ("approve", "reject", "answer", *(kind.name for kind in (LOWER_SPEED, RAISE_SPEED, *PRESSED)))
+        names = ("reject", "answer", *(kind.name for kind in (LOWER_SPEED, RAISE_SPEED, *PRESSED)))
         self.queues = {name: RequestQueue(WAITING) for name in names}
-        serve, verdicts = connection.serve, _Verdicts(self.queues["approve"], self.queues["reject"])
+        serve, verdicts = connection.serve, _Approvals(self.queues["reject"])
+        self.queues["approve"] = verdicts
         serve(NAMELESS_REVIEW, NamelessVerdict, self._give_verdict, verdicts)
         serve(REVIEW, Verdict, self._give_verdict, verdicts)
         serve(OVERRIDE, Override, self._give_verdict, verdicts)
@@ -147,19 +148,19 @@ class Acts:
         return Outcome.of(call_twice(self._services.limit_speed, "pca_monitor", **fields))
 
 
-class _Verdicts:
-    """Where approvals wait, and where rejections do."""
+class _Approvals(RequestQueue):
+    """Where approvals wait; a rejection among the verdicts waits elsewhere."""
 
-    def __init__(self, approve: RequestQueue, reject: RequestQueue):
-        self._approve, self._reject = approve, reject
-
-    def admits(self, _request: Incoming) -> bool:
-        """Return True: each verdict is read."""
-        return True
+    def __init__(self, rejections: RequestQueue):
+        super().__init__(WAITING)
+        self._rejections = rejections
 
     def take(self, request: Incoming) -> None:
         """Let a verdict wait in its queue."""
-        (self._reject if request.asked.verdict == "rejected" else self._approve).take(request)
+        if request.asked.verdict == "rejected":
+            self._rejections.take(request)
+        else:
+            super().take(request)
 
 
 def _run_queue(queue: RequestQueue) -> None:

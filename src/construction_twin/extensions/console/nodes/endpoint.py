@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 import rospy
 from paho.mqtt.client import MQTTMessage
@@ -68,7 +68,14 @@ class Connection:
         #: Takes a part's name, the part and its arguments; returns what the part returns, or None where it failed.
         self.tell = self.side_effects.run
 
-    def serve(self, kind: RequestKind, read: Reader, act: Handler, queue: Queue | None = None, limit: int = 0) -> None:
+    def serve(
+        self,
+        kind: RequestKind,
+        read: Reader,
+        act: Handler,
+        queue: RequestQueue | NewestQueue | None = None,
+        limit: int = 0,
+    ) -> None:
         """Serve a kind of request, as of `Endpoint`; limit 0: the kind's own."""
         self.endpoints.append(Endpoint(self, kind, read, act, queue, limit or kind.limit))
 
@@ -162,7 +169,7 @@ class Endpoint:
     kind: RequestKind
     read: Reader
     act: Handler
-    queue: Queue | None
+    queue: RequestQueue | NewestQueue | None
     limit: int
     malformed: SenderLimits = field(default_factory=answer_limits)
 
@@ -296,16 +303,6 @@ class Incoming:
         self._connection.log.add(rospy.loginfo, "%s by MQTT (%s): %s", self.kind.name, words, sentence)
 
 
-class Queue(Protocol):
-    """Where requests wait."""
-
-    def admits(self, request: Incoming) -> bool:
-        """Return whether a request is worth reading; what is not was answered, or counted."""
-
-    def take(self, request: Incoming) -> None:
-        """Let a request that was read wait for its turn, or answer why not."""
-
-
 class NewestQueue:
     """A queue in which only the newest request of each sender waits: what it asked for before is not worth doing any more, nor what
     comes too often worth an answer.
@@ -320,7 +317,7 @@ class NewestQueue:
         self._waiting: dict[str, Incoming] = {}
 
     def admits(self, request: Incoming) -> bool:
-        """Return whether it is worth reading."""
+        """Return whether a request is worth reading; what is not was counted."""
         fits = self._limits.take(request.account, _now_ns())
         if not fits:
             name = request.kind.name
@@ -374,7 +371,7 @@ class RequestQueue:
         return self._waiting.qsize()
 
     def admits(self, request: Incoming) -> bool:
-        """Return whether it is worth reading; one that was answered is answered alike."""
+        """Return whether a request is worth reading; what is not was answered: one that came before as it was then."""
         if self._repeat_window and self._is_repeated(request):
             return False
         if self._limits is None or not (wait := self._limits.wait(request.account, _now_ns())):

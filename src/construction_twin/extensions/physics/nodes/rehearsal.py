@@ -19,7 +19,6 @@ from construction_twin.core.extensions import check_extras
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.worker import Worker
-from construction_twin.execution.rehearsal_check import first_reason
 from construction_twin.extensions.physics.drive import read_drives
 from construction_twin.extensions.physics.mass import payload_of
 from construction_twin.extensions.physics.nodes.element_masses import element_masses, placed_elements, tool_mass
@@ -27,7 +26,7 @@ from construction_twin.extensions.physics.process import PROGRAM, Question, dige
 from construction_twin.msg import Plan as PlanMsg
 from construction_twin.msg import Rehearsal, Review, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
-from construction_twin.review.rehearsal_report import BROKEN, PASSED, RehearsalReport, finished
+from construction_twin.review.rehearsal_report import BROKEN, PASSED, RehearsalReport, finished, first_reason
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.tool import read_tool, tool_hash

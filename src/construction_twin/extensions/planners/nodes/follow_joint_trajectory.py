@@ -19,7 +19,6 @@ import rospy
 from actionlib import ServerGoalHandle
 
 from construction_twin.execution.executor import ExecutorState
-from construction_twin.execution.tracking import Tracking
 from construction_twin.extensions.planners.goal_states import GoalState
 from construction_twin.extensions.planners.joint_tolerances import GoalError, GoalJointsError, Tolerances
 from construction_twin.extensions.planners.nodes.joint_goals import (
@@ -31,6 +30,7 @@ from construction_twin.extensions.planners.nodes.joint_goals import (
     fill_feedback,
     trajectory_goal,
 )
+from construction_twin.extensions.planners.tracking import Tracking
 from construction_twin.extensions.planners.trajectory_goals import (
     Accept,
     Ask,

@@ -20,8 +20,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.execution.tracking import Motion, Sample
 from construction_twin.extensions.planners.joint_tolerances import GoalError, Tolerances, check_joint_names
+from construction_twin.extensions.planners.tracking import Motion, Sample
 from construction_twin.extensions.planners.trajectory_goals import TrajectoryGoal
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.transport.publisher import Publisher

@@ -1,6 +1,6 @@
 """work check: what the arm can do of a building model, before anything starts. Runs without a ROS master.
 
-Prints one line per task and writes check.json and check.png. Exit code 0: every task is possible; 1: some are not; 2: it could
+Prints one line per task and writes check.png. Exit code 0: every task is possible; 1: some are not; 2: it could
 not be checked, after one sentence on standard error.
 """
 
@@ -8,17 +8,16 @@ from __future__ import annotations
 
 import argparse
 import io
-import json
 import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
@@ -35,10 +34,12 @@ from construction_twin.core.files import check_writable, write_whole
 from construction_twin.core.share import share_file
 from construction_twin.core.worker import Worker, WorkerError, rss_mb
 from construction_twin.evaluation.tables import table_console
-from construction_twin.extensions.work.check import CheckedTask
 from construction_twin.extensions.work.prepared import WORKER, Prepared
 from construction_twin.extensions.work.site import read_site
 from construction_twin.robot.description import read_robot_files
+
+if TYPE_CHECKING:
+    from construction_twin.extensions.work.worker_functions import CheckedTask
 
 #: Of every planning.
 SEED = 1
@@ -54,36 +55,26 @@ def main(arguments: list[str]) -> int:
     """
     options = _parser().parse_args(arguments)
     console = table_console()
-    directory = options.output or options.model.with_name(options.model.stem + "_check")
+    picture = (options.output or options.model.with_name(options.model.stem + "_check")) / "check.png"
     try:
         check_extras("work")
-        check_writable(directory)
+        check_writable(picture.parent)
         with tempfile.TemporaryDirectory(prefix="work_check_") as folder:
             checked = _check(options, folder, console)
-            prepared = checked.prepared
-            notes = [*prepared.notes, *prepared.schedule.notes]
-            if prepared.schedule.proposed:
-                notes.insert(
-                    0,
-                    "This order, or a part of it, is proposed from the model's geometry, and a person must accept it.",
-                )
-            for note in notes:
+            schedule = checked.prepared.schedule
+            proposed = (
+                "This order, or a part of it, is proposed from the model's geometry, and a person must accept it."
+            )
+            for note in (*([proposed] if schedule.proposed else []), *checked.prepared.notes, *schedule.notes):
                 console.print(note, markup=False, soft_wrap=True)
-            about = {
-                "model": prepared.model, "digest": prepared.digest, "cell": prepared.cell,
-                "proposed": prepared.schedule.proposed, "seconds": checked.seconds, "rss_mb": checked.rss_mb, "notes": notes,
-            }  # fmt: skip
-            contents: dict[str, str | bytes] = {
-                "check.json": as_json(about, checked.tasks), "check.png": cell_picture(checked.tasks, prepared),
-            }  # fmt: skip
-            for name, content in contents.items():
-                write_whole(directory / name, content)
+            write_whole(picture, cell_picture(checked.tasks, checked.prepared))
     except (ConstructionTwinError, OSError) as error:
         ended = isinstance(error, WorkerError) and not error.kind
         said = "a process was ended, perhaps for want of memory; try --processes 1" if ended else spoken(error)
         print(f"work check: {said}", file=sys.stderr)
         return NOT_CHECKED
-    _print(console, checked, [directory / name for name in contents])
+    _print(console, checked)
+    console.print(str(picture), markup=False, soft_wrap=True)
     return ALL if all(task.possible for task in checked.tasks) else SOME
 
 
@@ -172,39 +163,25 @@ def _check(options: argparse.Namespace, folder: str, console: Console) -> Checke
         )
 
 
-#: Headings of the table in the terminal; whether the column holds words; its greatest width, 0: what is left of the terminal.
-_COLUMNS = {
-    "#": (False, 4), "task": (True, 20), "possible": (False, 8), "grip": (True, 0), "track\nm": (False, 6),
-    "clear\nmm": (False, 5), "time\ns": (False, 5), "why": (True, 9),
-}  # fmt: skip
-#: Width of all columns but `grip` and `why`, with what is between them.
-_BESIDE_GRIP = 66
-
-
-def _print(console: Console, checked: Checked, files: Iterable[Path]) -> None:
-    impossible = any(not task.possible for task in checked.tasks)
-    # numbers are shown whole; in a narrow terminal words are cut
+def _print(console: Console, checked: Checked) -> None:
     table = Table(box=box.SIMPLE, padding=(0, 1, 0, 0))
-    widest = max(10, console.width - _BESIDE_GRIP - (_COLUMNS["why"][1] + 2) * impossible)
-    for heading, (words, most) in _COLUMNS.items():
-        if heading != "why" or impossible:
-            justify: Literal["left", "right"] = "left" if words else "right"
-            table.add_column(heading, justify=justify, no_wrap=True, overflow="ellipsis", max_width=most or widest)
+    for heading in ("#", "task", "possible", "grip", "track m", "clear mm", "time s", "why"):
+        # numbers are shown whole; in a narrow terminal words are cut
+        words = heading in ("task", "grip", "why")
+        table.add_column(heading, justify="left" if words else "right", no_wrap=words, overflow="ellipsis")
     for task in checked.tasks:
-        table.add_row(*_row(task)[: len(table.columns)], style="" if task.possible else "red")
+        table.add_row(*_row(task), style="" if task.possible else "red")
     console.print(table)
     for task in checked.tasks:
         about = f"{task.number + 1} {task.name} ({task.element_name or task.element})"
-        if not task.possible:
-            console.print(f"{about}: {_why(task)}", markup=False, soft_wrap=True)
-        for remark in task.remarks:
-            console.print(f"{about}, note: {remark}", markup=False, soft_wrap=True)
+        why = f"{task.stage}: {task.reason}" if task.stage else task.reason
+        for said in ([] if task.possible else [why], (f"note: {remark}" for remark in task.remarks)):
+            for each in said:
+                console.print(f"{about}: {each}", markup=False, soft_wrap=True)
     count = sum(task.possible for task in checked.tasks)
     console.print(
         f"{count} of {len(checked.tasks)} tasks are possible; checked in {checked.seconds:.0f} s, {checked.rss_mb:.0f} MB"
     )
-    for file in files:
-        console.print(str(file), markup=False, soft_wrap=True)
 
 
 _POSSIBLE, _NOT, _STOCK, _PATH = "#2c8a4b", "#d9541e", "#8a8f98", "#3465a4"
@@ -223,17 +200,6 @@ def _row(task: CheckedTask) -> tuple[str, ...]:
         "" if task.duration is None else f"{task.duration:.1f}",
         "" if task.possible else task.stage or task.reason[:30],
     )
-
-
-def _why(task: CheckedTask) -> str:
-    """Return why a task is not possible; empty: it is possible."""
-    return f"{task.stage}: {task.reason}" if task.stage else task.reason
-
-
-def as_json(about: Mapping[str, object], tasks: Sequence[CheckedTask]) -> str:
-    """Return the findings as JSON: what they are about, `tasks` and `possible` (how many), and `checked`, one object per task."""
-    content = {**about, "tasks": len(tasks), "possible": sum(task.possible for task in tasks)}
-    return json.dumps({**content, "checked": [asdict(task) for task in tasks]}, indent=1, allow_nan=False) + "\n"
 
 
 def cell_picture(tasks: Sequence[CheckedTask], prepared: Prepared) -> bytes:
@@ -278,7 +244,7 @@ def _processes(text: str) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="work check", description="What the arm can do of a building model: a table, check.json and check.png."
+        prog="work check", description="What the arm can do of a building model: a table and check.png."
     )
     parser.add_argument("model", type=Path, help="an IFC file")
     parser.add_argument(
@@ -286,7 +252,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--track", action="store_true", help="the KR 120 on its track (default: without)")
     parser.add_argument("--robot", default="", metavar="NAME", help="only tasks that this robot may do, e.g. kr120")
-    parser.add_argument("--output", type=Path, metavar="DIR", help="folder for the files (default: MODEL + _check)")
+    parser.add_argument("--output", type=Path, metavar="DIR", help="folder for the picture (default: MODEL + _check)")
     parser.add_argument(
         "--processes", type=_processes, default=max(1, min(8, os.cpu_count() or 1)), metavar="N",
         help="tasks that are checked at once (default: one per core, at most 8)",

@@ -1,39 +1,109 @@
-"""Property sets, quantities, materials and masses. Measures become SI; values that are lists become texts."""
+"""Units, property sets, quantities, materials and masses. Measures become SI; values that are lists become texts."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import ifcopenshell
 import ifcopenshell.util.element
+import ifcopenshell.util.unit
 
 from construction_twin.extensions.work.building import Body, Value
 from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.ifc.notes import Notes, Where, label
-from construction_twin.extensions.work.ifc.units import KINDS, Units, si_factor
 
 Sets = dict[str, dict[str, Value]]
 
 #: Names of quantities that are the mass of what is delivered, in the order in which they are believed.
 _WEIGHTS = ("NetWeight", "GrossWeight", "Weight", "Mass")
-#: Densities [kg/m³] of what is built with, from insulation to lead, with much room.
-_LIGHTEST, HEAVIEST = 1.0, 25000.0
 _LONGEST_TEXT = 4000
-#: What a number in a project of feet or inches may mean that does not say its unit of mass: pounds [kg], and per cubic foot [m³].
-_POUND, _CUBIC_FOOT = 0.45359237, 0.3048**3
-#: Values of `Status` of what is to be made, or of which nothing is said.
-_MADE = {"NEW", "NOTKNOWN", "UNSET", "NOTDEFINED", ""}
-#: Values of `Status` of what stands, and the beginnings of those of what is to go.
-_STANDS = ("EXISTING", "BESTAND", "VORHANDEN")
-_GOES = ("DEMOLISH", "REMOVE", "ABBRUCH", "ABRISS", "RÜCKBAU")
-#: Parts of the names of properties in which programs write a status of their own, those that name when something goes, and values
-#: that say nothing.
-_STATUS_NAMES = ("status", "phase", "renovation", "umbau", "abbruch", "demol")
-_GONE_NAMES = ("demol", "abbruch", "abgebrochen")
-_NOTHING = ("", "none", "keine", "false", "no", "nein", "unset", "notdefined")
+#: Values of `Status`, and what they mean here; empty: nothing is said.
+_STATUS = {
+    "EXISTING": "existing", "DEMOLISH": "demolish", "NEW": "new", "NOTKNOWN": "", "UNSET": "", "NOTDEFINED": "", "": "",
+}  # fmt: skip
 #: Densities between which a mass is believed [kg/m³]: what is hollow, and lead.
 _LIKELY = (5.0, 23000.0)
+#: Metres per length unit that a building may be drawn in, with much room.
+_SMALLEST, _LARGEST = 1e-7, 1e5
+#: Kinds of units whose measures become SI; of those of mass ifcopenshell's own unit is the gram.
+_CONVERTED = ("LENGTHUNIT", "AREAUNIT", "VOLUMEUNIT", "MASSUNIT", "PLANEANGLEUNIT", "TIMEUNIT", "MASSDENSITYUNIT")
+_OF_MASS = ("MASSUNIT", "MASSDENSITYUNIT")
+
+
+@dataclass(frozen=True)
+class Units:
+    """SI units per unit of the file.
+
+    `given`: By each kind of which the project has one: [m], [m²], [m³], [kg], [rad], [s], [kg/m³].
+    """
+
+    given: Mapping[str, float]
+
+    @property
+    def length(self) -> float:
+        """Metres per unit."""
+        return self.given["LENGTHUNIT"]
+
+    @property
+    def is_metric(self) -> bool:
+        """Whether the unit of length is no foot or inch."""
+        return _is_power_of_ten(self.length)
+
+    def factor(self, measure: str) -> float:
+        """Return SI units per unit of a measure or quantity of the schema; 1 for what has no unit or one that is not converted."""
+        kind = _kind(measure)
+        power = {"AREAUNIT": 2, "VOLUMEUNIT": 3}.get(kind)
+        return self.given.get(kind, self.length**power if power else 1.0)
+
+
+def read_units(file: ifcopenshell.file, name: str, notes: Notes) -> Units:
+    """Read the project's units."""
+    projects = file.by_type("IfcProject")
+    if len(projects) != 1:
+        found = str(len(projects) or "none")
+        raise BuildingError(name, "IFCPROJECT", found, "one project, which says in which units the model is")
+    given: dict[str, float] = {}
+    with Where(name, projects[0]):
+        assignment = projects[0].UnitsInContext
+        units = [(getattr(unit, "UnitType", ""), unit) for unit in assignment.Units] if assignment else []
+        for kind, unit in units:
+            if kind not in _CONVERTED:
+                continue
+            factor = _si_factor(unit)
+            if factor is None:
+                raise BuildingError(name, f"{kind} of the project", label(unit), "a unit of known units, above 0")
+            if kind == "LENGTHUNIT" and kind in given:
+                raise BuildingError(name, "units of the project", "several length units", "one")
+            given[kind] = factor
+    if "LENGTHUNIT" not in given:
+        raise BuildingError(
+            name, "units of the project", "no length unit", "one, or no length of the model has a meaning"
+        )
+    if not _SMALLEST <= given["LENGTHUNIT"] <= _LARGEST:
+        expected = "a unit of length that buildings are drawn in"
+        raise BuildingError(name, "length unit of the project", f"{given['LENGTHUNIT']:g} m", expected)
+    if "PLANEANGLEUNIT" not in given:
+        notes.add("The project has no unit of angles; radians are assumed")
+    return Units(given)
+
+
+def _si_factor(unit: ifcopenshell.entity_instance) -> float | None:
+    """Return SI units (of mass: kilograms) per unit; None: only people know what it is, or it is none."""
+    if any(part.is_a("IfcContextDependentUnit") for part in unit.file.traverse(unit)):
+        return None
+    factor = float(ifcopenshell.util.unit.get_unit_scale(unit)) / (1e3 if unit.UnitType in _OF_MASS else 1.0)
+    return factor if math.isfinite(factor) and factor > 0 else None
+
+
+def _kind(measure: str) -> str:
+    """Return the kind of unit of a measure or quantity of the schema."""
+    measure = measure.replace("Quantity", "").replace("Weight", "Mass")
+    return ifcopenshell.util.unit.get_measure_unit_type(measure)  # type: ignore[arg-type]
+
+
+# -- of products and tasks
 
 
 def read_properties(product: ifcopenshell.entity_instance, at: str, units: Units, notes: Notes) -> Sets:
@@ -85,63 +155,25 @@ def _factor(holder: ifcopenshell.entity_instance, measure: str, units: Units) ->
     own = getattr(holder, "Unit", None)
     if own is None:
         return units.factor(measure)
-    kind = KINDS.get(measure)
-    if kind is not None and getattr(own, "UnitType", kind) != kind:
-        return None
-    factor = si_factor(own)
-    return factor if factor is not None and math.isfinite(factor) and factor > 0 else None
-
-
-def read_material(product: ifcopenshell.entity_instance, at: str, notes: Notes) -> str:
-    """Return the names of the materials, those of layers and constituents from the first to the last, without repeats."""
-    try:
-        with Where("", product):
-            materials = ifcopenshell.util.element.get_materials(product)
-            return ", ".join(dict.fromkeys(material.Name for material in materials if material.Name))
-    except BuildingError:
-        notes.add("Materials that cannot be read are left out", label(product), at)
-    return ""
+    kind = _kind(measure)
+    return None if kind in _CONVERTED and getattr(own, "UnitType", kind) != kind else _si_factor(own)
 
 
 def read_status(product: ifcopenshell.entity_instance, at: str, sets: Sets, notes: Notes) -> str:
     """Return ``existing``, ``demolish``, ``new`` or nothing: the property `Status` of a set ``Pset_...Common``, in any case.
 
-    What an author says elsewhere, in a set of his own or as a phase, is noted where it is not that of a new element.
+    Another word is noted, and its element is still to be made.
     """
-    about = product.Name or at
-    found = ""
+    found: set[str] = set()
     for name, values in sets.items():
-        common = name.casefold().startswith("pset_") and name.casefold().endswith("common")
-        for key, given in values.items():
-            if not isinstance(given, str):
-                continue
-            if common and key == "Status":
-                words = {word.strip(" .").upper() for word in given.split(",")}
-                status = _status(words)
-                found = found or status or ("new" if words == {"NEW"} else "")
-                for word in () if status else sorted(words - _MADE):
-                    notes.add(f"Elements with the status {word!r}, taken as still to be made", about, at)
-            elif any(word in key.casefold() for word in _STATUS_NAMES) and _stands(key, given):
-                where = name if key == "Status" else f"{name} ({key})"
-                said = (
-                    f"Elements with the status {given[:40]!r} in {where}, which is no `Status` of a set Pset_...Common"
-                )
-                notes.add(f"{said}: not used, taken as still to be made", about, at)
-    return found
-
-
-def _status(words: Collection[str]) -> str:
-    if any(word.startswith(_GOES) for word in words):
-        return "demolish"
-    return "existing" if any(word in _STANDS for word in words) else ""
-
-
-def _stands(name: str, given: str) -> bool:
-    """Return whether a value of a name like ``Phase Demolished`` says that an element stands already, or is to go."""
-    low = given.casefold()
-    if any(word in name.casefold() for word in _GONE_NAMES):
-        return low.strip(" .-") not in _NOTHING
-    return any(word.casefold() in low for word in (*_STANDS, *_GOES))
+        given, low = values.get("Status"), name.casefold()
+        if not isinstance(given, str) or not (low.startswith("pset_") and low.endswith("common")):
+            continue
+        for word in (each.strip(" .").upper() for each in given.split(",")):
+            found.add(_STATUS.get(word, ""))
+            if word not in _STATUS:
+                notes.add(f"Elements with the status {word!r}, taken as still to be made", product.Name or at, at)
+    return next((status for status in ("demolish", "existing", "new") if status in found), "")
 
 
 def read_mass(
@@ -173,8 +205,8 @@ def _weight(product: ifcopenshell.entity_instance, at: str, sets: Sets, units: U
                 if value <= 0:
                     notes.add("Weights that are not above 0 are left out", about, at)
                     continue
-                if not units.weighs and not _has_own_unit(product, name, quantity):
-                    if not _is_power_of_ten(units.length):
+                if "MASSUNIT" not in units.given and not _has_own_unit(product, name, quantity):
+                    if not units.is_metric:
                         said = f"A weight of {value:.6g} without a unit can be kilograms or pounds, and is not used"
                         notes.add(f"{said}: the project has no unit of mass, and feet or inches", about, at)
                         continue
@@ -184,43 +216,27 @@ def _weight(product: ifcopenshell.entity_instance, at: str, sets: Sets, units: U
 
 
 def _density(product: ifcopenshell.entity_instance, at: str, units: Units, notes: Notes) -> float | None:
+    """Return the density of an element's only material [kg/m³]; None: not known, or in a unit that nobody says."""
     try:
         with Where("", product):
             materials = ifcopenshell.util.element.get_materials(product)
             found = _material_density(materials[0]) if len({each.id() for each in materials}) == 1 else None
-            factor = None if found is None else _density_factor(found, units)
+            if found is None:
+                return None
+            density, holder = found
+            if holder is not None:
+                factor = _factor(holder, "IfcMassDensityMeasure", units)
+            else:
+                # in a metric project authors write kg/m³, whatever its units of length and mass are
+                metric = units.is_metric and _is_power_of_ten(units.given.get("MASSUNIT", 1.0))
+                factor = units.given.get("MASSDENSITYUNIT", 1.0 if metric else None)
     except BuildingError:
-        # told when its name was read
+        notes.add("Materials that cannot be read are left out", label(product), at)
         return None
-    if found is None:
-        return None
-    shown = f"{found[0]:g}"
     if factor is None:
-        said = f"The mass is not known: a density of {shown} without a unit can be kg/m³ or of the project's units"
-        notes.add(f"{said} of mass and volume, or is none of either", product.Name or label(product), at)
-        return None
-    metric = _is_power_of_ten(units.length) and _is_power_of_ten(units.mass)
-    if units.density is None and found[1] is None and factor == 1.0 and not metric:
-        notes.add(f"The project has no unit of density; {shown} is taken as kg/m³")
-    return float(found[0] * factor)
-
-
-def _density_factor(found: tuple[float, ifcopenshell.entity_instance | None], units: Units) -> float | None:
-    """Return kg/m³ per unit of a density that was found; None: nobody can say, or no material is so light or heavy."""
-    density, holder = found
-    if holder is not None:
-        candidates = [_factor(holder, "IfcMassDensityMeasure", units)]
-    elif units.density is not None:
-        candidates = [units.density]
-    else:
-        # most authors write kg/m³ whatever the project's units are; the others mean the project's
-        metric = _is_power_of_ten(units.length)
-        mass = units.mass if units.weighs or metric else _POUND
-        candidates = [1.0, mass / units.volume, *([] if metric else [mass / _CUBIC_FOOT])]
-    likely = [each for each in candidates if each is not None and _LIGHTEST <= density * each <= HEAVIEST]
-    if any(not math.isclose(likely[0], other, rel_tol=0.01) for other in likely):
-        return None
-    return likely[0] if likely else None
+        said = f"The mass is not known: a density of {density:g} has no unit, and the project none of density"
+        notes.add(said, product.Name or label(product), at)
+    return None if factor is None else density * factor
 
 
 def _has_own_unit(product: ifcopenshell.entity_instance, set_name: str, name: str) -> bool:

@@ -5,8 +5,10 @@ A broken file can end this process (the geometry kernel is C++); `reading.read_b
 
 from __future__ import annotations
 
+import codecs
 import hashlib
 import os
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,23 +21,23 @@ from construction_twin.core.files import read_file
 from construction_twin.extensions.work.building import Body, BuildingModel, Element, Task
 from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.ifc.doubts import ABOUT_ALL, Doubts, check_complete, entries
-from construction_twin.extensions.work.ifc.geometry import NO_UNIT_CODES, Shape, shapes
+from construction_twin.extensions.work.ifc.geometry import NO_UNIT_CODES, Shape, body_of, bounds, shapes
 from construction_twin.extensions.work.ifc.notes import Misread, Notes, Where, label
 from construction_twin.extensions.work.ifc.properties import (
-    HEAVIEST,
+    Units,
     read_mass,
-    read_material,
     read_properties,
     read_status,
+    read_units,
 )
 from construction_twin.extensions.work.ifc.relations import Relations, read_relations
-from construction_twin.extensions.work.ifc.representations import body_of, bounds
-from construction_twin.extensions.work.ifc.step_text import for_parser
 from construction_twin.extensions.work.ifc.tasks import Groups, read_tasks, unique_id
-from construction_twin.extensions.work.ifc.units import Units, read_units
 from construction_twin.extensions.work.wholes import in_one_piece, is_workpiece
 from construction_twin.kinematics.chain import Pose
 
+#: Schemas as the parser calls them: their last publication. Earlier ones of the same name say nothing that it reads otherwise.
+SCHEMAS = {"IFC2X3": b"IFC2X3", "IFC4": b"IFC4", "IFC4X3": b"IFC4X3_ADD2"}
+_SCHEMA = re.compile(rb"FILE_SCHEMA\s*\(\s*\(\s*'([^']*)'")
 #: Farther from the origin [m] no model is; map coordinates reach 1e7.
 FARTHEST = 1e8
 
@@ -98,11 +100,6 @@ _UNREAD = {
     "IfcTaskTimeRecurring": "times of tasks that are repeated: only the first is read",
     "IfcEvent": "events: what comes after one does not wait until it has happened",
     "IfcProcedure": "procedures: what comes after one does not wait until it is done",
-    "IfcOrderAction": "actions of an order (IFC2x3), of which only what every task has is read",
-    "IfcRelConnectsElements": "connections of elements: what holds what is seen from the shapes only",
-    "IfcRelConnectsStructuralActivity": "loads",
-    "IfcRelInterferesElements": "interferences that their author knows of",
-    "IfcConstraint": "constraints",
 }
 
 
@@ -110,12 +107,7 @@ def note_unread(file: ifcopenshell.file, name: str, elements: dict[str, Element]
     """Note what is in a file and not read, and what has no body and so is no obstacle."""
     with Where(name, "the file"):
         for kind, meaning in _UNREAD.items():
-            try:
-                count = len(file.by_type(kind))
-            except RuntimeError:
-                # not of this schema
-                continue
-            if count:
+            if kind in file.types() and (count := len(file.by_type(kind))):
                 notes.add(f"Not read: {count} {kind}, {meaning}")
     wholes = {element.assembly for element in elements.values()}
     for element in elements.values():
@@ -189,7 +181,7 @@ def read_ifc(path: str | Path, most_bytes: int) -> BuildingModel:
         title = project.Name or getattr(project, "LongName", None) or ""
     names = {one: element.name for one, element in elements.items()} | {one: task.name for one, task in tasks.items()}
     return BuildingModel(
-        name, digest, file.schema, title, found.units.length, elements, tasks, sequences, notes.sentences(names),
+        name, digest, title, elements, tasks, sequences, notes.sentences(names),
         notes.remarks({*elements, *tasks}),
     )  # fmt: skip
 
@@ -328,7 +320,7 @@ def _elements(file: ifcopenshell.file, found: _Found) -> tuple[dict[str, Element
 def _note_more(
     product: ifcopenshell.entity_instance, body: ifcopenshell.entity_instance, element_id: str, notes: Notes
 ) -> None:
-    """Note what else a product says of its shape: bodies beside the one that is taken, openings without one."""
+    """Note what else a product says of its shape: bodies beside the one that is taken."""
     about = product.Name or element_id
     same = [
         each
@@ -337,9 +329,6 @@ def _note_more(
     ]
     if len(same) > 1:
         notes.add(f"Elements with {len(same)} bodies of one kind, of which only the first is taken", about, element_id)
-    voids = getattr(product, "HasOpenings", None) or ()
-    if any(body_of(relation.RelatedOpeningElement) is None for relation in voids):
-        notes.add("Openings without a body are not cut out", about, element_id)
 
 
 def _take_kernel_log(found: _Found) -> None:
@@ -398,22 +387,15 @@ def _element(
     wholes = (product, *found.relations.wholes(product))
     doubt = doubt or next((why for each in wholes if (why := found.doubts.related.get(each.id()))), "")
     properties = read_properties(product, element_id, found.units, found.notes)
-    material = read_material(product, element_id, found.notes)
     kind = ifcopenshell.util.element.get_type(product)
     assembly = next((ids[whole.id()] for whole in found.relations.wholes(product) if whole.id() in ids), "")
     mass = read_mass(product, element_id, properties, () if doubt else bodies, found.units, found.notes)
-    if mass is not None and bodies and not doubt:
-        litres = 1e3 * float(np.ptp(np.concatenate([body.vertices for body in bodies]), axis=0).prod())
-        if mass > HEAVIEST * litres / 1e3:
-            doubt = f"its mass is more than that of its box ({mass:.3g} kg in {litres:.3g} l); it stands as an obstacle"
     return Element(
         id=element_id,
         ifc_class=product.is_a(),
         name=product.Name or "",
         type_name=(kind.Name if kind is not None else product.ObjectType) or "",
         tag=getattr(product, "Tag", None) or "",
-        storey=found.relations.storey(product),
-        material=material,
         assembly=assembly,
         model_T_element=Pose(matrix[:3, 3].copy(), matrix[:3, :3].copy()),
         bodies=bodies,
@@ -463,3 +445,51 @@ def _leave_out_doubles(elements: dict[str, Element], notes: Notes) -> None:
 
 def _volume(element: Element) -> float:
     return sum(abs(body.volume) for body in element.bodies)
+
+
+def for_parser(contents: bytes, name: str, notes: Notes) -> bytes:
+    """Return contents as the parser reads all of them; letters that it would drop are noted."""
+    return _in_ascii(_of_last_publication(contents, name), notes)
+
+
+def _of_last_publication(contents: bytes, name: str) -> bytes:
+    found = _SCHEMA.search(contents, 0, contents.find(b"ENDSEC"))
+    given = found.group(1).decode("latin-1").upper() if found else ""
+    base, _, publication = given.partition("_")
+    if found is None or base not in SCHEMAS or publication.startswith("RC"):
+        raise BuildingError(
+            name, "schema", given or "none",
+            (f"one of {', '.join(SCHEMAS)} as published (IFC4_ADD2 and the like too), no release " "candidate: export it so"),
+        )  # fmt: skip
+    if SCHEMAS[base] == found.group(1):
+        return contents
+    return contents[: found.start(1)] + SCHEMAS[base] + contents[found.end(1) :]
+
+
+def _in_ascii(contents: bytes, notes: Notes) -> bytes:
+    """Return contents with letters that are not ASCII written as IFC wants them.
+
+    They are taken as UTF-8 if all of them are, else as Latin-1 (Windows-1252).
+    """
+    # what may stand before its beginning is no part of it
+    contents = contents[max(contents.find(b"ISO-10303-21;"), 0) :]
+    if contents.isascii():
+        return contents
+    try:
+        text, code = contents.decode("utf-8"), "UTF-8"
+    except UnicodeDecodeError:
+        text, code = contents.decode("cp1252", errors="replace"), "Latin-1 (Windows-1252)"
+    letters = sorted(letter for letter in set(text) if not letter.isascii())
+    notes.add(
+        f"The file has letters that are not ASCII, which IFC does not allow; taken as {code}: {''.join(letters[:20])}"
+    )
+    return text.encode("ascii", errors="ifc")
+
+
+def _escaped(error: UnicodeError) -> tuple[str, int]:
+    assert isinstance(error, UnicodeEncodeError)
+    numbers = map(ord, error.object[error.start : error.end])
+    return "".join(f"\\X2\\{n:04X}\\X0\\" if n < 0x10000 else f"\\X4\\{n:08X}\\X0\\" for n in numbers), error.end
+
+
+codecs.register_error("ifc", _escaped)

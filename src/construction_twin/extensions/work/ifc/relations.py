@@ -1,9 +1,10 @@
-"""Which object is part of, in or on which: aggregation, nesting, storeys, fillings. Loops are refused before anything follows."""
+"""Which object is part of, in or on which: aggregation, nesting, fillings. Loops are refused before anything follows."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
 
 import ifcopenshell
 
@@ -30,7 +31,6 @@ class Relations:
     """
 
     whole: dict[int, ifcopenshell.entity_instance]
-    container: dict[int, ifcopenshell.entity_instance]
     openings: _Entities
     on: _Entities
     members: _Entities
@@ -59,16 +59,6 @@ class Relations:
             whole = self.whole.get(whole.id())
         return found
 
-    def storey(self, entity: ifcopenshell.entity_instance) -> str:
-        """Return the name of the storey, or of the smallest other part of the site, that holds an element or what it is part of."""
-        for each in (entity, *self.wholes(entity)):
-            if (container := self.container.get(each.id())) is None:
-                continue
-            spaces = (container, *self.wholes(container))
-            storeys = [space for space in spaces if space.is_a("IfcBuildingStorey")]
-            return (storeys or spaces)[0].Name or ""
-        return ""
-
 
 def read_relations(file: ifcopenshell.file, name: str) -> Relations:
     """Read them."""
@@ -81,11 +71,9 @@ def read_relations(file: ifcopenshell.file, name: str) -> Relations:
                 whole.setdefault(part.id(), relation.RelatingObject)
                 if relation.RelatingObject.is_a("IfcProduct") and not relation.RelatingObject.is_a("IfcElement"):
                     members[relation.RelatingObject.id()].append(part)
-    container: dict[int, ifcopenshell.entity_instance] = {}
     for relation in file.by_type("IfcRelContainedInSpatialStructure"):
         with Where(name, relation):
             for part in relation.RelatedElements:
-                container.setdefault(part.id(), relation.RelatingStructure)
                 members[relation.RelatingStructure.id()].append(part)
     for relation in file.by_type("IfcRelAssignsToGroup"):
         with Where(name, relation):
@@ -97,7 +85,7 @@ def read_relations(file: ifcopenshell.file, name: str) -> Relations:
             openings[relation.RelatingBuildingElement.id()].append(relation.RelatedOpeningElement)
             voided[relation.RelatedOpeningElement.id()] = relation.RelatingBuildingElement
     _refuse_loops(file, name, whole)
-    return Relations(whole, container, dict(openings), _on(file, name, voided), dict(members))
+    return Relations(whole, dict(openings), _on(file, name, voided), dict(members))
 
 
 def _on(file: ifcopenshell.file, name: str, voided: dict[int, ifcopenshell.entity_instance]) -> _Entities:
@@ -115,16 +103,10 @@ def _on(file: ifcopenshell.file, name: str, voided: dict[int, ifcopenshell.entit
 
 
 def _refuse_loops(file: ifcopenshell.file, name: str, whole: dict[int, ifcopenshell.entity_instance]) -> None:
-    good: set[int] = set()
-    for start in whole:
-        seen: dict[int, None] = {}
-        at: int | None = start
-        while at is not None and at not in good:
-            if at in seen:
-                loop = list(seen)[list(seen).index(at) :]
-                shown = " in ".join(label(file.by_id(each)) for each in loop[:4])
-                raise BuildingError(name, label(file.by_id(at)), f"part of itself ({shown} ...)", "no loop of parts")
-            seen[at] = None
-            parent = whole.get(at)
-            at = None if parent is None else parent.id()
-        good.update(seen)
+    try:
+        TopologicalSorter({part: (parent.id(),) for part, parent in whole.items()}).prepare()
+    except CycleError as error:
+        # from the part to its whole
+        loop = [label(file.by_id(each)) for each in reversed(error.args[1])]
+        found = f"part of itself ({' in '.join(loop[:4])} ...)"
+        raise BuildingError(name, loop[0], found, "no loop of parts") from error

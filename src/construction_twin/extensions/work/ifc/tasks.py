@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from functools import partial
 
@@ -21,17 +21,14 @@ import numpy as np
 from construction_twin.extensions.work.building import Element, Sequence, Task
 from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.ifc.notes import Notes, Where, label
-from construction_twin.extensions.work.ifc.properties import read_properties
+from construction_twin.extensions.work.ifc.properties import Units, read_properties
 from construction_twin.extensions.work.ifc.relations import Relations
-from construction_twin.extensions.work.ifc.units import Units
 from construction_twin.extensions.work.recipe import PROPERTY_SET, RECIPE
 from construction_twin.kinematics.chain import Pose
 
 _NO_TIME = "The project has no unit of time: a lag or duration that is a number is taken as seconds"
 #: Adds a note on one task or order.
 _Note = Callable[[str], None]
-#: A ratio above this is counted in percent: nobody waits ten times as long as something took.
-_MOST_RATIO = 10.0
 #: Dates of a task, the first that is said counts.
 _DATES = ("Schedule", "Early", "Late")
 _KINDS = ("FINISH_START", "START_START", "FINISH_FINISH", "START_FINISH")
@@ -43,25 +40,14 @@ _OTHER_SCHEDULES = ("ACTUAL", "BASELINE")
 _MAKES = ("CONSTRUCTION", "INSTALLATION")
 #: Kinds of tasks after which what is assigned to them is no longer there.
 _TAKES_DOWN = ("DEMOLITION", "DISMANTLE", "DISPOSAL", "REMOVAL")
-#: The same in the words of an author's own kind.
-_TAKES_DOWN_WORDS = (
-    *("demol", "dismantl", "dispos", "remov", "tear", "strip out"),
-    *("abbruch", "abbau", "abriss", "rückbau", "rueckbau", "demontage", "entfern", "entsorg"),
-)
 #: Kinds that place nothing, by which an author calls his own (of IFC2x3, which has no kinds): the schema's words.
 _OTHER_KINDS = ("ATTENDANCE", "INSPECTION", "LOGISTIC", "MAINTENANCE", "MOVE", "OPERATION", "RENOVATION", "TESTING")
 #: Kinds with which nothing is said, or only by the author's own word.
 _OPEN = (None, "NOTDEFINED", "USERDEFINED")
-#: Words of the status of a task, see `_status_word`: done, not to be done any more, and not begun.
-_DONE_WORDS = (
-    *("COMPLETED", "COMPLETE", "DONE", "FINISHED", "CLOSED"),
-    *("FERTIGGESTELLT", "FERTIG", "ERLEDIGT", "ABGESCHLOSSEN"),
-)
-_CANCELLED_WORDS = ("CANCELLED", "CANCELED", "ENTFALLEN", "ENTFÄLLT", "STORNIERT")
-_NOT_BEGUN_WORDS = (
-    *("", "NOTSTARTED", "NOTYETSTARTED", "PLANNED", "SCHEDULED", "OPEN", "READY", "TODO", "NOTDEFINED"),
-    *("GEPLANT", "OFFEN", "NICHTBEGONNEN"),
-)
+#: Words of the status of a task: done, not to be done any more, and not begun.
+_DONE_WORDS = ("COMPLETED", "COMPLETE", "DONE", "FINISHED", "CLOSED")
+_CANCELLED_WORDS = ("CANCELLED", "CANCELED")
+_NOT_BEGUN_WORDS = ("", "NOTSTARTED", "NOTYETSTARTED", "PLANNED", "SCHEDULED", "OPEN", "READY", "NOTDEFINED")
 
 
 @dataclass
@@ -74,9 +60,6 @@ class _Assigned:
     parents: dict[int, ifcopenshell.entity_instance] = field(default_factory=dict)
     schedules: dict[int, ifcopenshell.entity_instance] = field(default_factory=dict)
     times: dict[int, ifcopenshell.entity_instance] = field(default_factory=dict)
-    calendars: dict[int, str] = field(default_factory=dict)
-    #: A `Completion` of this is all of a task: 100 where the file counts in percent.
-    whole: float = 1.0
 
 
 class Groups:
@@ -99,7 +82,7 @@ class Groups:
             own = unique_id(entity, self._ids.values(), self._notes)
             self._ids[entity.id()] = own
             self.elements[own] = Element(
-                own, entity.is_a(), entity.Name or "", "", "", "", "", "", Pose(np.zeros(3), np.eye(3)), (), {}, None,
+                own, entity.is_a(), entity.Name or "", "", "", "", Pose(np.zeros(3), np.eye(3)), (), {}, None,
                 members=members,
             )  # fmt: skip
         return self._ids[entity.id()]
@@ -109,28 +92,23 @@ def read_tasks(
     file: ifcopenshell.file, name: str, groups: Groups, given: Collection[str], units: Units, notes: Notes
 ) -> tuple[dict[str, Task], tuple[Sequence, ...]]:
     """Read tasks and sequences; `given`: ids of elements that a task builds where it has them as inputs only."""
-    assigned = _assigned(file, name, notes)
+    with Where(name, "the schedule"):
+        assigned = _assigned(file, name)
     every = sorted(file.by_type("IfcTask"), key=lambda task: task.id())
     entities = _scheduled(every, assigned, notes)
-    recorded = _recorded(every, entities, assigned, groups)
     task_ids: dict[int, str] = {}
     for entity in entities:
         with Where(name, entity):
             task_ids[entity.id()] = unique_id(entity, task_ids.values(), notes)
     tasks = {}
     for entity in entities:
-        about, at = entity.Name or task_ids[entity.id()], task_ids[entity.id()]
-        if calendar := _calendar(entity, assigned):
-            said = "lags and durations count around the clock, holidays and nights included, of tasks of one"
-            notes.add(f"Calendars are not read: {said} ({calendar})", about, at)
         with Where(name, entity):
-            task = _task(entity, task_ids, assigned, groups, set(given), units, notes)
-            tasks[task.id] = _as_recorded(task, recorded, partial(notes.add, about=about, at=at))
+            tasks[task_ids[entity.id()]] = _task(entity, task_ids, assigned, groups, set(given), units, notes)
     sequences = []
     for relation in file.by_type("IfcRelSequence") if tasks else ():
         with Where(name, relation):
             ends = [_end(each, assigned, task_ids, tasks, notes) for each in _ends(relation)]
-            sequence = _sequence(relation, ends, units.time, tasks, notes)
+            sequence = _sequence(relation, ends, units.given.get("TIMEUNIT"), tasks, notes)
         if sequence is not None:
             sequences.append(sequence)
     return tasks, tuple(sequences)
@@ -150,55 +128,45 @@ def unique_id(entity: ifcopenshell.entity_instance, taken: Collection[str], note
     return f"#{entity.id()}"
 
 
-def _assigned(file: ifcopenshell.file, name: str, notes: Notes) -> _Assigned:
+def _assigned(file: ifcopenshell.file, name: str) -> _Assigned:
     found = _Assigned()
+
+    def pairs(attribute: str, *kinds: str) -> Iterator[tuple[ifcopenshell.entity_instance, ...]]:
+        """Yield what relations of some kinds have in an attribute, each that they relate with it, and the relation."""
+        for relation in (each for kind in kinds for each in file.by_type(kind)):
+            with Where(name, relation):
+                found = [(getattr(relation, attribute), each, relation) for each in relation.RelatedObjects]
+            yield from found
+
     # IFC wants nesting; some authors aggregate
-    for relation in (*file.by_type("IfcRelNests"), *file.by_type("IfcRelAggregates")):
-        with Where(name, relation):
-            if relation.RelatingObject.is_a("IfcTask"):
-                for part in relation.RelatedObjects:
-                    found.parents.setdefault(part.id(), relation.RelatingObject)
-    for relation in file.by_type("IfcRelAssignsToProduct"):
-        with Where(name, relation):
-            for each in relation.RelatedObjects:
-                if each.is_a("IfcTask"):
-                    found.products[each.id()].append(relation.RelatingProduct)
-    for relation in file.by_type("IfcRelAssignsToProcess"):
-        with Where(name, relation):
-            for each in relation.RelatedObjects:
-                if each.is_a("IfcResource"):
-                    _work(found, relation.RelatingProcess, each)
-                else:
-                    found.inputs[relation.RelatingProcess.id()].append(each)
-    for relation in file.by_type("IfcRelAssignsToResource"):
-        with Where(name, relation):
-            for each in relation.RelatedObjects:
-                if each.is_a("IfcTask"):
-                    _work(found, each, relation.RelatingResource)
+    for whole, part, _ in pairs("RelatingObject", "IfcRelNests", "IfcRelAggregates"):
+        if whole.is_a("IfcTask"):
+            found.parents.setdefault(part.id(), whole)
+    for product, task, _ in pairs("RelatingProduct", "IfcRelAssignsToProduct"):
+        if task.is_a("IfcTask"):
+            found.products[task.id()].append(product)
+    for task, each, _ in pairs("RelatingProcess", "IfcRelAssignsToProcess"):
+        if each.is_a("IfcResource"):
+            _work(found, task, each)
+        else:
+            found.inputs[task.id()].append(each)
+    for resource, task, _ in pairs("RelatingResource", "IfcRelAssignsToResource"):
+        if task.is_a("IfcTask"):
+            _work(found, task, resource)
     # the subtype IfcRelAssignsTasks of IFC2x3 carries the times
-    for relation in file.by_type("IfcRelAssignsToControl"):
-        with Where(name, relation):
-            for each in relation.RelatedObjects:
-                if relation.RelatingControl.is_a("IfcWorkCalendar"):
-                    found.calendars[each.id()] = relation.RelatingControl.Name or label(relation.RelatingControl)
-                if not each.is_a("IfcTask"):
-                    continue
-                if relation.RelatingControl.is_a("IfcWorkControl"):
-                    found.schedules.setdefault(each.id(), relation.RelatingControl)
-                if getattr(relation, "TimeForTask", None) is not None:
-                    found.times[each.id()] = relation.TimeForTask
-    with Where(name, "the file"):
-        times = [*found.times.values(), *(getattr(each, "TaskTime", None) for each in file.by_type("IfcTask"))]
-        if any((_completion(time) or 0.0) > 1.0 for time in times):
-            found.whole = 100.0
-            notes.add("Parts that are done are counted in percent, as one of them is more than 1: 1 is 1 %")
+    for control, task, relation in pairs("RelatingControl", "IfcRelAssignsToControl"):
+        if task.is_a("IfcTask"):
+            if control.is_a("IfcWorkControl"):
+                found.schedules.setdefault(task.id(), control)
+            if getattr(relation, "TimeForTask", None) is not None:
+                found.times[task.id()] = relation.TimeForTask
     return found
 
 
-def _completion(time: ifcopenshell.entity_instance | None) -> float | None:
-    """Return what is done of a task, as the file counts; None: not said."""
+def _completion(time: ifcopenshell.entity_instance | None) -> float:
+    """Return what part of a task the file says is done; 0 where it says nothing."""
     part = getattr(time, "Completion", None)
-    return float(part) if isinstance(part, (int, float)) else None
+    return float(part) if isinstance(part, (int, float)) else 0.0
 
 
 def _work(found: _Assigned, task: ifcopenshell.entity_instance, resource: ifcopenshell.entity_instance) -> None:
@@ -236,48 +204,9 @@ def _scheduled(
     return [entity for entity in entities if entity.id() in wanted]
 
 
-def _calendar(entity: ifcopenshell.entity_instance, assigned: _Assigned) -> str:
-    """Return the name of the calendar of a task, of what it nests in, or of its schedule; empty: it has none."""
-    above = [*_above(entity, assigned)]
-    schedule = assigned.schedules.get(above[-1].id())
-    holders = [*above, *([] if schedule is None else [schedule])]
-    return next((assigned.calendars[each.id()] for each in holders if each.id() in assigned.calendars), "")
-
-
 def _schedule_kind(schedule: ifcopenshell.entity_instance | None) -> str:
     # the second is IFC2x3's
     return getattr(schedule, "PredefinedType", None) or getattr(schedule, "WorkControlType", None) or ""
-
-
-def _recorded(
-    every: list[ifcopenshell.entity_instance],
-    kept: list[ifcopenshell.entity_instance],
-    assigned: _Assigned,
-    groups: Groups,
-) -> set[str]:
-    """Return the elements that are made by completed tasks of a schedule of the kind ``ACTUAL`` that is left out."""
-    kept_ids = {entity.id() for entity in kept}
-    found: set[str] = set()
-    for entity in (each for each in every if each.id() not in kept_ids):
-        above = [*_above(entity, assigned)]
-        if _schedule_kind(assigned.schedules.get(above[-1].id())) != "ACTUAL":
-            continue
-        if any(_says_completed(each, assigned) for each in above):
-            found |= {groups.named(each) for each in assigned.products[entity.id()]} - {""}
-    return found
-
-
-def _as_recorded(task: Task, recorded: set[str], note: _Note) -> Task:
-    """Return a task, completed where a record of what was done says so of everything that it makes."""
-    made = recorded.intersection(task.products)
-    if task.kind != "makes" or task.completed or not made:
-        return task
-    if made == set(task.products):
-        note("Tasks that a schedule of the kind ACTUAL says are completed: not done again, what they made stands")
-        return replace(task, completed=True)
-    part = "TASKS OF WHICH A SCHEDULE OF THE KIND ACTUAL SAYS THAT A PART IS DONE"
-    note(f"{part}, taken as still to be done; skip what stands already")
-    return task
 
 
 def _task(
@@ -300,11 +229,10 @@ def _task(
             note("Tasks whose workpieces are assigned as inputs only (IfcRelAssignsToProcess); taken as what they make")
         products, inputs = made, [each for each in inputs if each not in made]
     parent = assigned.parents.get(entity.id())
-    start, duration = _times(_time_of(entity, assigned), units.time, note)
+    start, duration = _times(_time_of(entity, assigned), units.given.get("TIMEUNIT"), note)
     return Task(
         id=task_id,
         name=entity.Name or "",
-        description=entity.Description or "",
         parent="" if parent is None else task_ids.get(parent.id(), ""),
         products=tuple(products),
         inputs=tuple(inputs),
@@ -325,7 +253,7 @@ def _kind(entity: ifcopenshell.entity_instance, assigned: _Assigned, by_recipe: 
     """
     said = next(filter(None, map(_said_kind, _above(entity, assigned))), "")
     shown = said if said and said == _said_kind(entity) else f"{said} (said of what they nest in)"
-    if said in _TAKES_DOWN or any(word in said.casefold() for word in _TAKES_DOWN_WORDS):
+    if said in _TAKES_DOWN:
         note(f"Tasks of the kind {shown}: the arm takes nothing down, a person says when it is gone")
         return "takes_down"
     if by_recipe:
@@ -340,14 +268,10 @@ def _kind(entity: ifcopenshell.entity_instance, assigned: _Assigned, by_recipe: 
 
 
 def _said_kind(entity: ifcopenshell.entity_instance) -> str:
-    """Return the kind that a task or its type says, the schema's or the author's own that is understood; empty: it says none."""
+    """Return the kind that a task or its type says, by the schema or in a word of it; empty: it says none."""
     given = _given_kind(entity)
-    if given not in _OPEN:
-        return str(given)
-    own = _own_word(entity)
-    if own.upper() in (*_MAKES, *_TAKES_DOWN, *_OTHER_KINDS):
-        return own.upper()
-    return own if any(word in own.casefold() for word in _TAKES_DOWN_WORDS) else ""
+    own = _own_word(entity).upper()
+    return str(given) if given not in _OPEN else own if own in (*_MAKES, *_TAKES_DOWN, *_OTHER_KINDS) else ""
 
 
 def _given_kind(entity: ifcopenshell.entity_instance) -> str | None:
@@ -389,31 +313,24 @@ def _time_of(entity: ifcopenshell.entity_instance, assigned: _Assigned) -> ifcop
 def _says_completed(entity: ifcopenshell.entity_instance, assigned: _Assigned) -> bool:
     """Return whether a task says of itself that it is done: by its status, or by its times."""
     time = _time_of(entity, assigned)
-    return (
-        _status_word(entity) in _DONE_WORDS
-        or (_completion(time) or 0.0) >= assigned.whole
-        or getattr(time, "ActualFinish", None) is not None
-    )
+    # above 1 it is no part, whatever its author counts in
+    whole = math.isclose(_completion(time), 1.0, abs_tol=1e-6)
+    return _status_word(entity) in _DONE_WORDS or whole or getattr(time, "ActualFinish", None) is not None
 
 
 def _completed(entity: ifcopenshell.entity_instance, assigned: _Assigned, note: _Note) -> bool:
-    """Return whether the file says that a task is done; one that is under way, or says both, is noted."""
+    """Return whether the file says that a task, or what it nests in, is done; one that is under way is noted."""
     time, status = _time_of(entity, assigned), _status_word(entity)
-    if _says_completed(entity, assigned):
+    done = next((each for each in _above(entity, assigned) if _says_completed(each, assigned)), None)
+    if done is not None and done is entity:
         note("Tasks that the file says are completed: not done again, what they made stands")
-        if status and status not in _DONE_WORDS:
-            note(f"Tasks with the status {entity.Status!r} whose times say that they are completed")
-        return True
-    begun = getattr(time, "ActualStart", None) is not None or (_completion(time) or 0.0) > 0.0
-    said = f"status {entity.Status!r}" if status else "a start or a part that is done"
-    whole = next((each for each in _above(entity, assigned) if _says_completed(each, assigned)), None)
-    if whole is not None:
-        because = f"what they nest in ({whole.Name or whole.GlobalId}) is"
-        doubt = f"TASKS THAT MAY NOT BE COMPLETED ({said}), taken" if status or begun else "Tasks taken"
-        note(f"{doubt} as completed because {because}: what they make counts as standing")
-    elif begun or (status and status not in _NOT_BEGUN_WORDS):
+    elif done is not None:
+        because = f"what they nest in ({done.Name or done.GlobalId}) is"
+        note(f"Tasks taken as completed because {because}: what they make counts as standing")
+    elif status not in _NOT_BEGUN_WORDS or getattr(time, "ActualStart", None) is not None or _completion(time) > 0.0:
+        said = f"status {entity.Status!r}" if status else "a start or a part that is done"
         note(f"TASKS THAT MAY HAVE BEGUN ({said}), taken as still to be done; if what they make stands, skip them")
-    return False
+    return done is not None
 
 
 def _elements(entities: list[ifcopenshell.entity_instance], groups: Groups, note: _Note) -> list[str]:
@@ -548,9 +465,6 @@ def _lag(lag: ifcopenshell.entity_instance | float | None, before: Task, time_un
         elif before.duration is None:
             note("A lag that is a part of a duration that is not known is left out")
             return 0.0
-        elif value.wrappedValue > _MOST_RATIO:
-            note("A lag that is more than ten times the duration of the task before is taken as percent of it")
-            seconds = value.wrappedValue * before.duration / 100.0
         else:
             note("A lag that is a part of the duration of the task before")
             seconds = value.wrappedValue * before.duration

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from construction_twin.core.units import CYCLE, CYCLE_NS
-from construction_twin.execution.tracking import REST, Tracking
+from construction_twin.extensions.planners.tracking import REST, Tracking
 
 
 def twin_at(stamp: int, speed: float = 1.0) -> tuple[float, ...]:

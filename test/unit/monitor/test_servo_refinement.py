@@ -7,8 +7,8 @@ import math
 import pytest
 
 from construction_twin.core.units import CYCLE_NS
+from construction_twin.monitor.servo_watch import ENOUGH, LEAST, REACH, STEP, Refinement
 from construction_twin.servo.model import JointServo, ServoModel
-from construction_twin.servo.refine import ENOUGH, LEAST, REACH, STEP, Refinement
 
 MODEL = ServoModel(("a", "b"), (JointServo(60.0, 0.8), JointServo(60.0, 0.8)), CYCLE_NS)
 

@@ -1,0 +1,242 @@
+"""What people say of the work, taken into the ledger: the schedule accepted, tasks skipped, done again, questions answered."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from construction_twin.core.sentences import Sentence
+from construction_twin.extensions.work.built import ORIGIN, OVERLAP, Deviation, box_of, deviation, placed_at, pose_tuple
+from construction_twin.extensions.work.ledger import placed_elsewhere, replay
+from construction_twin.extensions.work.task_board import FROM_MODEL, PROPOSED, TaskBoard, WorkRefused, removed_command
+from construction_twin.extensions.work.task_memory import (
+    ACCEPTED,
+    ANSWERS_FOR_ALL,
+    ANSWERS_OF_FORMER,
+    NOT_IN_MODEL,
+    PLANNED,
+    SAME,
+    SETTLED,
+    Entry,
+    TaskMemory,
+    TaskState,
+)
+from construction_twin.kinematics.chain import Pose
+
+#: What answers mean.
+_MEANINGS = {
+    "in_stock": Sentence("it lies in its stock, and the grip is empty"),
+    "in_grip": Sentence("it is in the grip, as it was taken"),
+    "placed": Sentence("it stands at its place, and the grip is empty"),
+    "gone": Sentence("it is none of these: it was taken away; it waits until it is skipped or done again"),
+    SAME: Sentence("it is the one that stands there: it counts as placed"),
+    "stands": Sentence("it stands there: an obstacle until a person says that it was taken away"),
+    "taken_away": Sentence("it was taken away: it is no obstacle any more"),
+    "done": Sentence("it was done"),
+    "not_done": Sentence("it was not done: it is to be done again from its beginning"),
+}
+#: A measured element further than this from its place was not measured in the robot's frame [m].
+_FARTHEST = 10.0
+
+
+def accept(board: TaskBoard, person: str, reason: str) -> str:
+    """Take a person's word that the proposed schedule is right."""
+    if board.schedule_word != PROPOSED:
+        origin = "the model's own" if board.schedule_word == FROM_MODEL else "accepted already"
+        raise WorkRefused(f"the schedule is {origin}: there is nothing to accept")
+    _check_named(person)
+    board.ledger.add(Entry(ACCEPTED, person=person, reason=reason, schedule=board.prepared.schedule_digest))
+    return f"{person} accepts the proposed schedule of {len(board.prepared.schedule.jobs)} tasks"
+
+
+def skip(board: TaskBoard, task: str, person: str, reason: str) -> str:
+    """Take a task out: others no longer wait for it."""
+    state = _memory(board, task, person).state
+    if state is TaskState.ASKS:
+        raise WorkRefused(f"{board.title(task)} asks first: {board.question(task)}")
+    if state not in (TaskState.WAITING, TaskState.READY, TaskState.HELD):
+        raise WorkRefused(f"{board.title(task)} is {state.value} and cannot be skipped")
+    board.add(Entry("skipped", task, person=person, reason=reason))
+    skipped = f"{board.title(task)} is skipped: what comes after it no longer waits"
+    if task in board.prepared.removals:
+        return f"{skipped}; {board.built.element(task).name} stays"
+    return skipped if board.prepared.stays(task) else f"{skipped}; take its element out of the stock"
+
+
+def removed(board: TaskBoard, task: str, person: str, reason: str) -> str:
+    """Take a person's word that what a removal takes down, or what was placed, is gone, and no obstacle."""
+    memory = _memory(board, task, person, former=True)
+    if task in board.prepared.removals:
+        if memory.state is TaskState.DONE:
+            raise WorkRefused(f"{board.built.element(task).name} is gone already")
+    elif not memory.placed:
+        raise WorkRefused(
+            f"{board.title(task)} has placed nothing and takes nothing down: `removed` is for what stands"
+        )
+    name, answer = board.built.element(task).name, "gone" if memory.state is TaskState.ASKS else ""
+    board.add(Entry("answered" if answer else "removed", task, answer=answer, person=person, reason=reason))
+    return f"{person} says that {name} is gone: it is no obstacle from now on"
+
+
+def redo(board: TaskBoard, task: str, person: str, reason: str) -> str:
+    """Have a task done again, its element back in stock; of one that counts as carried, have it asked about."""
+    state = _memory(board, task, person).state
+    if state is TaskState.CARRIED:
+        board.add(Entry("unknown", task, person=person, reason=reason or "a person doubts that it is in the grip"))
+        return f"{board.title(task)} asks: {board.question(task)}"
+    if state not in (TaskState.DONE, TaskState.SKIPPED, TaskState.HELD):
+        raise WorkRefused(f"{board.title(task)} is {state.value}; it was not done or skipped yet")
+    later = board.book.followers(task)
+    if later:
+        raise WorkRefused(f"{board.title(later[0])} came after {board.title(task)}: redo that first")
+    taken_down, stays = task in board.prepared.removals, board.prepared.stays(task)
+    if not taken_down and not stays:
+        _slot_free(board, task)
+    board.add(Entry("redone", task, person=person, reason=reason))
+    if taken_down:
+        return f"{board.built.element(task).name} counts as standing again: an obstacle until a person says that it is gone"
+    if stays:
+        return f"{board.title(task)} is to be done again"
+    return f"{board.title(task)} is to be done again; {board.built.element(task).name} counts as back in its stock"
+
+
+def lost(board: TaskBoard) -> str:
+    """Take note that the tool is surely open: what counts as carried is asked about; return a sentence, empty: nothing is."""
+    held = board.book.in_state(TaskState.CARRIED)
+    if not held:
+        return ""
+    reason = "the tool says that it holds nothing"
+    board.add(Entry("unknown", held[0], reason=reason))
+    return f"{reason}: {board.title(held[0])} asks: {board.question(held[0])}"
+
+
+def answer(board: TaskBoard, task: str, answer: str, person: str, reason: str, shown: str = "") -> str:
+    """Take the answer to a task's question; return a sentence.
+
+    `shown`: The question as the person saw it; empty: it is not compared.
+    """
+    memory = _memory(board, task, person, former=True)
+    possible = board.answers(task)
+    if not possible:
+        raise WorkRefused(f"{board.title(task)} is {memory.state.value} and asks nothing")
+    question = board.question(task)
+    if shown and shown != question:
+        raise WorkRefused(Sentence("another question is open by now: {question}; look again", question=question))
+    if answer not in possible:
+        answers = ", ".join(possible)
+        raise WorkRefused(f"{answer!r} is no answer to: {question}; expected one of {answers}")
+    if answer == "in_stock":
+        _slot_free(board, task)
+    name, meaning = board.built.element(task).name, _MEANINGS[answer]
+    sentence = Sentence("{task}: {element}: {answer}", task=board.title(task), element=name, answer=meaning)
+    if answer == SAME:
+        _take_as(board, task, board.built.counterpart(task), person, reason)
+    else:
+        said, seen = ANSWERS_OF_FORMER.get(answer, answer), NOT_IN_MODEL if answer in ANSWERS_OF_FORMER else ""
+        board.add(Entry("answered", task, answer=said, person=person, reason=reason, seen=seen))
+    return sentence
+
+
+def answer_all(board: TaskBoard, given: str, person: str, reason: str) -> str:
+    """Answer, with what leaves it an obstacle, what is asked of all that was placed and can be answered so."""
+    _check_named(person)
+    if given not in ANSWERS_FOR_ALL:
+        answers = ", ".join(ANSWERS_FOR_ALL)
+        raise WorkRefused(f"{given!r} is answered for one task at a time; for all at once only {answers}")
+    count = 0
+    for task in board.book.asking:
+        # each is looked at when it is its turn: what was answered before may have taken its counterpart
+        if board.book.tasks[task].placed and given in board.answers(task):
+            answer(board, task, given, person, reason)
+            count += 1
+    meaning, left = _MEANINGS[given], len(board.book.asking)
+    return Sentence("{count} answered ({answer}), {left} still ask", count=count, answer=meaning, left=left)
+
+
+def _take_as(board: TaskBoard, task: str, heir: str, person: str, reason: str) -> None:
+    """Count what a task that is no more has placed as placed by one of the schedule."""
+    memory, facts = board.book.tasks[task], board.built.element(heir)
+    entry = replace(placed_elsewhere("same", heir, memory, reason), seen=board.prepared.present[heir].digest)
+    body, goal = board.ledger.keep(facts.bodies), pose_tuple(facts.base_T_goal)
+    if body != memory.body:
+        # its frame may be another one: where it stands is known as well as places are compared
+        entry = replace(entry, pose=goal, source=PLANNED, body=body, goal=goal)
+    board.ledger.add(replace(entry, element=board.element_of(heir), person=person))
+
+
+def look_around(board: TaskBoard) -> None:
+    """Have it asked about what other ledgers of the folder say was placed, where it is of this model or at a place of it."""
+    for path in sorted(board.ledger.path.parent.glob("*.jsonl")):
+        if path == board.ledger.path:
+            continue
+        book = replay(path, {})
+        mine = board.robot == book.robot or (not book.robot and path.name.startswith(f"{board.robot}_"))
+        for memory in book.tasks.values():
+            source = f"{path.name} {memory.task} {memory.settled_ns}"
+            if memory.placed and source not in board.book.found:
+                _look_at(board, memory if mine else replace(memory, base_T_element=(), goal=()), mine, source)
+
+
+def _look_at(board: TaskBoard, memory: TaskMemory, mine: bool, source: str) -> None:
+    """Have it asked about what another ledger says was placed; its pose is known in the frame of the same robot only."""
+    book, task = board.book, board.prepared.schedule.placing.get(memory.element, "")
+    if any(each.element == memory.element and each.touched for each in book.tasks.values()):
+        return
+    if not task:
+        if not (mine and memory.body):
+            return
+        (low, high), placing = (
+            box_of(board.built.bodies(memory), placed_at(memory, ORIGIN)),
+            board.prepared.schedule.placing,
+        )
+        boxes = (board.built.goal_box(one) for one in placing.values() if board.built.element(one).bodies)
+        if not any((np.minimum(high, box[1]) - np.maximum(low, box[0]) > OVERLAP).all() for box in boxes):
+            return
+        task = memory.element
+    elif book.tasks[task].state not in (TaskState.WAITING, TaskState.READY):
+        return
+    board.ledger.add(replace(placed_elsewhere("found", task, memory, source=source), former=""))
+
+
+def measured(board: TaskBoard, element: str, pose: Pose, person: str, reason: str) -> Deviation:
+    """Take where an element really is."""
+    _check_named(person)
+    task = board.prepared.schedule.placing.get(element)
+    if task is None:
+        raise WorkRefused(f"no task places element {element!r}; `twin work list` names them")
+    state = board.book.tasks[task].state
+    if state not in SETTLED:
+        raise WorkRefused(f"{board.built.element(task).name} is not placed yet: {board.title(task)} is {state.value}")
+    found = deviation(pose, board.built.element(task).base_T_goal)
+    if not (found.distance <= _FARTHEST and np.isfinite(found.angle)):
+        away = f"the pose is {found.distance:.3g} m from where the model has {board.built.element(task).name}"
+        raise WorkRefused(f"{away}; expected within {_FARTHEST:g} m, in the robot's base_link")
+    board.add(Entry("measured", task, pose=pose_tuple(pose), person=person, reason=reason))
+    return found
+
+
+def _slot_free(board: TaskBoard, task: str) -> None:
+    """Refuse to count a task's element as back in its stock while another one counts as lying there."""
+    other = board.prepared.stock.instead_of(board.element_of(task), board.built.taken())
+    if not other:
+        return
+    later = board.title(board.prepared.schedule.placing[other])
+    taken = f"{board.prepared.elements[other].name} counts as delivered in the slot of {board.built.element(task).name}"
+    raise WorkRefused(f"{taken}: take it out and skip {later} first; redo that afterwards")
+
+
+def _memory(board: TaskBoard, task: str, person: str, former: bool = False) -> TaskMemory:
+    """Return what is known of a task of which a person says something; refuse one that there is not, or nobody's word."""
+    if task not in board.book.after and task not in board.book.former:
+        raise WorkRefused(f"there is no task {task!r}; `twin work list` names them")
+    if task not in board.book.after and not former:
+        name = board.built.element(task).name
+        raise WorkRefused(f"{name} is not in the model any more; once it is taken away, say {removed_command(name)}")
+    _check_named(person)
+    return board.book.tasks[task]
+
+
+def _check_named(person: str) -> None:
+    if not person.strip():
+        raise WorkRefused("who says so? Give the name of a person: it is kept with the record")
