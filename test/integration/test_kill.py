@@ -12,10 +12,18 @@ from interruption import Interruption
 from mqtt_listener import retained
 from twin_client import HOME, wait
 
-from construction_twin.core.network import listening_ports
-
 #: What is retained below twin/kr120/ while no plan waits for review.
 RETAINED = ("status", "bridge/status", "scene")
+
+
+def listens(pid: int, port: int) -> bool:
+    """Return whether a process has the listening socket of a TCP port."""
+    try:
+        sockets = {os.readlink(entry.path) for entry in os.scandir(f"/proc/{pid}/fd")}
+        rows = [row.split() for row in Path(f"/proc/{pid}/net/tcp").read_text().splitlines()[1:]]
+    except OSError:
+        return False
+    return any(row[1].endswith(f":{port:04X}") and row[3] == "0A" and f"socket:[{row[9]}]" in sockets for row in rows)
 
 
 class KillTest(Interruption):
@@ -63,7 +71,7 @@ class KillTest(Interruption):
         """Return the process that listens on the broker's port; 0 when there is none."""
         names = Path("/proc").glob("[0-9]*/comm")
         pids = [int(file.parent.name) for file in names if file.read_text().strip() == "mosquitto"]
-        return next((pid for pid in pids if self.port in listening_ports(pid)), 0)
+        return next((pid for pid in pids if listens(pid, self.port)), 0)
 
 
 if __name__ == "__main__":
