@@ -1,7 +1,7 @@
 """Writes krl/: KRL programs, RSI contexts and Ethernet XMLs for the controller, all from the table of channels in krl_variants.py.
 
 Every file says who may use it and that it was not tried on a controller. Run it after a change; a test compares the files.
-Facts: the numbers of objects, parameters and channels are those of KUKA's RSI (docs/controller.md names where they come from).
+Facts: the numbers of objects, parameters and channels are those of KUKA's RSI (docs/rsi.md, section 6).
 """
 
 from __future__ import annotations

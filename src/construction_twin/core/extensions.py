@@ -16,11 +16,15 @@ from construction_twin.core.errors import ConfigurationError
 PACKAGES = {"console": ("aiohttp",), "work": ("ifcopenshell", "isodate", "shapely"), "physics": ("mujoco",)}
 
 
+class ExtensionAbsent(ConfigurationError):
+    """This installation is without an extension."""
+
+
 def extension(module: str) -> ModuleType:
     """Import a module of an extension, ``physics.mock_servo``.
 
     Raises:
-        ConfigurationError: The extension is not installed.
+        ExtensionAbsent: The extension is not installed.
     """
     path = f"construction_twin.extensions.{module}"
     try:
@@ -29,19 +33,33 @@ def extension(module: str) -> ModuleType:
         if not path.startswith(error.name or "-"):
             raise
         name = module.partition(".")[0]
-        raise ConfigurationError(path, None, f"the extension {name}, which this installation is without") from error
+        raise ExtensionAbsent(path, None, f"the extension {name}, which this installation is without") from error
 
 
 def node_main(module: str) -> Callable[[], object]:
     """Return `main` of an extension's node; without the extension, what says so and waits: a launch is complete without it."""
     try:
         return extension(module).main
-    except ConfigurationError as error:
+    except ExtensionAbsent as error:
         sentence = str(error)
 
     def absent() -> None:
         print(sentence, file=sys.stderr, flush=True)
         signal.pause()
+
+    return absent
+
+
+def command_main(module: str) -> Callable[[], int]:
+    """Return `main` of an extension's command; without the extension, what says so and returns 2."""
+    try:
+        return extension(module).main
+    except ExtensionAbsent as error:
+        sentence = str(error)
+
+    def absent() -> int:
+        print(sentence, file=sys.stderr)
+        return 2
 
     return absent
 

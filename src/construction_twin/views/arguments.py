@@ -7,8 +7,7 @@ import contextlib
 import enum
 import math
 
-from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.extensions import extension
+from construction_twin.core.extensions import ExtensionAbsent, extension
 
 #: How long a service or a topic may stay silent before the command gives up [s].
 TIMEOUT = 5.0
@@ -88,7 +87,7 @@ def parser(robot: str) -> argparse.ArgumentParser:
         "show what the simulated arm found when it carried out the newest plan; ends with 1 unless it passed",
     )
     _add_scene(command("scene", "list what the arm must not touch, or write it for another planner"))
-    with contextlib.suppress(ConfigurationError):  # an installation may be without it
+    with contextlib.suppress(ExtensionAbsent):
         steps = extension("work.twin_arguments").add_steps
         steps(command("work", "work from a building model: its tasks, what comes next, what people say"), common)
     _add_watch(command("watch", "show states, joint errors and what was late until Ctrl-C"))

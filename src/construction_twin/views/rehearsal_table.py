@@ -79,7 +79,7 @@ def rehearsal_table(report: RehearsalReport) -> Group:
     parts: list[Text | Table] = [Text(headline(report), style=style)]
     if report.axes:
         table = Table(box=box.SIMPLE, caption=f"{ESTIMATE} an estimate", caption_justify="left")
-        for name in ("axis", "peak", "at [s]", "RMS", "limit", "used", "gravity"):
+        for name in ("axis", "peak", Text("at [s]"), "RMS", "limit", "used", "gravity"):
             table.add_column(name, justify="left" if name == "axis" else "right")
         for axis in report.axes:
             mark = ESTIMATE if axis.estimated else ""

@@ -6,6 +6,7 @@ nothing.
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import os
 import shlex
@@ -21,7 +22,7 @@ from rosmaster.paramserver import ParamDictionary
 
 from construction_twin.broker import start as broker
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.core.extensions import extension, node_modules
+from construction_twin.core.extensions import ExtensionAbsent, extension, node_modules
 from construction_twin.core.share import share_folder
 from construction_twin.ros.commands import experiment, scenario
 from construction_twin.ros.nodes import rsi_gateway
@@ -78,11 +79,15 @@ def check_node(node: Node, values: Mapping[str, Any]) -> None:
     if node.type in PROGRAMS:
         PROGRAMS[node.type](shlex.split(node.args), parameters)
         return
-    module = node_modules().get(node.type, "")
     if node.type == "separation":
         sys.path.append(str(share_folder() / "examples" / "separation"))
-        module = "separation_node"
-    importlib.import_module(module).NODE.checked(parameters)
+        importlib.import_module("separation_node").NODE.checked(parameters)
+        return
+    module = node_modules().get(node.type, "construction_twin.extensions.absent")
+    name = module.removeprefix("construction_twin.extensions.")
+    with contextlib.suppress(ExtensionAbsent):  # its node waits, and the others work without it
+        found = importlib.import_module(module) if name == module else extension(name)
+        found.NODE.checked(parameters)
 
 
 def refusals(nodes: Iterable[Node], values: Mapping[str, Any]) -> dict[str, list[str]]:

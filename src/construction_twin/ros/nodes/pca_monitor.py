@@ -79,6 +79,13 @@ class Settings(NodeSettings, GateSettings):
     transition_file: Annotated[str, pydantic.Field(min_length=1)]
     servo_model: str
 
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _says_how_strict_it_is(cls, given: dict) -> dict:
+        for name in GateSettings.model_fields.keys() - {"thresholds"} - given.keys():
+            raise ConfigurationError(name, None, "this key")
+        return given
+
 
 class Rules(pydantic.BaseModel):
     """What executor or gateway is told of a source that falls silent, among their other parameters; see config/executor.yaml."""

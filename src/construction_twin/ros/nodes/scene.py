@@ -15,7 +15,7 @@ from visualization_msgs.msg import MarkerArray
 
 from construction_twin import msg, srv
 from construction_twin.core.errors import ConfigurationError, PayloadError, PoseUnknownError
-from construction_twin.core.extensions import extension
+from construction_twin.core.extensions import ExtensionAbsent, extension
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.convert import pose_from_msg
@@ -233,7 +233,11 @@ class SceneNode:
         if publisher is None:
             rospy.loginfo("planning_scene is not published without moveit_msgs; `twin scene --moveit` writes a file")
             return None
-        moveit = extension("planners.nodes.planning_scene")
+        try:
+            moveit = extension("planners.nodes.planning_scene")
+        except ExtensionAbsent as error:
+            rospy.loginfo("planning_scene is not published: %s", error)
+            return None
         return moveit.PlanningScenePublisher(moveit.moveit_types(), self._robot, self._world.self_collision, publisher)
 
     def _publish_markers(self) -> None:

@@ -251,6 +251,8 @@ def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
         raise ConfigurationError(
             "payload", settings.payload, "none with twin:=gazebo, whose world knows no payload; twin:=mujoco does"
         )
+    if has_mass(settings):
+        extension("physics")
     if is_simulated_here(settings):
         check_extras("physics")
         extension("physics.nodes.simulated_twin").check(settings, robot)
