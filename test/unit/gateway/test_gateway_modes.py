@@ -147,9 +147,18 @@ TRACK_LAYOUT = dataclasses.replace(
     RsiLayout.plain(TRACK), receive=("Stop", "AK.A1", "EK.E1"), holdon=(False, True, True)
 )
 TRACK_CONFIG = GatewayConfig(
-    "arm", TRACK, (-1.0, -3.0), (5.0, 3.0), (2.5, 2.0), (6.81, 2.5), decimals=6, linear=("E1",), layout=TRACK_LAYOUT,
-    e1_sign=-1, e1_offset=0.15,
-)  # fmt: skip
+    "arm",
+    TRACK,
+    (-1.0, -3.0),
+    (5.0, 3.0),
+    (2.5, 2.0),
+    (6.81, 2.5),
+    decimals=6,
+    linear=("E1",),
+    layout=TRACK_LAYOUT,
+    e1_sign=-1,
+    e1_offset=0.15,
+)
 
 
 class TrackCell(Cell):

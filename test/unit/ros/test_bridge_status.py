@@ -244,9 +244,11 @@ def test_a_speed_limit_that_waited_when_the_link_was_lost_is_not_sent_later(benc
     bench.gateway["state"] = "offline"
     bench.step()
     assert bench.bridge.link is LinkState.GATEWAY_OFFLINE
-    bench.gateway["state"] = "ready"
-    bench.arm()
     assert [control.value for control in bench.client.controls if control.verb == "speed_limit"] == [0.2]
+    bench.client.published.clear()
+    bench.gateway |= {"state": "ready", "session": ""}
+    bench.arm()
+    assert [control.verb for control in bench.client.controls] == ["arm"]
 
 
 def test_mirror_mode_is_kept_where_the_next_process_finds_it(clocks):
