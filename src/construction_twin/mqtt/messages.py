@@ -33,7 +33,7 @@ READY, OFFLINE = "ready", "offline"
 RSI, PLC = "rsi", "plc"
 GATEWAY_KINDS = (RSI, PLC)
 #: Number of what gateway and bridge say to each other on `status` and `control`. It rises when one side must know something that
-#: the other one did not say before; both sides must have the same. What names none is of 0.1.0, which had none.
+#: the other one did not say before; both sides must have the same. What names none speaks the first.
 PROTOCOL, FIRST_PROTOCOL = 2, 1
 #: Control messages are short; anything longer is not one.
 MAX_CONTROL_BYTES = 2048
@@ -218,7 +218,7 @@ def other_protocol(gateway: object, bridge: object) -> str:
         return ""
     return Sentence(
         "the gateway speaks protocol {gateway}, the bridge {bridge}: install the same version on both sides, then start both "
-        "again (docs/broker.md, Upgrade from 0.1)",
+        "again",
         gateway=str(gateway)[:20],
         bridge=str(bridge)[:20],
     )

@@ -1,6 +1,6 @@
 """What people and programs may ask for by MQTT, each kind stated once: topics, right, answer, pace. Standard library only.
 
-The nodes' endpoints (`ros/console/endpoint.py`), the topics' names (`messages.Topics`), a site's access rules (`broker/access.py`),
+The endpoints (`console/nodes/endpoint.py`), the topics' names (`messages.Topics`), a site's access rules (`broker/access.py`),
 all answers and all limits of how often are made from these.
 """
 
