@@ -30,7 +30,9 @@ def test_a_program_of_an_extension_says_which_it_lacks(tmp_path, name):
     assert code != 0 and "which this installation is without" in sentence
 
 
-@pytest.mark.parametrize("words", [(), ("console:=true", "console_page:=none"), ("twin:=mujoco",), ("servo:=physics",)])
+@pytest.mark.parametrize(
+    "words", [(), ("console:=true", "console_page:=none"), ("twin:=mujoco",), ("rehearsal:=require",)]
+)
 def test_preflight_says_ok_or_what_a_start_lacks(tmp_path, words):
     """Only what an argument asks of an extension refuses a start."""
     code, out, errors = run(tmp_path, ROOT / "nodes" / "preflight", *QUIET, *words)
