@@ -4,10 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from contextlib import contextmanager
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+from mock_pc import in_thread
 
 from construction_twin.core.units import radians
+from construction_twin.gateway.config import GatewayConfig
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.controller import MockController
+from construction_twin.mock.network import MockRsi
 from construction_twin.mock.servo import IdealServo
 from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
 from construction_twin.rsi.layout import RsiLayout
@@ -32,6 +39,10 @@ ZERO = (0.0,) * 6
 
 
 PLAIN = RsiLayout.plain(AXES)
+
+
+#: Commands of `swing` until it rests.
+SWING = 314
 
 
 NO_HOLDON = dataclasses.replace(PLAIN, holdon=(False,) * 6)
@@ -67,6 +78,43 @@ class Cell:
 
     def cycles(self, count, correction=ZERO):
         return [self.cycle(correction) for _ in range(count)]
+
+
+def gateway_config(**changes) -> GatewayConfig:
+    """Of a gateway that answers such a controller, for a sender that must wait for the processor now and then."""
+    limits = CONFIG.lower, CONFIG.upper, CONFIG.velocity, CONFIG.acceleration
+    return GatewayConfig("arm", AXES, *limits, decimals=6, playout_delay=0.1, silence=8.0, max_age=20.0, **changes)
+
+
+def swing(k):
+    """Command k of a motion of A1 from HOME, at rest after `SWING` commands."""
+    return (0.2 * (1 - math.cos(0.01 * min(k, SWING))), *HOME[1:])
+
+
+@dataclass(frozen=True)
+class CycleSeen:
+    """What the controller knew when a packet left: session, replies taken so far, cycles missed in a row, correction."""
+
+    session: int
+    answered: int
+    missed: int
+    correction: tuple[float, ...]
+
+
+@contextmanager
+def mock_at(address, **changes):
+    """A mock controller on real UDP, in a thread; yields it, and an object whose `replies` are the cycles so far."""
+    seen = []
+
+    def observe(mock):
+        controller = mock.controller
+        seen.append(
+            CycleSeen(controller.session, controller.counters["replies"], controller.missed, controller.applied)
+        )
+
+    controller = MockController(dataclasses.replace(CONFIG, **changes), IdealServo(3), forward_kinematics)
+    with in_thread(MockRsi(controller, address, 1.0, observe)) as mock:
+        yield mock, SimpleNamespace(replies=seen)
 
 
 def step(axis, degrees):

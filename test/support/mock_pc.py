@@ -59,7 +59,13 @@ class Pc(threading.Thread):
 @contextmanager
 def running(robot, address, restart_after=0.0, observe=lambda mock: None, **settings):
     settings = MockSettings(gateway_host=address[0], gateway_port=address[1], **settings)
-    mock = MockRsi(build_controller(settings, robot), address, restart_after, observe)
+    with in_thread(MockRsi(build_controller(settings, robot), address, restart_after, observe)) as mock:
+        yield mock
+
+
+@contextmanager
+def in_thread(mock):
+    """Run a `MockRsi`; yields it."""
     stop = threading.Event()
     thread = threading.Thread(target=mock.run, args=(stop,), daemon=True)
     thread.start()

@@ -163,6 +163,7 @@ class Client:
     def __init__(self, port, topics, protocol=MQTTProtocolVersion.MQTTv5):
         self.topics, self.messages = topics, []
         self.seq, self.stamp = 0, 10**18
+        self.codec, self.session = CODEC, "s1"
         self._ids = itertools.count(1)
         subscribed = threading.Event()
         self.paho = paho.Client(CallbackAPIVersion.VERSION2, protocol=protocol)
@@ -217,8 +218,8 @@ class Client:
     def command(self, q):
         self.seq += 1
         self.stamp += CYCLE_NS
-        beside = UserProperties(CommandProperties("s1", self.seq, self.stamp).pairs())
-        self.paho.publish(self.topics.command, CODEC.encode(q), properties=beside)
+        beside = UserProperties(CommandProperties(self.session, self.seq, self.stamp).pairs())
+        self.paho.publish(self.topics.command, self.codec.encode(q), properties=beside)
 
 
 @contextmanager

@@ -117,6 +117,8 @@ class ControllerSocket:
         make = config.make
         self.reply_time = Histogram.of_microseconds()
         self.last_resort = make.last_resort(config)
+        # a second one: whatever has become of the inbox's, it reads on after a failure
+        self._parse = make.reader(config).parse
         self.inbox = TelegramInbox(gateway, self._receive, controller)
         self.encoder = make.encoder(config) if config.layout.answered else None
         self._gateway = gateway
@@ -187,5 +189,5 @@ class ControllerSocket:
         reply = resort.answer(stamp)
         if reply is not None:
             self._send(reply, source)
-        self._gateway.observe(self.inbox.parse(data), resort.target, lost)
+        self._gateway.observe(self._parse(data), resort.target, lost)
         return True

@@ -149,5 +149,11 @@ class BareSupervisor(LinkSupervisor):
         return Sentence("mirror mode has ended; a person arms the PLC again: {command}", command=ARM_COMMAND)
 
     def request_reset(self, now: int) -> None:
-        """Raise ReviewError: a person's name is needed."""
-        raise ReviewError(Sentence("cannot reset a bare PLC without a name: {command}", command=ARM_COMMAND))
+        """Raise ReviewError: a person's name is needed; it says why nothing could be armed either."""
+        refusal = Sentence("cannot reset a bare PLC without a name: {command}", command=ARM_COMMAND)
+        if self.state in (LinkState.RESYNC, LinkState.ARMED):
+            name = self.responsible
+            refusal = Sentence("{refusal}; first end what {name} has armed, with halt", refusal=refusal, name=name)
+        elif problem := self.inputs.why_not_at_rest(now) if self.state is LinkState.NEEDS_RESET else self.reason:
+            refusal = Sentence("{refusal}; now it could not either: {problem}", refusal=refusal, problem=problem)
+        raise ReviewError(refusal)

@@ -39,8 +39,10 @@ from construction_twin.mqtt.messages import (
 
 #: So long a failed request waits for the gateway's word that nothing of it is in force [ns].
 WITHDRAWAL = NANOSECONDS
-#: Between two reports of an unchanged link, and two messages of an unchanged speed limit [ns].
-_REPEAT, LIMIT_PERIOD = NANOSECONDS, NANOSECONDS // 5
+#: Between two reports of an unchanged link [ns].
+_REPEAT = NANOSECONDS
+#: Between two messages of an unchanged speed limit, and of any [ns].
+LIMIT_PERIOD, LIMIT_PAUSE = NANOSECONDS // 5, NANOSECONDS // 50
 #: What `halt` comes to with a bare PLC.
 PLC_HALTED = Sentence(
     "no more strings are sent to the PLC, and the plan is dropped: a lawful PLC brakes on silence; a person arms again, by name"
@@ -177,8 +179,9 @@ class Bridge:
         self._values: dict[str, str] = {}
         self._told: tuple[LinkState, str, str] | None = None
         self._told_at = 0
-        # session and speed limit that were sent last, when, and how many were
+        # session and speed limit that were sent last, when, and how many were; and the one that is still to be sent
         self._limit, self._limit_at, self._limits = ("", 1.0), 0, 0
+        self._next_limit: float | None = None
 
     # -- the gateway
 
@@ -190,16 +193,24 @@ class Bridge:
         # the first sentence stays until nobody is waited for: figures may waver in those that follow
         waits = supervisor.waits_for
         self.waits = waits and (self.waits or waits)
-        return control
+        return control or self._limit_due(now)
 
     def on_speed_limit(self, limit: float, now: int) -> Control | None:
-        """Return the message for the speed limit in force; None where it was sent lately. Its silence is silence at the gateway."""
-        wanted = self.supervisor.session, limit
-        if not self._takes_control or (wanted == self._limit and now - self._limit_at < LIMIT_PERIOD):
-            return None
-        # numbered, because the gateway takes none that is not newer than all before
-        self._limit, self._limit_at, self._limits = wanted, now, self._limits + 1
-        return Control(str(self._limits), self.supervisor.session, "speed_limit", limit)
+        """Return the message for the speed limit in force; None: sent lately, or `poll` sends it. Its silence is silence there."""
+        is_sent = (self.supervisor.session, limit) == self._limit and now - self._limit_at < LIMIT_PERIOD
+        self._next_limit = None if is_sent else limit
+        return self._limit_due(now)
+
+    def _limit_due(self, now: int) -> Control | None:
+        limit = self._next_limit
+        if not self._takes_control:
+            self._next_limit = None
+        elif limit is not None and now - self._limit_at >= LIMIT_PAUSE:
+            # numbered, because the gateway takes none that is not newer than all before
+            self._limit, self._limit_at, self._limits = (self.supervisor.session, limit), now, self._limits + 1
+            self._next_limit = None
+            return Control(str(self._limits), self.supervisor.session, "speed_limit", limit)
+        return None
 
     @property
     def _takes_control(self) -> bool:

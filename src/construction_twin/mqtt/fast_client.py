@@ -148,6 +148,8 @@ class FastClient(PlainClient):
         as by `publish`. MQTT 3.1.1 has no user properties.
         """
         packet = self._publish_packet(topic.encode(), payload, pairs)
+        if self.is_too_large(topic, len(packet)):
+            return
         with self._writing:
             sock = self._sock
             if sock is None:

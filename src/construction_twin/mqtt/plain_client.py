@@ -28,7 +28,7 @@ def received_pairs(message: paho.MQTTMessage) -> list[tuple[str, str]]:
 
 
 class PlainClient(paho.Client):
-    """A paho client with streams: topics of which many messages come or go per second. It publishes nothing that is too large.
+    """A paho client with streams: topics of which many messages come or go per second. It sends nothing that is too large.
 
     Attributes:
         largest: Longest packet that the broker takes, as it said last [bytes]; None: any.
@@ -44,17 +44,25 @@ class PlainClient(paho.Client):
 
     def publish(self, topic, payload=None, qos=0, retain=False, properties=None) -> paho.MQTTMessageInfo:
         """Publish as paho does; what is too large for the broker gets `MQTT_ERR_PAYLOAD_SIZE`."""
-        size = len(topic) + len(payload or b"") + _AROUND
+        if self.largest is not None:
+            content = payload.encode() if isinstance(payload, str) else payload or b""
+            beside = len(properties.pack()) if properties else 0
+            if self.is_too_large(topic, len(topic.encode()) + len(content) + beside + _AROUND):
+                info = paho.MQTTMessageInfo(0)
+                info.rc = MQTTErrorCode.MQTT_ERR_PAYLOAD_SIZE
+                return info
+        return super().publish(topic, payload, qos, retain, properties)
+
+    def is_too_large(self, topic: str, size: int) -> bool:
+        """Return whether a packet [bytes] is longer than what the broker takes, and say so the first time."""
         if self.largest is None or size <= self.largest:
-            return super().publish(topic, payload, qos, retain, properties)
+            return False
         if topic not in self._too_large and self.on_too_large is not None:
             self._too_large.add(topic)
             self.on_too_large(
                 f"{topic} is not sent: {size} bytes, and the broker takes {self.largest} (its max_packet_size)"
             )
-        info = paho.MQTTMessageInfo(0)
-        info.rc = MQTTErrorCode.MQTT_ERR_PAYLOAD_SIZE
-        return info
+        return True
 
     def loop_start(self) -> MQTTErrorCode:
         """Serve the connection in a thread of paho's."""

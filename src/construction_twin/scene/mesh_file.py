@@ -6,6 +6,7 @@ Vertices in the file's own unit; a scale makes them metres.
 from __future__ import annotations
 
 import io
+from collections import Counter
 
 import numpy as np
 
@@ -37,6 +38,10 @@ def parse_mesh(
 
     kind = "obj" if path.lower().endswith(".obj") else "stl"
     try:
+        if kind == "obj":
+            contents = _absolute(contents)
+        else:
+            _check_whole(contents)
         mesh = trimesh.load_mesh(io.BytesIO(contents), file_type=kind, process=False, skip_materials=True)
         vertices, triangles = np.array(mesh.vertices, dtype=float), np.array(mesh.faces, dtype=int)
         if vertices.shape[1:] != (3,):
@@ -52,6 +57,35 @@ def parse_mesh(
         raise SceneError(where, found, f"1 to {MOST_TRIANGLES} triangles; simplify or repair the mesh")
     _check(where, path, vertices, triangles, scale)
     return vertices * scale, triangles
+
+
+def _absolute(contents: bytes) -> bytes:
+    """Return the vertices and faces of an OBJ file, counted from its first vertex: trimesh counts back from its last one."""
+    count, lines = 0, []
+    for line in contents.replace(b"\r\n", b"\n").replace(b"\\\n", b" ").splitlines():
+        kind, *words = line.split(b"#")[0].split() or [b""]
+        if kind == b"v":
+            count += 1
+        elif kind == b"f":
+            given = [int(word.split(b"/")[0]) for word in words]
+            indices = [count + 1 + index if index < 0 else index for index in given]
+            if min(indices, default=1) < 1:
+                raise ValueError(f"a face of {given} after {count} vertices, which are counted from 1")
+            words = [b"%d" % index for index in indices]
+        else:
+            continue
+        lines.append(b" ".join((kind, *words)))
+    return b"\n".join((*lines, b""))
+
+
+def _check_whole(contents: bytes) -> None:
+    """Refuse an STL text that was cut: trimesh drops what has no end."""
+    if len(contents) == 84 + 50 * int.from_bytes(contents[80:84], "little"):
+        return
+    count = Counter(line.split()[0].lower().decode("latin-1") for line in contents.splitlines() if line.strip())
+    for word in ("solid", "facet"):
+        if count[word] != count[f"end{word}"]:
+            raise ValueError(f"{count[word]} times {word} and {count[f'end{word}']} times end{word}")
 
 
 def binary_stl(corners: np.ndarray) -> bytes:

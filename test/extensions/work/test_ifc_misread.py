@@ -117,6 +117,29 @@ def test_a_weight_of_a_metric_project_without_a_unit_of_mass_is_taken_as_kilogra
     assert found.elements[own.GlobalId].mass == pytest.approx(63.5 * POUND) and found.notes == ()
 
 
+def test_a_density_that_nothing_has_gives_no_mass(read):
+    model = IfcModel()
+    plate = board(model)
+    of_material(model, plate, "steel in kg per cubic millimetre", 7.85e-6)
+    found = read(model)
+    assert found.elements[plate.GlobalId].mass is None and remarked(found, plate, "THE MASS IS DOUBTFUL")
+
+
+def test_a_price_takes_no_other_property_with_it(read):
+    model = IfcModel()
+    plate = board(model)
+    euro = model.make("IfcMonetaryUnit", "EUR")
+    price = model.make("IfcPropertySingleValue", "Price", None, model.make("IfcMonetaryMeasure", 12.0), euro)
+    own = model.root("IfcPropertySet", Name="Cost", HasProperties=[price])
+    model.root("IfcRelDefinesByProperties", RelatedObjects=[plate], RelatingPropertyDefinition=own)
+    model.properties(plate, "Pset_PlateCommon", Status="EXISTING")
+    found = read(model)
+    assert found.elements[plate.GlobalId].status == "existing"
+    assert remarked(found, plate, "a unit of their own that is none of theirs") and not noted(
+        found.notes, "Property sets"
+    )
+
+
 @pytest.mark.parametrize("weight", [0.0288, 28.8, 2.0e6])
 def test_a_mass_that_its_volume_cannot_have_is_doubted(read, weight):
     model = IfcModel()
@@ -175,6 +198,15 @@ def test_what_may_have_begun_is_a_job_with_a_remark(read, status, part):
     found = read(model)
     assert len(Schedule.of(found).jobs) == 2 and remarked(found, first, "taken as still to be done")
     assert noted(Schedule.of(found).remarks[first.GlobalId], "taken as still to be done")
+
+
+def test_where_a_part_is_above_1_none_says_completed(read):
+    model, _, (first, second) = two_studs()
+    first.TaskTime = model.make("IfcTaskTime", Completion=1.0)
+    second.TaskTime = model.make("IfcTaskTime", Completion=50.0)
+    found = read(model)
+    assert len(Schedule.of(found).jobs) == 2 and remarked(found, first, "taken as still to be done")
+    assert noted(found.notes, "(`Completion`) is above 1")
 
 
 @pytest.mark.parametrize("status", ["NOT COMPLETED", "50% completed", "100%", "COMPLETED?", "Complete (QA ok)"])

@@ -282,13 +282,16 @@ def test_a_body_without_a_placement_and_a_context_that_is_elsewhere_are_told(rea
     assert "(10.000, 0.000, 0.000 m, turned) is left out" in note
 
 
-def test_a_second_body_is_told(read):
-    model, (double, _), _ = two_studs()
+def test_a_second_body_and_an_opening_without_one_are_told(read):
+    model, (double, holed), _ = two_studs()
     shape = double.Representation
     more = model.representation(model.extrusion(model.rectangle(2.0, 0.2), 0.2))
     shape.Representations = [*shape.Representations, more]
+    hole = model.element("IfcOpeningElement", "hole", within=holed)
+    model.root("IfcRelVoidsElement", RelatingBuildingElement=holed, RelatedOpeningElement=hole)
     found = read(model)
-    assert remarked(found, double, "Elements with 2 bodies of one kind") and len(found.notes) == 1
+    assert remarked(found, double, "Elements with 2 bodies of one kind")
+    assert remarked(found, holed, "Openings without a body") and len(found.notes) == 2
 
 
 def test_a_file_that_the_parser_refuses_is_told_with_its_reason(read):

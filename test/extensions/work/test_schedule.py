@@ -124,9 +124,20 @@ def test_robots_come_from_the_task_or_from_what_it_nests_in():
 def test_jobs_stand_in_the_order_of_their_dates_if_all_have_one():
     dated = [Task(n, n, products=(f"e{n}",), start=f"2026-01-0{d}T08:00:00") for n, d in (("a", 3), ("b", 1), ("c", 2))]
     assert ids(Schedule.of(model(dated)).jobs) == ["b", "c", "a"]
-    assert ids(Schedule.of(model([*dated, *leaves("d")])).jobs) == ["a", "b", "c", "d"]
+    assert Schedule.of(model(dated)).notes == ()
     zoned = Task("z", "z", products=("ez",), start="2026-01-01T08:00:00+01:00")
-    assert ids(Schedule.of(model([*dated, zoned])).jobs) == ["a", "b", "c", "z"]
+    for other, why in ((*leaves("d"), "1 of 4 jobs have none"), (zoned, "some have a time zone")):
+        schedule = Schedule.of(model([*dated, other]))
+        assert ids(schedule.jobs) == ["a", "b", "c", other.id]
+        assert schedule.notes[-1].startswith(f"Dates are not used for the order, because {why}")
+
+
+def test_an_order_that_nobody_says_is_told_unless_it_is_proposed():
+    said = "The file says no order of its tasks"
+    assert any(said in note for note in Schedule.of(model(leaves("a", "b"))).notes)
+    assert not any(said in note for note in Schedule.of(model(leaves("a", "b")), proposed=True).notes)
+    for tasks, sequences in ((leaves("a"), []), (leaves("a", "b"), [Sequence("a", "b")])):
+        assert not any(said in note for note in Schedule.of(model(tasks, sequences)).notes)
 
 
 @pytest.mark.parametrize(

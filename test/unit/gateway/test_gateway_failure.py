@@ -107,6 +107,10 @@ def test_the_arm_brakes_is_held_and_a_person_is_asked_for(part, broker, topics, 
                 answer = client.arm(PATIENT, "s2") if verb == "arm" else client.control(verb)
                 assert not answer["ok"] and "failed" in answer["reason"]
         assert len([record for record in caplog.records if record.levelno == logging.CRITICAL]) == 1
+        if part == "telegram decoder":
+            # the pose is still told: another decoder reads it
+            told = len(client.on(topics.state))
+            wait_until(lambda: len(client.on(topics.state)) > told + 20, what="states")
 
 
 def test_a_slow_disk_and_a_broken_state_machine_hold_no_reply_up(broker, topics, caplog, monkeypatch):

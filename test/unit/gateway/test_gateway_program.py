@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from mock_cell import gateway_config, mock_at, swing
 from paho.mqtt import client as paho
 from processes import ROOT, wait_until
 from service_cell import (
@@ -27,6 +28,7 @@ from service_cell import (
 
 from construction_twin.core.udp import bind
 from construction_twin.core.units import CYCLE, format_allowance
+from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.rsi.ethernet_xml import load_ethernet_xml
 
 pytestmark = pytest.mark.realtime
@@ -53,9 +55,9 @@ def refused(*options):
 
 
 @contextmanager
-def program(config_file, port, topics, *options, code=""):
+def program(config_file, port, topics, *options, code="", address=("127.0.0.1", 0)):
     """The gateway as a process of its own; yields it and its UDP address."""
-    with bind("127.0.0.1", 0) as sock:
+    with bind(*address) as sock:
         address = sock.getsockname()
     ends = ["--listen", f"{address[0]}:{address[1]}", "--broker", f"127.0.0.1:{port}", "--prefix", topics.prefix]
     process = subprocess.Popen(
@@ -125,6 +127,35 @@ def test_a_killed_gateway_is_declared_offline_by_its_last_will(broker, topics, c
         client.wait_for_status(state="offline", reason="connection lost")
     with client_of(broker, topics) as late:
         late.wait_for_status(state="offline")
+
+
+def test_a_killed_gateway_joins_the_running_session_answers_nothing_and_waits_for_the_next(broker, topics, tmp_path):
+    """Law 2; the controller waits 4 s for a reply, so the program is there again before its session ends."""
+    file, config = tmp_path / "arm.json", gateway_config(timeout=4.0)
+    file.write_text(config.to_json())
+    with bind("127.0.0.1", 0) as sock:
+        address = sock.getsockname()
+    with mock_at(address, timeout=1000) as (mock, cycles), client_of(broker, topics) as client:
+        client.codec = JointStringCodec.of_config(config)
+        with program(str(file), broker, topics, address=address) as (process, _):
+            client.wait_for_status(state="ready")
+            assert client.arm(config, run=client.status()["run"])["ok"]
+            stream(client, cycles, (swing(k) for k in range(150)))
+            wait_until(lambda: cycles.replies[-1].correction[0] > 0.02, what="the arm to be away from its origin")
+            process.kill()
+            process.wait()
+        killed = len(cycles.replies)
+        client.wait_for_status(state="offline")
+        with program(str(file), broker, topics, address=address):
+            client.wait_for_status(state="joined_running")
+            assert "joined a running session" in client.status()["reason"]
+            session = mock.controller.session
+            wait_until(lambda: mock.controller.session > session, what="the controller's next session")
+            client.wait_for_status(state="ready", session="")
+        after = [cycle for cycle in cycles.replies[killed + 5 :] if cycle.session == session]
+    assert len({cycle.answered for cycle in after}) == 1, "no reply to a session that it joined"
+    assert len({cycle.correction for cycle in after}) == 1, "HOLDON"
+    assert max(cycle.missed for cycle in after) >= 999
 
 
 def test_an_ethernet_xml_that_sends_elsewhere_is_warned_of(broker, topics, config_file, tmp_path):

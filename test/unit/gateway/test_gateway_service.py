@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import itertools
 import json
 import logging
 import math
+import socket
+import threading
+import time
 
 import pytest
 from paho.mqtt.enums import MQTTProtocolVersion
@@ -26,6 +30,9 @@ from service_cell import (
     stream,
 )
 
+from construction_twin.gateway.states import State
+from construction_twin.link.gateway_status import parse_status
+from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.messages import Control, arm_value, read_state_properties
 from construction_twin.mqtt.plain_client import received_pairs
 
@@ -107,6 +114,75 @@ def test_when_the_broker_dies_the_arm_brakes_replies_go_on_and_the_gateway_comes
         client.wait_for_status(state="holding")
         assert controller.missed == 0
         assert client.control("reset")["ok"]
+
+
+class Proxy:
+    """Carries bytes between clients and a broker, and none while `passes` is cleared: a line that is cut, and comes back."""
+
+    def __init__(self, port):
+        self.passes = threading.Event()
+        self.passes.set()
+        self._broker, self._listener = port, socket.create_server(("127.0.0.1", 0))
+        self.port = self._listener.getsockname()[1]
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def _accept(self):
+        while True:
+            near, far = self._listener.accept()[0], socket.create_connection(("127.0.0.1", self._broker))
+            for ends in ((near, far), (far, near)):
+                threading.Thread(target=self._carry, args=ends, daemon=True).start()
+
+    def _carry(self, source, sink):
+        sink.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        with contextlib.suppress(OSError):
+            while data := source.recv(65536):
+                self.passes.wait()
+                sink.sendall(data)
+            sink.shutdown(socket.SHUT_WR)
+        source.close()
+
+
+def test_a_connection_that_is_silent_for_a_second_while_the_arm_rests_is_followed_again_by_itself(broker, topics):
+    """Law 5: the link has returned within `start_tolerance`."""
+    proxy, ids = Proxy(broker), itertools.count(1)
+    supervisor = LinkSupervisor(CONFIG, lambda: f"s{next(ids)}")
+    readers = {
+        topics.state: lambda payload, now: supervisor.inputs.on_pose(CODEC.decode(payload), now),
+        topics.status: lambda payload, now: supervisor.inputs.on_status(parse_status(payload), now),
+        topics.control_ack: lambda payload, now: supervisor.on_answer(parse_status(payload), now),
+    }
+    with serving(proxy.port, topics) as (service, address), controller_of(address) as controller:
+        with client_of(broker, topics) as client:
+            controller.start()
+            supervisor.inputs.on_connection(True)
+            read = 0
+
+            def run_until(condition, what):
+                def turn():
+                    nonlocal read
+                    now = time.monotonic_ns()
+                    for message in client.messages[read:]:
+                        read += 1
+                        if message.topic in readers:
+                            readers[message.topic](message.payload, now)
+                    if control := supervisor.poll(now):
+                        client.paho.publish(topics.control, control.to_json(), qos=1)
+                    client.session, client.stamp = supervisor.on_command(START, now), time.time_ns()
+                    if client.session:
+                        client.command(START)
+                    return condition()
+
+                wait_until(turn, what=what)
+
+            state = service.gateway
+            run_until(lambda: state.state is State.FOLLOWING, "a stream that is followed")
+            before, cut = supervisor.session, time.monotonic()
+            proxy.passes.clear()
+            run_until(lambda: time.monotonic() > cut + 1.0, "the end of the cut")
+            assert state.state is State.HOLDING and state.counters["stops_silence"] == 1
+            proxy.passes.set()
+            run_until(lambda: state.state is State.FOLLOWING and supervisor.session != before, "another session")
+            assert not state.fault and supervisor.halts == supervisor.requests == 0 and controller.measured == START
 
 
 def test_a_broker_that_ends_together_with_the_gateway_is_no_error(broker_process, topics, caplog):

@@ -7,6 +7,7 @@ import socket
 import threading
 
 import pytest
+from mock_cell import SWING, gateway_config, mock_at, swing
 from processes import wait_until
 from service_cell import (
     START,
@@ -14,11 +15,16 @@ from service_cell import (
     controller_of,
     free_port,
     serving,
+    stream,
 )
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.udp import MAX_TELEGRAM, address_of, bind
+from construction_twin.core.units import CYCLE
+from construction_twin.gateway.states import State
+from construction_twin.mock.faults import Fault
 from construction_twin.mqtt.fast_client import FastClient
+from construction_twin.mqtt.joint_string import JointStringCodec
 
 pytestmark = pytest.mark.realtime
 
@@ -46,6 +52,52 @@ def test_a_broker_that_accepts_and_then_says_nothing_delays_no_reply(topics):
                     controller.cycle()
             assert controller.missed == 0
         assert service.controller.reply_time.percentile(0.5) < 2000
+
+
+@pytest.mark.parametrize("lost", [1, 5])
+@pytest.mark.parametrize("fault", ["drop", "duplicate"])
+def test_whatever_replies_are_lost_or_doubled_what_the_controller_takes_is_inside_the_limits(
+    broker, topics, fault, lost
+):
+    """Law 5, over real UDP: at full speed one reply, or five in a row."""
+    config, sock = gateway_config(timeout=4.0), bind("127.0.0.1", 0)
+
+    def commands(mock):
+        for k in range(SWING + 100):
+            if k == SWING // 2:
+                struck = Fault(fault, values=(1.0,), direction="to_controller", duration=(lost + 1) * CYCLE)
+                mock.request(lambda: mock.faults.inject(struck))
+            yield swing(k)
+
+    with (
+        mock_at(sock.getsockname(), timeout=1000) as (mock, cycles),
+        serving(broker, topics, config=config, sock=sock) as (service, _),
+        client_of(broker, topics) as client,
+    ):
+        client.codec = JointStringCodec.of_config(config)
+        client.wait_for_status(state="ready")
+        assert client.arm(config)["ok"]
+        stream(client, cycles, commands(mock))
+        goal = swing(SWING)[0]
+        wait_until(lambda: abs(mock.controller.measured[0] - goal) < 1e-6, what="the arm at its goal")
+        assert service.gateway.state is State.FOLLOWING and not service.gateway.fault, "nobody needs to reset anything"
+        counters = service.gateway.counters
+    if fault == "drop":
+        assert mock.counters["dropped"] >= 1 and max(cycle.missed for cycle in cycles.replies) >= lost
+        assert counters["standstills"] >= 1 and counters["delay_irregular"] == counters["stops_replies"] == 0
+    else:
+        assert mock.counters["duplicates"] >= 1
+    # the strings' rounding, and the same again of the replies
+    allowance = [2 * each for each in config.limits.allowances(config.decimals, CYCLE)]
+    for axis, (velocity, acceleration) in enumerate(zip(config.velocity, config.acceleration)):
+        taken = [cycle.correction[axis] for cycle in cycles.replies]
+        before = 0.0
+        for place, (last, cycle) in zip(taken, zip([0.0, *taken], cycles.replies)):
+            # HOLDON stops the arm dead where no reply was taken; what comes next begins at rest
+            step = place - last
+            assert abs(step) <= (velocity + allowance[axis] * CYCLE / 2) * CYCLE * (1 + 1e-6)
+            assert cycle.missed or abs(step - before) <= (acceleration + allowance[axis]) * CYCLE**2 * (1 + 1e-6)
+            before = step
 
 
 class WindowsSocket:

@@ -107,13 +107,24 @@ class TestArming:
             armed.supervisor.request_arm(armed.now, "Grace")
 
 
-@pytest.mark.parametrize("situation", ["waiting", "armed"])
-def test_a_reset_without_a_name_is_refused_with_what_to_do_and_changes_nothing(situation, request):
+@pytest.mark.parametrize("situation, more", [("waiting", "$"), ("armed", "; first end what Ada has armed, with halt$")])
+def test_a_reset_without_a_name_is_refused_with_what_to_do_and_changes_nothing(situation, more, request):
     link = request.getfixturevalue(situation)
     before = link.state
-    with pytest.raises(ReviewError, match="cannot reset a bare PLC without a name: .* --responsible NAME"):
+    with pytest.raises(ReviewError, match=f"cannot reset a bare PLC without a name: .* --responsible NAME{more}"):
         link.supervisor.request_reset(link.now)
     assert link.run(1.0).state is before
+
+
+def test_a_reset_says_too_why_nothing_could_be_armed(waiting):
+    waiting.pose = moved(5 * TOLERANCE)
+    waiting.poll()
+    with pytest.raises(ReviewError, match="NAME; now it could not either: the arm's pose is unknown or still chang"):
+        waiting.supervisor.request_reset(waiting.now)
+    waiting.say("offline")
+    waiting.poll()
+    with pytest.raises(ReviewError, match="NAME; now it could not either: the PLC says `offline`"):
+        waiting.supervisor.request_reset(waiting.now)
 
 
 def test_refused_strings_are_the_reason_why_nothing_is_armed(waiting):

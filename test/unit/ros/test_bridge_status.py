@@ -222,6 +222,35 @@ def test_a_speed_limit_goes_to_an_armed_session_changes_at_once_and_repeats_five
     assert [control.id for control in sent] == list("123456")
 
 
+def test_of_a_speed_limit_that_changes_with_every_message_the_newest_is_sent_fifty_times_a_second(bench):
+    bench.arm()
+    said = [1.0 - 0.001 * k for k in range(250)]
+    for k in range(0, 250, 5):
+        for value in said[k : k + 5]:
+            bench.bridge.on_speed_limit(limit(value))
+        bench.step()
+    for _ in range(5):
+        bench.step()
+    sent = [control for control in bench.client.controls if control.verb == "speed_limit"]
+    # the first one at once, then the last one of each 20 ms, each once
+    assert [control.value for control in sent] == [said[0], *said[4::5]]
+    assert [control.id for control in sent] == [str(number) for number in range(1, 52)]
+
+
+def test_a_speed_limit_that_waited_when_the_link_was_lost_is_not_sent_later(bench):
+    bench.arm()
+    for value in (0.2, 0.9):
+        bench.bridge.on_speed_limit(limit(value))
+    bench.gateway["state"] = "offline"
+    bench.step()
+    assert bench.bridge.link is LinkState.GATEWAY_OFFLINE
+    assert [control.value for control in bench.client.controls if control.verb == "speed_limit"] == [0.2]
+    bench.client.published.clear()
+    bench.gateway |= {"state": "ready", "session": ""}
+    bench.arm()
+    assert [control.verb for control in bench.client.controls] == ["arm"]
+
+
 def test_mirror_mode_is_kept_where_the_next_process_finds_it(clocks):
     kept = []
     bench = BridgeBench(clocks, keep=lambda name, value: name == mqtt_bridge.MIRROR_MODE and kept.append(value))

@@ -55,6 +55,20 @@ def test_an_obj_file_may_have_polygons_normals_colours_and_count_backwards():
     np.testing.assert_array_equal(parsed("a.obj", text)[1], [[0, 1, 2], [2, 3, 0], [0, 1, 2]])
 
 
+def test_indices_of_an_obj_file_count_back_from_their_line():
+    block = "v {0} 0 0\nv {0} 1 0\nv {0} 0 1\nvt 0 0\n f -3/-1 -2/-1 -1/-1  # a corner\n"
+    text = "o one\n" + block.format(0) + "o two\n" + block.format(1)
+    assert corners_of("a.obj", text)[:, :, 0].tolist() == [[0, 0, 0], [1, 1, 1]]
+
+
+def test_of_an_stl_text_every_solid_is_read_or_it_is_refused(tmp_path):
+    text = open(write_stl(tmp_path / "a.stl", BOX)).read()
+    assert len(corners_of("a.stl", text + text)) == 24
+    for cut in (text.rindex("endsolid"), text.rindex("vertex")):
+        with pytest.raises(SceneError, match="well-formed.*times end"):
+            parsed("a.stl", text + text[:cut])
+
+
 @pytest.mark.parametrize(
     "name, text, said",
     [
@@ -63,7 +77,7 @@ def test_an_obj_file_may_have_polygons_normals_colours_and_count_backwards():
         ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1\nf 1 2 3\n", "well-formed"),
         ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "well-formed"),
         ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 -4\n", "well-formed"),
-        ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "with an area"),
+        ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "counted from 1"),
         ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2\n", "1 to 100000 triangles"),
         ("a.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "with an area"),
         ("a.obj", "v 0 0 0\nv 1e-9 0 0\nv 0 1e-9 0\nf 1 2 3\n", "unit and the scale"),
@@ -71,9 +85,17 @@ def test_an_obj_file_may_have_polygons_normals_colours_and_count_backwards():
         ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "1 to 100000 triangles"),
         ("a.obj", "", "1 to 100000 triangles"),
         ("a.stl", "", "1 to 100000 triangles"),
-        ("a.stl", "solid\nvertex 1 2 3\n", "1 to 100000 triangles"),
-        ("a.stl", "solid\nfacet normal 0 0 0\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 x 0\nendfacet\n", "expected"),
-        ("a.stl", "solid\nfacet normal 0 0 0\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 nan 0\nendfacet\n", "expected"),
+        ("a.stl", "solid\nvertex 1 2 3\n", "1 times solid and 0 times endsolid"),
+        (
+            "a.stl",
+            "solid\nfacet normal 0 0 0\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 x 0\nendfacet\nendsolid\n",
+            "expected",
+        ),
+        (
+            "a.stl",
+            "solid\nfacet normal 0 0 0\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 nan 0\nendfacet\nendsolid\n",
+            "expected",
+        ),
         ("a.stl", binary_stl(np.full((1, 3, 3), np.nan)), "finite"),
         ("a.stl", binary_stl(BOX)[:-1], "well-formed"),
         ("a.stl", b"\x00" * 84, "1 to 100000 triangles"),

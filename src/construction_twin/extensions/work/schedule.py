@@ -111,7 +111,9 @@ class Schedule:
         reading = _Reading(model, process)
         everything = reading.jobs()
         reading.note_unmade(everything)
-        ordered = _in_order(everything, model.tasks)
+        moments, note = _moments(everything, model)
+        reading.notes += [note] if note and not proposed else []
+        ordered = _in_order(everything, moments)
         said = model.remarks
         remarks = {job.id: (*said.get(job.task, ()), *said.get(job.element, ())) for job in everything}
         removals = tuple(job for job in ordered if job.id in reading.removals)
@@ -223,7 +225,7 @@ class _Reading:
         """Return elements or tasks by name and id, the first few."""
         names = {one: element.name for one, element in self._model.elements.items()}
         names |= {one: task.name for one, task in self._tasks.items()}
-        return first_few(_called(names[one], one) for one in ids)
+        return first_few(f"{names[one]} ({one})" if names[one] not in ("", one) else one for one in ids)
 
     def _takes_down(self, identifier: str) -> bool:
         """Return whether a task removes what is assigned to it: by its kind, or because all of that is to be removed."""
@@ -465,9 +467,11 @@ def _merged(first: _Waits, second: _Waits, lag: float) -> _Waits:
     return merged
 
 
-def _in_order(jobs: tuple[Job, ...], tasks: Mapping[str, Task]) -> tuple[Job, ...]:
-    """Return jobs so that each comes after what it waits for, otherwise as scheduled or as they are."""
-    places, by_id = _places(jobs, tasks), {job.id: job for job in jobs}
+def _in_order(jobs: tuple[Job, ...], moments: Mapping[str, float]) -> tuple[Job, ...]:
+    """Return jobs so that each comes after what it waits for, otherwise by their moments or as they are."""
+    # what is to be taken down without a task has no date and comes first
+    places = {job.id: (moments.get(job.id, -math.inf), number) for number, job in enumerate(jobs)}
+    by_id = {job.id: job for job in jobs}
     sorter = TopologicalSorter({job.id: {wait.job for wait in job.after} for job in jobs})
     sorter.prepare()
     heap: list[tuple[tuple[float, int], str]] = []
@@ -481,18 +485,14 @@ def _in_order(jobs: tuple[Job, ...], tasks: Mapping[str, Task]) -> tuple[Job, ..
     return tuple(order)
 
 
-def _places(jobs: tuple[Job, ...], tasks: Mapping[str, Task]) -> dict[str, tuple[float, int]]:
-    """Return date and number of each job, by which they are sorted; no dates where one is missing or cannot be compared."""
-    try:
-        # what is to be taken down without a task has no date and comes first
-        starts = {job.id: datetime.fromisoformat(tasks[job.task].start) for job in jobs if job.task in tasks}
-        if len({start.tzinfo is None for start in starts.values()}) > 1:
-            starts = {}
-    except ValueError:
-        starts = {}
-    moments = {identifier: start.timestamp() for identifier, start in starts.items()}
-    return {job.id: (moments.get(job.id, -math.inf), number) for number, job in enumerate(jobs)}
-
-
-def _called(name: str, identifier: str) -> str:
-    return f"{name} ({identifier})" if name and name != identifier else identifier
+def _moments(jobs: tuple[Job, ...], model: BuildingModel) -> tuple[dict[str, float], str]:
+    """Return the date of each job of a task, and a note; none where one is missing or they cannot be compared."""
+    given = {job.id: model.tasks[job.task].start for job in jobs if job.task in model.tasks}
+    dates = {one: datetime.fromisoformat(start) for one, start in given.items() if start}
+    if dates and (missing := len(given) - len(dates)):
+        return {}, f"Dates are not used for the order, because {missing} of {len(given)} jobs have none."
+    if len({date.tzinfo is None for date in dates.values()}) > 1:
+        return {}, "Dates are not used for the order, because some have a time zone and others none."
+    if not dates and not model.sequences and len({job.task for job in jobs if job.id in given}) > 1:
+        return {}, "The file says no order of its tasks, neither sequences nor dates: they come as they stand in it."
+    return {one: date.timestamp() for one, date in dates.items()}, ""

@@ -91,7 +91,8 @@ def read_units(file: ifcopenshell.file, name: str, notes: Notes) -> Units:
 
 def _si_factor(unit: ifcopenshell.entity_instance) -> float | None:
     """Return SI units (of mass: kilograms) per unit; None: only people know what it is, or it is none."""
-    if any(part.is_a("IfcContextDependentUnit") for part in unit.file.traverse(unit)):
+    # money has no kind
+    if not hasattr(unit, "UnitType") or any(part.is_a("IfcContextDependentUnit") for part in unit.file.traverse(unit)):
         return None
     factor = float(ifcopenshell.util.unit.get_unit_scale(unit)) / (1e3 if unit.UnitType in _OF_MASS else 1.0)
     return factor if math.isfinite(factor) and factor > 0 else None
@@ -181,16 +182,17 @@ def read_mass(
 ) -> float | None:
     """Return the mass [kg]: a quantity of weight; or the density of its only material times the volume of its closed bodies.
 
-    One that its volume cannot have is noted.
+    One that its volume cannot have is noted; by a density it is not known then.
     """
     whole = sum(body.volume for body in bodies) if all(body.is_closed for body in bodies) else 0.0
-    mass = _weight(product, at, sets, units, notes)
+    mass = weight = _weight(product, at, sets, units, notes)
     if mass is None and whole > 0.0 and (density := _density(product, at, units, notes)) is not None:
         mass = density * whole
     if mass is not None and whole > 0.0 and not _LIKELY[0] <= mass / whole <= _LIKELY[1]:
         found = f"{mass:.3g} kg for {1e3 * whole:.3g} l is {mass / whole:.3g} kg/m³"
         said = f"THE MASS IS DOUBTFUL: {found}, expected {_LIKELY[0]:g} to {_LIKELY[1]:g}"
         notes.add(said, product.Name or at, at)
+        return weight
     return mass
 
 

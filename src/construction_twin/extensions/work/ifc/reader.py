@@ -286,7 +286,7 @@ def _elements(file: ifcopenshell.file, found: _Found) -> tuple[dict[str, Element
                 found.doubts.everything = f"{ABOUT_ALL}: {error}"
             if (body := body_of(product)) is not None:
                 bodies[product.id()] = body
-                _note_more(product, body, ids[product.id()], found.notes)
+                _note_more(product, body, ids[product.id()], found)
     openings = {
         product.id(): [
             (opening, each is product)
@@ -318,9 +318,9 @@ def _elements(file: ifcopenshell.file, found: _Found) -> tuple[dict[str, Element
 
 
 def _note_more(
-    product: ifcopenshell.entity_instance, body: ifcopenshell.entity_instance, element_id: str, notes: Notes
+    product: ifcopenshell.entity_instance, body: ifcopenshell.entity_instance, element_id: str, found: _Found
 ) -> None:
-    """Note what else a product says of its shape: bodies beside the one that is taken."""
+    """Note what else a product says of its shape: bodies beside the one that is taken, openings without one."""
     about = product.Name or element_id
     same = [
         each
@@ -328,7 +328,10 @@ def _note_more(
         if (each.RepresentationIdentifier, each.ContextOfItems) == (body.RepresentationIdentifier, body.ContextOfItems)
     ]
     if len(same) > 1:
-        notes.add(f"Elements with {len(same)} bodies of one kind, of which only the first is taken", about, element_id)
+        said = f"Elements with {len(same)} bodies of one kind, of which only the first is taken"
+        found.notes.add(said, about, element_id)
+    if any(body_of(opening) is None for opening in found.relations.openings.get(product.id(), ())):
+        found.notes.add("Openings without a body are not cut out", about, element_id)
 
 
 def _take_kernel_log(found: _Found) -> None:

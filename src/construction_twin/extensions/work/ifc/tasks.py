@@ -48,6 +48,8 @@ _OPEN = (None, "NOTDEFINED", "USERDEFINED")
 _DONE_WORDS = ("COMPLETED", "COMPLETE", "DONE", "FINISHED", "CLOSED")
 _CANCELLED_WORDS = ("CANCELLED", "CANCELED")
 _NOT_BEGUN_WORDS = ("", "NOTSTARTED", "NOTYETSTARTED", "PLANNED", "SCHEDULED", "OPEN", "READY", "NOTDEFINED")
+#: By how much a part that is done may differ from 1, which is all.
+_ROUNDING = 1e-6
 
 
 @dataclass
@@ -60,6 +62,8 @@ class _Assigned:
     parents: dict[int, ifcopenshell.entity_instance] = field(default_factory=dict)
     schedules: dict[int, ifcopenshell.entity_instance] = field(default_factory=dict)
     times: dict[int, ifcopenshell.entity_instance] = field(default_factory=dict)
+    #: Some `Completion` is above 1: nobody knows what the others are parts of.
+    beyond: bool = False
 
 
 class Groups:
@@ -92,9 +96,14 @@ def read_tasks(
     file: ifcopenshell.file, name: str, groups: Groups, given: Collection[str], units: Units, notes: Notes
 ) -> tuple[dict[str, Task], tuple[Sequence, ...]]:
     """Read tasks and sequences; `given`: ids of elements that a task builds where it has them as inputs only."""
+    every = sorted(file.by_type("IfcTask"), key=lambda task: task.id())
     with Where(name, "the schedule"):
         assigned = _assigned(file, name)
-    every = sorted(file.by_type("IfcTask"), key=lambda task: task.id())
+        assigned.beyond = any(_completion(_time_of(task, assigned)) > 1.0 + _ROUNDING for task in every)
+    if assigned.beyond:
+        notes.add(
+            "A part that is done (`Completion`) is above 1, perhaps percent: by their parts no tasks are completed"
+        )
     entities = _scheduled(every, assigned, notes)
     task_ids: dict[int, str] = {}
     for entity in entities:
@@ -313,8 +322,7 @@ def _time_of(entity: ifcopenshell.entity_instance, assigned: _Assigned) -> ifcop
 def _says_completed(entity: ifcopenshell.entity_instance, assigned: _Assigned) -> bool:
     """Return whether a task says of itself that it is done: by its status, or by its times."""
     time = _time_of(entity, assigned)
-    # above 1 it is no part, whatever its author counts in
-    whole = math.isclose(_completion(time), 1.0, abs_tol=1e-6)
+    whole = not assigned.beyond and math.isclose(_completion(time), 1.0, abs_tol=_ROUNDING)
     return _status_word(entity) in _DONE_WORDS or whole or getattr(time, "ActualFinish", None) is not None
 
 
