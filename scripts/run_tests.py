@@ -3,7 +3,7 @@
 | word | what is run |
 |---|---|
 | none | everything |
-| `lint`, `unit`, `browser`, `integration` | these parts |
+| `lint`, `unit`, `browser`, `integration`, `repository` (of `unit`) | these parts |
 | a name | the launch test of that name in test/integration |
 | `fast` | the shortest unit tests, as many as fit into two minutes on two cores, by what they took last time |
 | `changed`, `changed=COMMIT` | lint; unit tests whose code has changed since they ran last (pytest-testmon); by `TOUCHES`, more |
@@ -39,7 +39,7 @@ LINE = 300
 PER_CORE, MOST = 2, 6
 #: What a file counts that is not in the list of durations [s]; processor time of the fast tests, and of the longest among them.
 SHORT, FAST, LONGEST_FAST = 0.5, 240.0, 10.0
-#: The launch tests of a folder; `unit`: all unit tests, because testmon sees Python only; `realtime`: those at 250 Hz.
+#: The launch tests of a folder; `unit`, `repository`: all of these, because testmon sees Python only; `realtime`: those at 250 Hz.
 TOUCHES = {
     "src/construction_twin/core": "realtime bringup",
     "src/construction_twin/controller": "realtime bringup",
@@ -58,7 +58,9 @@ TOUCHES = {
     "src/construction_twin/scene": "motion two_robots",
     "src/construction_twin/scenario": "scenario_estop",
     "src/construction_twin/evaluation": "experiment",
+    "src/construction_twin/servo": "bringup physics_twin",
     "src/construction_twin/twin": "bringup physics_twin",
+    "src/construction_twin/views": "motion operator",
     "src/construction_twin/ros": "bringup motion operator",
     "src/construction_twin/extensions/work": "work_tasks",
     "src/construction_twin/extensions/physics": "physics_twin rehearsal",
@@ -67,10 +69,19 @@ TOUCHES = {
     "config/scenarios": "scenario_estop",
     "config": "unit",
     "launch": "unit bringup two_robots",
+    "nodes": "repository bringup",
+    "docs": "repository",
+    "krl": "repository",
+    "matlab": "repository",
+    "moveit": "repository",
+    ".importlinter": "repository",
+    "models": "unit",
     "msg": "unit",
     "srv": "unit",
     "urdf": "unit track",
     "setup": "unit",
+    "CMakeLists.txt": "unit",
+    "package.xml": "unit",
     "pyproject.toml": "unit",
     "test/support/unit_fixtures.py": "unit",
     "test/browser": "browser",
@@ -87,6 +98,7 @@ class Run:
 
     def __init__(self, name: str, files: list[Path], *options: str, python: str | Path = sys.executable):
         self.name = name
+        self._may_be_empty = "--testmon" in options
         # xunit1 says of each test in which file it stands
         command = [python, "-m", "pytest", "-q", f"--junitxml={RESULTS / name}.xml", "-o", "junit_family=xunit1"]
         command += ["-p", "no:cacheprovider", "--durations=10", *options, *files]
@@ -115,8 +127,9 @@ class Run:
             passed += not verdicts and case.find("skipped") is None
             name = case.get("file", "")
             TOOK[name] = TOOK.get(name, 0.0) + float(case.get("time", 0.0))
-        # 5: nothing was selected, by testmon
-        if not failures and code not in (0, 5):
+        # 5: nothing was selected
+        is_fine = code in (0, 5) if self._may_be_empty else code == 0 and passed
+        if not failures and not is_fine:
             failures.append(f"{self.name}: exit code {code}, {passed} passed")
         return passed, failures
 
@@ -130,7 +143,7 @@ def lint_result(runs: dict[str, subprocess.Popen]) -> Result:
 
 
 def touched(since: str) -> set[str]:
-    """Return the words of `TOUCHES` for every file that has changed, and the launch tests whose own files have."""
+    """Return what has changed, the words of `TOUCHES` for it, and the launch tests whose own files are among it."""
 
     def git(*words: str) -> list[str]:
         return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True).stdout.splitlines()
@@ -146,7 +159,7 @@ def touched(since: str) -> set[str]:
     }
     names = {Path(path).stem for path in changed if path.startswith("test/integration/")}
     texts = {test.stem: test.read_text() for test in (ROOT / "test/integration").glob("*.test")}
-    return found | {test for test, text in texts.items() for name in names if name == test or name in text}
+    return found | {test for test, text in texts.items() for name in names if name == test or name in text} | {*changed}
 
 
 def main(words: list[str]) -> int:
@@ -163,11 +176,15 @@ def main(words: list[str]) -> int:
     alone = [file for file in every if "mark.realtime" in file.read_text()]
     unit = [file for file in every if file not in alone]
     launches = sorted((ROOT / "test" / "integration").glob("*.test"))
+    known_words = {"lint", "unit", "browser", "integration", "repository", "fast", *(test.stem for test in launches)}
+    if unknown := [word for word in words if word.partition("=")[0] not in known_words | {"changed"}]:
+        sys.exit(f"no such tests: {', '.join(unknown)}")
     options: list[str] = []
     if change := next((word for word in words if word.partition("=")[0] == "changed"), None):
         words = ["lint", *touched(change.partition("=")[2])]
         options = [] if "unit" in words else ["--testmon"]
-        alone = alone if {"realtime", "unit"} & set(words) else []
+        if not {"realtime", "unit"} & set(words):
+            alone = [file for file in alone if file.relative_to(ROOT).as_posix() in words]
     elif "fast" in words:
         left, fast = FAST, []
         for file in reversed(unit):
@@ -187,6 +204,8 @@ def main(words: list[str]) -> int:
         runs.append(
             Run("unit", unit, "--timeout=300", f"-n{workers}", "--dist=loadfile", "--no-loadscope-reorder", *options)
         )
+    if "repository" in words and "unit" not in words:
+        runs.append(Run("repository", [ROOT / "test" / "unit" / "repository"], "--timeout=300", "-n2"))
     if not words or "browser" in words:
         runs.append(Run("browser", [ROOT / "test" / "browser"], "--timeout=300", python=BROWSER_PYTHON))
     results = [run.end() for run in runs]

@@ -6,7 +6,6 @@ nothing.
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import os
 import shlex
@@ -85,9 +84,11 @@ def check_node(node: Node, values: Mapping[str, Any]) -> None:
         return
     module = node_modules().get(node.type, "construction_twin.extensions.absent")
     name = module.removeprefix("construction_twin.extensions.")
-    with contextlib.suppress(ExtensionAbsent):  # its node waits, and the others work without it
+    try:
         found = importlib.import_module(module) if name == module else extension(name)
-        found.NODE.checked(parameters)
+    except ExtensionAbsent:
+        return  # its node waits, and the others work without it
+    found.NODE.checked(parameters)
 
 
 def refusals(nodes: Iterable[Node], values: Mapping[str, Any]) -> dict[str, list[str]]:
