@@ -87,6 +87,8 @@ def check_node(node: Node, values: Mapping[str, Any]) -> None:
     try:
         found = importlib.import_module(module) if name == module else extension(name)
     except ExtensionAbsent:
+        if node.type == "work":  # a model is named for it
+            raise
         return  # its node waits, and the others work without it
     found.NODE.checked(parameters)
 
