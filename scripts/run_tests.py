@@ -71,7 +71,7 @@ TOUCHES = {
     "launch": "unit bringup two_robots",
     "nodes": "repository bringup",
     "docs": "repository",
-    "krl": "repository",
+    "krl": "unit",
     "matlab": "repository",
     "moveit": "repository",
     ".importlinter": "repository",

@@ -6,6 +6,7 @@ Vertices in the file's own unit; a scale makes them metres.
 from __future__ import annotations
 
 import io
+import re
 from collections import Counter
 
 import numpy as np
@@ -82,7 +83,11 @@ def _check_whole(contents: bytes) -> None:
     """Refuse an STL text that was cut: trimesh drops what has no end."""
     if len(contents) == 84 + 50 * int.from_bytes(contents[80:84], "little"):
         return
-    count = Counter(line.split()[0].lower().decode("latin-1") for line in contents.splitlines() if line.strip())
+    # without the names of its solids
+    text = re.sub(
+        r"^(\s*(?:end)?solid\b).*", r"\1", contents.decode("utf-8-sig", "replace").lower(), flags=re.MULTILINE
+    )
+    count = Counter(re.findall(r"[a-z]+", text))
     for word in ("solid", "facet"):
         if count[word] != count[f"end{word}"]:
             raise ValueError(f"{count[word]} times {word} and {count[f'end{word}']} times end{word}")

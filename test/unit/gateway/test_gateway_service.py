@@ -176,10 +176,10 @@ def test_a_connection_that_is_silent_for_a_second_while_the_arm_rests_is_followe
 
             state = service.gateway
             run_until(lambda: state.state is State.FOLLOWING, "a stream that is followed")
-            before, cut = supervisor.session, time.monotonic()
+            before, cut, stops = supervisor.session, time.monotonic(), state.counters["stops_silence"]
             proxy.passes.clear()
             run_until(lambda: time.monotonic() > cut + 1.0, "the end of the cut")
-            assert state.state is State.HOLDING and state.counters["stops_silence"] == 1
+            assert state.state is State.HOLDING and state.counters["stops_silence"] > stops
             proxy.passes.set()
             run_until(lambda: state.state is State.FOLLOWING and supervisor.session != before, "another session")
             assert not state.fault and supervisor.halts == supervisor.requests == 0 and controller.measured == START

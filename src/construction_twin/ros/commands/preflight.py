@@ -82,7 +82,7 @@ def check_node(node: Node, values: Mapping[str, Any]) -> None:
         sys.path.append(str(share_folder() / "examples" / "separation"))
         importlib.import_module("separation_node").NODE.checked(parameters)
         return
-    module = node_modules().get(node.type, "construction_twin.extensions.absent")
+    module = node_modules().get(node.type, f"construction_twin.extensions.{node.type}.nodes.{node.type}")
     name = module.removeprefix("construction_twin.extensions.")
     try:
         found = importlib.import_module(module) if name == module else extension(name)

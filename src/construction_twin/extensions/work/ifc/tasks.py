@@ -370,10 +370,11 @@ def _moment(value: str | ifcopenshell.entity_instance | None, note: _Note) -> st
         return ""
     try:
         with Where("", "a time"):
-            if isinstance(value, str):
-                return str(ifcopenshell.util.date.ifc2datetime(value).isoformat())  # type: ignore[union-attr]
-            return _date_and_time(value).isoformat()
-    except BuildingError:
+            read = ifcopenshell.util.date.ifc2datetime(value) if isinstance(value, str) else _date_and_time(value)
+            text = str(read.isoformat())  # type: ignore[union-attr]
+        datetime.fromisoformat(text).timestamp()  # orders compare it: no time of day, no year 0
+        return text
+    except (BuildingError, ValueError, OverflowError):
         note("A time that is no date is left out")
         return ""
 
