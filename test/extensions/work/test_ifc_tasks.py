@@ -57,7 +57,8 @@ def test_a_lag_that_is_a_ratio_is_of_the_duration_before(read):
     assert noted(found.notes, "A lag that is a part of the duration of the task before")
 
 
-def test_times_of_ifc4(read):
+@pytest.mark.parametrize("no_date", ["soon", "08:00:00", "0001-01-01T00:00:00"])
+def test_times_of_ifc4(read, no_date):
     model, _, _, (first, second) = two_tasks()
     first.TaskTime = model.make(
         "IfcTaskTime",
@@ -65,7 +66,7 @@ def test_times_of_ifc4(read):
         ScheduleFinish="2027-01-04T10:00:00",
         ScheduleDuration="PT2H",
     )
-    second.TaskTime = model.make("IfcTaskTime", ScheduleStart="soon", ScheduleDuration="P1Y")
+    second.TaskTime = model.make("IfcTaskTime", ScheduleStart=no_date, ScheduleDuration="P1Y")
     found = read(model)
     one, two = found.tasks[first.GlobalId], found.tasks[second.GlobalId]
     assert (one.start, one.duration) == ("2027-01-04T08:00:00", 7200.0)

@@ -95,8 +95,9 @@ def test_the_arm_brakes_is_held_and_a_person_is_asked_for(part, broker, topics, 
             client.command(motion(k))
             time.sleep(0.004)
         wait_until(lambda: "Unexpected in broken: injected" in service.failure, what="failure")
+        wait_until(lambda: service.gateway.state is State.FAILED, what="the state that says so")
         assert_it_brakes_and_holds(controller, begin)
-        assert service.gateway.state is State.FAILED and service.gateway.fault
+        assert service.gateway.fault
         said = [record for record in caplog.records if record.levelno == logging.CRITICAL]
         assert len(said) == 1 and said[0].exc_info[0] is Unexpected
         if part not in MUTE:

@@ -64,6 +64,8 @@ def test_indices_of_an_obj_file_count_back_from_their_line():
 def test_of_an_stl_text_every_solid_is_read_or_it_is_refused(tmp_path):
     text = open(write_stl(tmp_path / "a.stl", BOX)).read()
     assert len(corners_of("a.stl", text + text)) == 24
+    odd = "\ufeff" + text.replace("solid", "solid part of a solid").replace("endloop\n", "endloop ").upper()
+    assert len(corners_of("a.stl", odd)) == 12
     for cut in (text.rindex("endsolid"), text.rindex("vertex")):
         with pytest.raises(SceneError, match="well-formed.*times end"):
             parsed("a.stl", text + text[:cut])
