@@ -6,7 +6,6 @@ import importlib
 import importlib.util
 import signal
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -36,32 +35,19 @@ def extension(module: str) -> ModuleType:
         raise ExtensionAbsent(path, None, f"the extension {name}, which this installation is without") from error
 
 
-def node_main(module: str) -> Callable[[], object]:
-    """Return `main` of an extension's node; without the extension, what says so and waits: a launch is complete without it."""
+def run_main(module: str, waits: bool = False) -> object:
+    """Run `main` of an extension's program; without the extension say so, and return 2.
+
+    `waits`: say so and wait, as a node without which a launch is complete.
+    """
     try:
-        return extension(module).main
+        main = extension(module).main
     except ExtensionAbsent as error:
-        sentence = str(error)
-
-    def absent() -> None:
-        print(sentence, file=sys.stderr, flush=True)
-        signal.pause()
-
-    return absent
-
-
-def command_main(module: str) -> Callable[[], int]:
-    """Return `main` of an extension's command; without the extension, what says so and returns 2."""
-    try:
-        return extension(module).main
-    except ExtensionAbsent as error:
-        sentence = str(error)
-
-    def absent() -> int:
-        print(sentence, file=sys.stderr)
+        print(error, file=sys.stderr, flush=True)
+        if waits:
+            signal.pause()
         return 2
-
-    return absent
+    return main()
 
 
 def node_modules() -> dict[str, str]:

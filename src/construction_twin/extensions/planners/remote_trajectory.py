@@ -18,8 +18,6 @@ from construction_twin.core.errors import PayloadError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.requests import LARGEST, Fraction, Id, Joints, Many, Number, Request, Text, read, shown
 
-#: What COMPAS calls the type of compas_fab's trajectory; its values are rad and m by definition.
-COMPAS_TYPE = "compas_fab.robots/JointTrajectory"
 #: `joint_types` of COMPAS: revolute and continuous, prismatic.
 _COMPAS_LINEAR = {0: False, 1: False, 2: True}
 _FACTORS = {"rad": 1.0, "deg": math.pi / 180.0, "m": 1.0, "mm": 1e-3}

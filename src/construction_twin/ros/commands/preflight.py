@@ -59,13 +59,14 @@ def _broker(words: list[str], _parameters: LaunchParameters) -> None:
     broker.check(options.config, options.port, options.accounts)
 
 
-#: What a program that is no `NodeShell`'s is checked by, by its name; takes its words and parameters.
+#: What a program is checked by that is no `NodeShell`'s, or that an argument asks an extension for; takes its words and parameters.
 PROGRAMS: dict[str, Callable[[list[str], LaunchParameters], object]] = {
     "broker": _broker,
     "console": lambda words, _parameters: extension("console.program").check(words),
     "rsi_gateway": rsi_gateway.checked,
     "experiment": lambda _words, parameters: experiment.checked(parameters),
     "scenario": lambda _words, parameters: scenario.checked(parameters),
+    "work": lambda _words, parameters: extension("work.nodes.work").NODE.checked(parameters),
     "build": lambda _words, parameters: extension("work.commands.build").checked(parameters),
 }
 #: Programs that only show something, and the example of a PLC.
@@ -82,13 +83,11 @@ def check_node(node: Node, values: Mapping[str, Any]) -> None:
         sys.path.append(str(share_folder() / "examples" / "separation"))
         importlib.import_module("separation_node").NODE.checked(parameters)
         return
-    module = node_modules().get(node.type, f"construction_twin.extensions.{node.type}.nodes.{node.type}")
+    module = node_modules().get(node.type, f"construction_twin.extensions.{node.type}")
     name = module.removeprefix("construction_twin.extensions.")
     try:
         found = importlib.import_module(module) if name == module else extension(name)
     except ExtensionAbsent:
-        if node.type == "work":  # a model is named for it
-            raise
         return  # its node waits, and the others work without it
     found.NODE.checked(parameters)
 
