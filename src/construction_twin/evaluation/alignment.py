@@ -73,8 +73,7 @@ class Alignment:
     """Differences between paired samples.
 
     Attributes:
-        stamps: Shape (m,), int64. ROS time of the physical samples [ns].
-        errors: Shape (m, n). physical - twin [rad].
+        stamps, errors: Shapes (m,), int64, and (m, n). ROS time of the physical samples [ns]; physical - twin [rad].
         skipped: Samples inside the window without a command stamp, or beyond the twin's recording.
     """
 
@@ -95,11 +94,7 @@ class Alignment:
 
 
 class TwinPath:
-    """The twin's motion as a function of time.
-
-    Samples whose stamp does not lie after all earlier ones (a restarted or repeated stream) are left out. `base`: Stamp that times
-    are counted from [ns].
-    """
+    """The twin's motion over time; samples that are not later than all before are left out. `base`: times count from it [ns]."""
 
     def __init__(self, twin: Stream, base: int):
         newest = np.maximum.accumulate(twin.stamps)
@@ -191,13 +186,9 @@ def align_expected(recording: Recording, window: Window) -> Alignment | None:
 
 
 def estimate_lag(recording: Recording, window: Window) -> float | None:
-    """Return the constant lag of the arm behind its commands, by least squares over all joints and samples.
+    """Return the constant lag of the arm behind its commands [ns], by least squares; None without commands or motion.
 
-    A coarse scan over whole cycles finds the global minimum's neighbourhood (a repetitive motion has several local minima), and a
-    bounded search inside it finds the minimum, to well below a nanosecond on noise-free data.
-
-    Returns:
-        [ns], 0 to `MAX_LAG_NS`. None when there are no command stamps or the twin does not move.
+    A coarse scan over whole cycles finds the global minimum's neighbourhood, and a bounded search inside it the minimum.
     """
     answered, _ = _answered(recording, window)
     if answered is None:

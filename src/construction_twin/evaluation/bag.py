@@ -140,10 +140,7 @@ def nanoseconds(time: Any) -> int:
 
 
 def read_recording(path: str | Path, namespace: str | None = None) -> Recording:
-    """Read one robot's run from a bag.
-
-    `namespace`: The robot's namespace, e.g. ``/kr120``; default: that of the only robot in the bag.
-    """
+    """Read one robot's run from a bag; `namespace`, e.g. ``/kr120``: by default that of the only robot in it."""
     with open_bag(path) as bag:
         robot = choose_robot(bag.topics, namespace)
         return _Run(robot, messages_of(bag, robot)).recording()

@@ -1,7 +1,6 @@
 """A recorded run as plain arrays: the input of an evaluation, independent of the file format.
 
-Stamps are int64 nanoseconds, positions float64 rad, columns in the order of `Recording.joint_names`. No ROS here:
-`bag` makes these of a bag's messages, a simulation may fill them directly.
+Stamps are int64 nanoseconds, positions float64 rad, columns in the order of `Recording.joint_names`.
 """
 
 from __future__ import annotations
@@ -17,13 +16,7 @@ from construction_twin.core.units import NANOSECONDS
 
 @dataclass(frozen=True)
 class Stream:
-    """Joint positions over time.
-
-    Attributes:
-        stamps: Shape (k,), int64. Header stamps [ns].
-        positions: Shape (k, n). [rad]
-        received: Shape (k,), int64. When the recorder received each message [ns].
-    """
+    """Joint positions over time: header stamps [ns] and when the recorder received each message [ns], shape (k,); (k, n) [rad]."""
 
     stamps: np.ndarray
     positions: np.ndarray
@@ -42,12 +35,10 @@ class Stream:
 
 @dataclass(frozen=True)
 class FeedbackStream(Stream):
-    """Physical joint positions with the command they answer to.
+    """Physical joint positions with the command they answer to; 0 = unknown.
 
     Attributes:
-        seq: Shape (k,). The gateway's state counter; 0 = unknown.
-        command_stamps: Shape (k,), int64. Playout time, on the command sender's clock, of the target each pose answers to [ns]; 0 =
-            unknown.
+        seq, command_stamps: Shape (k,). The gateway's state counter; playout time of the target each pose answers to [ns].
     """
 
     seq: np.ndarray

@@ -49,10 +49,7 @@ PATH_POINTS = 1500
 
 
 def joint_figure(evaluation: Evaluation) -> Figure:
-    """Return all joints of both robots over the evaluated time: twin solid, physical dashed (the paper's Figure 9).
-
-    Prismatic joints have a panel of their own, in m.
-    """
+    """Return all joints of both robots over time: twin solid, physical dashed (the paper's Figure 9); prismatic ones apart."""
     recording = evaluation.recording
     slides = [joint in recording.linear for joint in recording.joint_names]
     units = {False: "joint angle [rad]", True: "joint position [m]"}
@@ -387,8 +384,7 @@ def write_report(recording: Recording, robot: RobotModel | None, directory: str 
 
     Args:
         twin: What simulated the twin, as the launch argument `twin` says it; empty: nobody knows.
-        robot: For the tool path and the joints' units; without it, or when it has other joints than the recording, `figure8.png` is
-            not written, and every joint is taken as revolute.
+        robot: For the tool path and the joints' units; without it there is no `figure8.png`, and every joint is revolute.
     """
     if robot is not None and robot.joint_names != recording.joint_names:
         robot = None

@@ -22,10 +22,7 @@ from construction_twin.evaluation.alignment import Alignment
 
 @dataclass(frozen=True)
 class PaperError:
-    """One column pair of the paper's Table 1.
-
-    `average`, `maximum`: Absolute joint angle error between virtual and physical robot [rad], as printed.
-    """
+    """One column pair of the paper's Table 1: mean and largest absolute error of a joint between both robots [rad]."""
 
     average: float
     maximum: float
@@ -103,11 +100,7 @@ def percentiles(values: np.ndarray) -> dict[str, float | None]:
 
 
 class TableRow(NamedTuple):
-    """The figures of one joint in one alignment, in the order of the CSV file; None where unknown.
-
-    A revolute joint has its errors in the fields in rad, a prismatic joint in those in m. Ratios are this run's figure divided by
-    the paper's.
-    """
+    """The figures of one joint in one alignment, in the order of the CSV file; None: unknown, or of the other kind of joint."""
 
     alignment: str
     joint: str
@@ -150,10 +143,7 @@ def table_rows(tables: Mapping) -> Iterator[TableRow]:
 
 
 def table_csv(tables: Mapping) -> str:
-    """Return `table_rows` as CSV text with a header line; unknown values are empty.
-
-    `LINEAR_COLUMNS` are included only if the robot has a prismatic joint.
-    """
+    """Return `table_rows` as CSV text with a header line; `LINEAR_COLUMNS` only where there is a prismatic joint."""
     rows = list(table_rows(tables))
     prismatic = any(row.avg_m is not None for row in rows)
     columns = CSV_COLUMNS + LINEAR_COLUMNS if prismatic else CSV_COLUMNS

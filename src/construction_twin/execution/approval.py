@@ -43,10 +43,7 @@ VERDICT_TIMEOUT = NANOSECONDS // 2
 
 
 class ConflictVerdicts:
-    """The newest verdict on a plan by the watch over the robot `name`; "": there is none, and nothing is ever against a plan.
-
-    `now` is on one clock everywhere [ns].
-    """
+    """The newest verdict on a plan by the watch over the robot `name`; "": there is none. `now` is on one clock [ns]."""
 
     def __init__(self, name: str = ""):
         self.name = name
@@ -69,11 +66,9 @@ class ConflictVerdicts:
 
 @dataclass(frozen=True)
 class WithoutPerson:
-    """Which plans need no person.
+    """Which plans need no person: by their sources, or the names of clients that these end with.
 
-    Attributes:
-        sources: Sources of plans, or the names of clients that they end with: `/move_group` stands for ``... from /move_group``.
-            Whoever asks for a plan chooses these words: they are no proof of who it was.
+    Whoever asks for a plan chooses these words: they are no proof of who it was.
     """
 
     every: bool = False
@@ -113,13 +108,12 @@ class Approval:
 
     Args:
         record: Called with each approval and release before it is carried out, with one that is refused, and with the Ending of an
-            execution that could then not begin; raises RecordError when it cannot be kept. A rejection's record is the caller's.
+            execution that could then not begin. A rejection's record is the caller's.
         clock: Returns the present moment.
 
     Attributes:
-        neighbour: Says whether another arm blocks the path of a plan; by default there is none.
-        rehearsal: Says whether a plan has passed its rehearsal; by default none is required.
-        obstacle: Why the plan under review could not be approved, as `look_for_obstacle` has found; empty: it could, or none is.
+        neighbour, rehearsal: Whether another arm blocks the path of a plan; whether a plan has passed its rehearsal.
+        obstacle: Why the plan under review could not be approved; empty: it could, or none is.
         overridable: Whether only its rehearsal is against it.
     """
 
@@ -179,9 +173,8 @@ class Approval:
 
         Args:
             seen: The newest that the reviewer's screen had received; without one this call counts.
-            override: Of an approval: although a rehearsal is required that is missing or was no pass; the hash of the result that
-                the reviewer saw, "" where there was none. It needs the plan's hash, a reason, and something to override:
-                whoever has this right alone approves nothing else by it. A result that came since is not overridden.
+            override: Of an approval without a pass of its rehearsal: the hash of the result that the reviewer saw, "" where there
+                was none. It needs the plan's hash, a reason, and something to override. A later result is not overridden.
 
         Raises:
             ReviewError: When it cannot be taken; a refused approval is recorded too.

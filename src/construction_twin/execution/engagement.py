@@ -44,9 +44,9 @@ class Engagement:
     """An engaged segment, and the path into it. Two are the same only if they are one object.
 
     Attributes:
-        path: From the beginning of the engaged segments that follow each other without one that is not engaged.
-        holding: What the tool's inputs read while the arm is there: one of these, in the order of time. They differ where a switch
-            may have fired; then none is empty, as an empty one would hold whatever is gripped.
+        path: From the beginning of the engaged segments that follow each other.
+        holding: What the tool's inputs read while the arm is there: one of these, in the order of time, none of them empty where a
+            switch may have fired.
         reason: Why the plan ended inside; empty while it is executed.
     """
 
@@ -221,8 +221,7 @@ def check_way_back(plan: Plan, engagement: Engagement) -> None:
     """Check that a plan goes back along the executed path, from where it starts to where the engaged segments begin.
 
     It is a work plan of one segment, which requires of the tool what an engagement names, switches nothing and changes no scene.
-    It may start up to `LARGEST_ENTRY` beside the path, where a hold or the gateway has brought the arm to rest, and goes to it
-    straight.
+    It may start up to `LARGEST_ENTRY` beside the path, and goes to it straight.
     """
     segment = plan.segments[0] if len(plan.segments) == 1 else None
     if segment is None or segment.switches or segment.scene_after != segment.scene:
@@ -278,12 +277,9 @@ def scene_problem(scene: str, scenes: Sequence[str]) -> str:
 def follow(way: np.ndarray, poses: np.ndarray) -> int | None:
     """Follow a polyline, its corners of shape (k, n), from its beginning to its end, never backwards.
 
-    Args:
-        poses: Shape (m, n). Each within `WAY_BACK_TOLERANCE` of the polyline, at or after the place of the one before. Between two
-            poses nothing of it may be left out that is further away than their distance.
-
     Returns:
-        Number of the first pose that is not so; None: all of them are, and the last is at the end.
+        Number of the first of the poses, shape (m, n), that is further than `WAY_BACK_TOLERANCE` off the rest of it, or leaves
+        out what is further away than the distance of two poses; None: none is, and the last is at the end.
     """
     corner, fraction, last = 0, 0.0, len(way) - 2
     before = poses[0]

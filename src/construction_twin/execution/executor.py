@@ -1,7 +1,7 @@
 """The executor: one setpoint per cycle, from an approved plan or, idle, the twin's pose.
 
-Pure: `step` is called once per 4 ms with the cycle's nominal stamp [ns]. Angles in rad. `now` is on the monotonic clock, but
-for `stop`, `pause` and `restart`: these are compared with when a plan was asked for, on the robot's clock (`core.freshness`).
+`step` is called once per 4 ms with the cycle's nominal stamp [ns]. Angles in rad. `now` is on the monotonic clock, but for `stop`,
+`pause` and `restart`: these are compared with when a plan was asked for, on the robot's clock (`core.freshness`).
 """
 
 from __future__ import annotations
@@ -137,9 +137,7 @@ class Executor(ExecutorMachine):
     def on_sync(self, state: SyncState, agreed: bool, policy: str = REPLAN, held_stamp: int = 0) -> None:
         """Take the monitor's state; on anything but IN_SYNC the plan is held, or its rest is dropped.
 
-        Args:
-            policy: What happens after a violation; only ``resume`` keeps the plan.
-            held_stamp: Nominal stamp of the last setpoint that passed the gate [ns]: there the plan waits, and goes on by itself.
+        Only the policy ``resume`` keeps it: it waits at `held_stamp`, the last setpoint that passed [ns], and goes on by itself.
         """
         self.sync, self._agreed, self._policy, self._passed = state, agreed, policy, held_stamp
         if self._closed and state is SyncState.IN_SYNC:
@@ -207,10 +205,7 @@ class Executor(ExecutorMachine):
     # -- review, and the start of a plan: `Approval`
 
     def offer(self, plan: Plan, way_back: Engagement | None = None) -> None:
-        """Put a plan under review in place of the one before, or raise ReviewError.
-
-        `way_back`: the engagement that `check_way_back` has found this plan to be the way back out of.
-        """
+        """Put a plan under review in place of the one before, or raise ReviewError; `way_back`: the engagement it leads out of."""
         left = self.engagement.left
         if left is not None and left is not way_back:
             reason = self.engagement.sentence
@@ -232,10 +227,7 @@ class Executor(ExecutorMachine):
     # -- what persons ask for while a plan is played
 
     def stop(self, now: int) -> str:
-        """Brake along the path as hard as the acceleration limits allow; return one sentence.
-
-        Plans asked for until `now` [ns] are void, so that nothing that a person stopped is taken up again by itself.
-        """
+        """Brake along the path as hard as the limits allow; return one sentence. Plans asked for until `now` [ns] are void."""
         self._acted, self.rested = True, now
         reason = Sentence("stop requested")
         waiting = self.under_review.void(now)

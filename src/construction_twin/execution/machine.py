@@ -56,12 +56,7 @@ class PlayRate:
         return 0.0 if self.waits else self.fraction
 
     def trail(self, round_trip: float, servo_lag: float = 0.0) -> None:
-        """Take how long the arm trails the setpoints [s].
-
-        Args:
-            round_trip: From a setpoint to the arm's answer; nan, or no such time: not known; an arm that was waited for still is.
-            servo_lag: What the arm trails by beyond that; nan, or no such time: not known, which counts as 0.
-        """
+        """Take how long the arm trails the setpoints: the round trip, and what its servos trail beyond that [s]; nan: not known."""
         lag = round_trip + (servo_lag if 0.0 <= servo_lag < math.inf else 0.0)
         known = round_trip >= 0.0 and lag < math.inf
         self.lag = lag if known else 0.0

@@ -1,8 +1,7 @@
 """One execution of a plan: which setpoint went out when, where on the path that was, how fast it is played, how it comes to rest.
 
-Pure. Stamps in ns, angles in rad, m for prismatic joints. Time along the trajectory is called elapsed time; its rate against the
-clock lies between 0 and 1. However the rate changes, the second difference of every joint's setpoints stays within its
-acceleration limit: that is what gate, gateway and controller measure.
+Stamps in ns, angles in rad, m for prismatic joints. Time along the trajectory is called elapsed time; its rate against the clock
+lies between 0 and 1. However it changes, the second difference of every joint's setpoints stays within its acceleration limit.
 """
 
 from __future__ import annotations
@@ -117,9 +116,7 @@ class _RampStep:
 
 
 class Progress:
-    """Where an execution is on its trajectory, one setpoint per cycle.
-
-    A rate that is reached stays exactly: at rate 1 the setpoints are the trajectory's samples on the 4 ms grid.
+    """Where an execution is on its trajectory, one setpoint per cycle; at rate 1 these are its samples on the 4 ms grid.
 
     Args:
         trajectory: At rest at both ends, and inside the acceleration limits on any grid of 4 ms.
@@ -264,10 +261,7 @@ class Progress:
     # -- ramps
 
     def _plan_ramp(self, goal: float, longest: int) -> deque[_RampStep] | None:
-        """Return a short ramp from here to `goal` on which every setpoint was checked; None when there is none.
-
-        The shortest is found by halving, as if every length were easier than any shorter one.
-        """
+        """Return the shortest ramp to `goal` that halving finds, every setpoint of it checked; None when there is none."""
         best, shorter, longer = None, -1, bisect_right(RAMP_CYCLES, longest)
         while longer - shorter > 1:
             middle = (shorter + longer) // 2
@@ -279,10 +273,7 @@ class Progress:
         return best
 
     def _ramp_of(self, goal: float, cycles: int) -> deque[_RampStep] | None:
-        """Return the ramp of that many cycles, None when a setpoint on it fails.
-
-        The rate is the cubic that continues rate and slope and ends flat at the goal.
-        """
+        """Return the ramp of that many cycles, a cubic that ends flat at the goal; None when a setpoint on it fails."""
         start, lift, slope = self._now.rate, goal - self._now.rate, self._now.slope * cycles
         rate = Polynomial((start, slope, 3.0 * lift - 2.0 * slope, slope - 2.0 * lift))
         x = np.arange(cycles + 1) / cycles
@@ -321,8 +312,7 @@ class Playback(Progress):
 
     Attributes:
         start: Nominal stamp of the first setpoint [ns]; 0 before it.
-        goal_stamp: Nominal stamp of the setpoint that reached the end of the trajectory [ns], or of the present segment; 0 before
-            it.
+        goal_stamp: Of the setpoint that reached the end of the trajectory, or of the present segment [ns]; 0 before it.
     """
 
     def __init__(self, plan: Plan, robot: RobotModel):
@@ -383,10 +373,7 @@ class Playback(Progress):
         return setpoint
 
     def braking(self, lag: float) -> StopForecaster:
-        """Return what is needed to forecast a stop that begins now; nothing is computed yet.
-
-        `lag`: how long the arm trails the setpoints [s]; 0 where it is not known. Of more than is remembered nothing is forecast.
-        """
+        """Return what is needed to forecast a stop that begins now, of an arm that trails by `lag` [s], 0: unknown."""
         if lag < 0.0:
             raise ExecutionError(Sentence("a lag of {lag:.3f} s, expected 0 or more: a clock was set", lag=lag))
         if len(self._history) == HISTORY and lag > (HISTORY - 1) * CYCLE:
@@ -408,10 +395,7 @@ class StopForecaster:
         self._lag = lag
 
     def forecast(self, pause: Callable[[], None] = lambda: None) -> StoppingForecast:
-        """Brake the copy to rest; return the distance it took. The execution itself takes the same, unless it is held before.
-
-        `pause` is called every few setpoints: a thread that computes without a break keeps the one with the setpoints waiting.
-        """
+        """Brake the copy to rest; return the distance it took. `pause` is called every few setpoints: others must run, too."""
         progress, sample = self._progress, self._progress.trajectory.sample
         before = []
         for number, elapsed in enumerate(self._in_flight, start=1):

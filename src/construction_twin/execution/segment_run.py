@@ -96,10 +96,7 @@ class _Order:
 
 
 class Boundary:
-    """The end of one segment. What a switch has done is done: none fires twice, whatever is paused and resumed.
-
-    `wants_scene`: the switches are confirmed, and the scene is not yet `scene_after`.
-    """
+    """The end of one segment; none of its switches fires twice. `wants_scene`: only the scene is not yet `scene_after`."""
 
     def __init__(self, plan_id: str, number: int, segment: Segment | None, scene_after: str):
         self.segment = segment
@@ -173,10 +170,7 @@ class Boundary:
     def update(self, stamp: int, now: int, tool: ToolReport, scene: str, may_switch: bool) -> BoundaryEvent | None:
         """Go on by one cycle, whose setpoint has this stamp [ns]; return what ends the waiting badly, else None (see `done`).
 
-        Args:
-            scene: Hash of the present scene; empty: not known.
-            may_switch: Whether a switch may be armed now: not while a speed limit of 0 keeps everything still, or the arm is waited
-                for.
+        `scene`: hash of the present one, empty: not known. `may_switch`: whether a switch may be armed now.
         """
         self.observe(tool, now)
         if not self._confirmed:
@@ -301,7 +295,7 @@ class SegmentRun:
     """The segments of one plan, in order, each entered only in its scene, with what it requires of the tool.
 
     Args:
-        way_back: Whether it leads out of an engagement: then it begins none, and ends that one when it is finished.
+        way_back: Whether it leads out of an engagement, which it ends when it is finished.
 
     Attributes:
         number: Of the segment that it is in, or at the end of; -1 before the first is entered.

@@ -67,8 +67,7 @@ class News:
     def take(self, moments: Callable[[], tuple[int, str]]) -> tuple[ExecutionReport | None, list[tuple[bool, str]]]:
         """Return the report, where one is due, and lines for the log, each with whether it is a warning.
 
-        Args:
-            moments: Returns ROS time [ns] and the robot's clock. A stop that comes after that is not known to the report.
+        `moments` returns ROS time [ns] and the robot's clock. A stop that comes after that is not known to the report.
         """
         executor, news = self._executor, self._news()
         lines: list[tuple[bool, str]] = []

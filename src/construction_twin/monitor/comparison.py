@@ -1,7 +1,4 @@
-"""Algorithm 1 of the paper: do twin and physical arm agree, and may the next pose pass?
-
-Pure: time comes in as an argument (ns). Angles in rad, joints in the robot's order.
-"""
+"""Algorithm 1 of the paper: do twin and physical arm agree, and may the next pose pass? Angles in rad, `now` in ns."""
 
 from __future__ import annotations
 
@@ -49,12 +46,7 @@ class LagEstimate:
         return round(self._lag * NANOSECONDS)
 
     def learn(self, difference: tuple[float, ...], velocity: tuple[float, ...]) -> None:
-        """Take one sample; a sample at rest is ignored.
-
-        Args:
-            difference: Shape (n,). Physical pose minus the twin's pose at the present estimate [rad].
-            velocity: Shape (n,). Of the twin there [rad/s].
-        """
+        """Take one sample in motion: physical pose minus the twin's at the present estimate [rad], and its velocity [rad/s]."""
         power = sum(v * v for v in velocity)
         if power < SLOWEST * SLOWEST:
             return
@@ -114,10 +106,7 @@ class TwinHistory:
             poses.append((stamp, q))
 
     def at(self, stamp: int) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
-        """Return pose [rad] and velocity [rad/s] at `stamp` [ns], or None when it lies outside what is kept.
-
-        Between two poses the playout's own interpolation is used.
-        """
+        """Return pose [rad] and velocity [rad/s] at `stamp` [ns] by the playout's interpolation; None outside what is kept."""
         after = later = None
         poses = reversed(self._poses)
         for pose in poses:
@@ -217,11 +206,9 @@ class PoseComparison:
     def compare(
         self, q: tuple[float, ...], command_stamp: int, now: int, round_trip: float = math.nan
     ) -> Comparison | None:
-        """Compare a physical pose, shape (n,) [rad]; return None when the twin's pose for that stamp is not known.
+        """Compare a physical pose, shape (n,) [rad]; None when the twin's pose for its command stamp is not known.
 
-        Args:
-            command_stamp: Stamp of the command it answers to [ns]; 0 compares with the twin's present pose.
-            now: Time of reception, on the clock of the stamps [ns]: for the report alone.
+        `command_stamp` 0 compares with the present pose; `now` is on the clock of the stamps, for the report alone [ns].
         """
         settings = self._settings
         mode = ALIGNED if command_stamp and settings.aligned else INSTANT

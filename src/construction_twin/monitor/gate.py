@@ -1,7 +1,6 @@
 """The gate: Algorithm 1 in the command path. Nothing reaches either robot that has not passed here.
 
-Pure: `now` is an argument everywhere, in ns on the monotonic clock, which is never set: on the wall clock a step back would
-put off every time-out. Stamps are on a clock of their own. Angles in rad, prismatic joints in m.
+`now` is in ns on the monotonic clock, which is never set; stamps are on a clock of their own. Angles in rad, prismatic joints in m.
 """
 
 from __future__ import annotations
@@ -246,8 +245,6 @@ class Gate:
     ) -> Comparison | None:
         """Take a physical pose, shape (n,) [rad]; None when the twin's for that stamp is not known. The first difference closes.
 
-        Where the servos are known it is compared with where they should have the arm, too; either difference closes the gate.
-
         Args:
             received: Time of reception on the clock of the stamps [ns], for the report alone; by default `now`.
             seq: The gateway's counter of its states; 0: not known, and so is what the servos should do.
@@ -304,11 +301,9 @@ class Gate:
     # -- the path
 
     def pass_next(self, stamp: int, theta_next: tuple[float, ...], now: int) -> tuple[float, ...] | None:
-        """Decide what is executed in place of theta_next, shape (n,) [rad], of a nominal stamp [ns].
+        """Return what is executed in place of theta_next, shape (n,) [rad], rounded to the wire, for a nominal stamp [ns].
 
-        Returns:
-            Pose to execute, rounded to the wire; None while the gate has never been open and while the arm leads, and for a
-            setpoint that is not newer than the last one: whatever went out with its stamp would be refused further on.
+        None while the gate has never been open, while the arm leads, and for a setpoint that is not newer than the last one.
         """
         if stamp <= self._stamp:
             self.refused += 1

@@ -1,7 +1,4 @@
-"""What surrounds the gate: the session, settings at rest, the plan to ask for after a hold, and what is told of its state.
-
-Pure: `now` is an argument everywhere, in ns on the gate's clock. Angles in rad, m for prismatic joints.
-"""
+"""What surrounds the gate: the session, settings at rest, the plan to ask for after a hold, and what is told of its state."""
 
 from __future__ import annotations
 
@@ -51,11 +48,7 @@ class ReplanGoal:
 
 @dataclass(frozen=True)
 class Replan:
-    """A plan to ask for: from the held pose to the goal of the plan that was interrupted.
-
-    Attributes:
-        violation: Which hold it is of: an answer may come late, in another one.
-    """
+    """A plan to ask for: to the goal of the plan that was interrupted; `violation` says by which hold."""
 
     held: tuple[float, ...]
     wanted: ReplanGoal
@@ -137,10 +130,7 @@ class Monitor:
             del self._goals[known]
 
     def on_execution(self, plan_id: str, executing: str, playing: bool, moment: str) -> None:
-        """Take what the executor did at a moment: its state as a word while it follows the plan, at rest or not, else empty.
-
-        `playing`: it was not told to stop or to pause.
-        """
+        """Take what the executor did at a moment: its state as a word while it follows the plan, else empty."""
         self._executing = executing and f"plan {plan_id} is {executing}"
         self._played = _Played(plan_id, playing, moment)
 
@@ -148,8 +138,7 @@ class Monitor:
     def interrupted(self) -> ReplanGoal | None:
         """Goal to plan to when the gate closes now.
 
-        None when nothing plays: what a person stops or pauses is not taken up by itself, and with `auto_approve` a new plan would
-        be. Nor is a plan that stands still, whose fractions the planner would read as its defaults.
+        None when nothing plays: what a person stops or pauses is not taken up by itself. Nor is a plan that stands still.
         """
         played = self._played
         found = self._goals.get(played.plan_id) if played.playing else None
@@ -158,10 +147,7 @@ class Monitor:
         return replace(found, seen=played.moment)
 
     def take_transitions(self) -> tuple[list[Transition], Replan | None]:
-        """Return the gate's transitions, and the plan to ask for when it has just closed.
-
-        To be called before a change can be heard: the executor then drops the plan.
-        """
+        """Return the gate's transitions, and the plan to ask for when it has just closed, before the change is heard."""
         changes = self.gate.take_transitions()
         first, wanted = changes[0], self.interrupted
         closed = first.source is SyncState.IN_SYNC and first.target is not SyncState.IN_SYNC

@@ -62,11 +62,7 @@ class GateSettings(pydantic.BaseModel):
         return ComparisonSettings(threshold, self.lag_allowance, self.lag_margin, self.comparison == ALIGNED)
 
     def changed(self, text: str) -> GateSettings:
-        """Return the settings with some of them changed.
-
-        Args:
-            text: YAML, as in config/pca_monitor.yaml: ``{policy: resume, thresholds: {joint_a3: 0.02}}``.
-        """
+        """Return the settings with some changed by a YAML text, e.g. ``{policy: resume, thresholds: {joint_a3: 0.02}}``."""
         try:
             changes = yaml.safe_load(text)
         # a date that does not exist is a ValueError, brackets nested by the thousand are a RecursionError

@@ -1,8 +1,4 @@
-"""The state machine of the pose checking algorithm: one table of states, events, guards, actions and next states.
-
-Pure. What causes an event, what a guard asks and what an action does is the gate's business; here it is only said what follows from
-an event, and kept why.
-"""
+"""The state machine of the pose checking algorithm: one table of states, events, guards, actions and next states."""
 
 from __future__ import annotations
 

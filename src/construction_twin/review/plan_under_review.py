@@ -118,8 +118,7 @@ class PlanUnderReview:
     def offer(self, plan: Plan) -> Plan | None:
         """Put a plan under review, unless it was decided already; return the plan that it replaces.
 
-        ReviewError when it, or one of its segments, does not start and end at rest, or was asked for before it was last voided.
-        (That a plan's hash is that of its content is the Plan's own matter.)
+        ReviewError when it does not start and end at rest, or was asked for before it was last voided.
         """
         trajectory = plan.trajectory
         if any(rows[end].any() for rows in (trajectory.velocities, trajectory.accelerations) for end in (0, -1)):

@@ -56,10 +56,7 @@ class Fate:
 
 
 def read_fate(path: str | Path, plan_id: str, source: str = "") -> Fate:
-    """Return what a review file, which another process may be writing, says of a plan.
-
-    It is known by its id, or by a part of its source; either may be empty.
-    """
+    """Return what a review file, which may be being written, says of a plan by its id, or a part of its source."""
     try:
         found = Fate(plan_id, False)
         for fields in read_lines(path):
@@ -74,13 +71,9 @@ def read_fate(path: str | Path, plan_id: str, source: str = "") -> Fate:
 
 
 class ReviewLog:
-    """Appends records to a review file, which is created when it does not exist; for use from several threads.
+    """Appends records to a review file, from several threads; `clock` returns UTC [ns].
 
-    Args:
-        clock: Returns the time since 1970 in UTC [ns].
-
-    Attributes:
-        responsibility: What is in force; it is recorded with every verdict.
+    `responsibility` is what is in force; it is recorded with every verdict.
     """
 
     def __init__(self, path: str | Path, clock: Callable[[], int]):

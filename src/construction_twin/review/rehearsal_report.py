@@ -1,6 +1,6 @@
 """What a rehearsal has found: one record for message, file, screen and terminal; and what it has against an approval. SI.
 
-Each field has the name that it has in `Rehearsal.msg`. Joints in the order of the trajectory's `joint_names`.
+Fields have the names, and the meaning, that they have in `Rehearsal.msg`. Joints in the order of the trajectory's `joint_names`.
 """
 
 from __future__ import annotations
@@ -26,16 +26,7 @@ STATES = (PASSED, FAILED, BROKEN)
 
 @dataclass(frozen=True)
 class AxisLoad:
-    """What a plan asks of one axis.
-
-    Attributes:
-        joint: Its name.
-        peak: Largest torque that the motion needs of its drive [N m], of a linear axis force [N]; `time` is when [s].
-        rms: Root of the mean square over the plan.
-        gravity: What holding the arm still at that moment would need, as a share of `peak`; above 1 where the motion helps.
-        limit: What the drive can give; 0: nobody says.
-        estimated: That limit is an estimate.
-    """
+    """What a plan asks of one axis."""
 
     joint: str
     peak: float
@@ -53,13 +44,7 @@ class AxisLoad:
 
 @dataclass(frozen=True)
 class RehearsedContact:
-    """Two bodies that touched although the plan has no contact of them.
-
-    Attributes:
-        first, second: Links or objects.
-        time: When they first did [s]. force: The largest force between them [N]. seconds: For how long in all.
-        point: Where they first did, in the base_link [m]; of several points the one with the largest force.
-    """
+    """Two bodies that touched although the plan has no contact of them."""
 
     first: str
     second: str
@@ -71,16 +56,7 @@ class RehearsedContact:
 
 @dataclass(frozen=True)
 class LooseObject:
-    """What became of an object that can be moved: one that the plan lets go of, or one that stands around.
-
-    Attributes:
-        name: Of the object.
-        released: At which time the plan lets go of it [s]; nan: it never held it.
-        moved: From where it was let go, or stood, to where it lay at the end [m].
-        turned: The same as an angle [rad].
-        fell: Of `moved`, downwards [m].
-        resting: It lay still at the end.
-    """
+    """What became of an object that can be moved: one that the plan lets go of, or one that stands around."""
 
     name: str
     released: _OrNan
@@ -92,14 +68,7 @@ class LooseObject:
 
 @dataclass(frozen=True)
 class PayloadLoad:
-    """What the flange carries, beside what the arm is rated for. Each number is the largest of the plan's loads.
-
-    Attributes:
-        mass: [kg]. estimated: A part of one of these loads is an estimate.
-        across, along: Distance of its centre of mass from the flange, across the last axis and along it [m].
-        inertia: Largest moment about the axes of the flange [kg m^2].
-        rated_mass, rated_inertia, rated_across, rated_along: 0: nobody says.
-    """
+    """What the flange carries, beside what the arm is rated for. Each number is the largest of the plan's loads."""
 
     mass: float = 0.0
     estimated: bool = False
@@ -114,14 +83,7 @@ class PayloadLoad:
 
 @dataclass(frozen=True)
 class GripLoad:
-    """What the tool's cups had to hold at the worst moment, beside what they can.
-
-    Attributes:
-        name: Of the body that was carried; empty: none was, or the tool has no cups.
-        cups: How many lay on it.
-        time: That moment [s].
-        usage: Of what the cup that is loaded most holds, its safety factor included; above 1 it may slip or come off.
-    """
+    """What the tool's cups had to hold at the worst moment, beside what they can."""
 
     name: str = ""
     cups: int = 0
@@ -131,14 +93,7 @@ class GripLoad:
 
 @dataclass(frozen=True)
 class Braking:
-    """How far the arm goes on when it has to stop at the worst moment of the plan: at its largest kinetic energy.
-
-    Attributes:
-        time: That moment [s]. seconds: Until it stands.
-        distance: Way of the flange [m].
-        joint: The axis with the largest way; angle: that way [rad], [m].
-        usage: Largest fraction of an axis' torque that braking takes; above 1 the arm cannot brake like this.
-    """
+    """How far the arm goes on when it has to stop at the worst moment of the plan: at its largest kinetic energy."""
 
     time: float = 0.0
     seconds: float = 0.0
@@ -150,29 +105,7 @@ class Braking:
 
 @dataclass(frozen=True)
 class RehearsalReport:
-    """The result of one rehearsal: `Rehearsal.msg`.
-
-    Attributes:
-        plan_id, plan_hash: Of the plan that was rehearsed; the result counts for no other.
-        scene: Hash of the scene that it began in.
-        tool: Hash of the tool file it was rehearsed with; empty: no tool.
-        inputs: Hash of what else decides the result: drives, pairs that are not checked, masses.
-        state: `PASSED`, `FAILED`; `BROKEN`: the rehearsal itself failed.
-        reasons: Why it failed, one sentence each; empty when it passed.
-        axes: One per joint.
-        tracking: Largest distance of the arm from its setpoint, without the servo's lag [rad], [m], of `tracking_joint`.
-        worst_time: Of the moment with the largest usage of a torque [s].
-        worst_pose: Shape (n,). The arm then [rad], [m].
-        contacts: That the plan does not have.
-        objects: That were let go of, or moved.
-        grip: What the cups had to hold.
-        energy: That the drives put in [J].
-        duration: Of the plan [s]. took: Time the rehearsal took [s]. settle_took: Of it, with bodies kept awake [s].
-        engine: Name and version.
-        remarks: What is an estimate, or is simulated otherwise than planned, one sentence each.
-        hash: Of all of this but `took` and `settle_took`, as the record of a verdict has it.
-        stamp: ROS time of its end; whole ns, in JSON [s].
-    """
+    """The result of one rehearsal: `Rehearsal.msg`; `state` is `PASSED`, `FAILED` or `BROKEN`."""
 
     plan_id: str = ""
     plan_hash: str = ""

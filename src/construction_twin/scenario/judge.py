@@ -28,13 +28,7 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class Excess:
-    """A cycle in which a limit was left.
-
-    Attributes:
-        ipoc: [ms]
-        kind: ``range``, ``velocity`` or ``acceleration``.
-        value, limit: [rad], [rad/s] or [rad/s^2]; the limit with the format's allowance.
-    """
+    """A cycle in which a limit was left: ``range``, ``velocity`` or ``acceleration``; `limit` is with the format's allowance."""
 
     index: int
     ipoc: int
@@ -297,8 +291,7 @@ def _lag(closing: SyncMoment) -> float:
 def _growth(run: Run, closing: SyncMoment, crossing: _Crossing, stalled: str) -> Check:
     """Whether a stalled joint's error grew only while its feedback and the commands that were sent before travelled.
 
-    From the command of the last sample within the threshold until the gate closed the error grows at most at the joint's speed:
-    that time is the commands' travel to the arm, the sample's travel back, and the detection. Then nothing sent increases it.
+    From the command of the last sample within the threshold until the gate closed it grows at most at the joint's speed.
     """
     joint = crossing.joint
     name = run.recording.joint_names[joint]

@@ -48,10 +48,7 @@ def limit_usage(
 
 
 def trace_arrays(entries: Sequence[TraceEntry], cycle: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return what arrived of a gateway's trace, and where a position does not follow the one before: shapes (k, n) and (k,).
-
-    As in `trace_excesses`, a new session begins from rest, and so does what follows a cycle [s] without a reply that arrived.
-    """
+    """Return what arrived of a gateway's trace, and where a position does not follow the one before: shapes (k, n) and (k,)."""
     standing = np.zeros(len(entries), dtype=bool)
     arrived = np.ones(len(entries), dtype=bool)
     for number, (before, entry) in enumerate(itertools.pairwise(entries), 1):
@@ -71,17 +68,7 @@ def trace_arrays(entries: Sequence[TraceEntry], cycle: float) -> tuple[np.ndarra
 
 
 def distance_after(stamps: np.ndarray, positions: np.ndarray, begin: int, end: int) -> tuple[np.ndarray, float]:
-    """Return the largest distance of each joint from its position at `begin`, until `end`, and when the arm came to rest.
-
-    Args:
-        stamps: Shape (k,). [ns]
-        positions: Shape (k, n). [rad]
-        begin, end: [ns]
-
-    Returns:
-        distance: Shape (n,). Largest [rad].
-        rest: From `begin` to the last cycle that moved [s].
-    """
+    """Return how far each joint went from its position at `begin` until `end` [ns], and when the arm came to rest [s]."""
     # from the cycle before: by its number, because a controller process that was late sends the next ones sooner
     first = max(0, int(np.searchsorted(stamps, begin)) - 1)
     inside = np.arange(first, int(np.searchsorted(stamps, end, side="right")))
