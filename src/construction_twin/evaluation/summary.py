@@ -19,7 +19,7 @@ from construction_twin.evaluation.tables import NOTE, PERCENTILES, SAMPLES, TABL
 
 #: A twin of which no joint goes further than this has not moved [rad], [m].
 MOTION = 1e-3
-_MOCK_LIMITS = ("start_pose_deg", "correction_lower_deg", "correction_upper_deg", "correction_monitor_deg")
+_MOCK_LIMITS = ("start_pose_deg", "correction_lower_deg", "correction_upper_deg")
 
 
 @dataclass(frozen=True)
@@ -95,11 +95,7 @@ def summarise(evaluation: Evaluation) -> dict:
 
 
 def link_span(links: tuple[LinkSnapshot, ...], window: Window) -> tuple[LinkSnapshot | None, LinkSnapshot | None]:
-    """Return a snapshot from before the window and one from after it, or the closest ones available.
-
-    The gateway's counters reach the bridge once a second, so only a snapshot at least 1 s after the window's end is
-    sure to include it; the span between the two is up to 3 s longer than the window.
-    """
+    """Return a snapshot from at least 1 s before the window and one from after it, or the closest ones available."""
     if not links:
         return None, None
     before = [link for link in links if link.received <= window.start]

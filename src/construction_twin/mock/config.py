@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.controller.makes import DEFAULT, make_of
 from construction_twin.controller.port import Layout
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.mock.gripper import Gripper
 
 
@@ -15,23 +16,19 @@ class MockConfig:
     """What is set on the controller. Tuples are of length n, in the order of `axes`; rad throughout.
 
     Attributes:
-        start_pose: Pose in which the first session starts [rad], inside the soft limits.
+        start_pose: Of the first session, inside the soft limits.
         lower, upper: Soft limits.
         velocity, acceleration: Limits that the supervision is a multiple of.
-        layout: Of the telegrams, and whose they are; a reply that does not fit it does not count. Default: that of the default make
-            without a file.
+        layout: Of the telegrams, and whose they are. Default: that of the default make without a file.
         units: How each axis is written in the telegrams; default: deg, and no axis linear.
-        cycle: Length of a controller cycle, and what the stamp advances by in it [ms]: one that the make has.
+        cycle: What the stamp advances by in a cycle [ms].
         precision: Decimals of sent values, 1 to 32. Real controllers default to 1 and run with 4; 6 keeps an evaluation exact.
         timeout: Cycles without a valid reply after which the session stops.
-        stop_required: True: a reply without the end of the program that the layout declares does not count; False: it counts, as
-            one that does not end it (docs/rsi.md, section 3).
-        correction_lower, correction_upper: Bounds of the correction [rad], <= 0 and >= 0; clamps without an error. None:
-            soft limit - start pose.
-        correction_monitor: The session stops when the clamped correction is larger [rad]. None: the larger of the two bounds.
+        correction_lower, correction_upper: Bounds of the correction, <= 0 and >= 0; clamps without an error. None: what the soft
+            limits leave.
         velocity_factor: The session stops when the setpoint moves faster than this times `velocity`; 0 switches it off.
         acceleration_factor: The same for `acceleration`. A single missed reply at speed v is an acceleration of v / cycle, at 4 ms
-            hundreds of times the limit; the default allows the step from rest that `velocity_factor` allows. 0 switches it off.
+            hundreds of times the limit; the default allows the step from rest that `velocity_factor` allows.
         first_stamp: Of the first packet [ms].
         restart_gap: How far the controller's clock has advanced when the next session starts [ms].
         gripper: What the tool does, where the layout has channels of one.
@@ -48,10 +45,8 @@ class MockConfig:
     cycle: int = 4
     precision: int = 6
     timeout: int = 100
-    stop_required: bool = False
     correction_lower: tuple[float, ...] | None = None
     correction_upper: tuple[float, ...] | None = None
-    correction_monitor: tuple[float, ...] | None = None
     velocity_factor: float = 2.0
     acceleration_factor: float = 400.0
     first_stamp: int = 4_208_163_634
@@ -61,7 +56,10 @@ class MockConfig:
     def __post_init__(self) -> None:
         if self.layout is None:
             object.__setattr__(self, "layout", make_of(DEFAULT).plain(self.axes))
-        make_of(self.layout.make).check_axes(self.layout, self.axes)
+        make = make_of(self.layout.make)
+        make.check_axes(self.layout, self.axes)
+        if self.cycle not in make.cycles:
+            raise ConfigurationError("cycle", self.cycle, f"{' or '.join(map(str, make.cycles))} ms")
 
     @property
     def period(self) -> float:

@@ -1,16 +1,10 @@
-"""A mock robot controller, as a pure core: no clock, no socket, one call per controller cycle. What it speaks is its make's.
+"""A mock robot controller: no clock, no socket, one call per controller cycle. What it speaks is its make's.
 
-Angles are those of the controller's axes (their own sense of rotation and zero), in rad, order of `MockConfig.axes`.
-
-Timing, exactly
----------------
-`begin_cycle` opens cycle k and returns packet k; `receive` takes what arrives during cycle k; the next `begin_cycle`
-closes it: the valid reply k, or what an axis keeps when there is none, becomes the setpoint of cycle k, the servo moves during
-cycle k, and packet k + 1 reports where it ended. With `IdealServo(3)` the pose that packet k + 3 reports equals start + correction
-of reply k. Before the first valid reply the setpoint is the start pose.
-
-It models what docs/rsi.md says of a KR C4, in the words of its make. It does not model braking but after an emergency stop:
-when the session stops, the arm stands still at once.
+`begin_cycle` opens cycle k and returns packet k; `receive` takes what arrives during it; the next `begin_cycle` closes it: the
+valid reply k, or what an axis keeps when there is none, becomes its setpoint, the servo moves, and packet k + 1 reports where it
+ended. With `IdealServo(3)` the pose that packet k + 3 reports is start + correction of reply k. When the session stops, the arm
+stands still at once, but for the ramp of an emergency stop. Angles are those of the controller's axes, in the order of
+`MockConfig.axes`.
 """
 
 from __future__ import annotations
@@ -44,10 +38,10 @@ class ReplyRefusals:
     """The refused replies of a controller: told when that begins and when it ends.
 
     Attributes:
-        last: Why the last one did not count, one sentence; "" before the first.
-        present: The same while replies are refused; "" when so many have counted since that it is over.
+        last: Why the last one did not count; "" before the first.
+        present: The same; "" when so many have counted since that it is over.
         since_valid: The same, of those since the last reply that counted.
-        news: Sentences for the log; whoever writes them empties the list.
+        news: Sentences for the log, which whoever writes them removes.
     """
 
     def __init__(self, recovery: int) -> None:
@@ -89,35 +83,22 @@ class MockController:
         running: False when the session has stopped, for `reason`; then nothing is sent and nothing is accepted.
         flag: The controller's own flag that the link was interrupted (timeout).
         stamp: Of the last packet [ms].
-        stat: Of corrections: 0 inactive, 1 correcting, plus 2 << 2 i (lower) or 4 << 2 i (upper) when axis i is clamped. The
-            numbers are our own: docs/rsi.md gives none.
         start_pose, setpoint, measured: Length n. Programmed pose of the session, present setpoint, measured axes [rad].
         reported, true: Length n. What the last packet reports of the axes, and where they really are, which only a fault of an
             encoder tells apart [rad].
         applied: Length n. Correction in effect, after clamping [rad].
-        correction_lower, correction_upper, correction_monitor: Length n. Bounds in force in this session [rad].
+        correction_lower, correction_upper: Length n. Bounds in force in this session [rad].
+        pressed, deaf: The emergency stop is pressed, which to release starts nothing; replies are ignored.
         needs_person: True after an emergency stop: a session is started by a person only.
         ramp: The last emergency stop's, until the next session.
         tool: What the channels of a tool switch and read; None where the layout has none.
         status_shown: What packets say of the controller in place of what is. It changes nothing else.
     """
 
-    #: packets sent; valid replies; missed cycles; replies to an earlier packet of the session; replies to no packet;
-    #: further replies to a packet; unusable replies; replies for another SENTYPE; valid replies without the declared Stop; cycles
-    #: with a clamped correction; replies while stopped; replies ignored on purpose
+    #: `mismatched`: to no packet; `without_stop`: valid ones without the declared Stop; `unexpected`: while stopped
     COUNTERS = (
-        "packets",
-        "replies",
-        "missed",
-        "late_replies",
-        "mismatched",
-        "duplicates",
-        "malformed",
-        "wrong_sentype",
-        "without_stop",
-        "clamped",
-        "unexpected",
-        "ignored",
+        *("packets", "replies", "missed", "late_replies", "mismatched", "duplicates", "malformed", "wrong_sentype"),
+        *("without_stop", "clamped", "unexpected", "ignored"),
     )
 
     def __init__(self, config: MockConfig, servo: Servo, forward_kinematics: ForwardKinematics):
@@ -143,7 +124,7 @@ class MockController:
         self._absolute = make.absolute
         #: What people call things on it.
         self.words = make.words
-        side = make.controller_side(config)
+        side = make.controller_side(layout, config.axes, config.units, config.precision)
         self._encode, self._decode, self._status = side.encode, side.decode, side.status
         self.tool: SimulatedTool | None = None
         if layout.switched or layout.outputs or layout.inputs:
@@ -180,16 +161,10 @@ class MockController:
         return replace(self.status_shown, slow=bool(self._tool_speed))
 
     def restart(self, pose: Sequence[float] | None = None) -> None:
-        """Start a new session, ending the present one, at a pose [rad], by default what the encoders report, within soft limits.
-
-        Raises:
-            ConfigurationError: If the emergency stop is pressed.
-            JointRangeError: If `pose` lies outside the soft limits.
-        """
+        """Start a new session at a pose [rad] within the soft limits, by default what the encoders report."""
         if self.pressed:
-            raise ConfigurationError(
-                "restart", "the emergency stop is pressed", "a released one: inject `estop` with `on` false"
-            )
+            expected = "a released one: inject `estop` with `on` false"
+            raise ConfigurationError("restart", "the emergency stop is pressed", expected)
         if pose is None:
             pose = _clamp(self.reported, self.config.lower, self.config.upper)
         self._check_range(pose)
@@ -213,10 +188,8 @@ class MockController:
         self.counters["packets"] += 1
         pose = _flat(self._forward_kinematics(self.reported))
         values = self.stamp, self.reported, self._followed, pose, self._start_tool, self.missed, self._shown
-        if self.tool is None:
-            return self._encode(*values, {}, {})
-        outputs = None if self.tool.hidden else self.tool.outputs
-        return self._encode(*values, outputs, self.tool.inputs)
+        outputs = None if self.tool is None or self.tool.hidden else self.tool.outputs
+        return self._encode(*values, outputs, {} if self.tool is None else self.tool.inputs)
 
     @property
     def _followed(self) -> tuple[float, ...]:
@@ -224,11 +197,7 @@ class MockController:
         return self.setpoint if self._absolute else self.start_pose
 
     def receive(self, data: bytes, in_time: bool = True) -> bool:
-        """Take one datagram that is read during the open cycle, `in_time` or when that should have been over.
-
-        Returns:
-            True when it is the reply of this cycle; everything else is counted by its kind and has no effect.
-        """
+        """Take a datagram in the open cycle, `in_time` or too late; return whether it is the reply: all else is counted."""
         if not self.running or self._decode is None:
             return self._count("unexpected")
         if self.deaf:
@@ -247,11 +216,8 @@ class MockController:
             expected = f"{found}; expected that of the packet, unchanged: {self.stamp}"
             return self._refuse("mismatched", "stamp", expected)
         if not in_time:
-            return self._refuse(
-                "late_replies",
-                "late",
-                f"the reply to {self.words.stamp} {telegram.controller_ms} came after the end of its cycle",
-            )
+            late = f"the reply to {self.words.stamp} {telegram.controller_ms} came after the end of its cycle"
+            return self._refuse("late_replies", "late", late)
         if self._reply is not None:
             return self._count("duplicates")
         self._reply = telegram
@@ -273,14 +239,6 @@ class MockController:
             self.ramp = EmergencyBrake(*begin, self.config.acceleration, self.measured, self._period)
             self._stop("emergency stop")
 
-    def release_emergency_stop(self) -> None:
-        """Unlock the emergency stop; nothing moves or starts by that."""
-        self.pressed = False
-
-    def ignore_replies(self, ignored: bool) -> None:
-        """Take no notice of replies, or take notice again."""
-        self.deaf = ignored
-
     def limit_tool_speed(self, speed: float) -> None:
         """Select T1: the tool moves no faster than `speed` [m/s]."""
         self._tool_speed = speed
@@ -293,11 +251,7 @@ class MockController:
             self._tool_limit.lift()
 
     def run_program(self, goal: Sequence[float], duration: float = 0.0) -> None:
-        """Move to a pose without the PC, in a session or without one.
-
-        In a session the programmed pose moves and corrections are added to it, so the goal is met if they stay. Without a duration
-        it takes `JOG_FRACTION` of the limits.
-        """
+        """Move to a pose [rad], with the present corrections; without a duration [s] at `JOG_FRACTION` of the limits."""
         if self.pressed or self.ramp is not None and not self.ramp.done:
             raise ConfigurationError("jog", tuple(goal), "an arm at rest whose emergency stop is not pressed")
         self._check_range(goal)
@@ -319,26 +273,11 @@ class MockController:
             self._period,
         )
 
-    def _begin_own_motion(self, pose: tuple[float, ...]) -> None:
-        """A new session: at rest at `pose`, without program or ramp; T1 stays."""
-        self.ramp = self.program = self._tool_limit = None
-        self.needs_person = False
-        if self._tool_speed:
-            self._tool_limit = self._make_tool_limit(pose, self._zero)
-
     def _programmed_pose(self, program: Program) -> tuple[float, ...]:
-        """Advance the program; return the programmed pose [rad]."""
         pose = program.advance()
         if program.done:
             self.program = None
         return pose
-
-    def _limited(self, limit: ToolSpeedLimit, setpoint: tuple[float, ...]) -> tuple[float, ...]:
-        """Return the setpoint as T1 allows it."""
-        limited = limit.follow(setpoint)
-        if limit.done:
-            self._tool_limit = None
-        return limited
 
     def _move_without_session(self) -> None:
         """One cycle without a session: the ramp, or a program."""
@@ -359,19 +298,15 @@ class MockController:
         self.session += 1
         self.running, self.reason, self.flag = True, "", False
         self.stamp = self._first_stamp = stamp
-        self.missed = self.stat = 0
+        self.missed = 0
         self.start_pose = self.setpoint = pose
         self.applied = self._zero = (0.0,) * len(pose)
         self._last_step = self._zero
         self._stop_level = False
         below = tuple(min(0.0, low - q) for low, q in zip(config.lower, pose))
         above = tuple(max(0.0, high - q) for high, q in zip(config.upper, pose))
-        self.correction_lower, self.correction_upper = (
-            config.correction_lower or below,
-            config.correction_upper or above,
-        )
-        largest = tuple(max(-low, high) for low, high in zip(self.correction_lower, self.correction_upper))
-        self.correction_monitor = config.correction_monitor or largest
+        self.correction_lower = config.correction_lower or below
+        self.correction_upper = config.correction_upper or above
         self._open, self._reply = False, None
         self.refusals.begin_session()
         self._start_tool = _flat(self._forward_kinematics(pose))
@@ -379,7 +314,10 @@ class MockController:
             self.tool.begin_session()
         self.servo.reset(pose)
         self.encoders.absorb()
-        self._begin_own_motion(pose)
+        self.ramp = self.program = self._tool_limit = None
+        self.needs_person = False
+        if self._tool_speed:
+            self._tool_limit = self._make_tool_limit(pose, self._zero)
 
     def _check_range(self, pose: Sequence[float]) -> None:
         config = self.config
@@ -399,9 +337,10 @@ class MockController:
         correction = self._missed_reply() if self._reply is None else self._valid_reply(self._reply)
         setpoint = tuple(start + value for start, value in zip(self.start_pose, correction))
         if self._tool_limit is not None:
-            setpoint = self._limited(self._tool_limit, setpoint)
-        fault = self._fault(correction, setpoint)
-        if fault:
+            setpoint = self._tool_limit.follow(setpoint)
+            if self._tool_limit.done:
+                self._tool_limit = None
+        if fault := self._fault(setpoint):
             self._stop(fault)
         if not self.running:
             return
@@ -435,20 +374,13 @@ class MockController:
         if self._absolute:
             wanted = tuple([target - start for target, start in zip(wanted, self.start_pose)])
         correction = _clamp(wanted, self.correction_lower, self.correction_upper)
-        self.stat = 1
-        for index, (asked, given) in enumerate(zip(wanted, correction)):
-            if asked != given:
-                self.stat |= (2 if asked < given else 4) << 2 * index
-        self.counters["clamped"] += self.stat > 1
+        self.counters["clamped"] += correction != wanted
         return correction
 
-    def _fault(self, correction: tuple[float, ...], setpoint: tuple[float, ...]) -> str:
+    def _fault(self, setpoint: tuple[float, ...]) -> str:
         """Return what supervision stops the session for, with the value and its limit; "" for nothing."""
         config = self.config
         for index, axis in enumerate(config.axes):
-            if abs(correction[index]) > self.correction_monitor[index]:
-                asked, most = self._on_wire(index, correction[index], self.correction_monitor[index])
-                return f"correction monitor {axis}: {asked}, at most {most}"
             if not config.lower[index] - _RANGE_SLACK <= setpoint[index] <= config.upper[index] + _RANGE_SLACK:
                 asked, low, high = self._on_wire(index, setpoint[index], config.lower[index], config.upper[index])
                 return f"software limit {axis}: {asked}, range {low} to {high}"
@@ -471,7 +403,7 @@ class MockController:
 
     def _stop(self, reason: str) -> None:
         if self.running:
-            self.running, self.reason, self.stat = False, reason, 0
+            self.running, self.reason = False, reason
 
     def _count(self, name: str) -> bool:
         self.counters[name] += 1

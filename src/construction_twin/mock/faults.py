@@ -1,8 +1,4 @@
-"""Faults of the mock controller: their names, their arguments, and their effects.
-
-Pure: time is a count of cycles, randomness has a seed. Angles are those of the controller's axes; SI.
-Standard library only. While no fault is active, `FaultBoard.tick` is one comparison per cycle.
-"""
+"""Faults of the mock controller: names, arguments, effects. Time is a count of cycles, randomness has a seed; axis angles, SI."""
 
 from __future__ import annotations
 
@@ -20,15 +16,10 @@ from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.own_motion import T1_SPEED
-from construction_twin.mock.servo import WithMass
 
 
 class Underway(NamedTuple):
-    """A datagram that has not arrived; as a tuple it stands in the heap by its time, then in the order of sending.
-
-    Attributes:
-        due: When it arrives [ns].
-    """
+    """A datagram that arrives when it is `due` [ns]; a tuple, which the heap sorts by time, then by the order of sending."""
 
     due: int
     order: int
@@ -36,12 +27,11 @@ class Underway(NamedTuple):
 
 
 class ImpairedLine:
-    """Loses, doubles and delays datagrams of one direction.
+    """Loses, doubles and delays datagrams of one direction; one may overtake another.
 
     Attributes:
-        drop, duplicate: Fractions of the datagrams that are lost, and sent twice, 0 to 1.
-        delay, jitter: Each is late by `delay` to `delay` + `jitter` [ns], evenly spread; one may overtake another.
-        dropped, doubled, delayed: Datagrams so far.
+        drop, duplicate: Fractions of the datagrams, 0 to 1.
+        delay, jitter: Each is late by `delay` to `delay` + `jitter` [ns], evenly spread.
     """
 
     def __init__(self, random_numbers: random.Random):
@@ -93,7 +83,6 @@ class FaultKind:
         axis: ``one`` axis, ``any`` (none named: all of them), or ``no`` axis.
         values: Allowed numbers of values; -1 stands for one per axis.
         shift: True when the value is a difference of an axis angle, whose sign follows the axis's.
-        positive: True when every value must be greater than 0; network faults also allow a jitter of 0.
         lasting: False: it is over as soon as it has happened, and cannot be switched off.
     """
 
@@ -141,11 +130,10 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault to be injected or ended.
+    """A fault to be injected or ended; then values do not count.
 
     Attributes:
         axis: The controller's axis; empty for none, or for all.
-        values: As the kind says; ignored when the fault is ended.
         duration: The fault ends by itself after this time [s]; 0: it stays. Of ``jog``: the length of the motion, 0: moderate.
     """
 
@@ -164,6 +152,9 @@ class Fault:
         return f"{self.name} {self.subject}".strip()
 
 
+_OnOff = tuple[Callable[[], None], Callable[[], None]]
+
+
 class FaultBoard:
     """The faults of one controller and of its network.
 
@@ -173,7 +164,7 @@ class FaultBoard:
 
     def __init__(self, controller: MockController, seed: int):
         self.controller = controller
-        controller.encoders.reseed(random.Random(f"{seed} encoders"))
+        controller.encoders.random = random.Random(f"{seed} encoders")
         self.to_pc = ImpairedLine(random.Random(f"{seed} to_pc"))
         self.to_controller = ImpairedLine(random.Random(f"{seed} to_controller"))
         self.changes = 0
@@ -186,20 +177,16 @@ class FaultBoard:
         return tuple(str(fault) for fault, _ in self._active.values())
 
     def tick(self) -> None:
-        """Advance by one cycle and end the faults whose time is over. To be called before `MockController.begin_cycle`."""
+        """Advance by one cycle, before `MockController.begin_cycle`, and end the faults whose time is over."""
         self._cycle += 1
         if not self._active:
             return
         for fault, end in tuple(self._active.values()):
-            if self._cycle >= end or self._is_over(fault):
+            if self._cycle >= end or (fault.name == "rsi_timeout" and not self.controller.running):
                 self.end(fault)
 
     def inject(self, fault: Fault) -> str:
-        """Switch a fault on, or change its values.
-
-        Returns:
-            What happens now, one sentence.
-        """
+        """Switch a fault on, or change its values; return what happens now, one sentence."""
         kind = self._check(fault)
         start, _ = self._actions(fault)
         try:
@@ -218,17 +205,13 @@ class FaultBoard:
     def end(self, fault: Fault) -> str:
         """Switch a fault off; only name, axis and direction count."""
         if (fault.name, fault.subject) not in self._active:
-            raise ConfigurationError(
-                fault.name, fault.subject or None, f"a fault that is on: {', '.join(self.active) or 'none is'}"
-            )
+            expected = f"a fault that is on: {', '.join(self.active) or 'none is'}"
+            raise ConfigurationError(fault.name, fault.subject or None, expected)
         _, stop = self._actions(fault)
         stop()
         del self._active[fault.name, fault.subject]
         self.changes += 1
         return f"{fault} is over"
-
-    def _is_over(self, fault: Fault) -> bool:
-        return fault.name == "rsi_timeout" and not self.controller.running
 
     def _check(self, fault: Fault) -> FaultKind:
         if fault.name not in KINDS:
@@ -239,11 +222,8 @@ class FaultBoard:
         if fault.axis and fault.axis not in axes:
             raise ConfigurationError(fault.name, fault.axis, f"one of {', '.join(axes)}")
         if fault.direction not in (DIRECTIONS if kind.network else ("",)):
-            raise ConfigurationError(
-                fault.name,
-                fault.direction,
-                "direction to_pc, to_controller or none" if kind.network else "no direction",
-            )
+            expected = "direction to_pc, to_controller or none" if kind.network else "no direction"
+            raise ConfigurationError(fault.name, fault.direction, expected)
         counts = [len(axes) if count < 0 else count for count in kind.values]
         if len(fault.values) not in counts or not all(map(math.isfinite, fault.values)):
             raise ConfigurationError(fault.name, fault.values, kind.meaning)
@@ -260,12 +240,10 @@ class FaultBoard:
             raise ConfigurationError(fault.name, fault.duration, "a duration [s] of 0 or more")
         return kind
 
-    def _actions(self, fault: Fault) -> tuple[Callable[[], None], Callable[[], None]]:
+    def _actions(self, fault: Fault) -> _OnOff:
         """Return what switches the fault on, and off."""
-        if fault.name in ("stall", "slow"):
+        if fault.name in ("stall", "slow", "collision"):
             return self._servo(fault)
-        if fault.name == "collision":
-            return self._push(fault)
         if fault.name in ("offset", "drift", "backlash", "noise"):
             return self._encoders(fault)
         if KINDS[fault.name].network:
@@ -275,13 +253,14 @@ class FaultBoard:
         if fault.name in ("grip_fails", "grip_lost", "opened_by_hand", "no_read_back"):
             return self._grip(fault)
         controller, values = self.controller, fault.values
-        return {
-            "estop": (controller.press_emergency_stop, controller.release_emergency_stop),
-            "rsi_timeout": (lambda: controller.ignore_replies(True), lambda: controller.ignore_replies(False)),
+        actions: dict[str, _OnOff] = {
+            "estop": (controller.press_emergency_stop, partial(setattr, controller, "pressed", False)),
+            "rsi_timeout": (partial(setattr, controller, "deaf", True), partial(setattr, controller, "deaf", False)),
             "t1": (lambda: controller.limit_tool_speed(values[0] if values else T1_SPEED), controller.lift_tool_speed),
             "restart_at": (lambda: controller.restart(values), _nothing),
             "jog": (lambda: controller.run_program(values, fault.duration), _nothing),
-        }[fault.name]
+        }
+        return actions[fault.name]
 
     def _channel(self, fault: Fault):
         """Return what lets an optional channel say something else, and what is again."""
@@ -299,7 +278,7 @@ class FaultBoard:
             raise ConstructionTwinError(f"{fault.name}: found None, expected {file} with channels of a tool")
         return {
             "grip_fails": (partial(setattr, tool, "fails", True), partial(setattr, tool, "fails", False)),
-            "grip_lost": (tool.lose, _nothing),
+            "grip_lost": (partial(setattr, tool, "lost", True), _nothing),
             "opened_by_hand": (tool.open_by_hand, _nothing),
             "no_read_back": (partial(setattr, tool, "hidden", True), partial(setattr, tool, "hidden", False)),
         }[fault.name]
@@ -308,16 +287,11 @@ class FaultBoard:
         servo, config = self.controller.servo, self.controller.config
         joint = config.axes.index(fault.axis)
         limits = config.velocity[joint], config.acceleration[joint]
+        if fault.name == "collision":
+            return lambda: servo.push(joint, fault.values[0]), lambda: servo.push(joint, 0.0)
         if fault.name == "stall":
             return lambda: servo.stall(joint), lambda: servo.release(joint, *limits)
         return lambda: servo.limit(joint, fault.values[0], limits[1]), lambda: servo.unlimit(joint, *limits)
-
-    def _push(self, fault: Fault):
-        servo = self.controller.servo
-        if not isinstance(servo, WithMass):
-            raise ConstructionTwinError(f"{fault.name} needs a mock arm with mass: start it with servo:=physics")
-        joint = self.controller.config.axes.index(fault.axis)
-        return lambda: servo.push(joint, fault.values[0]), lambda: servo.push(joint, 0.0)
 
     def _encoders(self, fault: Fault):
         encoders, axes = self.controller.encoders, self.controller.config.axes

@@ -1,9 +1,6 @@
 """The tool at the mock's flange: the controller's outputs and inputs, what connects them to telegrams, and a simulated gripper.
 
-Outputs outlive every session, as on a controller. The channels of a reply set and reset them behind `ENABLE`, as in the files of
-krl/: on rising edges, and not while the channel is 0, which it is from the session's begin to the first reply that says otherwise.
-
-Gripper: `time` after the outputs read what closes (opens) it, the inputs read what confirms that. Pure; cycles are counted.
+Outputs outlive every session. The channels of a reply set and reset them behind `ENABLE`, as in the files of krl/: on rising edges.
 """
 
 from __future__ import annotations
@@ -38,7 +35,7 @@ class SimulatedTool:
     """The tool of one mock controller.
 
     Attributes:
-        fails, lost, hidden: Faults: the grip does not close; it has let go; the telegrams do not tell the outputs.
+        fails, lost, hidden: Faults: the grip does not close; it has let go, until it is opened; telegrams hide the outputs.
     """
 
     def __init__(self, layout: Layout, gripper: Gripper, period: float):
@@ -53,11 +50,6 @@ class SimulatedTool:
         self._target: Mapping[str, bool] = _NOTHING
         self._due = 0
         self.begin_session()
-
-    @property
-    def holds(self) -> bool:
-        """Whether the grip is closed, as its inputs tell."""
-        return bool(self._gripper.closed) and self._reads(self.inputs, self._gripper.closed)
 
     def begin_session(self) -> None:
         """Begin a session: every channel of a reply is 0 before the first reply; outputs stay."""
@@ -99,10 +91,6 @@ class SimulatedTool:
             self._due -= 1
             if not self._due:
                 self.inputs |= {name: value for name, value in target.items() if name in self.inputs}
-
-    def lose(self) -> None:
-        """Let go of what is held, at once; the outputs stay. It holds again after the next opening and closing."""
-        self.lost = True
 
     def open_by_hand(self) -> None:
         """Let a person at the pendant switch the outputs to what opens the grip; the channels of the replies stay as they are."""

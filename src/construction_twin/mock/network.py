@@ -1,12 +1,9 @@
 """The mock controller on the network: UDP client and clock around `MockController`. Runs without ROS.
 
-The clock is a grid of absolute deadlines; it never waits for a reply. A real controller is never late, but this process can be
-late. Then the packets that are due follow each other at half a cycle until they are on the grid again: the PC always has half a
-cycle to answer, and the stamp, which advances by a cycle per packet, stays in step with time. Grid points are skipped only after a
-stall longer than `CATCH_UP`. Late packets and skipped grid points are counted (`overruns`, `skipped`).
-
-A reply is in time when it *arrived* before its cycle ended, whenever this process came to read it: on Linux the kernel's stamp
-tells. Elsewhere it is in time when it was read before the next packet left.
+The clock is a grid of absolute deadlines; it never waits for a reply. Where this process is late, the packets that are due
+follow each other at half a cycle until they are on the grid again, so the PC always has half a cycle to answer, and the stamp
+stays in step with time. A reply is in time when it *arrived* before its cycle ended: on Linux the kernel's stamp tells,
+elsewhere the time it was read.
 """
 
 from __future__ import annotations
@@ -27,35 +24,19 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.faults import FaultBoard
 
-#: Tries for a reading that no switch to another process fell into.
-_TRIES = 3
-#: Good enough [ns].
-_TIGHT = 2_000
+#: Tries for a reading of both clocks that no switch to another process fell into, and what is good enough [ns].
+_TRIES, _TIGHT = 3, 2_000
 
 
-class ArrivalClock:
-    """Converts stamps of the wall clock to the monotonic one [ns]."""
-
-    def __init__(self, wall: Callable[[], int], monotonic: Callable[[], int]):
-        self._wall = wall
-        self._monotonic = monotonic
-
-    def arrival(self, stamp: int, read: int) -> int:
-        """Return when a datagram with the kernel's `stamp` arrived, on the monotonic clock, not after it was `read` [ns]."""
-        return min(stamp + self._measure(), read)
-
-    def _measure(self) -> int:
-        best = narrowest = None
-        for _ in range(_TRIES):
-            begin = self._monotonic()
-            wall = self._wall()
-            width = self._monotonic() - begin
-            if narrowest is None or width < narrowest:
-                best, narrowest = begin + width // 2 - wall, width
-            if width <= _TIGHT:
-                break
-        assert best is not None
-        return best
+def steady_offset(wall: Callable[[], int] = time.time_ns, steady: Callable[[], int] = time.monotonic_ns) -> int:
+    """Return how far the monotonic clock is ahead of the wall clock [ns], from the narrowest of a few readings."""
+    readings = []
+    for _ in range(_TRIES):
+        begin, seen, end = steady(), wall(), steady()
+        readings.append((end - begin, (begin + end) // 2 - seen))
+        if end - begin <= _TIGHT:
+            break
+    return min(readings)[1]
 
 
 log = logging.getLogger(__name__)
@@ -72,16 +53,14 @@ class MockRsi:
     """Runs a mock controller against a gateway.
 
     Args:
-        restart_after: A stopped controller starts a new session after this time [s], sooner after one that nobody has answered; 0
-            (default): it stays stopped.
-        observe: Called with this object in every cycle, right after sending; must be quick.
+        restart_after: A stopped controller starts a new session after this time [s], sooner after one that nobody has answered; 0:
+            it stays stopped.
+        observe: Called with this object in every cycle, right after sending.
 
     Attributes:
-        overruns: Packets that left more than half a cycle late, because this process was not scheduled in time.
-        skipped: Grid points skipped because this process was not scheduled for longer than `CATCH_UP`.
+        overruns, skipped: Packets that left more than half a cycle late; grid points skipped after a stall beyond `CATCH_UP`.
         foreign: Datagrams that did not come from the gateway.
-        left: Time at which the last packet left, on the monotonic clock [ns]. The effect of its cycle on the arm is not visible
-            before.
+        left: When the last packet left, on the monotonic clock [ns].
     """
 
     def __init__(
@@ -105,7 +84,6 @@ class MockRsi:
         self._report = report
         self._requests: SimpleQueue[tuple[Callable[[], object], Future]] = SimpleQueue()
         self._socket, self._stamped = _open_socket()
-        self._clock = ArrivalClock(time.time_ns, time.monotonic_ns)
         #: A reply that arrives later than this is too late for the open cycle [ns].
         self._ends = 0
         self._session = self._replies = 0
@@ -121,11 +99,7 @@ class MockRsi:
         return self.controller.counters | {name: getattr(self, name) for name in names} | by_faults
 
     def request(self, action: Callable[[], Result], timeout: float = 1.0) -> Result:
-        """Run `action` between two cycles of the loop and return its result; for other threads.
-
-        Raises:
-            TimeoutError: If the loop does not get to it within `timeout` [s].
-        """
+        """Run `action` between two cycles of the loop, for another thread; TimeoutError after `timeout` [s]."""
         future: Future = Future()
         self._requests.put((action, future))
         return future.result(timeout)
@@ -259,8 +233,7 @@ class MockRsi:
                 self.foreign += 1
                 continue
             now = time.monotonic_ns()
-            # without stamps: as far as this process can tell, it is in time
-            arrived = self._clock.arrival(stamp, now) if self._stamped else now
+            arrived = min(stamp + steady_offset(), now) if self._stamped else now
             if self.faults.to_controller.active:
                 self.faults.to_controller.put(data, arrived)
             else:

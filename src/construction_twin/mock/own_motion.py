@@ -23,8 +23,7 @@ _PEAK_VELOCITY, _PEAK_ACCELERATION = 15.0 / 8.0, 10.0 / math.sqrt(3.0)
 class EmergencyBrake:
     """The STOP ramp: all axes come to rest at the same time, along a straight line, within the slowest axis' limit.
 
-    Attributes:
-        distance: Length n. Distance of the arm to rest, including its lag behind the setpoint [rad].
+    `distance` is that of the arm to rest, including its lag behind the setpoint [rad].
     """
 
     def __init__(
@@ -58,10 +57,7 @@ class EmergencyBrake:
 
 
 class Program:
-    """A motion of the controller's own: from rest to rest along a straight line in joint space, in a given time.
-
-    Duration 0: as long as `JOG_FRACTION` of the limits takes.
-    """
+    """A motion of the controller's own from rest to rest, straight in joint space; duration 0: by `JOG_FRACTION` of the limits."""
 
     def __init__(
         self,
@@ -102,9 +98,7 @@ class Program:
 class ToolSpeedLimit:
     """T1: the setpoint follows the corrected one within the axes' limits, and with the tool no faster than a limit.
 
-    The steps of all axes are shortened alike, so the arm keeps its direction; then each is brought within its
-    acceleration limit, so that the tool may be faster for as long as it takes to brake. What a KR C4 really does about
-    fast corrections in T1 is not known (docs/rsi.md, section 14): it may as well end the session.
+    What a KR C4 really does about fast corrections in T1 is not known (docs/rsi.md, section 14): it may as well end the session.
     """
 
     def __init__(

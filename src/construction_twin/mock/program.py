@@ -1,7 +1,4 @@
-"""The mock controller as a program: settings, and what is built from them. Runs without ROS; clock and socket are in `network`.
-
-python -m construction_twin.mock --help
-"""
+"""The mock controller as a program, without ROS: settings, and what is built from them."""
 
 from __future__ import annotations
 
@@ -60,7 +57,6 @@ class MockSettings(pydantic.BaseModel):
     cycle: int = 4
     precision: Annotated[int, pydantic.Field(ge=1, le=32)] = 6
     timeout: Annotated[int, pydantic.Field(ge=1)] = 100
-    stop_required: bool = False
     start_pose_deg: _Numbers = []
     e1_sign: Literal[1, -1] = 1
     e1_offset: Annotated[float, pydantic.Field(allow_inf_nan=False)] = 0.0
@@ -73,21 +69,6 @@ class MockSettings(pydantic.BaseModel):
     restart_after: Annotated[float, pydantic.Field(ge=0)] = 0.0
     tool: dict = {}
     realtime_priority: Annotated[int, pydantic.Field(ge=0, le=99)] = 0
-
-    @pydantic.field_validator("make")
-    @classmethod
-    def _is_known(cls, make: str) -> str:
-        if make not in MODULES:
-            raise ValueError(f"one of {', '.join(MODULES)}")
-        return make
-
-    @pydantic.field_validator("cycle")
-    @classmethod
-    def _is_of_the_make(cls, cycle: int, info: pydantic.ValidationInfo) -> int:
-        cycles = make_of(info.data["make"]).cycles if "make" in info.data else (cycle,)
-        if cycle not in cycles:
-            raise ValueError(f"{' or '.join(map(str, cycles))} ms")
-        return cycle
 
 
 def build_controller(settings: MockSettings, robot: RobotModel) -> MockController:
@@ -115,7 +96,6 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
         cycle=settings.cycle,
         precision=settings.precision,
         timeout=settings.timeout,
-        stop_required=settings.stop_required,
         gripper=_gripper(settings),
     )
     return MockController(config, build_servo(settings, robot), make_forward_kinematics(robot))
@@ -237,7 +217,7 @@ def checked_settings(options: dict) -> MockSettings:
     make = make_of(options.get("make", DEFAULT))
     path = options.pop("ethernet_xml", _SHIPPED if make.name == DEFAULT else None)
     if path is not None:
-        options["ethernet_xml"] = make.form_of(str(path)).load(path).text
+        options["ethernet_xml"] = str(path)
     if "tool" in options:
         options["tool"] = read_tool(options["tool"]).tool.model_dump()
     try:

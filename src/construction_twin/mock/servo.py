@@ -1,9 +1,4 @@
-"""Servo models of the mock controller: how the axes follow their setpoints, one step per cycle.
-
-Timing: reply k sets the setpoint of cycle k, and `step` turns it into the position at the end of that cycle, which
-packet k + 1 reports. With `IdealServo(delay_cycles=3)` packet k + 3 reports exactly the setpoint of cycle k. Angles in
-rad, plain tuples, standard library only, no clock.
-"""
+"""Servo models of the mock controller: how the axes follow their setpoints, one step per cycle; timing: see `controller`."""
 
 from __future__ import annotations
 
@@ -14,6 +9,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.follower import braking_step
 from construction_twin.core.units import CYCLE
 from construction_twin.servo.model import transition_matrix
@@ -22,9 +18,8 @@ from construction_twin.servo.model import transition_matrix
 class Servo(ABC):
     """A servo model with joints that can be stalled or slow.
 
-    A stalled joint's measured position is constant. After its release, its reference starts there at rest and approaches the
-    setpoint within velocity and acceleration limits; when position and speed match the setpoint, the joint follows it directly
-    again. A slow joint approaches its setpoint in the same manner all the time, with a lower velocity limit.
+    A stalled joint stands; after its release it approaches its setpoint within limits (`Chase`) until position and speed match.
+    A slow joint does so all the time, with a lower velocity limit.
     """
 
     def __init__(self, period: float) -> None:
@@ -91,6 +86,10 @@ class Servo(ABC):
         if self._slow.pop(joint, None) is not None and joint in self._chases:
             self._chase(joint, velocity, acceleration)
 
+    def push(self, joint: int, torque: float) -> None:
+        """Have something push on an axis with this torque [N m], in the axis' own sense, until it is 0 again."""
+        raise ConstructionTwinError("a collision needs a mock arm with mass: start it with servo:=physics")
+
     def _chase(self, joint: int, velocity: float, acceleration: float) -> None:
         """Begin a chase, from the present reference and at its present speed."""
         setpoint = self._setpoint[joint]
@@ -110,14 +109,6 @@ class Servo(ABC):
     @abstractmethod
     def _freeze(self, joint: int, position: float) -> None:
         """Set one joint's state to rest at `position`, forgetting the references it has not acted on yet."""
-
-
-class WithMass(ABC):
-    """A servo whose arm has mass: it can be pushed."""
-
-    @abstractmethod
-    def push(self, joint: int, torque: float) -> None:
-        """Have something push on an axis with this torque [N m], in the axis' own sense, until it is 0 again."""
 
 
 class IdealServo(Servo):
@@ -143,7 +134,7 @@ class IdealServo(Servo):
 class RealisticServo(Servo):
     """A second-order lag per joint, exactly discretised for a setpoint held during the cycle, read by an encoder.
 
-    On a ramp it lags by 2 zeta / omega seconds (27 ms with the defaults) plus half a cycle of holding. Resolution 0: exact reading.
+    On a ramp it lags by 2 zeta / omega seconds (27 ms with the defaults) plus half a cycle. Resolution 0: exact reading.
     """
 
     def __init__(
@@ -178,16 +169,9 @@ def read_encoder(position: float, resolution: float) -> float:
 
 
 class Chase:
-    """A reference that approaches a moving setpoint within limits; one `aim` and one `move` per cycle.
+    """A reference that approaches a moving setpoint within limits [rad/s], [rad/s^2]; one `aim` and one `move` per cycle.
 
-    Args:
-        position, setpoint: Where it begins, and the setpoint of that cycle [rad].
-        step: Its last step [rad per cycle].
-        velocity, acceleration: Limits [rad/s], [rad/s^2]. A chase that begins faster than `velocity` first brakes to it within
-            `acceleration`.
-
-    Attributes:
-        met: True when the last `aim` matched the setpoint in position and speed.
+    `met` is True when the last `aim` matched the setpoint in position and speed.
     """
 
     def __init__(
@@ -239,22 +223,17 @@ class Encoders:
     """From measured angles to reported ones, one `read` per cycle.
 
     Attributes:
-        offset: Length n. What is added to the measured angle now [rad].
         slip: Length n. Error of the controller's angles since it took its readings as its pose [rad], see `absorb`.
     """
 
     def __init__(self, count: int, period: float = CYCLE):
         self._period = period
-        self._random = random.Random(0)
+        self.random = random.Random(0)
         self.offset = [0.0] * count
         self.slip = [0.0] * count
         self._drift: dict[int, float] = {}
         self._play: dict[int, list[float]] = {}
         self._noise: dict[int, float] = {}
-
-    def reseed(self, random_numbers: random.Random) -> None:
-        """Use this source of noise: the same seed gives the same readings."""
-        self._random = random_numbers
 
     @property
     def active(self) -> bool:
@@ -262,12 +241,7 @@ class Encoders:
         return bool(any(self.offset) or self._drift or self._play or self._noise)
 
     def disturb(self, kind: str, joint: int, value: float, measured: float) -> None:
-        """Disturb the reading of an axis whose angle is `measured` [rad]; 0 ends it.
-
-        Args:
-            kind: ``offset``: the reading jumps by `value` [rad]; ``drift``: at this rate [rad/s]; ``backlash``: a play of so much
-                [rad], the reading stands until half of it is crossed; ``noise``: Gaussian, of this standard deviation [rad].
-        """
+        """Disturb the reading of an axis whose angle is `measured` [rad], as `faults.KINDS` says; 0 ends it."""
         if kind == "offset" or kind == "drift" and not value:
             self.offset[joint] = value
         kinds: dict[str, dict[int, Any]] = {"drift": self._drift, "backlash": self._play, "noise": self._noise}
@@ -286,7 +260,7 @@ class Encoders:
         for joint, rate in self._drift.items():
             self.offset[joint] += rate * self._period
         for joint, deviation in self._noise.items():
-            reading[joint] += self._random.gauss(0.0, deviation)
+            reading[joint] += self.random.gauss(0.0, deviation)
         return tuple([angle + offset for angle, offset in zip(reading, self.offset)])
 
     def absorb(self) -> None:

@@ -35,26 +35,22 @@ class GazeboTwin:
         waiting = len(self._open)
         if waiting == _REMEMBERED:
             return (
-                "Gazebo has answered no command for 1 s, so the twin has no pose; what is commanded does not "
-                "depend on it"
+                "Gazebo has answered no command for 1 s: the twin has no pose; what is commanded does not depend on it"
             )
         return f"Gazebo is {waiting * CYCLE_NS // 1_000_000} ms behind what is commanded" if waiting > _LATE else ""
 
     def restart(self) -> None:
-        """Forget nothing: the plugin puts the arm where the first command is that is away from the one before."""
+        """Keep all: the plugin puts the arm where the first command is that is away from the one before."""
 
     def cycle(self, commanded: tuple[float, ...]) -> None:
-        """Return None: the pose is told when Gazebo has simulated the cycle."""
+        """See `TwinBackend`."""
 
     def told(self, stamp: int) -> None:
         """Remember a command that was published."""
         self._open.append(stamp)
 
     def answer(self, stamp: int) -> bool:
-        """Take the stamp of a simulated pose; return whether it is that of a command that was not answered yet.
-
-        Gazebo may skip commands: those before it are not answered any more.
-        """
+        """Take the stamp of a simulated pose; return whether its command waited. Those before it were skipped."""
         if stamp not in self._open:
             return False
         while self._open.popleft() != stamp:
@@ -66,8 +62,9 @@ class TwinBackend(Protocol):
     """An arm that is told where to be, once per cycle of 4 ms.
 
     Attributes:
-        effort: Length n. What the axes give [N m], [N]; empty: that is not simulated.
+        effort: Length n. What the axes give [N m], [N]; empty: unknown.
         contacts: What touches and, by the planner, should not: pairs of names.
+        problem: One sentence about what is simulated otherwise than it should be; empty: nothing is.
     """
 
     effort: tuple[float, ...]
@@ -75,16 +72,13 @@ class TwinBackend(Protocol):
 
     @property
     def problem(self) -> str:
-        """One sentence about what is simulated otherwise than it should be; empty: nothing is."""
+        """See above."""
 
     def restart(self) -> None:
         """Forget where the arm is: the next cycle begins at rest, at the pose that is commanded then."""
 
     def cycle(self, commanded: tuple[float, ...]) -> tuple[float, ...] | None:
-        """Advance one cycle towards the commanded pose; return the simulated one at its end, both of shape (n,).
-
-        None: another program simulates, and answers later.
-        """
+        """Advance one cycle towards the commanded pose; return the simulated one at its end, None: it comes later."""
 
 
 class KinematicBackend:
@@ -95,7 +89,7 @@ class KinematicBackend:
     problem = ""
 
     def restart(self) -> None:
-        """Forget nothing: there is nothing to forget."""
+        """See `TwinBackend`."""
 
     def cycle(self, commanded: tuple[float, ...]) -> tuple[float, ...]:
         """Return the commanded pose."""
@@ -109,11 +103,7 @@ MOST_CYCLES = 62
 
 
 class MirrorTwin:
-    """Follows measured poses, from a pose at rest.
-
-    A pose that the limits allow is met exactly. Another one is approached inside the limits, cycle by cycle, as the gateway
-    follows its targets: the twin may stand elsewhere when mirroring begins, and poses may be lost.
-    """
+    """Follows measured poses, from a pose at rest, exactly where the limits allow it, and inside the limits elsewhere."""
 
     def __init__(self, limits: MotionLimits, pose: tuple[float, ...]):
         self._follower = Follower(limits, DECIMALS, pose)
@@ -126,10 +116,7 @@ class MirrorTwin:
         return not self._follower.settling
 
     def follow(self, stamp: int, q: tuple[float, ...]) -> tuple[float, ...] | None:
-        """Return the twin's pose after a measured one; None when that is not newer than the last one.
-
-        How many cycles have gone by since then says how far the twin may move.
-        """
+        """Return the twin's pose after a measured one and the cycles since the last; None when that is not newer."""
         if stamp <= self._stamp:
             return None
         cycles = min(max(1, round((stamp - self._stamp) / CYCLE_NS)), MOST_CYCLES) if self._stamp else 1
@@ -145,9 +132,8 @@ class MirrorTwin:
 #: The first command may differ this much from the pose taken over (docs/architecture.md, law 5): revolute
 #: joints [rad], prismatic ones [m].
 START_TOLERANCE, START_TOLERANCE_LINEAR = math.radians(0.05), 0.0005
-#: The first command of a session that is older by more than this than what was published, or one behind a silence that is so much
-#: older than the one before it, is of a clock that was set back meanwhile [ns]: an executor that is started again begins on ROS
-#: time. Less is the way of a message; the gate waits 0.1 s for poses.
+#: A first command, or one behind a silence, that is older by more than this than what was before it is of a clock that was set back
+#: meanwhile [ns]: an executor that is started again begins on ROS time. Less is the way of a message.
 ANOTHER_CLOCK = NANOSECONDS // 20
 #: After this long without a command the held pose is repeated by the clock [ns]; executor.TWIN_TIMEOUT must be longer.
 SILENCE = NANOSECONDS // 4
@@ -157,8 +143,7 @@ class VirtualRobot:
     """A robot that is where it was told to be.
 
     Args:
-        home: Shape (n,). Pose to start at [rad], [m]; None waits for `take_over`, so that a twin of a physical arm never shows a
-            pose it made up.
+        home: Shape (n,). Pose to start at [rad], [m]; None waits for `take_over`: a twin of a physical arm makes no pose up.
         linear: Shape (n,). Which joints are linear; default: none.
     """
 
@@ -189,7 +174,7 @@ class VirtualRobot:
         self._mirror = None
 
     def follow(self, stamp: int, q: tuple[float, ...]) -> bool:
-        """Follow the arm's measured pose [rad] with its stamp [ns]; return whether the twin took a step; only while it mirrors."""
+        """Follow the arm's measured pose [rad] with its stamp [ns]; return whether the twin, which mirrors, took a step."""
         pose = self._mirror and self._mirror.follow(stamp, q)
         if not pose:
             return False
@@ -208,11 +193,7 @@ class VirtualRobot:
         self.stamp, self._executing = 0, False
 
     def execute(self, stamp: int, q: tuple[float, ...]) -> bool:
-        """Execute a command; return whether it was executed.
-
-        Refused is a command while no pose is held, one that is not newer than the last, and a first one away from the pose taken
-        over: it belongs to the stream before the restart.
-        """
+        """Execute a command; return whether it was: newer than the last, and the first one at the pose that is held."""
         if self.pose is None or stamp <= self.stamp or self._mirror is not None:
             return False
         if not self._executing and outside_tolerance(q, self.pose, self._tolerance) is not None:
@@ -224,9 +205,7 @@ class VirtualRobot:
 class TwinClock:
     """Decides which stamps the twin's poses are published with: those of its commands, and the clock's while there are none.
 
-    Stamps always increase. A command whose stamp is not newer than what was published (it was delayed by more than `SILENCE`)
-    is executed, but its stamp belongs to the past and is not published. The first one after a restart may be of an earlier clock,
-    on which they go on then.
+    Stamps increase: one that is older than what was published is not published. After a restart they may go on on an earlier clock.
     """
 
     def __init__(self):
@@ -238,10 +217,7 @@ class TwinClock:
         self._last_command: int | None = None
 
     def is_earlier(self, stamp: int, last: int, now: int) -> bool:
-        """Return whether a command, received `now`, begins a stream, and on an earlier clock than what came before it.
-
-        `last` is the stamp of the last one that was executed in this session; 0 for none [ns].
-        """
+        """Return whether a command, received `now`, begins a stream on an earlier clock than the `last` one's stamp [ns]."""
         if self._last_command is None:
             return stamp < self._published - ANOTHER_CLOCK
         return now - self._last_command >= SILENCE and stamp < last - ANOTHER_CLOCK

@@ -10,7 +10,7 @@ from mock_pc import ZERO, running
 from processes import wait_until
 
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.mock.network import ArrivalClock
+from construction_twin.mock.network import steady_offset
 from construction_twin.rsi.gateway_codec import RobotDecoder
 
 MS = NANOSECONDS // 1000
@@ -60,9 +60,8 @@ def test_a_stamp_is_converted_within_a_microsecond_also_where_a_pause_falls_betw
         steady[0] += 100 + pause
         return steady[0]
 
-    clock = ArrivalClock(lambda: read(pauses.pop() if pauses else 0) + ahead, read)
-    came = steady[0]
-    assert clock.arrival(came + ahead, came + 11 * MS) == pytest.approx(came, abs=1000)
+    offset = steady_offset(lambda: read(pauses.pop() if pauses else 0) + ahead, read)
+    assert offset == pytest.approx(-ahead, abs=1000)
 
 
 def test_a_reply_that_arrived_after_its_cycle_does_not_count():

@@ -92,14 +92,6 @@ def test_a_reply_without_the_declared_stop_counts_and_is_counted():
     assert cell.cycle() is None
 
 
-def test_a_controller_that_insists_on_stop_says_that_it_is_missing():
-    cell = Cell(stop_required=True)
-    assert not answer_without_stop(cell)
-    cell.cycle()
-    assert (cell.mock.counters["malformed"], cell.mock.counters["missed"]) == (1, 1)
-    assert cell.mock.refusals.last == "the reply has no Stop element"
-
-
 # -- HOLDON, ONLYSEND, names -------------------------------------------------------------------------------------------
 
 

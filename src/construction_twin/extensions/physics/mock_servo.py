@@ -18,12 +18,12 @@ from construction_twin.mock.program import (
     axis_angles,
     joint_angles,
 )
-from construction_twin.mock.servo import Servo, WithMass, read_encoder
+from construction_twin.mock.servo import Servo, read_encoder
 from construction_twin.robot.description import RobotModel
 from construction_twin.scene.collision_bodies import RobotBodies
 
 
-class PhysicsServo(WithMass, Servo):
+class PhysicsServo(Servo):
     """Axes that a simulated arm moves; they answer as `RealisticServo`, as long as the drives have the torque for it.
 
     A stalled axis is held where it is by a brake, whatever it takes. Signs are the senses of the axes, seen from their joints.
