@@ -8,7 +8,7 @@ stands above the time, so that another session never looks like a step.
 from __future__ import annotations
 
 import struct
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import ClassVar
 
 from construction_twin.controller.last_resort import BareProtocol, LastResort
@@ -37,9 +37,6 @@ class Frames:
     outputs: ClassVar[tuple] = ()
     inputs: ClassVar[tuple] = ()
     not_filled: ClassVar[tuple] = ()
-
-    def document(self) -> dict:
-        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -134,8 +131,8 @@ def last_resort(setup) -> LastResort:
     return LastResort(setup.limits, bare, setup.cycle)
 
 
-def controller_side(config) -> ControllerSide:
-    count = len(config.axes)
+def controller_side(layout, axes, units, precision) -> ControllerSide:
+    count = len(axes)
 
     def encode(stamp, measured, followed, *more) -> bytes:
         missed = more[2]

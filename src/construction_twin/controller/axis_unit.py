@@ -10,13 +10,10 @@ from dataclasses import dataclass
 class AxisUnit:
     """How one axis is written on the wire: ``feedback = feedback_scale * unit * (sign * x + offset)``.
 
-    `unit` is degrees per rad, or mm per m for a linear axis. A correction has no offset and a scale of its own: a controller
-    that reports an axis in another unit need not take it in that unit (docs/rsi.md, section 11).
+    `unit` is deg per rad, or mm per m for a linear axis. A correction has no offset, and its own scale (docs/rsi.md, section 11).
 
     Attributes:
-        linear: True: x in m and mm on the wire; False: rad and deg.
-        sign: +1 or -1.
-        offset: [rad] or [m], on the controller's side.
+        sign, offset: +1 or -1; [rad] or [m], on the controller's side.
         feedback_scale, correction_scale: Positive; 1 when the controller keeps to its own units.
     """
 

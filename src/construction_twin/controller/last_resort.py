@@ -1,8 +1,6 @@
-"""What answers a controller after the gateway itself has failed: brakes from the last target that was sent, then holds.
+"""What answers a controller after the gateway has failed: brakes from the last target that was sent, then holds. rad, m.
 
-It is small and is built at the start. From the code that may have failed it uses only the text of a reply, copied beforehand. A
-make brings the functions that find a telegram's stamp and fill in such a text, and no decoder, session, playout or encoder.
-rad, m for linear axes.
+It is built at the start, and uses of the code that may have failed only the text of a reply, copied beforehand.
 """
 
 from __future__ import annotations
@@ -15,8 +13,7 @@ from construction_twin.controller.telegram import stamp_step
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.udp import MAX_TELEGRAM
 
-#: After a longer gap it is unknown whether the controller still has the target: a program may have started a session anew, and the
-#: target would be a jump. It is answered no more, and times out; the arm stands already [ms]. Ten cycles of 4 ms, three of 12.
+#: After a longer gap a program may have started a session anew, and the target would be a jump: it is answered no more [ms].
 LONGEST_GAP_MS = 40
 _LARGEST_STAMP = 2**64 - 1
 #: What lies further behind, or further ahead past a wrap, is no telegram of the session [ms].
@@ -28,8 +25,7 @@ class BareProtocol:
     """The little that the last resort knows of a make.
 
     Attributes:
-        stamp: The stamp of a datagram [ms]; None when it has none.
-        missed: The controller's count of cycles without a valid reply; None when it has none.
+        stamp, missed: Of a datagram: its stamp [ms], its count of cycles without a valid reply; None without one.
         write: The reply to a stamp, from the text of a reply and the target, shape (n,) [rad], [m].
         texts: Texts of replies that do not end the controller's program, and that do.
     """
@@ -67,10 +63,7 @@ class LastResort:
     def sent(
         self, stamp: int, source: object, target: tuple[float, ...], kept: tuple[float, ...], missed: int | None
     ) -> None:
-        """Take note of a reply that the gateway has sent to `source`, whose telegram had this stamp [ms] and count of missed ones.
-
-        `kept` is the target, shape (n,), that the controller had before, and keeps if this one does not arrive; () for none.
-        """
+        """Take note of a reply to a telegram of this stamp [ms] and count; `kept` is what the controller keeps if it is lost."""
         self.target, self._kept, self.stamp, self._source = target, kept, stamp, source
         self._missed = missed or 0
 
@@ -108,10 +101,7 @@ class LastResort:
         return stamp_step(other, stamp, _LONGEST_STEP) > 0
 
     def note_missed(self, stamp: int, data: bytes) -> bool:
-        """Go back to what the controller has if a telegram says that the last reply did not arrive; return whether it does.
-
-        Call it before `answer`, with the same telegram. Its count has risen by every cycle since the last one then.
-        """
+        """Go back to what the controller has if a telegram says that the last reply was lost; return whether it does."""
         missed = self._bare.missed(data) if self._bare is not None else None
         if missed is None:
             return False

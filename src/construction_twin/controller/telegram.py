@@ -49,10 +49,9 @@ class Reply:
 
 
 def stamp_step(before: int, stamp: int, longest: int) -> int:
-    """Return how far a controller's clock is on from one telegram to another of the same session [ms]; negative: to an older one.
+    """Return how far a controller's clock is on from one telegram to another of the same session [ms]; negative: back.
 
-    `longest` is the largest step that is plausible within a session, less than 2^31. A count that went past 2^32, or back over it,
-    is taken for a step only when it is no longer; everything else is the plain difference.
+    A count that wrapped at 2^32 is taken for a step only when it is no longer than `longest`, less than 2^31.
     """
     step = stamp - before
     if -longest <= step <= longest or before >= STAMP_WRAP or stamp >= STAMP_WRAP:

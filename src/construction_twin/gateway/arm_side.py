@@ -1,7 +1,4 @@
-"""The arm as the gateway has it: what the gateway consists of, its state, and how the arm is stopped.
-
-Both sides of the gateway stand on it: `Gateway`, which answers telegrams, and `CommandSide`, which takes commands. rad and ns.
-"""
+"""The arm as both sides of the gateway have it: its parts, its state, and how it is stopped. rad and ns."""
 
 from __future__ import annotations
 
@@ -12,15 +9,82 @@ from functools import partial
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.state_table import Machine
+from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.command_intake import CommandIntake
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.controller_clock import ControllerClock
 from construction_twin.gateway.controller_session import ControllerSession
 from construction_twin.gateway.player import Player, StopReport
 from construction_twin.gateway.states import CAUSES, Action, Event, Guard, Mode, Occasion, Row, State
-from construction_twin.gateway.status import Refusals
 from construction_twin.gateway.tool_switches import ToolSwitches
 from construction_twin.mqtt.joint_string import JointStringCodec
+
+#: What is quoted of a refused message in `status` [characters]: the status stays small, whatever was sent.
+LONGEST_REFUSAL = 300
+
+
+class Refusals:
+    """Counts refusals and keeps the last one's sentence."""
+
+    def __init__(self, counters: Counter[str]):
+        self._counters = counters
+        #: Reason and sentence of the last one that no stop has caused; of the one that stopped the arm, until `forgive`.
+        self.last = ""
+        #: Of the last one since the one that stopped the arm; "" for none.
+        self.later = ""
+        #: Datagrams refused since the last telegram that could be read; the last one's reason and sentence, "" before the first.
+        self.unread, self.unread_reason, self.unread_why = 0, "", ""
+        self._keeps = self._stopped = False
+        self._told_at = -NANOSECONDS
+        self.begin_session()
+
+    def begin_session(self) -> None:
+        """Begin anew with what cannot be read: a telegram could be."""
+        self._told_reason, self._told_count = "", 0
+
+    def message(self, reason: str, why: object, follows: bool = False) -> None:
+        """Count a message on MQTT as ``refused_<reason>``; one that `follows` only from a stop takes no other's place."""
+        if follows and self._keeps:
+            self._counters[f"refused_{reason}"] += 1
+            return
+        self._note(f"refused_{reason}", reason, why)
+        self._keeps = not follows
+
+    def stopped(self) -> None:
+        """Keep the last one: the arm was stopped for it."""
+        self._stopped, self.later = True, ""
+
+    def telegram(self, reason: str, why: object) -> None:
+        """Count a datagram on RSI's port as ``telegram_refused_<reason>``."""
+        self._note(f"telegram_refused_{reason}", f"telegram {reason}", why)
+        self._keeps = True
+        self.unread += 1
+        self.unread_reason, self.unread_why = reason, str(why)[:LONGEST_REFUSAL]
+
+    def forgive(self) -> None:
+        """After a reset, or with another command session: what stopped the one before is no longer the cause of anything."""
+        self.last, self.later = self.later or self.last, ""
+        self._keeps = self._stopped = False
+
+    def unread_news(self, now: int) -> tuple[str, bool]:
+        """Return what cannot be read, once a second, "" for nothing, and whether it is refused for another reason than before."""
+        if now < self._told_at + NANOSECONDS or self.unread == self._told_count:
+            return "", False
+        reason, is_new = self.unread_reason, self.unread_reason != self._told_reason
+        self._told_at, self._told_count, self._told_reason = now, self.unread, reason
+        count, why = self.unread, self.unread_why
+        said = Sentence(
+            "datagrams refused: {count}, the last one for {reason}: {why}", count=count, reason=reason, why=why
+        )
+        return said, is_new
+
+    def _note(self, counter: str, reason: str, why: object) -> None:
+        self._counters[counter] += 1
+        said = f"{reason}: {why}"[:LONGEST_REFUSAL]
+        if self._stopped:
+            self.later = said
+        else:
+            self.last = said
 
 
 class ArmSide:
@@ -28,9 +92,8 @@ class ArmSide:
 
     Args:
         run: An id that no other run of the gateway has had; an `arm` must name it.
-        commissioning: True: everything runs and is reported as usual, but every correction that leaves is zero.
-        measures: Whether a session can be commanded only after its controller's cycle was measured, from what `clock` is told of
-            arrivals. False: telegrams come on a simulated clock.
+        commissioning: True: every correction that leaves is zero.
+        measures: Whether a controller's cycle is measured before it is commanded; False: telegrams come on a simulated clock.
         stopped: Why the run before this one was stopped, where nobody has reset that.
     """
 
@@ -53,8 +116,7 @@ class ArmSide:
         self.stopped = stopped
         #: What tells of a stop, and cannot fail it.
         self.side_effects = SideEffects()
-        #: Called with every answered telegram: its stamp, number of the session, state, stamp of the target [ns] (0: none),
-        #: position [rad], which is origin plus correction, whether the reply before this one did not arrive. None costs nothing.
+        #: Called with every answered telegram, see `TraceWriter.record`.
         self.trace: Callable[[int, int, State, int, tuple[float, ...], bool], None] | None = None
         #: Is told of every telegram that is read, by what reads them.
         self.clock = ControllerClock(config.make, config.cycle, measures)
@@ -98,8 +160,7 @@ class ArmSide:
             self.on_fault(row, occasion)
         self.counters[f"stops_{cause}"] += 1
         if state is not State.BRAKING and follower is not None:
-            # a second stop while braking keeps the first report; after a silent stream, braking began in the first cycle without a
-            # command
+            # a second stop keeps the first report; after a silent stream, braking began in the first cycle without a command
             begun = self.player.braking if cause == "silence" else None
             follows = self.mode is Mode.NORMAL and state is State.FOLLOWING and cause != "drift"
             measured = self.controller.measured if follows else ()
@@ -142,10 +203,7 @@ class ArmSide:
         self.brake(Event.STOP, reason, account, ending)
 
     def end(self, reason: str, program: bool = False) -> None:
-        """Brake as in `stop`, and once at rest end the controller's program where a reply can.
-
-        Where this `program` ends, and asks for it itself, that is no stop of anybody's, and gets no number.
-        """
+        """Brake as in `stop`, and once at rest end the controller's program; this `program`'s own end is no numbered stop."""
         self.stop(reason, ending=program)
         self.ending = self.config.layout.stop
 
@@ -155,8 +213,5 @@ class ArmSide:
         return self.ending and self.state in (State.HOLDING, State.MEASURING, State.OTHER_CYCLE)
 
     def fail(self, reason: str) -> None:
-        """Take note of an unexpected exception; from now on the last resort answers (`last_resort`), for good.
-
-        Touches nothing but state and fault: what else is here may be what has failed.
-        """
+        """Take note of an unexpected exception: the last resort answers, for good. Only state and fault are touched."""
         self.machine.on(Event.FAILURE, Occasion(reason))

@@ -13,11 +13,8 @@ from construction_twin.gateway.states import Event
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties
 
-#: Fraction of its distance to the arrivals by which the grid of unstamped commands moves per command: follows the drift between two
-#: clocks within minutes, and lets 10 ms of network jitter through as less than a microsecond.
+#: The grid of unstamped commands moves by one part in so many of its distance to each arrival: it follows drift within minutes.
 ARRIVAL_SMOOTHING = 16_384
-#: Commands after which it is asked whether all of them were late on that grid (1 s): then some were lost before.
-ARRIVAL_BLOCK = 250
 #: Sequence numbers behind the newest of which it is remembered whether they were taken.
 REMEMBERED = 64
 #: Sequence numbers that one command may be ahead of the last one taken: more than are sent while a stream survives.
@@ -45,8 +42,6 @@ class CommandStream:
         # bit k: the number k below the newest was taken
         self._taken = 0
         self._travel_time.restart()
-        self._last_q: tuple[float, ...] = ()
-        self._begin_block()
 
     def read(
         self, payload: bytes, properties: CommandProperties | PayloadError | None, now: int
@@ -57,16 +52,12 @@ class CommandStream:
             stamp: On the sender's clock [ns]; on ours when commands carry none.
             q: Shape (n,). Axis angles [rad].
             lost: Commands missing between the last one and this.
-
-        Raises:
-            PayloadError: ``properties``, ``session``, ``duplicate`` (was taken), ``reordered`` (comes behind a newer one),
-                ``sequence`` (too far behind to tell, as a replayed one is, or too far ahead), ``stale``, or a reason of the codec.
         """
         if isinstance(properties, PayloadError):
             raise properties
         if not self._config.properties:
             q = self._codec.decode(payload)
-            return self._arrival_stamp(now, q), q, 0
+            return self._arrival_stamp(now), q, 0
         if properties is None:
             raise PayloadError("properties", "command without session, seq and stamp")
         if properties.session != self.session:
@@ -89,36 +80,11 @@ class CommandStream:
         self._taken = 1 if step >= REMEMBERED else (self._taken << step | 1) & _ALL
         return properties.stamp, q, step - 1
 
-    def _arrival_stamp(self, now: int, q: tuple[float, ...]) -> int:
-        """Return a stamp for a command without one: the sender's 4 ms grid, begun anew after a gap in which it was given up.
-
-        A lost command leaves the grid a cycle late. It is brought back where the stream rests and nothing depends on it; in
-        motion the step is what it looks like, one over two cycles in the time of one, and the motion check refuses it.
-        """
+    def _arrival_stamp(self, now: int) -> int:
+        """Return a stamp for a command without one: the sender's 4 ms grid, begun anew after a gap in which it was given up."""
         expected = self.last_stamp + CYCLE_NS
         distance = now - expected
-        if abs(distance) > self._longest_wait:
-            self._begin_block()
-            return now
-        expected += self._lateness(distance, q)
-        return expected + distance // ARRIVAL_SMOOTHING
-
-    def _begin_block(self) -> None:
-        self._block_length = 0
-        self._block_rests = True
-        self._block_lateness = self._longest_wait
-
-    def _lateness(self, distance: int, q: tuple[float, ...]) -> int:
-        """Return by how much every command of a resting second came late [ns], when that second is over; else 0."""
-        self._block_length += 1
-        self._block_rests = self._block_rests and q == self._last_q
-        self._block_lateness = min(self._block_lateness, distance)
-        self._last_q = q
-        if self._block_length < ARRIVAL_BLOCK:
-            return 0
-        late = self._block_lateness if self._block_rests and self._block_lateness > CYCLE_NS // 2 else 0
-        self._begin_block()
-        return late
+        return now if abs(distance) > self._longest_wait else expected + distance // ARRIVAL_SMOOTHING
 
 
 class StreamBroken(Exception):
@@ -130,10 +96,7 @@ class StreamBroken(Exception):
 
 
 class CommandIntake:
-    """From messages on `command` to what the player plays.
-
-    Stamps and `now` in ns, poses of shape (n,) in rad; `waited` is the time since the last telegram [ns].
-    """
+    """From messages on `command` to what the player plays. `waited` is the time since the last telegram [ns]."""
 
     def __init__(self, config: GatewayConfig, codec: JointStringCodec, player: Player):
         self._config = config
@@ -145,11 +108,7 @@ class CommandIntake:
         self._check = MotionCheck(self._limits, config.decimals)
 
     def start(self, held: tuple[float, ...], stamp: int, q: tuple[float, ...], waited: int, now: int) -> None:
-        """Take the first command of a stream, while the gateway holds the pose `held`.
-
-        Raises:
-            MotionRefused: When it is out of range, or away from the pose that is held (``start``).
-        """
+        """Take the first command of a stream; MotionRefused when it is out of range, or away from the pose `held` (``start``)."""
         self._limits.check_range(q)
         tolerances = self._config.start_tolerances
         off = outside_tolerance(q, held, tolerances)
@@ -160,12 +119,7 @@ class CommandIntake:
         self._push(stamp, q, waited)
 
     def take(self, stamp: int, q: tuple[float, ...], waited: int) -> None:
-        """Take a command that follows another.
-
-        Raises:
-            MotionRefused: ``lead`` or a reason of `MotionCheck`.
-            StreamBroken: See there.
-        """
+        """Take a command that follows another; MotionRefused (``lead``, or a reason of `MotionCheck`) or StreamBroken."""
         player, playout = self._player, self._player.playout
         # the time since the last telegram is subtracted: playout time advances only with telegrams
         lead = (playout.lead(stamp) - waited) / NANOSECONDS

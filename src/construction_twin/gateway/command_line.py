@@ -8,7 +8,6 @@ import logging
 import secrets
 import signal
 import sys
-import threading
 from logging.handlers import QueueHandler, QueueListener
 from pathlib import Path
 from queue import SimpleQueue
@@ -26,41 +25,13 @@ from construction_twin.gateway.trace import TraceWriter, check_trace
 from construction_twin.mqtt.client import Broker, load_account
 from construction_twin.mqtt.messages import Topics
 
-#: Lines that may wait for a terminal or a pipe that takes none.
-WAITING = 1000
-
-
-class BoundedQueueHandler(QueueHandler):
-    """Hands records to a thread; what comes while `WAITING` of them wait is dropped, and counted in the next line.
-
-    A sender of garbage makes a line per message: neither memory nor the loop may pay for a log that is not read. The queue is one
-    without a lock that another thread could hold.
-    """
-
-    def __init__(self, records: SimpleQueue):
-        super().__init__(records)
-        self._records = records
-        self.dropped = 0
-
-    def enqueue(self, record: logging.LogRecord) -> None:
-        """Put a record into the queue, or drop it."""
-        if self._records.qsize() >= WAITING:
-            self.dropped += 1
-            return
-        if self.dropped:
-            record.msg = (
-                f"{record.getMessage()} ({self.dropped} lines before this one were dropped: they were not read)"
-            )
-            record.args, self.dropped = None, 0
-        self._records.put_nowait(record)
-
 
 def log_beside_the_loop() -> QueueListener:
     """Write the log from a thread of its own: the loop waits for no terminal or full pipe (docs/architecture.md, law 1)."""
     handler = logging.StreamHandler()
     handler.setFormatter(logging.Formatter("%(asctime)s %(name)s %(levelname)s %(message)s"))
     records: SimpleQueue = SimpleQueue()
-    logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[BoundedQueueHandler(records)])
+    logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[QueueHandler(records)])
     listener = QueueListener(records, handler)
     listener.start()
     return listener
@@ -178,8 +149,6 @@ def _run(argv: list[str]) -> int:
     except ConstructionTwinError as error:
         log.error("%s", error)
         return 2
-    # before the first line is logged: the log's thread may be the one that fails
-    threading.excepthook = service.on_thread_failure
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: service.stop())
     log.info(

@@ -1,8 +1,7 @@
 """The gateway's configuration: one JSON file, made from URDF and robot YAML, with a hash that the bridge compares.
 
-The gateway has neither URDF nor YAML at hand on the cell PC, so `rosrun construction_twin export_gateway_config` writes this
-file. The `motion` part decides what the arm may do and is what the hash covers; hosts and ports are given on the gateway's
-command line. What is fixed about the controller's telegrams is part of it. SI units throughout.
+`export_gateway_config` writes it. `motion` decides what the arm may do and is what the hash covers; hosts and ports are options of
+the program. SI units throughout.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from construction_twin.controller.axis_unit import AxisUnit
@@ -21,7 +20,7 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.limits import MotionLimits
 
 #: Written into the file; another number means another meaning of its keys.
-FORMAT = 2
+FORMAT = 3
 _POSITIVE = (
     *(
         "start_tolerance",
@@ -38,32 +37,19 @@ _POSITIVE = (
 
 @dataclass(frozen=True)
 class GatewayConfig:
-    """What the gateway must know about the robot and the link.
+    """What the gateway must know about the robot and the link; config/gateway.yaml explains the settings.
 
-    Axis order is A1 first; values are those of the controller's axes, which may differ from the URDF's joints in sign and offset.
-    SI; those of linear axes in m where others are in rad.
+    Axis order is A1 first; values are those of the controller's axes. SI; those of linear axes in m where others are in rad.
 
     Attributes:
-        axes: Names of the axes in the telegrams, e.g. ``A1``.
+        axes, linear: Names in the telegrams, e.g. ``A1``, and those of linear axes.
         cycle: The controller's cycle [ms]; RSI has 4 (`#IPO_FAST`) and 12 (`#IPO`).
-        decimals: Decimals of a degree, and of a mm for a linear axis, in the joint string.
+        decimals: Of a degree, and of a mm for a linear axis, in the joint string.
         properties: Whether commands carry the MQTT 5 properties session, seq and stamp.
-        start_tolerance, start_tolerance_linear: A stream may begin this close to the held pose [rad], [m].
-        playout_delay: Distance of the playout to the newest command when a stream begins [s].
-        playout_delay_min, playout_delay_max: Bounds of that distance, which follows the jitter of the commands [s].
-        silence: The stream may be overdue this long before the gateway brakes and holds [s].
-        max_age: A command may have travelled this much longer than the quickest one [s].
         reference: What the corrections are relative to, in the make's word (`Make.references`); "": its usual one.
-        speed_limit_deadline: A speed limit's source that is silent for longer counts as silent [s].
-        speed_limit_silent: Fraction of the velocity limits that holds then, 0 to 1.
-        speed_limit_grace: Time in which the sender may obey a lowered limit before the gateway enforces it [s].
-        speed_limit_backlog: How far the arm may trail a sender, who does not obey or whose replies were lost, before the gateway
-            brakes [s].
         timeout: Silence of the controller after which its session is over [s].
-        e1_sign: +1 or -1: whether E1 counts as the controller does.
-        e1_offset: Controller's E1 where ours is 0 [rad], [m] when it is linear.
-        e1_feedback_scale, e1_correction_scale: What the controller's unit of E1 is off by: wire value = scale * value in deg or mm.
-        linear: Those of `axes` that are linear: m in place of rad, mm on the wire.
+        e1_sign, e1_offset: E1 of the controller = sign * ours + offset [rad], [m] when it is linear.
+        e1_feedback_scale, e1_correction_scale: What its unit of E1 is off by: wire value = scale * value in deg or mm.
         layout: The controller's telegrams, and whose they are; not given: those of RSI, without a file.
         tool: The tool whose outputs the gateway switches; None: no tool, or one that the layout has no channels for.
     """
@@ -181,30 +167,18 @@ class GatewayConfig:
         return json.dumps({"format": FORMAT, "hash": self.hash, "motion": self._document()}, indent=2) + "\n"
 
     def _document(self) -> dict:
-        """Return what file and hash hold: of an arm without a tool, what they held before there were tools."""
-        document = asdict(self)
-        if self.tool is None:
-            del document["tool"]
-        document["layout"] = self.layout.document()
-        if self.layout.make != DEFAULT:
-            document["make"] = self.layout.make
-        return document
+        return asdict(self) | {"make": self.layout.make}
 
 
 def parse_config(text: str, where: str) -> GatewayConfig:
     """Parse a configuration file's text; ConfigurationError if it is none, or was edited by hand (its hash no longer fits)."""
     try:
         document = json.loads(text)
-        motion = _with_tuples(document["motion"])
-        known = {field.name for field in fields(GatewayConfig)} - ({"tool"} - set(motion))
-        make = make_of(motion.pop("make", DEFAULT))
         if document["format"] != FORMAT:
             raise ConfigurationError(where, document["format"], f"format {FORMAT}; export it again")
-        if set(motion) != known:
-            difference = sorted(set(motion) ^ known)
-            raise ConfigurationError(where, difference, "no missing or unknown keys; export it again")
-        layout = make.read_layout(_with_tuples(motion["layout"]))
-        tool = GatewayTool.of_document(motion["tool"]) if "tool" in motion else None
+        motion = _with_tuples(document["motion"])
+        layout = make_of(motion.pop("make")).read_layout(_with_tuples(motion["layout"]))
+        tool = GatewayTool.of_document(motion["tool"]) if motion["tool"] else None
         config = GatewayConfig(**motion | {"layout": layout, "tool": tool})
     except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
         raise ConfigurationError(where, str(error), "a file written by export_gateway_config") from error

@@ -43,12 +43,7 @@ _SPEED_0 = Sentence("the speed limit is 0")
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The answer to a `control` message, or to a person's stop; goes into `control/ack` or `stop/ack`.
-
-    Attributes:
-        ok: It was carried out.
-        reason: Why, in one sentence; "" when there is nothing to answer: it was answered before.
-    """
+    """The answer to a `control` message or a person's stop; `reason` in one sentence, "" when none is due."""
 
     ok: bool
     reason: str
@@ -93,17 +88,10 @@ def _remember(known: dict[object, None], thing: object) -> None:
 
 
 class EnforcedSpeedLimit:
-    """The fraction of the velocity limits at which the arm may move.
+    """The fraction of the velocity limits at which the arm may move, once one was given.
 
-    It is optional. Once one was given, silence for longer than the deadline counts as the fraction for silence, or as the
-    last limit where that was lower, because a lost source must not speed the arm up. Both outlive command sessions, otherwise
-    arming anew would lift the limit.
-
-    A lowered limit is enforced a grace after it came, a raised one at once: in force is the highest of those that were given within
-    the grace. A sender that obeys has slowed down by then.
-
-    The messages of a session are numbered, and an old one does nothing: with a recording of a high limit among those of today the
-    low one would never come into force.
+    Silence for longer than the deadline counts as the fraction for silence, or as the last limit where that was lower. A lowered
+    limit is enforced a grace after it came, a raised one at once. Messages of a session are numbered: a recording raises nothing.
     """
 
     def __init__(self, config: GatewayConfig):
@@ -136,7 +124,7 @@ class EnforcedSpeedLimit:
         return ""
 
     def is_repeated(self, control: Control) -> bool:
-        """Return whether this message (one without a `refusal`) or a later one of its session came before: a copy, a recording."""
+        """Return whether this message (without a `refusal`) or a later one of its session came before."""
         number = message_number(control.id)
         session, last = self._numbered
         if number is None or (control.session == session and number <= last):
@@ -427,10 +415,9 @@ class CommandSide:
         return Answer(True, Sentence("gateway is {state}", state=self._gateway.state.value))
 
     def on_stop(self, stop: Intervention, now: int) -> Answer:
-        """Carry out a person's stop that came at `now` [ns]; it needs no session, and nothing that arming needs.
+        """Carry out a person's stop that came at `now` [ns]; it is never refused, and needs no session.
 
-        It is never refused. One that can change nothing any more, because the arm is stopped until a `reset` and the same account
-        was just answered several times, is only counted (``stops_repeated``): its answer has no reason.
+        One that can change nothing, because the arm is stopped and the account was just answered several times, is only counted.
         """
         gateway = self._gateway
         # what cannot tell how often an account was answered must not refuse its stop

@@ -1,10 +1,8 @@
 """The controller's clock as its telegrams show it: the step of their stamps, the time between them, and the one against the other.
 
-Motion is played, limited and braked per cycle, so a controller with another cycle must be named before it is commanded: limits and
-watchdogs would mean something else. Only medians are judged: lost telegrams, stalls of either machine and jitter shift single steps
-and times by any amount, but not half of them. A clock that is off by less than that refuses nothing, but is named with its figure
-after half a minute, because it changes every speed by as much (docs/rsi.md, section 1). stamps in ms, times
-of arrival in ns.
+Motion is played, limited and braked per cycle, so a controller of another cycle must be named before it is commanded. Only medians
+are judged: lost telegrams, stalls of either machine and jitter shift single steps and times, but not half of them. Stamps in ms,
+times of arrival in ns.
 """
 
 from __future__ import annotations
@@ -27,23 +25,12 @@ BASE = 200
 TOLERANCE = 0.05
 #: Beyond this the time between telegrams does not bear out what stamps say of the cycle: then it is not called a cycle.
 FAR_OFF = 0.25
-#: So many steps in a row of RSI's other cycle, where it is the longer one, are no lost telegrams any more: with a third of all lost
-#: at random it takes decades until they look like this.
+#: So many steps in a row of a longer cycle are no lost telegrams: with a third of all lost at random that takes decades.
 LOSSES = 10
 #: So many of the shorter one: no loss makes a step shorter than a cycle, and a telegram behind a newer one makes no step.
 SHORTER = 3
 #: Telegrams that the figures of the status are taken from.
 SHOWN = 250
-#: A clock off by less than `TOLERANCE` is measured in pieces of this length [ms of it], by the quickest telegram of each.
-PIECE = 1000
-#: It is known after so many pieces, from the slopes between pieces that are `SPAN` apart. Two of three slopes must say the same: a
-#: route that changes, a queue that grows for a while, or a wall clock that is set, spoils a few of them.
-PIECES, SPAN = 30, 3
-#: From here on a clock is called off: five times what two quartz clocks may differ by, twice what NTP turns a clock by. It is no
-#: more when the median is under `RIGHT`.
-OFF, RIGHT = 0.001, 0.0008
-#: What the playout follows in motion, however long (docs/conventions.md, section Playout).
-FOLLOWED = 0.005
 #: Figures in a sentence about the clock that are measured.
 _MEASURED = re.compile(r"\d+\.\d+")
 
@@ -65,30 +52,16 @@ class ControllerClock:
         # the stamp of the last of them as it was told
         self._stamp = 0
         self._others = {mode: LOSSES if mode > cycle_ms else SHORTER for mode in self._modes if mode != cycle_ms}
-        # per piece: the stamp of its quickest telegram [ms], and that one's arrival minus that [ns]
-        self._pieces: deque[tuple[int, int]] = deque(maxlen=PIECES)
         self.restart()
 
     def restart(self) -> None:
         """Begin with another session."""
         self._arrivals.clear()
         self._to_judge = self._first
-        #: In one sentence, that the last telegrams have another cycle of the make, whatever came before; "" until they do. Stays
-        #: until `judge` finds the expected one.
+        #: That the last telegrams have another cycle of the make; "" until they do, or `judge` finds the expected one.
         self.changed = ""
         # the last step that was another cycle, where it led, and how many of it came in a row
         self._other = self._other_stamp = self._in_a_row = 0
-        self._pieces.clear()
-        # of the piece that is open: its end, and its quickest telegram so far
-        self._piece_ends = 0
-        self._quickest = (0, 0)
-        self._piece_closed = False
-        #: By how much the clock runs fast, as a fraction of real time; negative: slow. None until it is known.
-        self.off: float | None = None
-        #: In one sentence, that it is off by less than is refused, and by how much; "" when it is not.
-        self.off_sentence = ""
-        # whether it was judged to be another clock: then that is told, and enough
-        self._refused = False
         # what was judged last, without figures that waver
         self._judged = ""
 
@@ -113,14 +86,6 @@ class ControllerClock:
             self._stamp = stamp
         arrivals.append((stamp, arrived))
         self._to_judge -= 1
-        lag = arrived - stamp * STAMP_NS
-        if stamp >= self._piece_ends:
-            if self._piece_ends:
-                self._pieces.append(self._quickest)
-                self._piece_closed = True
-            self._piece_ends, self._quickest = stamp + PIECE, (stamp, lag)
-        elif lag < self._quickest[1]:
-            self._quickest = (stamp, lag)
 
     def _note_other(self, stamp: int, step: int) -> None:
         """Take a step of the other cycle; the session is measured anew from where the first row of them began."""
@@ -136,10 +101,9 @@ class ControllerClock:
         self._to_judge = self._first - len(arrivals)
 
     def judge(self, rates: bool = True) -> str | None:
-        """Return in one sentence what is wrong with the clock, "" when nothing is; None when there is nothing new to say.
+        """Return what is wrong with the clock, "" when nothing is; None for nothing new. Due every 0.4 s, when nothing waits.
 
-        It takes as long as an answer, and is due every 0.4 s at most: call it when nothing waits for it. Without `rates` only the
-        cycle is judged: a rate that once was right becomes wrong by a machine that stalls, not by a program.
+        Without `rates` only the cycle is judged: a rate that once was right becomes wrong by a machine that stalls.
         """
         if self._to_judge > 0:
             return None
@@ -147,22 +111,16 @@ class ControllerClock:
         step, rate = self._figures(self._patient) if rates else (self._step(list(self._arrivals)), 1.0)
         in_time = abs(rate - 1.0) <= TOLERANCE
         if step != self._cycle:
-            self._refused = True
             return self._sentence(step, rate)
         self.changed = ""
         if in_time:
-            self._refused = False
             return ""
         if len(self._arrivals) < self._patient:
             return None
-        self._refused = True
         return self._sentence(step, rate)
 
     def news(self, rates: bool = True) -> str | None:
-        """Return what `judge` does, without `rates` also what `changed` says; None for what was said last.
-
-        A measured rate that wavers is no news.
-        """
+        """Return what `judge` does, without `rates` also what `changed` says; None for what was said last, but for figures."""
         wrong = self.judge(rates)
         if wrong is None and not rates:
             wrong = self.changed or None
@@ -171,21 +129,6 @@ class ControllerClock:
             return wrong
         before, self._judged = self._judged, _MEASURED.sub("", wrong)
         return wrong if self._judged != before else None
-
-    def measure_rate(self) -> bool:
-        """Measure how far the clock is off; return whether `off_sentence` came or went. It costs something once a second only."""
-        if not self._piece_closed or len(self._pieces) < PIECES:
-            return False
-        self._piece_closed = False
-        pieces = list(self._pieces)
-        slopes = sorted([(b[1] - a[1]) / ((b[0] - a[0]) * STAMP_NS) for a, b in zip(pieces, pieces[SPAN:])])
-        # arrivals that stand still, or run back, are no controller's: another refuses them
-        self.off = 1.0 / max(1.0 + median(slopes), 0.01) - 1.0
-        before, third = self.off_sentence, len(slopes) // 3
-        sure = slopes[third] > OFF or slopes[-1 - third] < -OFF
-        named = (abs(self.off) >= RIGHT if before else sure) and not self._refused
-        self.off_sentence = self._off_sentence(self.off) if named else ""
-        return bool(before) is not named
 
     def report(self) -> dict:
         """Return what the status says: ms, and the controller's time per real time; None where it is not known yet."""
@@ -197,8 +140,6 @@ class ControllerClock:
             "ipoc_step_ms": step,
             "telegram_ms": round(step / rate, 3) if step and rate else None,
             "rate": None if rate is None else round(rate, 4),
-            "off_percent": None if self.off is None else round(100.0 * self.off, 3),
-            "sentence": self.off_sentence,
         }
 
     def _figures(self, count: int) -> tuple[float, float]:
@@ -215,20 +156,6 @@ class ControllerClock:
     @staticmethod
     def _step(arrivals: list[tuple[int, int]]) -> float:
         return median([later[0] - earlier[0] for earlier, later in zip(arrivals, arrivals[1:])])
-
-    @staticmethod
-    def _off_sentence(off: float) -> str:
-        fast, percent, ends = off > 0.0, 100.0 * abs(off), ""
-        if abs(off) > FOLLOWED:
-            ends = Sentence("; a long motion ends in a stop ({cause})", cause="silence" if fast else "lead")
-        slow = Sentence("{percent:.2f} % slow", percent=percent)
-        off_by = Sentence("{percent:.2f} % fast", percent=percent) if fast else slow
-        return Sentence(
-            "the controller's clock is {off_by} against this PC's, and so is the arm{ends}; one of both clocks is simulated, "
-            "virtual, or being set",
-            off_by=off_by,
-            ends=ends,
-        )
 
     def _sentence(self, step: float, rate: float) -> str:
         cycle, stamp = self._cycle, self._words.stamp

@@ -1,7 +1,4 @@
-"""The controller's side of the gateway: which telegrams count, when a session begins, where its corrections stand, its answers.
-
-rad and ns.
-"""
+"""The controller's side of the gateway: which telegrams count, when a session begins, its corrections and answers. rad, ns."""
 
 from __future__ import annotations
 
@@ -41,10 +38,7 @@ class TelegramOutcome:
 
 
 class Replies:
-    """The answers to one controller, as far as the next one depends on them.
-
-    They carry corrections to an origin, or `absolute` positions of the axes; with `zero` no correction, whatever is computed.
-    """
+    """The answers to one controller, as the next one depends on them: corrections, or `absolute` positions; or all `zero`."""
 
     def __init__(self, absolute: bool, zero: bool):
         self._absolute, self._zero = absolute, zero
@@ -135,10 +129,7 @@ class ControllerSession:
         return self.alive and now - self.heard_at > self._timeout
 
     def on_telegram(self, telegram: Telegram, source: object, now: int, moving: bool = False) -> TelegramOutcome | None:
-        """Take a telegram; None when it came twice, or behind a newer one: it was answered, or an answer comes too late.
-
-        `moving`: whether the correction is being changed.
-        """
+        """Take a telegram; None when it came twice or behind a newer one. `moving`: whether the correction is being changed."""
         step = stamp_step(self.stamp, telegram.controller_ms, self._timeout_ms)
         goes_on = self.alive and source == self._source
         if goes_on and -self._timeout_ms <= step <= 0:
@@ -196,15 +187,12 @@ class ControllerSession:
 
     def take_measured(self, telegram: Telegram) -> None:
         """Take the measured pose of a telegram, where it has one."""
-        if telegram.measured is not None:
-            self.measured = telegram.measured
+        self.measured = telegram.measured or self.measured
 
     def _is_reply_lost(self, count: int | None, elapsed: int) -> bool:
-        """Return whether the controller says that the last answer did not arrive in time.
+        """Return whether the controller says that the last answer did not arrive in time: its count has risen by every cycle since.
 
-        The count has then risen by every cycle since: so it does whether it counts the misses in a row, and falls back with a
-        reply, or all of a session, and does not. A number that it cannot have is counted: a higher one is a reply that is lost, a
-        lower one is not (docs/rsi.md, section 5).
+        A number that it cannot have is counted: a higher one is a lost reply, a lower one is not (docs/rsi.md, section 5).
         """
         if count is None:
             self._counters["telegrams_without_delay"] += 1

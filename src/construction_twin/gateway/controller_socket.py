@@ -1,7 +1,4 @@
-"""The controller's socket: from the datagrams that wait in it to the one telegram that is answered, and back to the reply.
-
-After a failure of the gateway the last resort answers from here. ns.
-"""
+"""The controller's socket: from the datagrams that wait in it to the one telegram that is answered, and back to the reply. ns."""
 
 from __future__ import annotations
 
@@ -34,7 +31,7 @@ class TelegramInbox:
     """Reads what has come since the last time; what is noticed is counted in the gateway.
 
     Args:
-        receive: Returns a datagram, its time of arrival [ns] and its source, without waiting, or raises BlockingIOError.
+        receive: Returns a datagram, its time of arrival [ns] and its source, or raises BlockingIOError.
         controller: Only datagrams from this IPv4 address are read; None reads any.
     """
 
@@ -52,11 +49,7 @@ class TelegramInbox:
         self._timeout_ms = round(gateway.config.timeout * 1000)
 
     def newest(self, now: int) -> Arrival | None:
-        """Read until nothing waits; return the newest telegram.
-
-        An answer to any other would come too late (docs/rsi.md, section 4). Whatever is no telegram is dropped here, so that it
-        cannot take the place of one; nor can a copy of an older one that the network brings last.
-        """
+        """Read until nothing waits; return the newest telegram: answers to others would be too late (docs/rsi.md, section 4)."""
         newest: Arrival | None = None
         counters = self._gateway.counters
         for _ in range(DRAIN_LIMIT):
@@ -105,12 +98,7 @@ class TelegramInbox:
 
 
 class ControllerSocket:
-    """Answers one controller: as a `Gateway` says, or after its failure as the last resort does.
-
-    Args:
-        sock: Bound UDP socket.
-        controller: See `TelegramInbox`.
-    """
+    """Answers one controller: as a `Gateway` says, or after its failure as the last resort does; see `TelegramInbox`."""
 
     def __init__(self, gateway: Gateway, sock: socket.socket, controller: str | None = None):
         config = gateway.config

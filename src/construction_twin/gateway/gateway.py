@@ -1,8 +1,7 @@
-"""The gateway as a pure object: commands, controls and telegrams in; corrections, states and status out.
+"""The gateway as a pure object: commands, controls and telegrams in; corrections, states and status out. rad and ns.
 
-It knows no socket and no clock: `now` is an argument, in ns on the gateway's monotonic clock. Every telegram is answered from what
-is already here (docs/architecture.md, law 1), in one function from top to bottom: `Gateway.on_telegram`. What may follow what is
-the table in `states`; `arm_side` stops the arm, `control` says who may command it. rad and ns.
+Every telegram is answered from what is already here (docs/architecture.md, law 1), in one function from top to bottom:
+`Gateway.on_telegram`. What may follow what is the table in `states`. `now` is on the gateway's monotonic clock.
 """
 
 from __future__ import annotations
@@ -84,11 +83,7 @@ class Gateway(ArmSide):
     # -- a telegram
 
     def on_telegram(self, telegram: Telegram, source: object, now: int) -> tuple[float, ...] | None:
-        """Take a telegram through every step to its answer; another source is another session.
-
-        Returns:
-            Shape (n,). Position, or position minus origin, as the make takes it [rad]; None when it must not be answered.
-        """
+        """Take a telegram through every step to its answer: position, or position minus origin [rad]; None: no answer."""
         machine, controller, player, counters = self.machine, self.controller, self.player, self.counters
         # session: what does the telegram mean, does another session begin, may it be answered?
         state = machine.state
@@ -204,10 +199,7 @@ class Gateway(ArmSide):
         return follower.position
 
     def observe(self, telegram: Telegram, target: tuple[float, ...], lost: bool) -> None:
-        """Take note of a telegram that the last resort answered with `target` [rad]: the arm's pose is still reported.
-
-        `lost` says whether the reply before it did not arrive.
-        """
+        """Take note of a telegram that the last resort answered with `target` [rad]; `lost`: the reply before it did not arrive."""
         controller = self.controller
         controller.take_measured(telegram)
         self.command_stamp = 0
@@ -218,10 +210,7 @@ class Gateway(ArmSide):
     # -- between telegrams
 
     def poll(self, now: int) -> None:
-        """Notice silence, of the controller or of a speed limit's source, and what its clock shows; call it at least every 0.1 s.
-
-        While a controller sends, call it in the pause behind an answer.
-        """
+        """Notice silence of the controller or of a speed limit's source, and what the clock shows; call it behind an answer."""
         machine, controller = self.machine, self.controller
         self.commands.poll(now)
         if controller.is_silent(now):
@@ -241,8 +230,6 @@ class Gateway(ArmSide):
 
     def _judge_clock(self) -> None:
         machine, clock, state = self.machine, self.clock, self.machine.state
-        if clock.measure_rate():
-            machine.changed = True
         if state in (State.ARMED, State.FOLLOWING):
             if clock.changed:
                 self.brake(Event.CYCLE_REFUSED, clock.changed)

@@ -1,8 +1,4 @@
-"""What the gateway hears and says on MQTT: commands, control and stops in; states, status and answers out.
-
-Nothing here waits: the service's loop reads and writes in the pause behind an answer to the controller. Standard library and
-paho-mqtt only; `now` in ns.
-"""
+"""What the gateway hears and says on MQTT: commands, control and stops in; states, status and answers out. `now` in ns."""
 
 from __future__ import annotations
 
@@ -21,7 +17,6 @@ from construction_twin.core.sentences import Sentence, told
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.states import State
-from construction_twin.gateway.status import StatusClock
 from construction_twin.gateway.stop_file import StopFile
 from construction_twin.mqtt import requests
 from construction_twin.mqtt.client import Broker, make_client, offline_word, subscriptions, unique_id
@@ -42,22 +37,23 @@ from construction_twin.mqtt.polled_client import PolledClient
 
 log = logging.getLogger("rsi_gateway")
 
-_STATUS_PERIOD = 1.0
+_STATUS_PERIOD = NANOSECONDS
+#: Without a telegram for this long no controller waits for an answer [ns].
+QUIET = NANOSECONDS // 20
 
 
 class MqttSide:
-    """One gateway's connection to the broker.
+    """One gateway's connection to the broker, served in the pause behind an answer to the controller.
 
     Args:
         polled: Has a client served by the loop.
         guarded: Runs a part and takes its unexpected exception: paho would handle a message again whose callback raised.
         stops: Keeps a stop beyond this run; None: it is forgotten.
-        reply_time: Told in the status.
 
     Attributes:
-        now: Of the loop's present turn [ns]: what is read in it has come by then.
+        now: Of the loop's present turn [ns].
         failure: What has failed, in one sentence; "" while nothing has.
-        ending: True: where all is ended together the broker may be gone first, and nobody has to look after that.
+        ending: True: the broker may be gone first, and nobody has to look after that.
     """
 
     def __init__(
@@ -73,7 +69,7 @@ class MqttSide:
         self.now = 0
         self.failure = ""
         self.ending = False
-        self.status_clock = StatusClock(_STATUS_PERIOD)
+        self._due_at = self._heard_at = 0
         self._gateway = gateway
         self._topics = topics
         self._guarded = guarded
@@ -108,7 +104,7 @@ class MqttSide:
         client.subscribe(subscriptions(client, topics))
         info = self.publish_status()
         # the client sends again what was not acknowledged before: an older status, behind this one, would be the one that is kept
-        self.status_clock.hurry()
+        self._due_at = 0
         if info is not None:
             self._connection.watch_publish(client, self._topics.status, info.mid)
 
@@ -185,10 +181,7 @@ class MqttSide:
     # -- said
 
     def _answer(self, topic: str, payload: Callable[[], bytes], of_stop: bool) -> None:
-        """Publish the status, then an answer: its reader must not act on an older status.
-
-        That of a stop is not guarded: one that cannot be made is counted beside the stop, which the gateway carries out to its end.
-        """
+        """Publish the status, then an answer: its reader must not act on an older status. That of a stop may fail."""
         effects = self._gateway.side_effects
         effects.run("the status", partial(self._send_status, self._document) if of_stop else self.publish_status)
         effects.run("the answer", lambda: self._client.publish(topic, payload(), qos=1))
@@ -208,8 +201,14 @@ class MqttSide:
         """Publish the status; where it cannot be made the gateway has failed, and says what is certain."""
         return self._send_status(lambda: self._guarded(self._document) or self._document_of_failure(), final)
 
+    def is_status_due(self, answered: bool) -> bool:
+        """Return whether to send the periodic status: in the pause after an answer, because it takes part of a cycle to make."""
+        if answered:
+            self._heard_at = self.now
+        return self.now >= self._due_at and (answered or self.now - self._heard_at >= QUIET)
+
     def _send_status(self, document: Callable[[], dict], final: bool = False) -> paho.MQTTMessageInfo | None:
-        self.status_clock.sent(self.now / NANOSECONDS)
+        self._due_at = self.now + _STATUS_PERIOD
         if self._stops is not None:
             self._stops.keep(self._gateway.stopped or self.failure)
         if not self.polled.connected:

@@ -20,22 +20,29 @@ class Braking:
     """Braking of a follower from its present step on, as the arm will carry it out.
 
     Args:
-        measured: Shape (n,). Where the arm is, behind the follower by what its servos trail [rad], [m]; empty when it does not do
-            what the follower does, or is not known: then the distance is the follower's.
+        measured: Shape (n,). Where the arm is, which its servos trail [rad], [m]; empty where it does not follow.
     """
 
     def __init__(self, follower: Follower, measured: tuple[float, ...]):
         distances, cycles = follower.braking()
-        #: Where the arm was when it began [rad], [m].
-        self.start = measured or follower.position
+        # where the arm was when it began [rad], [m]
+        self._start = measured or follower.position
         #: Distance of each axis to rest, including the lag behind the correction [rad], [m].
         self.distance = tuple(
-            [distance + abs(q - at) for distance, q, at in zip(distances, follower.position, self.start)]
+            [distance + abs(q - at) for distance, q, at in zip(distances, follower.position, self._start)]
         )
         #: Time until the corrections rest [s].
         self.time = cycles * follower.cycle
         #: What it has taken so far [ns].
         self.elapsed = 0
+        #: Distance and time as they were in the end; empty and None until then.
+        self.moved: tuple[float, ...] = ()
+        self.took: float | None = None
+
+    def end(self, follower: Follower) -> None:
+        """Take note that the follower is at rest."""
+        self.moved = tuple([abs(end - start) for start, end in zip(self._start, follower.position)])
+        self.took = self.elapsed / NANOSECONDS
 
 
 class StopReport:
@@ -43,56 +50,37 @@ class StopReport:
 
     def __init__(self, linear: tuple[bool, ...]):
         self._linear = linear
-        #: What the gateway braked for: ``silence``, ``refused``, ``stop``, ``speed_limit``, ``drift``; "" before the first stop.
-        self.cause = ""
-        #: Account whose stop it was, "" for every other cause and way.
-        self.by = ""
-        #: Distance of each axis and time to rest, as stated when braking began [rad], [m]; [s].
-        self.distance: tuple[float, ...] = ()
-        self.time = 0.0
-        #: The same as it was in the end, from where the arm was to where it is told to rest; empty and None until then.
-        self.moved: tuple[float, ...] = ()
-        self.took: float | None = None
+        # a cause of `states.CAUSES`; the account whose stop it was, "" for every other cause and way
+        self._cause = self._by = ""
         self._braking: Braking | None = None
 
     def begin(
-        self,
-        cause: str,
-        follower: Follower,
-        measured: tuple[float, ...],
-        under_way: Braking | None = None,
-        by: str = "",
+        self, cause: str, follower: Follower, measured: tuple[float, ...], under_way: Braking | None, by: str
     ) -> None:
         """State the distance to rest; call it when braking begins, or with the braking that was `under_way` before."""
         braking = under_way or Braking(follower, measured)
-        self.cause, self.by, self._braking = cause, by, braking
-        self.distance, self.time = braking.distance, braking.time
-        self.moved, self.took = (), None
+        self._cause, self._by, self._braking = cause, by, braking
         if under_way and follower.at_rest:
-            self._end(braking, follower)
+            braking.end(follower)
 
     def advance(self, follower: Follower, elapsed: int) -> None:
         """Take note of a step of braking that took `elapsed` [ns] of the controller's time."""
         braking = self._braking
-        if self.took is not None or braking is None:
-            return
-        braking.elapsed += elapsed
-        if follower.at_rest:
-            self._end(braking, follower)
-
-    def _end(self, braking: Braking, follower: Follower) -> None:
-        self.moved = tuple([abs(end - start) for start, end in zip(braking.start, follower.position)])
-        self.took = braking.elapsed / NANOSECONDS
+        if braking is not None and braking.took is None:
+            braking.elapsed += elapsed
+            if follower.at_rest:
+                braking.end(follower)
 
     def report(self) -> dict:
         """Return what the status says: deg, mm for linear axes, and s."""
+        braking = self._braking
         return {
-            "cause": self.cause,
-            "by": self.by,
-            "distance_deg": self._for_people(self.distance),
-            "time_s": self.time,
-            "moved_deg": self._for_people(self.moved),
-            "took_s": self.took,
+            "cause": self._cause,
+            "by": self._by,
+            "distance_deg": self._for_people(braking.distance) if braking else [],
+            "time_s": braking.time if braking else 0.0,
+            "moved_deg": self._for_people(braking.moved) if braking else [],
+            "took_s": braking.took if braking else None,
         }
 
     def _for_people(self, distances: tuple[float, ...]) -> list[float]:
@@ -106,8 +94,8 @@ class StopReport:
 class SubCycleInterpolator:
     """Spreads the steps of whole cycles over the telegrams within them.
 
-    A controller that is switched to a shorter cycle is noticed after some telegrams only, and an arm that is braked then is still
-    moving. A whole step of the longer cycle in each of them would be several times the speed, and many times the braking.
+    A controller that is switched to a shorter cycle is noticed after some telegrams only: a whole step of the longer cycle in each
+    of them would be several times the speed.
     """
 
     def __init__(self, cycle_ns: int):
@@ -123,10 +111,7 @@ class SubCycleInterpolator:
     def position(
         self, elapsed: int, now: tuple[float, ...], step: Callable[[], tuple[float, ...]]
     ) -> tuple[float, ...]:
-        """Return where to be after `elapsed` more controller time [ns].
-
-        The present step ends at `now`, shape (n,); `step` takes that of one cycle and returns where it ends.
-        """
+        """Return where to be after `elapsed` more time [ns]; the present step ends at `now`, `step` takes the next one."""
         begun = self.interpolated > 0
         self.interpolated += elapsed
         if not begun:
@@ -191,10 +176,7 @@ class Player:
             self._counters["commands_late"] += 1
 
     def play(self, follower: Follower, elapsed: int, measured: tuple[float, ...]) -> tuple[float, ...]:
-        """Move `follower`, the present one, on by `elapsed` [ns] and return the position to send [rad].
-
-        `measured` is where the arm is [rad]; () when it is not known.
-        """
+        """Move `follower` on by `elapsed` [ns]; return the position to send [rad]. `measured`: where the arm is, () for unknown."""
         self._stamp_before = self.stamp
         self.stamp, target = self.playout.advance(elapsed)
         if self.playout.silence:
@@ -226,10 +208,7 @@ class Player:
         self._stalled = session, self.playout.shortfall, now
 
     def learn_from_stall(self, session: str | None, now: int) -> None:
-        """Take note of a command that comes after its stream was given up: the stream did not end, it was held up.
-
-        The next stream begins with a delay that absorbs this, as far as the bounds allow. `session`: None where commands have none.
-        """
+        """Take note of a command after its stream was given up: the next stream's delay absorbs it. `session`: None without any."""
         if self._stalled is None or session not in (None, self._stalled[0]):
             return
         _, shortfall, since = self._stalled

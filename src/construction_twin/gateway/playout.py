@@ -41,9 +41,8 @@ _FAR = 1 << 63
 class Arrivals:
     """Observes how far the newest command is ahead of the controller's clock, as every telegram finds it.
 
-    This is the difference of two clocks, so only its changes mean anything. At its largest value a command travelled fastest; at
-    its smallest one came late, after a stall or after lost ones. The end of a stream is not lateness: the smallest value counts
-    only once a command follows.
+    This is the difference of two clocks, so only its changes mean anything: at its largest a command travelled fastest, at its
+    smallest one came late. The end of a stream is not lateness: the smallest counts only once a command follows.
     """
 
     def __init__(self, assumed: int) -> None:
@@ -82,10 +81,7 @@ class Arrivals:
             self.learned, self._changed = jitter, True
 
     def note_telegram(self, lead: int, clock: int) -> bool:
-        """Take how far the newest command is ahead of the clock at a telegram; return whether the extremes have changed since.
-
-        The clock is the controller's, 0 at the stream's first command [ns].
-        """
+        """Take the newest command's lead over the clock, 0 at the stream's first command [ns]; return whether extremes changed."""
         if not self._started:
             self._started = True
             self.high = self.low = self._high = self._low = lead
@@ -103,8 +99,8 @@ class Arrivals:
         """Take a command's arrival [ns].
 
         Args:
-            lead: Stamp of the command before it, minus the controller's clock at the last telegram: how far what was there reached.
-            offset: Its own stamp minus the controller's clock, the latter interpolated to its arrival.
+            lead: How far what was there reached beyond the controller's clock at the last telegram.
+            offset: Its stamp minus the controller's clock, interpolated to its arrival.
         """
         if self._quickest is None or offset > self._quickest:
             self._quickest = offset
@@ -114,10 +110,7 @@ class Arrivals:
                 self.low, self._changed = lead, True
 
     def drift_ppm(self) -> float | None:
-        """Return by how much the sender's clock is faster than the controller's; None before it can be told.
-
-        The slope of a line through the quickest arrivals of each second, by least squares.
-        """
+        """Return by how much the sender's clock is faster than the controller's, by least squares; None before it can be told."""
         count = len(self._offsets)
         if count < DRIFT_MINIMUM:
             return None
@@ -141,8 +134,7 @@ class Arrivals:
         self._changed = True
 
 
-#: Part of the delay that is not for jitter: the newest command is up to 4 ms old when a telegram finds it, and the cubic needs the
-#: command after the one it leads to.
+#: Part of the delay that is not for jitter: the newest command is up to 4 ms old, and the cubic needs the one behind its end.
 MARGIN = 3 * CYCLE_NS
 #: The delay may be this much longer than wanted before it is shortened, so that it does not follow every change of the jitter.
 SLACK_CYCLES = 2
@@ -153,8 +145,7 @@ class PlayoutBounds:
     """Delays of the playout [ns].
 
     Attributes:
-        start: At the beginning of the first stream, and at least this for 20 s. The delay is always this plus or minus whole
-            cycles.
+        start: At the beginning of the first stream; the delay is always this plus or minus whole cycles.
         shortest, longest: Bounds, ``shortest <= start <= longest``.
     """
 
@@ -176,12 +167,7 @@ class PlayoutBounds:
 
 
 class Playout:
-    """Buffer of commands, played a delay behind the newest.
-
-    Args:
-        rate: How fast playout time runs. Commands come every 4 ms whatever the controller's cycle is, and what depends on them
-            counts in 4 ms: the margin, and the delay's grid.
-    """
+    """Buffer of commands, played a delay behind the newest."""
 
     def __init__(self, bounds: PlayoutBounds, rate: PlayoutRate):
         self.bounds = bounds
@@ -216,10 +202,7 @@ class Playout:
 
     @property
     def overdue(self) -> int:
-        """How far playout time would have run past the newest command [ns] if no speed limit had slowed it; not below 0.
-
-        A sender that falls silent is noticed no later because the arm trails it.
-        """
+        """How far playout time would have run past the newest command [ns] without a speed limit: silence is noticed no later."""
         return max(0, self._now + self.rate.put_off - self.newest)
 
     @property
@@ -245,11 +228,7 @@ class Playout:
         return stamp - self._now - self.rate.put_off
 
     def push(self, stamp: int, q: Pose, waited: int = 0) -> bool:
-        """Append a command that is newer than all before, `waited` after the last telegram [ns].
-
-        Returns:
-            False when its moment has passed: it will not be played, only help to interpolate.
-        """
+        """Append a command, `waited` after the last telegram [ns]; return False when its moment has passed."""
         commands = self._commands
         if not commands:
             # the next telegram adds all of its cycle, of which so much was over; in whole steps of the grid
@@ -268,10 +247,7 @@ class Playout:
         return stamp > self._now
 
     def learn(self, jitter: int) -> None:
-        """Take a jitter [ns] that no command of this stream shows: the next one begins with a delay that absorbs it.
-
-        One beyond the longest delay is no jitter, but a cut: no delay would have helped.
-        """
+        """Take a jitter [ns] that no command of this stream shows. One beyond the longest delay is no jitter, but a cut."""
         if jitter > self.bounds.longest:
             return
         self._arrivals.learn(jitter)
@@ -279,16 +255,9 @@ class Playout:
             self.delay = self.bounds.delay(self._arrivals.learned)
 
     def advance(self, elapsed: int) -> tuple[int, Pose]:
-        """Move playout time on and return the target there.
+        """Move playout time on by controller time [ns]; return stamp [ns] and pose [rad], shape (n,), of the target there.
 
-        Before the first command's stamp the target is the first command, past the newest it is the newest.
-
-        Args:
-            elapsed: Controller time since the last call, from its stamps [ns].
-
-        Returns:
-            stamp: Stamp of the target on the sender's clock [ns], between the oldest and the newest command held.
-            q: Shape (n,). Target [rad].
+        Before the first command's stamp it is the first command, past the newest it is the newest.
         """
         commands, rate = self._commands, self.rate
         while len(commands) > 1 and commands[1][0] <= self._now:
@@ -337,14 +306,7 @@ class Playout:
         self.delay = at_end
 
     def restart_from_rest(self, pause: int, taken_back: bool) -> None:
-        """Begin anew from a standstill: the arm was not told to move on.
-
-        What is not played now is put off, and the motion starts again on its path, with a rate that rises from 0.
-
-        Args:
-            pause: Controller time that the arm has stood for [ns].
-            taken_back: True: the last target was not reached either, because it did not arrive.
-        """
+        """Begin anew after a standstill of `pause` [ns]; `taken_back`: the last target did not arrive."""
         put_off = pause
         if taken_back:
             put_off += self._now - self._advanced_from

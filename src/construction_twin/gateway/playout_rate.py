@@ -40,8 +40,7 @@ BRAKING_FRACTION = 0.95
 RISING_FRACTION, STARTING_FRACTION = 0.5, 0.8
 #: This fraction of the acceleration limits is always available for slowing time: what a plan leaves.
 LEAST_FRACTION = 0.02
-#: Largest growth of the rate per second; and in a cycle after the arm has stood, which bounds what the motion's own acceleration
-#: grows by.
+#: Largest growth of the rate per second; and in a cycle after the arm has stood.
 LARGEST_RISE, LARGEST_START = 1.0, 0.1
 #: How much a step may exceed the limit because of the wire's rounding, as a fraction of the limit.
 ROUNDING_FRACTION = 0.1
@@ -227,10 +226,7 @@ class PlayoutRate:
         return goal, fall, rise if moves else math.inf
 
     def _fit(self, wanted: int, steady: int, target: Callable[[int], Pose]) -> int:
-        """Return an advance [ns] inside the acceleration limits: `wanted`, or as near to it as halving finds.
-
-        `steady` is the advance that changes nothing, and is not asked about.
-        """
+        """Return an advance [ns] inside the acceleration limits: `wanted`, or as near to it from `steady` as halving finds."""
         if wanted == steady or self._allows(target(wanted)):
             return wanted
         refused, accepted = wanted, steady

@@ -42,12 +42,10 @@ _FAILED = Sentence("the gateway has failed")
 
 
 class GatewayService:
-    """Sockets around a Gateway.
+    """Sockets around a Gateway; see there and `TelegramInbox` for what is not named here.
 
     Args:
         sock: Bound UDP socket.
-        controller: Only datagrams from this IPv4 address are read; None reads any.
-        run, commissioning, measures: See `Gateway`.
         stops: Keeps a stop beyond this run; None: it is forgotten.
     """
 
@@ -67,7 +65,6 @@ class GatewayService:
         self._stops = stops
         self._sock = sock
         self.controller = ControllerSocket(self.gateway, sock, controller)
-        self._thread_failure: BaseException | None = None
         # what failed, until it has been told
         self._cause: BaseException | None = None
         self._selector = selectors.DefaultSelector()
@@ -75,8 +72,8 @@ class GatewayService:
         reply_time = self.controller.reply_time
         polled = partial(PolledClient, selector=self._selector)
         self.mqtt = MqttSide(self.gateway, broker, topics, polled, self.guarded, stops, reply_time)
-        # state and reason in the log, whether a silent source and a clock that is off are
-        self._logged: tuple[State | None, str, bool, bool] = None, "", False, False
+        # state and reason in the log, whether a silent source is
+        self._logged: tuple[State | None, str, bool] = None, "", False
         self._running = True
 
     @property
@@ -85,10 +82,7 @@ class GatewayService:
         return self.mqtt.failure
 
     def run(self) -> None:
-        """Serve until `stop` is called; then bring the arm to rest before answering ends, because HOLDON would stop it dead.
-
-        Where a reply can, the controller's program is ended too: a controller left alone would report a timeout.
-        """
+        """Serve until `stop` is called; then bring the arm to rest, and end the controller's program, before answering ends."""
         try:
             while self._running:
                 self._turn()
@@ -119,23 +113,12 @@ class GatewayService:
     # -- failure
 
     def guarded(self, part: Callable[..., _Result], *arguments: object) -> _Result | None:
-        """Return what a part of the gateway returns; None after an unexpected exception, when the gateway has failed.
-
-        The gateway loop's only handler for every exception: without it one error in a status message would end the answers, and the
-        controller would stop the arm dead from full speed.
-        """
+        """Return what a part returns; None after an unexpected exception, when the gateway has failed and the arm brakes."""
         try:
             return part(*arguments)
         except Exception as error:  # noqa: BLE001 (the arm brakes and holds, whatever it is)
             self._fail(error)
             return None
-
-    def on_thread_failure(self, arguments: threading.ExceptHookArgs) -> None:
-        """Take an exception that ended another thread, as `threading.excepthook`; the loop takes it in its next turn."""
-        if arguments.exc_value is not None:
-            self._thread_failure = arguments.exc_value
-        # to stderr as well: the thread that has ended may be the one that writes the log
-        threading.__excepthook__(arguments)
 
     def _fail(self, error: BaseException) -> None:
         if self.failure:
@@ -178,7 +161,8 @@ class GatewayService:
             events = self.guarded(self._wait)
         if self.failure:
             self.mqtt.now = time.monotonic_ns()
-            self.guarded(self._rescue)
+            if self.guarded(self.controller.rescue):
+                self.guarded(self.mqtt.publish_state, self.mqtt.now)
             self.guarded(self._tell_failure)
             if events is None:
                 # a selector that fails must neither take the whole processor nor silence MQTT
@@ -195,8 +179,6 @@ class GatewayService:
 
     def _work(self) -> None:
         events = self._wait()
-        if self._thread_failure is not None:
-            raise self._thread_failure
         now = self.mqtt.now = time.monotonic_ns()
         answered = self.controller.serve(now)
         if answered:
@@ -211,11 +193,6 @@ class GatewayService:
             told = log.error, self.gateway.side_effects.take()
             threading.Thread(target=self.gateway.side_effects.write, args=told, daemon=True).start()
 
-    def _rescue(self) -> None:
-        """Answer the controller as the last resort, then report the arm's pose as far as that works."""
-        if self.controller.rescue():
-            self.mqtt.publish_state(self.mqtt.now)
-
     def _is_readable(self, events: list) -> bool:
         return any(key.data is self.mqtt.polled and mask & selectors.EVENT_READ for key, mask in events)
 
@@ -225,26 +202,20 @@ class GatewayService:
             if not self.failure:
                 self._log_change()
             self.mqtt.publish_status()
-        elif self.mqtt.status_clock.is_due(self.mqtt.now / NANOSECONDS, answered):
+        elif self.mqtt.is_status_due(answered):
             self.mqtt.publish_status()
 
     def _log_change(self) -> None:
         gateway = self.gateway
-        limit_silent, clock_off = gateway.commands.speed.source == "silence", bool(gateway.clock.off_sentence)
-        state, reason, was_silent, was_off = self._logged
-        self._logged = gateway.state, gateway.reason, limit_silent, clock_off
+        limit_silent = gateway.commands.speed.source == "silence"
+        state, reason, was_silent = self._logged
+        self._logged = gateway.state, gateway.reason, limit_silent
         if (gateway.state, gateway.reason) != (state, reason):
-            # what cannot be read is logged under its own key; otherwise the rate limit would suppress the line after
-            # 'controller gone'
+            # under its own key: otherwise the rate limit would suppress the line after 'controller gone'
             unread = state is gateway.state is State.NO_CONTROLLER and gateway.refusals.unread > 0
             wrong = unread or gateway.state is State.OTHER_CYCLE
             kind = "no telegram can be read" if unread else gateway.state.value
             self.mqtt.say(logging.WARNING if wrong else logging.INFO, kind, gateway.reason)
-        if clock_off != was_off:
-            level = logging.WARNING if clock_off else logging.INFO
-            self.mqtt.say(
-                level, "controller's clock", gateway.clock.off_sentence or "nothing is wrong with it any more"
-            )
         if limit_silent and not was_silent:
             text = f"its source is silent; {gateway.commands.speed.given:g} of the limits until it speaks"
             self.mqtt.say(logging.WARNING, "speed limit", text)

@@ -1,8 +1,4 @@
-"""The gateway's states and modes, and its state machine: one table of state, event, guard, action and next state.
-
-The table says what may follow what. What a guard asks and what an action does is the gateway's (`gateway.Gateway`), which gives the
-machine a function for each.
-"""
+"""The gateway's states and modes, and its state machine: one table of state, event, guard, action and next state."""
 
 from __future__ import annotations
 
@@ -170,9 +166,8 @@ class Occasion(state_table.Occasion):
     """What came with an event.
 
     Attributes:
-        session: Session of the control message; "" where none is involved.
-        stamp: Of the command [ns].
-        q: Shape (n,). The command's pose [rad].
+        session: Of the control message; "" for none.
+        stamp, q: Of the command [ns], [rad].
         account: Whose `stop/<account>` it was; "" for every other way.
         ending: A stop that the program asks for itself, because it ends.
         value: Of the control message.

@@ -22,11 +22,7 @@ _AGAIN = 0.5
 
 
 class StopFile:
-    """Keeps why the arm was stopped, until `close`. A file that is not there is made: nothing was stopped then.
-
-    Attributes:
-        found: Why the arm was stopped when the program before this one ended; "": it was not.
-    """
+    """Keeps why the arm was stopped, until `close`; `found` is what the program before this one left, "" for nothing."""
 
     def __init__(self, path: str | Path):
         self._path = Path(path)
@@ -53,7 +49,8 @@ class StopFile:
 
     def keep(self, reason: str) -> None:
         """Keep why the arm is stopped, "" once somebody has reset it; returns at once."""
-        reason = reason[:LONGEST]
+        # what a message named may be no text: half a surrogate pair
+        reason = reason[:LONGEST].encode(errors="replace").decode()
         if reason != self._wanted:
             self._wanted = reason
             self._news.set()

@@ -1,13 +1,8 @@
 """The tool's outputs: what replies carry, and the switches that fire in the cycle in which the playout passes their stamps.
 
-Nothing that could open a grip is sent before the outputs have been read back in the present controller session: until the first
-switch fires, replies carry what was read back, with `Set.Enable` 0, so that the controller leaves its outputs alone. A switch is
-armed ahead, while a stream is followed; it fires once, or is void for good. A brake, a stop, a silent stream, a speed limit of 0,
-the end of the command session or of the controller session, outputs that are no longer read back: each makes every armed switch
-void, and what is void fires no more. An output that is off without RSI, and that a missed reply has switched off on the controller,
-stays off: the next reply that arrives must not switch it on again.
-
-It knows no clock: cycles are counted in telegrams, stamps are the playout's [ns].
+Until the first switch fires, replies carry what was read back, with `Set.Enable` 0: the controller leaves its outputs alone. A
+switch is armed ahead, while a stream is followed; it fires once, or is void for good. An output that is off without RSI, and that a
+missed reply has switched off, stays off. Cycles are counted in telegrams, stamps are the playout's [ns].
 """
 
 from __future__ import annotations
@@ -41,11 +36,7 @@ _NOT_TOLD, _FIRED = Sentence("telegrams do not tell Out and In, each channel as 
 
 @dataclass
 class ToolSwitch:
-    """One switch, as `status` tells it: pending, then armed or refused; armed, then fired or void. The last three are final.
-
-    Attributes:
-        stamp: Of the setpoint with which it fires [ns].
-    """
+    """One switch, as `status` tells it; it fires with the setpoint of `stamp` [ns]."""
 
     id: str
     output: str
@@ -210,12 +201,11 @@ class ToolSwitches:
     # -- the command side
 
     def arm(self, value: object, lead: float | None, obstacle: str) -> str:
-        """Take a `switch`; return "" when it is armed, else in one sentence why not.
+        """Take the value of a `switch`; return "" when it is armed, else why not.
 
         Args:
-            value: Of the control message: ``{"id": ..., "output": ..., "value": ..., "stamp": ...}``.
             lead: How far the stamp lies ahead of the playout [s]; None without one.
-            obstacle: Why nothing may be switched now, whatever is asked for; "" for nothing.
+            obstacle: Why nothing may be switched now; "" for nothing.
         """
         switch = _switch_of(value)
         if switch is None:

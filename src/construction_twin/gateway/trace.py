@@ -1,9 +1,8 @@
-"""A record of what the gateway really sent, one entry per answered telegram: for tests, and for finding out what happened.
+"""A record of what the gateway really sent, one entry per answered telegram. rad and ns.
 
-The file gets all its blocks at the start, and is mapped into memory: recording is one write into memory, without a system call in
-the cycle, and nothing is lost when the process is killed. A disk without room for all of it is refused at the start: a block that
-is missing later would end the process in the middle of a motion, without an exception (SIGBUS). For the same reason a file that
-exists is replaced, not emptied: another gateway may record in it. rad and ns.
+The file gets all its blocks at the start, and is mapped into memory: no system call in the cycle, nothing lost by a kill, and no
+block missing later, which would end the process in mid motion without an exception (SIGBUS). A file that exists is replaced, not
+emptied: another gateway may record in it.
 """
 
 from __future__ import annotations
@@ -34,31 +33,25 @@ def _entry(axes: int) -> struct.Struct:
     return struct.Struct(f"<QqHHB3x{axes}d")
 
 
-def room(axes: int, cycles: int = DEFAULT_CYCLES) -> int:
-    """Return what a trace of so many values per position and cycles takes on the disk [bytes]."""
-    return _HEADER.size + cycles * _entry(axes).size
-
-
-def check_trace(path: str, axes: int, cycles: int = DEFAULT_CYCLES) -> None:
-    """Raise a ConfigurationError where `TraceWriter` would; change nothing."""
+def check_trace(path: str, axes: int, cycles: int = DEFAULT_CYCLES) -> Path:
+    """Return the trace's path; ConfigurationError where `TraceWriter` would raise one."""
     file = Path(path).resolve()
     if file.exists() and not file.is_file():
-        raise ConfigurationError(
-            "--trace",
-            path,
-            "a regular file, or a path where none is yet; this is a device, a folder, a pipe or a socket",
-        )
+        expected = "a regular file, or a path where none is yet; this is a device, a folder, a pipe or a socket"
+        raise ConfigurationError("--trace", path, expected)
     # in /tmp nobody replaces what is another user's
     if not os.access(file.parent, os.W_OK) or (file.exists() and not os.access(file, os.W_OK)):
         problem = "no such folder" if not file.parent.is_dir() else "Permission denied"
         raise ConfigurationError("--trace", path, f"a file that can be written ({problem})")
-    there = file.stat().st_blocks * 512 if file.exists() else 0
-    if shutil.disk_usage(file.parent).free + there < (needed := room(axes, cycles)):
-        raise ConfigurationError("--trace", path, _room_of(needed, os.strerror(errno.ENOSPC)))
+    there, needed = file.stat().st_blocks * 512 if file.exists() else 0, _HEADER.size + cycles * _entry(axes).size
+    if shutil.disk_usage(file.parent).free + there < needed:
+        raise _no_room(path, needed, os.strerror(errno.ENOSPC))
+    return file
 
 
-def _room_of(size: int, problem: str) -> str:
-    return f"a file on a disk with {size / 1e6:.1f} MB of room, reserved at the start ({problem})"
+def _no_room(path: str, size: int, problem: str | None) -> ConfigurationError:
+    expected = f"a file on a disk with {size / 1e6:.1f} MB of room, reserved at the start ({problem})"
+    return ConfigurationError("--trace", path, expected)
 
 
 @dataclass(frozen=True)
@@ -70,7 +63,7 @@ class TraceEntry:
         stamp: Of the target played [ns, sender's clock]; 0 for none.
         session: Number of the controller session, from 1; counted modulo 65536.
         position: Shape (n,). Origin plus correction [rad].
-        lost: The telegram said that the reply before this one did not arrive in time: this one is a step from what was before that.
+        lost: The reply before this one did not arrive in time: this one is a step from what was before that.
     """
 
     ipoc: int
@@ -86,19 +79,15 @@ class TraceEntry:
 
 
 class TraceWriter:
-    """Writes a trace of so many axes and cycles; `record` is what `Gateway.trace` takes. What comes after is counted in `dropped`.
-
-    A regular file that exists is replaced, anything else that exists is refused.
-    """
+    """Writes a trace; `record` is what `Gateway.trace` takes. What comes after so many cycles is counted in `dropped`."""
 
     def __init__(self, path: str, axes: int, cycles: int = DEFAULT_CYCLES):
         self._entry = _entry(axes)
         self._numbers = {state: number for number, state in enumerate(_STATES)}
-        self._end = room(axes, cycles)
+        self._end = _HEADER.size + cycles * self._entry.size
         self._at = _HEADER.size
         self.dropped = 0
-        check_trace(path, axes, cycles)
-        file = Path(path).resolve()
+        file = check_trace(path, axes, cycles)
         try:
             file.unlink(missing_ok=True)
             self._file = file.open("x+b")
@@ -108,8 +97,7 @@ class TraceWriter:
             os.posix_fallocate(self._file.fileno(), 0, self._end)
         except OSError as error:
             file.unlink(missing_ok=True)
-            expected = _room_of(self._end, str(error.strerror))
-            raise ConfigurationError("--trace", path, expected) from error
+            raise _no_room(path, self._end, error.strerror) from error
         self._memory = mmap.mmap(self._file.fileno(), self._end)
         _HEADER.pack_into(self._memory, 0, MAGIC, axes, self._entry.size)
 

@@ -17,7 +17,6 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.bare_supervisor import BareSupervisor
 from construction_twin.link.gateway_status import (
-    clock_sentence,
     controller_sentence,
     cut,
     status_values,
@@ -327,9 +326,7 @@ class Bridge:
         # a status of a gateway that is gone says nothing of now
         if supervisor.state in (LinkState.DISCONNECTED, LinkState.GATEWAY_OFFLINE):
             return supervisor.reason
-        return both(
-            supervisor.reason, controller_sentence(supervisor.inputs.status), clock_sentence(supervisor.inputs.status)
-        )
+        return both(supervisor.reason, controller_sentence(supervisor.inputs.status))
 
     def news(self, now: int, connection: str) -> tuple[bool, bool]:
         """Return whether the link is to be reported now, and whether it has changed but for figures."""

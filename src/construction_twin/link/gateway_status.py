@@ -154,11 +154,6 @@ def controller_sentence(status: Mapping[str, Any]) -> str:
     return _text(status.get("controller", {}).get("sentence"))
 
 
-def clock_sentence(status: Mapping[str, Any]) -> str:
-    """Return by how much the controller's clock is off, as the gateway has measured it; "" when it is not known to be."""
-    return _text(status.get("cycle", {}).get("sentence"))
-
-
 def _text(value: Any) -> str:
     if isinstance(value, list):
         return " ".join(map(_text, value))

@@ -1,13 +1,12 @@
 """Reads KUKA's RSI Ethernet XML, the file that a user copies to the controller: the one source of what stands in the telegrams.
 
-`read_ethernet_xml` asks what the controller asks of the file; the mock is built from its answer. `check_gateway` asks what
-the gateway needs beyond that. Both say in one sentence which element does not fit and what was expected.
-
     <ROOT>
       <CONFIG> IP_NUMBER, PORT, SENTYPE, ONLYSEND </CONFIG>
       <SEND> <ELEMENTS> <ELEMENT TAG TYPE INDX/> ... </ELEMENTS> </SEND>
       <RECEIVE> <ELEMENTS> <ELEMENT TAG TYPE INDX HOLDON/> ... </ELEMENTS> </RECEIVE>
     </ROOT>
+
+Types and channels of the signal graph (TYPE, INDX) are the controller's to check.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from xml.etree import ElementTree
 
 from construction_twin.controller.tool import ENABLE
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, RsiLayout
+from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, RsiLayout, default_element
 from construction_twin.rsi.tool_channels import IN, OUT, SET, is_set_channel, names_of
 
 
@@ -39,17 +38,10 @@ class EthernetXmlError(ConfigurationError):
 
 #: A file of this kind is a few kB [bytes].
 MAX_BYTES = 256 * 1024
-#: INTERNAL elements of SEND that gateway and mock know, with their TYPE (docs/rsi.md, section 2).
-INTERNAL = {
-    "DEF_RIst": "DOUBLE", "DEF_RSol": "DOUBLE", "DEF_AIPos": "DOUBLE", "DEF_ASPos": "DOUBLE", "DEF_EIPos": "DOUBLE",
-    "DEF_ESPos": "DOUBLE", "DEF_MACur": "DOUBLE", "DEF_Delay": "LONG",
-}  # fmt: skip
-TYPES = ("BOOL", "STRING", "LONG", "DOUBLE")
 
 _TAG = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}(?:\.[A-Za-z0-9_]{1,31})?").fullmatch
 #: A digital output of the controller, as the file of ros-industrial's driver declares eight of them (docs/rsi.md, section 3).
 _OUTPUT = re.compile(r"Out\.[0-9]{2}").fullmatch
-_GENERATOR_1 = re.compile(r"DEF_Tech\.[CT]1").fullmatch
 
 
 @dataclass(frozen=True)
@@ -61,17 +53,14 @@ class EthernetXml:
         layout: Everything about the telegrams; `send` has the wire names, without ``DEF_``.
     """
 
-    where: str
     address: str
     layout: RsiLayout
-    text: str
 
 
 @dataclass(frozen=True)
 class _Element:
     tag: str
     type: str
-    index: str
     holdon: str
 
 
@@ -79,8 +68,7 @@ def load_ethernet_xml(path: str | Path) -> EthernetXml:
     """Read a file; EthernetXmlError when it is missing, too large or does not fit."""
     try:
         with open(path, "rb") as file:
-            data = file.read(MAX_BYTES + 1)
-        text = data.decode("utf-8-sig")
+            text = file.read(MAX_BYTES + 1).decode("utf-8-sig")
     except OSError as error:
         raise EthernetXmlError(str(path), "file", error.strerror, "a readable RSI Ethernet XML") from error
     except UnicodeDecodeError as error:
@@ -89,45 +77,36 @@ def load_ethernet_xml(path: str | Path) -> EthernetXml:
 
 
 def read_ethernet_xml(text: str, where: str) -> EthernetXml:
-    """Read the text of an Ethernet XML as the controller would."""
+    """Read the text of an Ethernet XML."""
     root = _document(text, where)
     sections = root.findall("CONFIG")
     if len(sections) != 1:
         raise EthernetXmlError(where, "CONFIG", f"{len(sections)} of them", "one")
     config = sections[0]
-    protocol = config.findtext("PROTOCOL")
-    if protocol is not None and protocol.strip().upper() != "UDP":
+    protocol = config.findtext("PROTOCOL", "UDP")
+    if protocol.strip().upper() != "UDP":
         raise EthernetXmlError(where, "CONFIG/PROTOCOL", protocol, "UDP or no such element: a KR C4 talks UDP only")
-    onlysend = _text(config, "ONLYSEND", where).upper()
-    if onlysend not in ("TRUE", "FALSE"):
-        raise EthernetXmlError(where, "CONFIG/ONLYSEND", onlysend, "TRUE or FALSE")
-    sentype = _text(config, "SENTYPE", where)
-    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_.-]{0,63}", sentype):
-        raise EthernetXmlError(where, "CONFIG/SENTYPE", sentype, "a letter, then letters, digits, '_', '.' or '-'")
-    send = _elements(root, "SEND", where)
-    receive = _elements(root, "RECEIVE", where)
-    for element in send:
-        _check_internal(element, where)
-    for element in receive:
-        _check_channel(element, where)
-    switched = [element for element in receive if is_set_channel(element.tag)]
-    filled = [
-        element
-        for element in receive
-        if element not in switched and not (element.type == "BOOL" and _OUTPUT(element.tag))
-    ]
+    onlysend = _text(config, "ONLYSEND", where, "(?i:TRUE|FALSE)", "TRUE or FALSE").upper() == "TRUE"
+    letters = "a letter, then letters, digits, '_', '.' or '-'"
+    sentype = _text(config, "SENTYPE", where, "[A-Za-z][A-Za-z0-9_.-]{0,63}", letters)
+    send, receive = _elements(root, "SEND", where), _elements(root, "RECEIVE", where)
+    if not send:
+        raise EthernetXmlError(where, "SEND/ELEMENTS", None, "the elements that the controller sends")
+    switched = [element for element in receive if element.type == "BOOL" and is_set_channel(element.tag)]
+    outputs = [element for element in receive if element.type == "BOOL" and _OUTPUT(element.tag)]
+    filled = [element for element in receive if element not in switched and element not in outputs]
     layout = RsiLayout(
         sentype=sentype,
         port=_port(config, where),
-        onlysend=onlysend == "TRUE",
+        onlysend=onlysend,
         send=tuple(element.tag.removeprefix("DEF_") for element in send),
         receive=tuple(element.tag for element in filled),
         holdon=tuple(element.holdon == "1" for element in filled),
-        not_filled=tuple(element.tag for element in receive if element not in filled and element not in switched),
+        not_filled=tuple(element.tag for element in outputs),
         switched=tuple(element.tag.removeprefix(f"{SET}.") for element in switched),
         switched_holdon=tuple(element.holdon == "1" for element in switched),
     )
-    return EthernetXml(where, _address(config, where), layout, text)
+    return EthernetXml(_address(config, where), layout)
 
 
 def check_axes(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
@@ -139,7 +118,7 @@ def check_axes(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
         element, _, axis = channel.partition(".")
         if channel == STOP:
             continue
-        if axis not in ROBOT_AXES and axis not in EXTERNAL_AXES:
+        if axis not in (*ROBOT_AXES, *EXTERNAL_AXES):
             expected = (
                 "axis corrections (e.g. AK.A1), Stop, a tool's outputs (Set.Enable and e.g. Set.vacuum) and "
                 "outputs of type BOOL (Out.01) only: no other channel is filled; remove it from the file"
@@ -152,14 +131,13 @@ def check_axes(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
         elements[axis] = element
     for axis in axes:
         if axis not in elements:
-            example = f"{'EK' if axis in EXTERNAL_AXES else 'AK'}.{axis}"
+            example = f"{default_element(axis)}.{axis}"
             raise EthernetXmlError(where, f"RECEIVE {example}", None, f"a correction channel for {axis}, TYPE DOUBLE")
     for group in (ROBOT_AXES, EXTERNAL_AXES):
         names = sorted({element for axis, element in elements.items() if axis in group})
         if len(names) > 1:
-            raise EthernetXmlError(
-                where, f"RECEIVE {names[1]}", names, f"one element for all of {group[0]} to {group[-1]}"
-            )
+            expected = f"one element for all of {group[0]} to {group[-1]}"
+            raise EthernetXmlError(where, f"RECEIVE {names[1]}", names, expected)
 
 
 #: What the gateway reads of the position blocks, by DEF_; those of external axes where there are any.
@@ -233,10 +211,9 @@ def controller_sends_to(path: str | Path, layout: RsiLayout) -> str:
 def _document(text: str, where: str) -> ElementTree.Element:
     if len(text) > MAX_BYTES:
         raise EthernetXmlError(where, "file", f"more than {MAX_BYTES} characters", "an RSI Ethernet XML of a few kB")
-    # refused before the parser sees them, also in a comment: that rules out entity expansion
-    for markup in ("<!DOCTYPE", "<!ENTITY"):
-        if markup in text or "\0" in text:
-            raise EthernetXmlError(where, "file", markup, "a plain XML without document type, entities or NUL")
+    # that rules out entity expansion
+    if "<!DOCTYPE" in text:
+        raise EthernetXmlError(where, "file", "<!DOCTYPE", "a plain XML without document type")
     try:
         root = ElementTree.fromstring(text)
     except (ElementTree.ParseError, LookupError, ValueError) as error:
@@ -246,94 +223,43 @@ def _document(text: str, where: str) -> ElementTree.Element:
     return root
 
 
-def _text(config: ElementTree.Element, name: str, where: str) -> str:
-    found = config.findall(name)
-    texts = [(element.text or "").strip() for element in found]
+def _text(config: ElementTree.Element, name: str, where: str, pattern: str, expected: str) -> str:
+    texts = [(element.text or "").strip() for element in config.findall(name)]
     if len(texts) != 1 or not texts[0]:
-        raise EthernetXmlError(
-            where, f"CONFIG/{name}", [element.text for element in found] or None, "one, with a value"
-        )
+        raise EthernetXmlError(where, f"CONFIG/{name}", texts or None, "one, with a value")
+    if not re.fullmatch(pattern, texts[0]):
+        raise EthernetXmlError(where, f"CONFIG/{name}", texts[0], expected)
     return texts[0]
 
 
 def _port(config: ElementTree.Element, where: str) -> int:
-    text = _text(config, "PORT", where)
-    if not re.fullmatch(r"[0-9]{1,5}", text) or not 0 < int(text) < 65536:
-        raise EthernetXmlError(where, "CONFIG/PORT", text, "a UDP port from 1 to 65535")
-    return int(text)
+    expected = "a UDP port from 1 to 65535"
+    port = int(_text(config, "PORT", where, "[0-9]{1,5}", expected))
+    if not 0 < port < 65536:
+        raise EthernetXmlError(where, "CONFIG/PORT", port, expected)
+    return port
 
 
 def _address(config: ElementTree.Element, where: str) -> str:
-    text = _text(config, "IP_NUMBER", where)
+    expected = "the IPv4 address of the PC"
+    text = _text(config, "IP_NUMBER", where, "[0-9.]+", expected)
     try:
         return str(ipaddress.IPv4Address(text))
     except ipaddress.AddressValueError as error:
-        raise EthernetXmlError(where, "CONFIG/IP_NUMBER", text, "the IPv4 address of the PC") from error
+        raise EthernetXmlError(where, "CONFIG/IP_NUMBER", text, expected) from error
 
 
 def _elements(root: ElementTree.Element, direction: str, where: str) -> list[_Element]:
-    section = root.find(direction)
-    listed = () if section is None else section.findall("ELEMENTS/ELEMENT")
-    elements: list[_Element] = []
-    seen: set[str] = set()
-    for entry in listed:
-        element = _Element(*(entry.get(name, "").strip() for name in ("TAG", "TYPE", "INDX", "HOLDON")))
+    elements: dict[str, _Element] = {}
+    for entry in root.findall(f"{direction}/ELEMENTS/ELEMENT"):
+        element = _Element(*(entry.get(name, "").strip() for name in ("TAG", "TYPE", "HOLDON")))
         place = f"{direction} {element.tag[:64]}"
         if not _TAG(element.tag):
-            raise EthernetXmlError(
-                where, place, element.tag, 'a TAG of letters, digits and "_", at most one "." inside'
-            )
-        if element.type not in TYPES:
-            raise EthernetXmlError(where, f"{place} TYPE", element.type, f"one of {', '.join(TYPES)}")
-        if element.tag in (known.tag for known in elements):
+            expected = 'a TAG of letters, digits and "_", at most one "." inside'
+            raise EthernetXmlError(where, place, element.tag, expected)
+        if element.tag in elements:
             raise EthernetXmlError(where, place, "it is there twice", "each TAG once")
-        _check_index(element, place, seen, where)
         if direction == "RECEIVE" and element.holdon not in ("0", "1"):
             raise EthernetXmlError(where, f"{place} HOLDON", element.holdon, '"0" or "1"')
-        elements.append(element)
-    if direction == "SEND" and not elements:
-        raise EthernetXmlError(where, "SEND/ELEMENTS", None, "the elements that the controller sends")
-    return elements
-
-
-def _check_index(element: _Element, place: str, seen: set[str], where: str) -> None:
-    if element.index == "INTERNAL":
-        return
-    if not re.fullmatch(r"[1-9][0-9]?", element.index) or int(element.index) > 64:
-        raise EthernetXmlError(where, f"{place} INDX", element.index, "INTERNAL or a channel from 1 to 64")
-    if element.index in seen:
-        raise EthernetXmlError(where, f"{place} INDX", element.index, "a channel that no other element has")
-    seen.add(element.index)
-
-
-def _check_internal(element: _Element, where: str) -> None:
-    place = f"SEND {element.tag}"
-    internal = element.index == "INTERNAL"
-    if element.tag.startswith("DEF_") != internal:
-        raise EthernetXmlError(where, f"{place} INDX", element.index, "INTERNAL for DEF_ elements, and for no others")
-    expected = INTERNAL.get(element.tag)
-    if expected and element.type != expected:
-        raise EthernetXmlError(where, f"{place} TYPE", element.type, expected)
-
-
-def _check_channel(element: _Element, where: str) -> None:
-    place = f"RECEIVE {element.tag}"
-    if _GENERATOR_1(element.tag):
-        raise EthernetXmlError(
-            where,
-            place,
-            element.tag,
-            ("another function generator: RSI uses number 1 itself, and the ETHERNET object would report RSIBad"),
-        )
-    if element.tag.startswith("DEF_") != (element.index == "INTERNAL"):
-        raise EthernetXmlError(where, f"{place} INDX", element.index, "INTERNAL for DEF_ elements, and for no others")
-    axis = element.tag.partition(".")[2]
-    expected = (
-        "DOUBLE"
-        if axis in ROBOT_AXES or axis in EXTERNAL_AXES
-        else "BOOL"
-        if element.tag == STOP or is_set_channel(element.tag)
-        else element.type
-    )
-    if element.type != expected:
-        raise EthernetXmlError(where, f"{place} TYPE", element.type, expected)
+        elements[element.tag] = element
+    return list(elements.values())

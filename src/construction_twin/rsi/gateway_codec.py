@@ -1,11 +1,7 @@
 """RSI telegrams as bytes, the gateway's side: reads `Rob` (controller to PC), writes `Sen` (PC to controller).
 
-The border where degrees and millimetres end: everything takes and returns rad and m. Axis values are in the order of the `axes`
-argument (wire names, "A1"..., "E1"...). Of a robot's joints nothing is known here; sign, offset and scale of an external axis are
-part of its `AxisUnit`. Telegrams are checked completely or refused: a value is never guessed. Standard library only, and fast
-enough for every 4 ms cycle: the gateway on the cell PC answers with it.
-
-The reasons of a refusal are listed in `telegram`; the other side of both is `controller_codec`.
+The border where degrees and millimetres end. Telegrams are checked completely or refused, with the reasons of `telegram`; the other
+side is `controller_codec`. Standard library only, and fast enough for every 4 ms cycle.
 """
 
 from __future__ import annotations
@@ -22,7 +18,6 @@ from construction_twin.rsi.layout import EXTERNAL_AXES, STOP, RsiLayout
 from construction_twin.rsi.telegram import (
     attribute_template,
     axis_units,
-    check_names,
     check_values,
     correction_channels,
     find_children,
@@ -57,10 +52,9 @@ class TelegramShape:
 
     @classmethod
     def of(cls, data: bytes, wanted: Sequence[tuple[str, str]]) -> TelegramShape | None:
-        """Return the shape of a telegram that was read as XML without complaint; wanted are values by element and attribute.
+        """Return the shape of a telegram that was read as XML; wanted are values by element and attribute.
 
-        None where the text does not show at once what its values stand for: a wanted one is missing or there twice, IPOC is not the
-        last element, or something else stands in quotation marks or apostrophes.
+        None where the text does not show what its values stand for: a wanted one is missing or there twice, IPOC is not the last.
         """
         if b"'" in data:
             return None
@@ -95,8 +89,7 @@ class TelegramShape:
 
 #: Decimals of a degree or mm in a correction, as every known driver sends them (docs/rsi.md, section 3).
 CORRECTION_DECIMALS = 6
-#: Telegrams between two attempts to learn a shape. A telegram whose text changes every time has none, and an attempt costs as much
-#: as reading it.
+#: Telegrams between two attempts to learn a shape: an attempt costs as much as reading one.
 RELEARN_AFTER = 250
 
 
@@ -123,11 +116,7 @@ class RobotDecoder:
         self._setpoint: tuple[list[bytes], tuple[float, ...]] = [], ()
 
     def parse(self, data: bytes) -> Telegram:
-        """Read a controller packet.
-
-        The root's attribute and unknown elements are ignored; a packet holding only `IPOC` is legal, and so are an XML declaration
-        and numbers with an exponent, as senders write them that are no controller.
-        """
+        """Read a controller packet; one of IPOC alone is legal, and so are an XML declaration and exponents."""
         known = self._of_shape(self._shape, data) if self._shape is not None else None
         if known:
             return known
@@ -192,12 +181,7 @@ def _blocks(robot: str, external: str, is_external: list[bool]) -> tuple[str, ..
 
 
 class SensorEncoder:
-    """Writes replies of one configuration; everything that stays the same is prepared once.
-
-    Args:
-        receive, switched: See `RsiLayout`; default: `AK` and `EK`, no `Stop`.
-        units: Default: every axis is revolute, and in the controller's own units.
-    """
+    """Writes replies of one configuration; everything that stays the same is prepared once. Default: `AK` and `EK`, no `Stop`."""
 
     def __init__(
         self,
@@ -208,7 +192,6 @@ class SensorEncoder:
         switched: tuple[str, ...] = (),
     ):
         receive = correction_channels(axes, receive)
-        check_names("SENTYPE", (sentype,))
         self._count = len(axes)
         order = [axes.index(channel.partition(".")[2]) for channel in receive if channel != STOP]
         factors = [unit.correction_factor for unit in axis_units(axes, units)]

@@ -1,13 +1,10 @@
-"""What an Ethernet XML fixes about the telegrams of one controller.
-
-Both ends are built from this: the gateway and the mock read it from the same file (`ethernet_xml`).
-"""
+"""What an Ethernet XML fixes about the telegrams of one controller."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, ClassVar
+from dataclasses import dataclass
+from typing import ClassVar
 
 from construction_twin.rsi.tool_channels import IN, OUT, names_of
 
@@ -54,13 +51,6 @@ class RsiLayout:
         external = ("EIPos", "ESPos") if any(axis in EXTERNAL_AXES for axis in axes) else ()
         send = ("RIst", "RSol", "AIPos", "ASPos", *external, "Delay")
         return cls("ImFree", 49152, False, send, receive, (True,) * len(receive))
-
-    def document(self) -> dict[str, Any]:
-        """Return what file and hash hold: of an arm without a tool, what they held before there were tools."""
-        document = asdict(self)
-        if not self.switched:
-            del document["switched"], document["switched_holdon"]
-        return document
 
     @property
     def outputs(self) -> tuple[str, ...]:

@@ -6,12 +6,12 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
+from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.controller.last_resort import BareProtocol, LastResort
 from construction_twin.controller.port import (
     ControllerSide,
     FileForm,
     Make,
-    MockSetup,
     MockStatus,
     Reader,
     Setup,
@@ -34,14 +34,32 @@ from construction_twin.rsi.ethernet_xml import (
 from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
 from construction_twin.rsi.layout import EXTERNAL_AXES, STOP, RsiLayout, default_element
 from construction_twin.rsi.status_channels import RsiStatus, StatusReader, status_channels
-from construction_twin.rsi.tool_channels import IN, OUT, SET, ToolReader, is_signal, names_of
+from construction_twin.rsi.tool_channels import IN, OUT, SET, ToolReader, names_of
 
-#: Address of the PC and its UDP port, and the `Type` of replies; the user edits the address.
-ADDRESS, PORT, SENTYPE = "192.168.1.10", 49152, "ImFree"
 NOTICE = (
     "construction_twin. Written from published facts, NOT TRIED ON A CONTROLLER: "
     "check every value before use (docs/controller.md)."
 )
+_TEXT = f"""<ROOT>
+  <!-- {NOTICE} -->
+  <!-- Gateway and mock read this very file: give them the copy that is on the controller. -->
+  <CONFIG>
+    <!-- EDIT: address of the PC that runs rsi_gateway, in the RSI subnet -->
+    <IP_NUMBER>192.168.1.10</IP_NUMBER>
+    <PORT>49152</PORT>
+    <SENTYPE>ImFree</SENTYPE>
+    <ONLYSEND>{{}}</ONLYSEND>
+  </CONFIG>
+  <SEND>
+    <ELEMENTS>
+{{}}    </ELEMENTS>
+  </SEND>
+  <RECEIVE>
+    <ELEMENTS>
+{{}}    </ELEMENTS>
+  </RECEIVE>
+</ROOT>
+"""
 
 
 def receive_channels(axes: Sequence[str], holdon: Mapping[str, bool] | None = None) -> list[tuple[str, str, int]]:
@@ -59,43 +77,23 @@ def send_channels(outputs: Sequence[str], inputs: Sequence[str]) -> list[str]:
 def ethernet_xml_text(
     axes: Sequence[str], receives: bool = True, holdon: Mapping[str, bool] | None = None, inputs: Sequence[str] = ()
 ) -> str:
-    """Return the text of an Ethernet XML; each of the RSI axes gets a correction channel, unless the controller only sends.
+    """Return the text of an Ethernet XML with a correction channel for each axis, unless the controller only sends.
 
     `holdon` are the tool's outputs, and whether each keeps its value when a reply is missed; `inputs` are the tool's.
     """
-    ordered = sorted(axes)
-    external = ["EIPos", "ESPos"] if any(axis in EXTERNAL_AXES for axis in ordered) else []
-    channels = receive_channels(ordered, holdon)
-    lines = [
-        "<ROOT>",
-        f"  <!-- {NOTICE} -->",
-        "  <!-- Gateway and mock read this very file: give them the copy that is on the controller. -->",
-        "  <CONFIG>",
-        "    <!-- EDIT: address of the PC that runs rsi_gateway, in the RSI subnet -->",
-        f"    <IP_NUMBER>{ADDRESS}</IP_NUMBER>",
-        f"    <PORT>{PORT}</PORT>",
-        f"    <SENTYPE>{SENTYPE}</SENTYPE>",
-        f"    <ONLYSEND>{'FALSE' if receives else 'TRUE'}</ONLYSEND>",
-        "  </CONFIG>",
-        "  <SEND>",
-        "    <ELEMENTS>",
-        *(
-            f'      <ELEMENT TAG="DEF_{name}" TYPE="DOUBLE" INDX="INTERNAL"/>'
-            for name in ("RIst", "RSol", "AIPos", "ASPos", *external)
+    external = ["EIPos", "ESPos"] if any(axis in EXTERNAL_AXES for axis in axes) else []
+    internal = [(f"DEF_{name}", "DOUBLE", "INTERNAL") for name in ("RIst", "RSol", "AIPos", "ASPos", *external)]
+    signals = [(tag, "BOOL", str(index)) for index, tag in enumerate(send_channels(list(holdon or ()), inputs), 1)]
+    send = [*internal, ("DEF_Delay", "LONG", "INTERNAL"), *signals]
+    receive = enumerate(receive_channels(axes, holdon) if receives else [], 1)
+    return _TEXT.format(
+        "FALSE" if receives else "TRUE",
+        "".join(f'      <ELEMENT TAG="{tag}" TYPE="{kind}" INDX="{index}"/>\n' for tag, kind, index in send),
+        "".join(
+            f'      <ELEMENT TAG="{tag}" TYPE="{kind}" INDX="{index}" HOLDON="{held}"/>\n'
+            for index, (tag, kind, held) in receive
         ),
-        '      <ELEMENT TAG="DEF_Delay" TYPE="LONG" INDX="INTERNAL"/>',
-        *(
-            f'      <ELEMENT TAG="{tag}" TYPE="BOOL" INDX="{index}"/>'
-            for index, tag in enumerate(send_channels(list(holdon or ()), inputs), 1)
-        ),
-        "    </ELEMENTS>",
-        "  </SEND>",
-        "  <RECEIVE>",
-        "    <ELEMENTS>",
-    ]
-    for index, (tag, kind, held) in enumerate(channels if receives else [], 1):
-        lines.append(f'      <ELEMENT TAG="{tag}" TYPE="{kind}" INDX="{index}" HOLDON="{held}"/>')
-    return "\n".join([*lines, "    </ELEMENTS>", "  </RECEIVE>", "</ROOT>"]) + "\n"
+    )
 
 
 def check_tool(tool: GatewayTool | None, layout: RsiLayout, where: str) -> None:
@@ -131,7 +129,7 @@ def check_tool(tool: GatewayTool | None, layout: RsiLayout, where: str) -> None:
 class RsiSessionRules:
     """One RSI session after the other, see `SessionRules`."""
 
-    def __init__(self, setup: Setup[RsiLayout]):
+    def __init__(self, setup: Setup):
         self.follows = setup.reference == "ASPos"
         self._limits = setup.limits
         self._tolerances = setup.start_tolerances
@@ -176,10 +174,7 @@ class RsiSessionRules:
     def restarted(
         self, telegram: Telegram, origin: tuple[float, ...], correction: tuple[float, ...], moving: bool
     ) -> str:
-        """Return what shows that a program ended RSI and began it again faster than silence does; "" when nothing.
-
-        The controller's correction is zero then. A program that moves the arm under a correction has AIPos = ASPos + correction.
-        """
+        """Return what shows that a program ended RSI and began it anew; "" for nothing. The correction is zero then."""
         measured, setpoint, tolerances = telegram.measured, telegram.setpoint, self._tolerances
         if not origin or outside_tolerance(correction, (0.0,) * len(correction), tolerances) is None:
             return ""
@@ -206,13 +201,18 @@ _find_ipoc = re.compile(rb"<IPOC>\s*([0-9]{1,20})\s*</IPOC>").search
 _find_delay = re.compile(rb"""<Delay\s+D\s*=\s*["']([0-9]{1,20})["']""").search
 
 
-def check(setup: Setup[RsiLayout]) -> None:
+def check(setup: Setup) -> None:
     """Check that RSI can serve an arm as it is configured."""
     check_gateway(setup.layout, setup.axes, _FILE)
     check_tool(setup.tool, setup.layout, _FILE)
 
 
-def reader(setup: Setup[RsiLayout]) -> Reader:
+def layout_of(given: str) -> RsiLayout:
+    """Return the layout of an Ethernet XML, from its path or text (several lines)."""
+    return (read_ethernet_xml(given, _FILE) if "\n" in given else load_ethernet_xml(given)).layout
+
+
+def reader(setup: Setup) -> Reader:
     """Return what reads the telegrams of one configuration."""
     channels, tool = status_channels(setup.layout.send), setup.tool
     return Reader(
@@ -222,12 +222,12 @@ def reader(setup: Setup[RsiLayout]) -> Reader:
     )
 
 
-def encoder(setup: Setup[RsiLayout]) -> SensorEncoder:
+def encoder(setup: Setup) -> SensorEncoder:
     """Return what writes the replies of one configuration."""
     return SensorEncoder.of(setup.layout, setup.axes, setup.units)
 
 
-def last_resort(setup: Setup[RsiLayout]) -> LastResort:
+def last_resort(setup: Setup) -> LastResort:
     """Return what answers RSI after the gateway has failed."""
     if not setup.layout.answered:
         return LastResort(setup.limits, None, setup.cycle)
@@ -246,20 +246,13 @@ def status_of(shown: MockStatus) -> RsiStatus:
     )
 
 
-def controller_side(config: MockSetup[RsiLayout]) -> ControllerSide:
-    """Return what a KR C4 with this configuration writes and reads."""
-    layout = config.layout
-    # outputs that are hidden are left out: an element of zeros would say something else
-    encoders = {
-        hides: RobotEncoder(
-            config.axes,
-            config.precision,
-            tuple(tag for tag in layout.send if not (hides and tag.startswith(f"{OUT}."))),
-            config.units,
-        )
-        for hides in (False, True)
-    }
-    rich = bool(status_channels(layout.send)) or any(map(is_signal, layout.send))
+def controller_side(
+    layout: RsiLayout, axes: tuple[str, ...], units: tuple[AxisUnit, ...], precision: int
+) -> ControllerSide:
+    """Return what a KR C4 with this layout writes and reads; a hidden output is left out: a 0 would say something else."""
+    shown = tuple(tag for tag in layout.send if not tag.startswith(f"{OUT}."))
+    full = RobotEncoder(axes, precision, layout.send, units)
+    hiding = full if shown == layout.send else RobotEncoder(axes, precision, shown, units)
 
     def encode(
         ipoc: int,
@@ -272,21 +265,17 @@ def controller_side(config: MockSetup[RsiLayout]) -> ControllerSide:
         outputs: Mapping[str, bool] | None,
         inputs: Mapping[str, bool],
     ) -> bytes:
-        values = ipoc, measured, setpoint, measured_pose, setpoint_pose, delay
-        encoder = encoders[outputs is None]
-        if not rich:
-            return encoder.encode(*values)
-        status, signals = status_of(shown), {f"{IN}.{name}": value for name, value in inputs.items()}
+        signals = {f"{IN}.{name}": value for name, value in inputs.items()}
         signals |= {f"{OUT}.{name}": value for name, value in (outputs or {}).items()}
-        return encoder.encode(*values, status, signals)
+        encoder = hiding if outputs is None else full
+        poses = measured, setpoint, measured_pose, setpoint_pose
+        return encoder.encode(ipoc, *poses, delay, status_of(shown), signals)
 
     decode = None
     if layout.answered:
-        decode = SensorDecoder(
-            layout.sentype, config.axes, layout.receive, config.units, config.stop_required, layout.switched
-        ).parse
+        decode = SensorDecoder(layout.sentype, axes, layout.receive, units, layout.switched).parse
     holdon = dict(zip(layout.receive, layout.holdon))
-    holds = [any(held for channel, held in holdon.items() if channel.partition(".")[2] == axis) for axis in config.axes]
+    holds = [any(held for channel, held in holdon.items() if channel.partition(".")[2] == axis) for axis in axes]
     return ControllerSide(encode, decode, tuple(holds), holdon.get(STOP, False), status_of)
 
 
@@ -334,8 +323,7 @@ MAKE = Make(
         name=_FILE,
         ending="_ethernet.xml",
         to_fill="IP_NUMBER, the address of the PC that runs rsi_gateway; for a controller that speaks KUKA RSI",
-        read=read_ethernet_xml,
-        load=load_ethernet_xml,
+        read=layout_of,
         write=ethernet_xml_text,
         sends_to=controller_sends_to,
     ),

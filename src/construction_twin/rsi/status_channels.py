@@ -1,7 +1,6 @@
 """The optional channels by which a controller says why its arm may not move: `Mode`, `ProgStatus`, `OvPro`.
 
-None of them is built in: somebody wires an object STATUS or OV_PRO to a channel of SEND and names it (docs/rsi.md, sections 2 and
-9). Read beside the telegram and after it, so that a file without them costs nothing, and one that cannot be read ends no answers.
+Somebody wires an object STATUS or OV_PRO to a channel of SEND and names it (docs/rsi.md, sections 2 and 9).
 """
 
 from __future__ import annotations
@@ -35,13 +34,7 @@ _PROGRAM_SENTENCES = {
 
 @dataclass(frozen=True, slots=True)
 class RsiStatus:
-    """What a controller says of itself.
-
-    Attributes:
-        mode: Operating mode, see `MODES`; None when it is not told, or cannot be read.
-        program: State of the robot interpreter, see `PROGRAM_STATES`.
-        override: Program override, `$OV_PRO` [percent].
-    """
+    """What a controller says of itself, see `MODES`, `PROGRAM_STATES`; override in percent. None: not told, or not readable."""
 
     mode: int | None = None
     program: int | None = None
@@ -103,7 +96,8 @@ class StatusReader:
             # the same for minutes
             self._texts = texts
             mode, program, override = [None if text is None else float(text) for text in texts]
-            self._status = RsiStatus(_whole(mode), _whole(program), _percentage(override))
+            is_percentage = override is not None and 0.0 <= override <= 100.0
+            self._status = RsiStatus(_whole(mode), _whole(program), override if is_percentage else None)
             told = (self._status.mode, self._status.program, self._status.override)
             self._unreadable = self._count - sum(value is not None for value in told)
         return self._status, self._unreadable
@@ -122,7 +116,3 @@ def _text(match: re.Match[bytes] | None) -> bytes | None:
 
 def _whole(value: float | None) -> int | None:
     return int(value) if value is not None and value.is_integer() and 0 <= value < 1000 else None
-
-
-def _percentage(value: float | None) -> float | None:
-    return value if value is not None and 0.0 <= value <= 100.0 else None

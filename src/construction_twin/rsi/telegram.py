@@ -2,9 +2,8 @@
 
 A refused telegram raises `TelegramError` with one of these reasons: ``size``, ``encoding`` (not ASCII text), ``markup``
 (declaration of types, entity, comment, processing instruction), ``xml`` (not well-formed), ``root``, ``sentype``, ``ipoc``,
-``element`` (missing or twice), ``attribute`` (missing), ``number`` (not a finite decimal).
-What a controller sends may begin with an XML declaration and have exponents: both are legal XML and numbers, and general libraries
-write them. What a controller reads may not (docs/rsi.md, section 3).
+``element`` (missing or twice), ``attribute`` (missing), ``number`` (not a finite decimal). What a controller sends may begin with
+an XML declaration and have exponents; what it reads may not (docs/rsi.md, section 3).
 """
 
 from __future__ import annotations
@@ -15,9 +14,9 @@ from collections.abc import Sequence
 from xml.etree import ElementTree
 
 from construction_twin.controller.axis_unit import AxisUnit
-from construction_twin.core.errors import ConfigurationError, TelegramError
+from construction_twin.core.errors import TelegramError
 from construction_twin.core.udp import MAX_TELEGRAM
-from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, default_element
+from construction_twin.rsi.layout import default_element
 
 #: Matches fixed notation without exponent, infinity, underscore or white space; the digit limits keep every match finite.
 _FIXED = r"[+-]?[0-9]{1,15}(?:\.[0-9]{1,32})?"
@@ -36,7 +35,6 @@ _DECLARATION = re.compile(
 ).match
 _COUNT = re.compile(r"[0-9]{1,20}").fullmatch
 _UINT64_MAX = 2**64 - 1
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,63}").fullmatch
 
 
 def without_declaration(data: bytes) -> bytes:
@@ -106,39 +104,18 @@ def read_number(element: ElementTree.Element, attribute: str, exponent: bool = F
 
 
 def axis_units(axes: tuple[str, ...], units: tuple[AxisUnit, ...]) -> tuple[AxisUnit, ...]:
-    """Return `units`, or plain ones when none are given; ConfigurationError when they are not one per axis."""
-    if units and len(units) != len(axes):
-        raise ConfigurationError("units", units, f"one for each of {', '.join(axes)}")
+    """Return `units`, or plain ones when none are given."""
     return units or (AxisUnit(),) * len(axes)
 
 
 def correction_channels(axes: tuple[str, ...], receive: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the channels of a reply, the usual ones when none are given; ConfigurationError when they are not those of `axes`."""
-    check_axis_names(axes)
-    receive = receive or tuple(f"{default_element(axis)}.{axis}" for axis in axes)
-    check_names("RECEIVE", receive)
-    if sorted(channel.partition(".")[2] for channel in receive if channel != STOP) != sorted(axes):
-        raise ConfigurationError("RECEIVE", receive, f"one correction for each of {', '.join(axes)}")
-    return receive
+    """Return the channels of a reply, the usual ones when none are given."""
+    return receive or tuple(f"{default_element(axis)}.{axis}" for axis in axes)
 
 
 def attribute_template(names: Sequence[str], decimals: int) -> str:
     """Return the %-template of an element's attributes."""
     return " ".join(f'{name}="%.{decimals}f"' for name in names)
-
-
-def check_axis_names(axes: Sequence[str]) -> None:
-    """Raise ConfigurationError for a name that is no axis of RSI."""
-    for axis in axes:
-        if axis not in ROBOT_AXES and axis not in EXTERNAL_AXES:
-            raise ConfigurationError("axes", axis, "A1 to A6 or E1 to E6")
-
-
-def check_names(where: str, names: Sequence[str]) -> None:
-    """Raise ConfigurationError for a name that cannot stand in a telegram."""
-    for name in names:
-        if not _NAME(name):
-            raise ConfigurationError(where, name, "a letter, then letters, digits, '_', '.' or '-'")
 
 
 def check_values(name: str, values: Sequence[float], count: int) -> None:

@@ -1,13 +1,9 @@
-"""The channels of a tool in an Ethernet XML, and how a telegram tells its outputs and inputs.
+"""The channels of a tool in an Ethernet XML, and how a telegram tells its outputs and inputs; <name> as in the tool file.
 
-Names of user channels are free; these mean a tool, ``<name>`` being that of the tool file (small letters, digits and ``_``):
-
-    RECEIVE  Set.<output>  BOOL   what the output shall be
-    RECEIVE  Set.Enable    BOOL   1 once the PC knows the outputs; while it is 0, the RSI context leaves them alone
-    SEND     Out.<output>         the output as read back, 0 or 1
-    SEND     In.<input>           the input, 0 or 1
-
-Read beside the telegram, as `status_channels` is, so that an arm without a tool pays nothing.
+RECEIVE  Set.<output>  BOOL   what the output shall be
+RECEIVE  Set.Enable    BOOL   1 once the PC knows the outputs; while it is 0, the RSI context leaves them alone
+SEND     Out.<output>         the output as read back, 0 or 1
+SEND     In.<input>           the input, 0 or 1
 """
 
 from __future__ import annotations
@@ -81,10 +77,7 @@ class ToolReader:
 
 
 def set_element(switched: Sequence[str], values: Sequence[bool]) -> str:
-    """Return the element of a reply that sets a tool's outputs, `RsiLayout.switched`; "" where there are none.
-
-    Without values every channel is 0, which leaves the outputs alone.
-    """
+    """Return the element of a reply that sets a tool's outputs; "" without any. Without values every channel is 0."""
     values = values or (False,) * len(switched)
     if len(values) != len(switched):
         raise ConfigurationError(SET, tuple(values), f"a value for each of {', '.join(switched)}")

@@ -65,7 +65,6 @@ class Seen:
     Attributes:
         feedback, twin, scene: Whether a pose of the arm, a pose of the twin, a scene has come.
         controller: Why the arm may not move, as the controller says itself; "" for no reason.
-        clock: By how much the controller's clock is off, as the gateway has measured it; "" when it is not known to be.
     """
 
     link: Word | None = None
@@ -75,7 +74,6 @@ class Seen:
     twin: bool = False
     scene: bool = False
     controller: str = ""
-    clock: str = ""
 
 
 @dataclass(frozen=True)
@@ -219,7 +217,6 @@ class StartUp:
         self._said: Missing | None = None
         self._ready = False
         self._controller = _Beside("the controller reports nothing against a motion any more")
-        self._clock = _Beside("the controller's clock is right again")
 
     def update(self, seen: Seen, now: float) -> list[str]:
         """Take what is seen; return the lines that are news.
@@ -227,8 +224,7 @@ class StartUp:
         Args:
             now: On a clock that never runs back [s].
         """
-        beside = self._controller.update(seen.controller, now) + self._clock.update(seen.clock, now)
-        return self._progress(seen, now) + beside
+        return self._progress(seen, now) + self._controller.update(seen.controller, now)
 
     def _progress(self, seen: Seen, now: float) -> list[str]:
         missing, before = first_missing(seen, self._deployment), self.missing

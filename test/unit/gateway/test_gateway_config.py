@@ -94,7 +94,7 @@ def test_a_file_edited_by_hand_is_refused_and_says_so():
         "",
         "{",
         "3",
-        '{"format": 2, "motion": []}',
+        '{"format": 3, "motion": []}',
         edited(lambda document: document.pop("hash")),
         edited(lambda document: document.update(format=1)),
         edited(lambda document: document["motion"].pop("timeout")),

@@ -51,7 +51,7 @@ PARTS = {
     "state's codec": lambda service: (service.gateway.codec, "encode"),
     "status": lambda service: (service.gateway, "status"),
     "status publisher": lambda service: (service.mqtt.polled.client, "publish"),
-    "status clock": lambda service: (service.mqtt.status_clock, "is_due"),
+    "status clock": lambda service: (service.mqtt, "is_status_due"),
     "histogram": lambda service: (service.controller.reply_time, "add"),
     "poll": lambda service: (service.gateway, "poll"),
     "command callback": lambda service: (service.gateway, "on_command"),

@@ -3,41 +3,28 @@
 from __future__ import annotations
 
 import logging
-from queue import SimpleQueue
+from types import SimpleNamespace
 
 from service_cell import cell
 
-from construction_twin.gateway.command_line import WAITING, BoundedQueueHandler
-from construction_twin.gateway.status import QUIET, StatusClock
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.gateway.mqtt_side import QUIET, MqttSide
 
 
 def test_a_status_waits_for_an_answer_while_telegrams_come_and_for_nothing_without_a_controller():
-    clock = StatusClock(1.0)
-    assert clock.is_due(0.0, False)
-    clock.sent(0.0)
-    assert not clock.is_due(0.999, True) and not clock.is_due(1.001, False) and clock.is_due(1.003, True)
-    # one out of turn puts the next one off
-    clock.sent(1.9)
-    assert not clock.is_due(2.5, True) and clock.is_due(2.9, True)
-    clock.hurry()
-    assert not clock.is_due(2.9 + QUIET / 2, False) and clock.is_due(2.9 + 2 * QUIET, False)
+    second = NANOSECONDS
+    side = SimpleNamespace(now=10 * second, _due_at=0, _heard_at=0)
 
+    def is_due(at, answered):
+        side.now = round(at * second)
+        return MqttSide.is_status_due(side, answered)
 
-def line(number: int) -> logging.LogRecord:
-    return logging.LogRecord("rsi_gateway", logging.WARNING, "", 0, "refused %d", (number,), None)
-
-
-def test_a_log_that_nobody_reads_stays_bounded_and_says_later_what_is_missing():
-    records: SimpleQueue = SimpleQueue()
-    handler = BoundedQueueHandler(records)
-    for number in range(WAITING + 5):
-        handler.handle(line(number))
-    assert (records.qsize(), handler.dropped) == (WAITING, 5)
-    assert [records.get().getMessage() for _ in range(WAITING)][-1] == f"refused {WAITING - 1}"
-    handler.handle(line(7))
-    handler.handle(line(8))
-    assert records.get().getMessage() == "refused 7 (5 lines before this one were dropped: they were not read)"
-    assert records.get().getMessage() == "refused 8"
+    assert is_due(10.0, False)
+    side._due_at = 11 * second
+    assert not is_due(10.999, True) and not is_due(11.001, False) and is_due(11.003, True)
+    side._due_at = 0
+    quiet = QUIET / second
+    assert not is_due(11.003 + quiet / 2, False) and is_due(11.003 + 2 * quiet, False)
 
 
 def test_a_hostile_sender_makes_few_lines_and_repeats_make_none(broker, topics, caplog):

@@ -74,6 +74,13 @@ def test_what_could_not_be_written_is_said_and_tried_again(path, monkeypatch, ca
     stops.close()
 
 
+def test_a_name_that_is_no_text_ends_no_writer(path):
+    stops = StopFile(path)
+    stops.keep("stop: asked for by \ud800")
+    stops.close()
+    assert StopFile(path).found == "stop: asked for by ?"
+
+
 def test_what_cannot_be_read_was_a_stop(path):
     path.write_bytes(b"\xff" * 10)
     assert str(path) in StopFile(path).found

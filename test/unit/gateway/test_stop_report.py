@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from types import SimpleNamespace
 
 from gateway_cell import CONFIG, Cell, following
 from hypothesis import given, settings
@@ -73,7 +74,8 @@ def test_the_report_names_the_cause_and_is_exact_on_a_free_way():
 
 def test_linear_axes_are_told_in_mm_and_rounded_up():
     report = StopReport((False, True))
-    report.distance = (math.radians(1.0000001), 0.0012345678)
+    stated = (math.radians(1.0000001), 0.0012345678)
+    report._braking = SimpleNamespace(distance=stated, time=0.1, moved=(), took=None)
     assert report.report()["distance_deg"] == [1.000001, 1.234568]
 
 

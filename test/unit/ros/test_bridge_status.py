@@ -72,31 +72,6 @@ def test_what_the_controller_says_against_a_motion_stands_in_link_and_diagnostic
     assert "STOP" not in bench.links[-1][0].reason
 
 
-def test_a_clock_that_is_off_stands_in_link_and_diagnostics_and_its_wavering_figure_is_no_news(bench):
-    def told():
-        return [json.loads(payload) for topic, payload in bench.client.published if topic.endswith("bridge/status")]
-
-    bench.connect()
-    status = following().gateway.status()
-    status["cycle"] = status["cycle"] | {
-        "off_percent": 1.2,
-        "sentence": "the controller's clock is 1.20 % fast: simulated",
-    }
-    shown = bench.shown(status)
-    assert (shown["cycle_off_percent"], shown["cycle_sentence"]) == ("1.2", status["cycle"]["sentence"])
-    assert bench.links[-1][0].reason.endswith("; the controller's clock is 1.20 % fast: simulated")
-    assert "1.20 % fast" in bench.bridge.report().sentence
-    before = len(told())
-    status["cycle"] = status["cycle"] | {
-        "off_percent": 1.21,
-        "sentence": "the controller's clock is 1.21 % fast: simulated",
-    }
-    assert bench.shown(status)["cycle_off_percent"] == "1.21" and len(told()) == before
-    status["cycle"] = status["cycle"] | {"sentence": ""}
-    bench.shown(status)
-    assert "clock" not in bench.links[-1][0].reason and len(told()) == before + 1
-
-
 def test_a_count_of_refused_datagrams_that_grows_is_no_news(bench):
     def told():
         return [json.loads(payload) for topic, payload in bench.client.published if topic.endswith("bridge/status")]

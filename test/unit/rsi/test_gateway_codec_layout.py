@@ -76,15 +76,9 @@ def test_the_controller_reads_what_the_gateway_wrote_and_misses_what_is_not_ther
     data = SensorEncoder.of(LAYOUT, AXES, UNITS).encode(correction, 12, stop=True)
     telegram = decoder.parse(data)
     assert telegram.target == pytest.approx(correction) and telegram.stop is True
-    for part in (b"<Stop>1</Stop>", b'<EKorr E1="2.000000"/>', b' A4="4.000000"', b"AKorr"):
+    for part in (b'<EKorr E1="2.000000"/>', b' A4="4.000000"', b"AKorr"):
         with pytest.raises(TelegramError):
             decoder.parse(data.replace(part, b"" if part != b"AKorr" else b"AK"))
-
-
-@pytest.mark.parametrize("receive", [("AK.A1",), ("AK.A1", "AK.A2", "AK.A3"), ("AK.A1", "AK.A1"), ("AK.A1", "A<K.A2")])
-def test_channels_that_are_not_those_of_the_axes_are_refused(receive):
-    with pytest.raises(ConfigurationError):
-        SensorEncoder("ImFree", ("A1", "A2"), receive)
 
 
 @pytest.mark.parametrize("missing, said", [(b"EIPos", "EIPos"), (b"ASPos", "ASPos")])

@@ -110,9 +110,7 @@ def test_what_is_not_told_clearly_is_not_known(text, reading):
 def test_what_is_switched_arrives(switched, stop):
     receive = ("Stop", *RsiLayout.plain(AXES).receive)
     encoder = SensorEncoder("ImFree", AXES, receive, (), SWITCHED)
-    telegram = SensorDecoder("ImFree", AXES, receive, (), True, SWITCHED).parse(
-        encoder.encode(ZERO, 4711, stop, switched)
-    )
+    telegram = SensorDecoder("ImFree", AXES, receive, (), SWITCHED).parse(encoder.encode(ZERO, 4711, stop, switched))
     assert (telegram.controller_ms, telegram.switched, telegram.stop) == (4711, switched, bool(stop))
     assert telegram.target == ZERO
 

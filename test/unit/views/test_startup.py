@@ -53,12 +53,6 @@ def test_the_first_missing_thing_is_named():
     assert first_missing(GOOD, CELL) is None
 
 
-def off(percent):
-    return replace(
-        GOOD, clock=f"the controller's clock is {percent:.2f} % slow against this PC's: the arm is as much slower"
-    )
-
-
 @pytest.mark.parametrize(
     "state, kind",
     [

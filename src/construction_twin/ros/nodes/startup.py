@@ -156,7 +156,6 @@ class StartupNode:
             twin=TWIN in self.came,
             scene=SCENE in self.came,
             controller=told.get("controller_sentence", ""),
-            clock=told.get("cycle_sentence", ""),
         )
         for line in self._startup.update(seen, now):
             waits = self._startup.missing is not None
