@@ -1,8 +1,6 @@
-"""What is asked of a process: a way of working on an element, such as `place`.
+"""The port to a process, a way of working on an element such as `place`: one folder beside this module, found by its name.
 
-A process is one folder beside this module, of which a module has `PROCESS`; `process_of` finds it by its name. Its recipe says
-how it is done, and which elements are worked on by it. Everything but this record is alike for each: the motions' checks, the
-review, the switches, the ledger.
+See docs/architecture.md, "The port to a process". Motions' checks, review, switches and ledger are alike for each.
 """
 
 from __future__ import annotations
@@ -26,15 +24,15 @@ from construction_twin.scene.objects import Scene, SceneObject
 
 @dataclass(frozen=True, eq=False)
 class WorkJob:
-    """What is to be done with one element. By which process, its recipe says.
+    """What is to be done with one element.
 
     Attributes:
-        bodies: Convex pieces ``<GlobalId>/0``, ``<GlobalId>/1``, ..., their poses in the element's frame, `link` empty.
-        base_T_stock: ``base_T_element`` in its stock; None: its process does not move it, it stands at its place.
+        bodies: Convex pieces ``<GlobalId>/0``, ..., in the element's frame, `link` empty.
+        base_T_stock: ``base_T_element`` in its stock; None: it stands at its place and is not moved.
         base_T_goal: ``base_T_element`` at its place: as designed where it is placed, as built where it stands.
-        supports: Names of scene objects that the element may touch where it is put down, and of those that it lies on in the stock.
-        up: Length 3. Against gravity, a unit vector: the model's z axis.
-        task_properties: Of the task's own `CTwin_RobotTask`, which come before the element's.
+        supports: Names of scene objects that the element may touch at its place and in the stock.
+        up: Length 3. Against gravity, a unit vector.
+        task_properties: Of the task's own `recipe.PROPERTY_SET`, which come before the element's.
     """
 
     task: str
@@ -59,8 +57,8 @@ class TaskMotions:
     """A whole task, planned.
 
     Attributes:
-        method: Name of the way in which the process does it, of those that it found: of `place` the grip.
-        scenes: One more than segments: the scene in which each is carried out, and the one after the last.
+        method: Name of the way in which the process does it: of `place` the grip.
+        scenes: Before each segment, and after the last.
         planning_time: [s]
         clearance: Smallest over all segments, without what they approach on purpose [m].
         tool0_T_element: How the element is held; None: it is not moved.
@@ -89,18 +87,14 @@ class Process:
     """One process.
 
     Attributes:
-        moves: It takes the element from its stock to its place. Then the element needs a rack, lies there before, is carried in
-            between, and a person is asked where it is. Else it stands at its place all the time, and a person is asked whether the
-            task was carried out.
-        overrides: By its name, each property of an element in the model that replaces a key of its recipe.
-        check_recipe: Takes a recipe, the tool, and file and name of the recipe; raises ConfigurationError when that tool cannot do
-            it.
-        mass: Takes a job, name of its recipe, the recipe and the tool; returns the mass that the element is planned with [kg], or
-            None where nobody says. Raises TaskPlanningError when the element cannot be planned with it.
+        moves: It takes the element from its stock to its place; else the element stands at its place all the time.
+        overrides: Properties of an element in the model that replace a key of its recipe, by their names.
+        check_recipe: Takes a recipe, the tool, and where the recipe stands; raises ConfigurationError.
+        mass: Takes a job, name of its recipe, the recipe and the tool; returns the mass to plan with [kg], None: unknown. Raises
+            TaskPlanningError.
         acts: Name of the segment at whose end it acts at the element's place.
         check: Takes a `motions.Search`; raises TaskPlanningError when job or scene are not what it needs.
-        plan: Takes the same; returns the plan, or raises `motions.Failed` with the attempt that came furthest. Its segments are all
-            that is drawn of it, played, and told to the ledger.
+        plan: Takes the same; returns the plan, or raises `motions.Failed` with the attempt that came furthest.
     """
 
     moves: bool
