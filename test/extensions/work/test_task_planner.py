@@ -243,27 +243,6 @@ def test_a_budget_ends_the_search_and_says_so(work):
         )
 
 
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        (lambda scene: scene.remove("tool/cups"), "the tool's 'tool/cups' is not in the scene"),
-        (lambda scene: scene.remove("brick0/0"), "brick0/0 is not in the scene; the element has to be in stock"),
-        (
-            lambda scene: scene.add(replace(scene.get("brick0/0"), position=(0.0, 1.5, 0.7)), replace_existing=True),
-            "brick0/0 is .* mm from its place in stock",
-        ),
-        (
-            lambda scene: scene.add(replace(scene.get("tool/cups"), touch=("link_6", "floor")), replace_existing=True),
-            "the tool's 'tool/cups' is in the scene, but not as the tool file has it",
-        ),
-    ],
-)
-def test_a_scene_that_is_not_that_of_a_start_is_refused(work, change, reason):
-    job = work.job_for("brick0", work.scene())
-    with pytest.raises(TaskPlanningError, match=reason):
-        planner().plan(job, HOME, change(work.scene()))
-
-
 def test_an_arm_in_contact_is_not_planned_from(work):
     scene = with_object(work.scene(), "block", (0.3, 0.3, 0.3), tuple(np.array([HOME[0] + 1.35, 0.0, 1.9])))
     with pytest.raises(TaskPlanningError, match="touches .* or is closer than the padding"):

@@ -204,7 +204,7 @@ def test_an_element_is_placed_then_touched_where_it_stands_and_each_is_in_the_le
     ]
     assert written == [(work.place, "offered", ""), (work.touch, "offered", "touch")]
     again = Ledger(tmp_path / "l", made.after, made.digest, lambda: 1)
-    assert again.book.standing == (work.place,) and again.book.open == (work.other,)
+    assert again.book.tasks[work.place].placed and again.book.open == (work.other,)
     again.close()
 
 

@@ -1,7 +1,6 @@
-"""Which change of the scene is due for an arm that was left engaged: the scene must say what hangs on the tool before it goes back.
+"""The change by which the scene says what hangs on the tool of an arm that was left engaged, before it goes back.
 
-Pure. A change is only due when the scene that it leads to has a hash that the engagement names, and when it touches nothing but
-objects of the work: nobody's obstacle is taken away, and none is put back.
+The scene after it has a hash that the engagement names, and only objects of the work are changed.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from construction_twin.scene.scene_change import SceneChange
 
 @dataclass(frozen=True, eq=False)
 class Due:
-    """What is to be done about the scene: a change, or a sentence that says why none is known; neither: the scene is right."""
+    """What is to be done about the scene: a change, or why none is known; neither: the scene is right."""
 
     change: SceneChange | None = None
     after: str = ""
@@ -38,8 +37,8 @@ def due(
     """Return what is to be done so that an engaged arm can go back.
 
     Args:
-        segments: Of the plan that ended inside; empty: it is not known any more.
-        element: GlobalId of the element that the task places; empty: not known.
+        segments, changes: Of the plan that ended inside; empty: unknown.
+        forms: Objects of the element as the record can have them.
     """
     if scene.hash in left.scenes:
         return Due()
@@ -72,7 +71,7 @@ def _blocked(left: EngagementReport, problem: str) -> Due:
 
 
 def confirmed(left: EngagementReport, segment: Segment) -> bool:
-    """Return whether the engagement says that what a segment switches at its end has happened, so that its change is due."""
+    """Return whether an engagement says that the switches at a segment's end have happened."""
     return segment.scene_after != segment.scene and set(left.scenes) == {segment.scene_after}
 
 
@@ -83,7 +82,7 @@ def _wanted(
     element: str,
     forms: Sequence[tuple[SceneObject, ...]],
 ) -> Scene | None:
-    """Return a scene with one of these hashes, made of another one; None: none was found."""
+    """Return a scene with one of these hashes, made of another one."""
     if base.hash in scenes:
         return base
     if element:

@@ -1,4 +1,4 @@
-"""What the work has heard: of the executor, its plans and verdicts, the scene and the tool. Decides and writes nothing."""
+"""What the work receives: executor, plans, verdicts, scene and tool."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _Kept = TypeVar("_Kept")
 
 @dataclass(frozen=True, eq=False)
 class KnownPlan:
-    """A plan that was published; `changes`: what each of its segments does to the scene."""
+    """A published plan, and what each of its segments does to the scene."""
 
     plan: Plan
     changes: tuple[SceneChange, ...]
@@ -33,7 +33,7 @@ class KnownPlan:
 
 @dataclass(frozen=True)
 class Verdict:
-    """A person's verdict on a plan, as the executor recorded it."""
+    """A verdict on a plan."""
 
     plan_id: str
     approved: bool
@@ -46,8 +46,8 @@ class GripReading:
     """What the tool says of its grip.
 
     Attributes:
-        closed: An output commands it to hold, or an input says that it does; meaningless where it is not known.
-        commanded: The outputs that command it to hold, as they read back; empty where it is not known.
+        closed: An output commands it to hold, or an input says that it does.
+        commanded: The outputs that command it to hold.
     """
 
     known: bool
@@ -61,23 +61,22 @@ class GripReading:
 
 
 def grip_of(tool: Tool, outputs: Mapping[str, bool], inputs: Mapping[str, bool]) -> GripReading:
-    """Return what a tool's outputs and inputs, read back, say of its grip."""
+    """Return what a tool's outputs and inputs say of its grip."""
     asked = tuple(name for name, value in tool.grip.set.items() if outputs.get(name) == value)
     holds = any(inputs.get(name) == value for name, value in tool.grip.confirm.items())
     return GripReading(True, bool(asked) or holds, asked)
 
 
 class Heard:
-    """Keeps what was heard, from any thread.
+    """Keeps the newest of each, for any thread.
 
     Args:
-        publishers: Takes ``execution``, ``plan`` or ``tool``; returns how many nodes that are heard publish it now.
-        ends: Returns whether this process is to end: nothing is waited for then.
+        publishers: Returns how many nodes publish ``execution``, ``plan`` or ``tool``.
+        ends: Returns whether this process ends: waits end then.
         review_file: The executor's record of verdicts.
 
     Attributes:
-        plan: The one that was published last.
-        engagement: None: the executor has not said yet whether the arm is engaged.
+        engagement: None: unknown.
     """
 
     def __init__(self, publishers: Callable[[str], int], ends: Callable[[], bool], review_file: Path):
@@ -98,7 +97,7 @@ class Heard:
         self._work_plans: dict[str, KnownPlan] = {}
 
     def take(self, said: ExecutionReport | EngagementReport | ToolReport | KnownPlan | Verdict | Scene) -> None:
-        """Store what was heard, and wake whoever waits for it."""
+        """Store what was received, and wake whoever waits for it."""
         with self._changed:
             match said:
                 case ExecutionReport():
@@ -133,10 +132,7 @@ class Heard:
         return True
 
     def wait_for(self, condition: Callable[[], object], seconds: float) -> bool:
-        """Return whether a condition on what was heard holds, or the process is to end, within a time [s].
-
-        The condition must wait for nobody: nothing is taken while it is computed.
-        """
+        """Return whether a condition on what was received holds, or the process ends, within a time [s]."""
         with self._changed:
             return bool(self._changed.wait_for(lambda: condition() or self._ends(), seconds))
 
@@ -144,7 +140,7 @@ class Heard:
 
     @property
     def executor_said(self) -> bool:
-        """Whether the executor's state is known, or nobody is there to tell it."""
+        """Whether the executor's state is known, or it has no publisher."""
         return self.execution is not None or not self._publishers("execution")
 
     @property
@@ -159,35 +155,34 @@ class Heard:
 
     @property
     def left(self) -> EngagementReport | None:
-        """Where the arm was left engaged; None: it was not, or that is not known yet."""
+        """Where the arm was left engaged; None: nowhere, or unknown."""
         return self.engagement if self.engagement is not None and self.engagement.engaged else None
 
     @property
     def unsaid(self) -> bool:
-        """Whether the arm was left engaged and `engagement` does not say yet where: the disk takes that first."""
+        """Whether the arm was left engaged at a place still unknown: the disk takes it first."""
         return self.execution is not None and self.execution.engaged and self.left is None
 
     # -- plans and scenes
 
     def work_plan(self, plan_id: str) -> KnownPlan | None:
-        """Return one of the last work plans that change the scene; None: it is not known, or not any more."""
+        """Return one of the last work plans that change the scene; None: unknown."""
         return self._work_plans.get(plan_id)
 
     def scenes(self) -> list[Scene]:
-        """Return the scenes seen last, the newest first."""
+        """Return the scenes received last, the newest first."""
         with self._changed:
             return list(reversed(self._scenes.values()))
 
     def verdict(self, plan_id: str) -> Verdict | None:
-        """Return the verdict on a plan as the topic told it; None: it told none."""
+        """Return the verdict on a plan; None: none was received."""
         return self._verdicts.get(plan_id)
 
     def fate(self, plan_id: str, offer: str) -> Fate:
         """Return what became of a plan, from the topics, else from the executor's record.
 
         Args:
-            plan_id: Empty: the plan is known by the offer alone.
-            offer: Part of the plan's source; empty: its id must fit.
+            offer: Part of its source, for a plan without known id.
         """
         plan = self.plan.plan if self.plan is not None else None
         if plan is not None and (plan.id == plan_id or (offer and offer in plan.source)):
@@ -197,10 +192,7 @@ class Heard:
         return read_fate(self._review_file, plan_id, offer)
 
     def forget_if_nobody_has(self, plan_id: str) -> bool:
-        """Return whether a plan under review went with planner and executor, so that nobody can approve it any more.
-
-        It counts as published no longer then.
-        """
+        """Return whether a plan under review went with planner and executor; forget it then."""
         if not self._publishers("plan"):
             self._plan_offered = False
         # an executor that is still there has the plan, whatever became of the planner
@@ -214,7 +206,7 @@ class Heard:
 
     @property
     def tool_said(self) -> bool:
-        """Whether the tool's state is known, or nobody is there to tell it."""
+        """Whether the tool's state is known, or it has no publisher."""
         return self.tool is not None or not self._publishers("tool")
 
     def grip(self, tool: Tool) -> GripReading:
@@ -226,7 +218,6 @@ class Heard:
 
 
 def _keep(kept: dict[str, _Kept], key: str, value: _Kept, most: int) -> None:
-    """Remember a value as the newest, and forget the oldest above a number."""
     kept.pop(key, None)
     kept[key] = value
     while len(kept) > most:

@@ -1,8 +1,7 @@
 """From a job to a work plan: what all processes have alike, and the motions that they make their plans of.
 
-Every segment begins and ends at rest, is checked at each 4 ms sample and between them in the scene that the segments before it
-leave, and lasts a whole number of cycles. Joint vectors in the order of `RobotModel.joint_names`, SI; poses in the robot's
-base_link. Not for use from several threads at once.
+Every segment rests at both ends, is checked in the scene that the segments before it leave, and lasts whole cycles. SI units, poses
+in the base_link. For one thread.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ from construction_twin.robot.segments import Signal, Switch
 from construction_twin.robot.tool import ToolFile
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_world import CollisionWorld
-from construction_twin.scene.objects import Scene, tool_objects
+from construction_twin.scene.objects import Scene
 from construction_twin.scene.self_collision import SelfCollision
 
 #: Largest distance of an arm's wrist from its flange that is reckoned with [m].
@@ -49,10 +48,10 @@ class TaskLimits:
     """How long and how widely is searched.
 
     Attributes:
-        budget: After this time no other method or way is begun [s].
-        solutions: Most joint solutions of a pose that are tried.
-        pairs: Most combinations of a first and a second straight way that are tried with one method.
-        free_budget: Time for the search of one free way [s].
+        budget: After it no other method or way is begun [s].
+        solutions: Joint solutions per pose.
+        pairs: Combinations of two straight ways per method.
+        free_budget: For one free way [s].
     """
 
     budget: float = 1.2
@@ -65,8 +64,8 @@ class Failed(Exception):
     """One attempt was not possible.
 
     Attributes:
-        stage: What was not possible: a segment, `process.REACH`, or another word of the process.
-        method: Of the attempt, which the process adds; empty: none.
+        stage: A segment, `process.REACH`, or another word of the process.
+        method: Set by the process.
     """
 
     def __init__(self, stage: str, reason: str, hopeless: bool = False):
@@ -75,7 +74,7 @@ class Failed(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Free:
-    """A free way, and the clearance on it [m]."""
+    """A free way; `clearance`: [m]."""
 
     trajectory: Trajectory
     clearance: float
@@ -86,8 +85,7 @@ class Search:
     """One planning: what is asked, what it is planned with, and the motions that an attempt is made of.
 
     Attributes:
-        start: Shape (n,). Where the arm stands.
-        held: ``tool0_T_element`` of an element that is in the grip already; None: it is where the job has it.
+        held: ``tool0_T_element`` of an element that is in the grip already.
         began: By the clock [s].
     """
 
@@ -115,16 +113,13 @@ class Search:
         return self.clock() - self.began > self.limits.budget
 
     def world(self, scene: Scene) -> CollisionWorld:
-        """Return the collision world of a scene, which is made once."""
+        """Return the collision world of a scene."""
         if scene.hash not in self._worlds:
             self._worlds[scene.hash] = self.make_world(scene)
         return self._worlds[scene.hash]
 
     def demand_reach(self, pose: Pose, where: str, room: Callable[[], float] = float) -> None:
-        """Refuse a pose of the flange that the arm does not reach at all.
-
-        `room`: Returns how far the flange may be from there with another method [m].
-        """
+        """Refuse a pose of the flange out of reach; `room`: Returns how far another method may have it from there [m]."""
         try:
             self.solver.nearest(pose, self.start)
         except UnreachableError as error:
@@ -136,7 +131,7 @@ class Search:
             raise Failed(REACH, f"{where}: {error}") from error
 
     def solutions(self, pose: Pose, seed: np.ndarray, scene: Scene, stage: str, where: str) -> list[np.ndarray]:
-        """Return joint solutions of a pose of the flange that touch nothing, the nearest first."""
+        """Return collision-free joint solutions of a pose of the flange, the nearest first."""
         world = self.world(scene)
         try:
             found = [solution.q for solution in self.solver.all(pose, seed)]
@@ -163,7 +158,7 @@ class Search:
             )
 
     def line(self, start: np.ndarray, pose: Pose, scale: float, scene: Scene, stage: str) -> Trajectory:
-        """Return the straight way of the flange to a pose, checked for limits, contacts and depth of what may touch."""
+        """Return a checked straight way of the flange to a pose."""
         recipe: Recipe = self.recipe
         try:
             motion = plan_cartesian(
@@ -193,7 +188,7 @@ class Search:
         return Free(trajectory, plan.report.clearance.distance)
 
     def nearest(self, solutions: Sequence[np.ndarray]) -> list[int]:
-        """Return the numbers of joint solutions, those that the arm gets to soonest first."""
+        """Return the numbers of joint solutions, the soonest reached first."""
         pace = np.array(self.robot.velocity)
         return sorted(
             range(len(solutions)), key=lambda one: round(float(np.max(np.abs(solutions[one] - self.start) / pace)), 9)
@@ -209,7 +204,7 @@ class Search:
 
 
 class PlanBuilder:
-    """A work plan in the making: segments one after the other; `scene`: in which the first one begins."""
+    """A work plan in the making; `scene`: at its beginning."""
 
     def __init__(self, search: Search, scene: Scene):
         self._search = search
@@ -221,14 +216,14 @@ class PlanBuilder:
         self, name: str, trajectory: Trajectory, engaged: bool, requires: tuple[Signal, ...], switches: tuple[Switch, ...],
         after: Scene, clearance: float | None = None,
     ) -> None:  # fmt: skip
-        """Add a segment; `clearance`: of a free way [m], None: to be computed."""
+        """Add a segment; `clearance`: [m], None: to be computed."""
         change = difference(self._scenes[-1], after)
         self._segments.append(WorkSegment(name, trajectory, engaged, requires, switches, change))
         self._scenes.append(after)
         self._clearances.append(clearance)
 
     def plan(self, method: str, tool0_T_element: Pose | None = None) -> TaskMotions:
-        """Return the plan; arguments as of `TaskMotions`."""
+        """Return the plan."""
         search = self._search
         planning_time = search.clock() - search.began
         clearance = min(map(self._clearance, self._segments, self._scenes, self._clearances))
@@ -243,7 +238,7 @@ class PlanBuilder:
 
 
 def whole_cycles(trajectory: Trajectory) -> Trajectory:
-    """Return the same motion slowed down by so little that it lasts a whole number of cycles."""
+    """Return the same motion, slowed down to a whole number of cycles."""
     cycles = math.ceil(trajectory.duration / CYCLE - 1e-6)
     factor = cycles * CYCLE / trajectory.duration
     if abs(factor - 1.0) < 1e-12:
@@ -256,11 +251,7 @@ def whole_cycles(trajectory: Trajectory) -> Trajectory:
 
 
 class TaskPlanner:
-    """Plans tasks of one robot with one tool.
-
-    The same job from the same pose in the same scene gives the same plan, unless a budget runs out. `clock`: Returns seconds from
-    any fixed origin.
-    """
+    """Plans tasks of one robot with one tool, the same plan for the same request unless a budget runs out."""
 
     def __init__(
         self,
@@ -282,13 +273,7 @@ class TaskPlanner:
         self._world: CollisionWorld | None = None
 
     def plan(self, job: WorkJob, start: JointValues, scene: Scene, held: Pose | None = None) -> TaskMotions:
-        """Plan a task.
-
-        Args:
-            start: Length n. Where the arm stands.
-            held: ``tool0_T_element`` of an element that is in the grip already, as `TaskMotions.tool0_T_element` of the plan that
-                gripped it: the rest of the task is planned.
-        """
+        """Plan a task; `held`: as of `Search`, of which the rest is planned."""
         began = self._clock()
         name, recipe = self._recipes.of(job)
         process = process_of(recipe.process)
@@ -298,7 +283,6 @@ class TaskPlanner:
             self._tool, self._limits, self._clock, self._world_of, self._shapes,
         )  # fmt: skip
         process.check(search)
-        self._check_tool(job, scene)
         try:
             self._robot.check_range(q)
         except KinematicsError as error:
@@ -315,13 +299,3 @@ class TaskPlanner:
         else:
             self._world = self._world.with_scene(scene)
         return self._world
-
-    def _check_tool(self, job: WorkJob, scene: Scene) -> None:
-        """Refuse a scene without the tool as its file has it."""
-        present = {item.name: item.contents() for item in scene.objects}
-        for item in tool_objects(self._tool, self._robot.tip_link):
-            if present.get(item.name) != item.contents():
-                how = "in the scene, but not as the tool file has it" if item.name in present else "not in the scene"
-                raise TaskPlanningError(
-                    job.task, f"the tool's {item.name!r} is {how}; put the tool into the scene first"
-                )

@@ -1,7 +1,4 @@
-"""What every recipe has, whatever its process, and how the building model overrides a key of one.
-
-Metres, seconds; a process adds its own keys, see `process.Process.recipe`.
-"""
+"""What every recipe has, and how the building model overrides a key of one. Metres, seconds."""
 
 from __future__ import annotations
 
@@ -35,13 +32,12 @@ class Strict(pydantic.BaseModel):
 
 
 class Match(Strict):
-    """What an element must be; everything that is given must hold. Nothing given: every element.
+    """What an element must be; all that is given must hold.
 
     Attributes:
-        ifc_class: One of these: ``IfcMember``.
-        type_name, name: Patterns with ``*`` and ``?``, upper and lower case alike; empty: any.
-        elements: GlobalIds or whole names, one of these.
-        properties: ``Pset_MemberCommon.Reference: S1``: the property must have exactly this value.
+        type_name, name: Patterns with ``*`` and ``?``, case ignored.
+        elements: GlobalIds or whole names.
+        properties: ``Pset_MemberCommon.Reference: S1``
     """
 
     ifc_class: tuple[str, ...] = ()
@@ -78,7 +74,7 @@ class Recipe(Strict):
     Attributes:
         speed: Of the tool on the straight ways [m/s].
         free_speed_scale: Fraction of the joints' limits on the free ways.
-        penetration: How deep bodies that may touch may be in each other, by rounding and by inexact pieces [m].
+        penetration: How deep bodies that may touch may be in each other [m].
     """
 
     match: Match = Match()
@@ -90,7 +86,7 @@ class Recipe(Strict):
 
 @dataclass(frozen=True)
 class Override:
-    """A property of an element in the model that replaces a key of its recipe, as `read` makes it of the property's value."""
+    """A property in the model that replaces a key of the recipe."""
 
     key: tuple[str, ...]
     ifc_type: str
@@ -103,7 +99,7 @@ def words(value: Value) -> tuple[str, ...]:
 
 
 def numbers(value: Value) -> tuple[float, ...] | tuple[str, ...]:
-    """Return a text as numbers; as words when one is none, so that the recipe refuses it."""
+    """Return a text as numbers; as words when one is none, for the recipe to refuse."""
     found = str(value).split()
     try:
         return tuple(map(float, found))

@@ -1,8 +1,6 @@
-"""Which recipe an element is worked on with: those of one file, and what the building model says of an element.
+"""The recipes of one file: which one an element is worked on with, and what the building model overrides of it.
 
-Read from a YAML file, see config/work/recipes.yaml; the first recipe that fits an element is used, and it names the process. The
-property set `PROPERTY_SET` of the element in the model overrides single keys, and that of the task comes before it: an element that
-is placed, then drilled has one recipe for each.
+The first recipe that fits is used, unless the task or the element names one.
 """
 
 from __future__ import annotations
@@ -56,10 +54,7 @@ class Recipes:
         return name, self._overridden(job, recipe, {**own, **job.task_properties})
 
     def process(self, element: Element, task: Task | None = None) -> str:
-        """Return the process by which a task, or by default any, works on an element.
-
-        Without a right recipe it is `DEFAULT`: why it is wrong is told when it is planned.
-        """
+        """Return the process of an element or a task; `DEFAULT` where the recipe is wrong, which planning tells."""
         try:
             return self.of(WorkJob(element.id, element, task_properties=task.properties if task else {}))[1].process
         except TaskPlanningError:
@@ -128,7 +123,7 @@ def read_recipes(path: str | Path) -> Recipes:
 
 
 def _process(path: str | Path, recipe: str, entry: object) -> str:
-    """Return the process that a recipe of the file names; what is wrong with the rest of it the process finds."""
+    """Return the process that a recipe of the file names."""
     name = entry.get("process", DEFAULT) if isinstance(entry, dict) else DEFAULT
     if not isinstance(name, str) or name not in MODULES:
         raise ConfigurationError(f"{path}/recipes/{recipe}/process", name, f"one of {', '.join(MODULES)}")
@@ -136,7 +131,6 @@ def _process(path: str | Path, recipe: str, entry: object) -> str:
 
 
 def _read(path: str | Path, process: str, description: object) -> dict[str, Any]:
-    """Return recipes of one process."""
     of_process: Any = Annotated[dict[str, process_of(process).recipe], pydantic.Field(min_length=1)]  # type: ignore[misc]
     file = pydantic.create_model("File", __base__=Strict, recipes=(of_process, ...))
     try:

@@ -1,11 +1,7 @@
-"""Where a tool with suction cups can hold an element: candidates on its flat faces, in the order in which a recipe prefers them.
+"""Where a tool with suction cups can hold an element, in the order of the recipe. Metres, kilograms, in the element's frame.
 
-Metres, kilograms, in the element's frame. The faces are those of the scene's convex pieces. Whether the arm reaches a candidate is
-not asked here, see `planner`.
-
-A cup lies on a face when its rim and a margin around it do: its middle, 16 points of the rim and 8 half way are looked at, each
-just inside of the element on one side of the plane and just outside on the other. A hole between these points is not seen. Cups
-beside the face are taken to close by themselves, as those with a valve do.
+A cup lies on a face when its rim and a margin do: its middle, 16 points of the rim and 8 half way have material just inside and
+none just outside. A hole between these points is not seen. Cups beside the face are taken to close by themselves.
 """
 
 from __future__ import annotations
@@ -38,9 +34,8 @@ class Grip:
 
     Attributes:
         name: ``+z along 0 mm, turned 90 deg, element turned 180 deg, 6 cups``.
-        element_T_tcp: Where the tool's centre point is at the element in its stock; z into the face.
-        element_T_turned: The frame in the element that takes the place of its own from the grip on: another one only for an element
-            that is the same body when it is turned.
+        element_T_tcp: In its stock; z into the face.
+        element_T_turned: The frame that takes the place of its own, of an element that is the same body when it is turned.
     """
 
     name: str
@@ -51,24 +46,16 @@ class Grip:
 
 @dataclass(frozen=True, eq=False)
 class GripSearch:
-    """What was found, and why not more.
-
-    `reason`: Why the candidate that came furthest was left out, as a part of a sentence; for when there is no grip.
-    """
+    """The grips, or why the candidate that came furthest was left out."""
 
     grips: tuple[Grip, ...]
     reason: str
 
 
 def find_grips(pieces: Pieces, up: np.ndarray, mass: float, recipe: PlaceRecipe, tool: Tool) -> GripSearch:
-    """Return the grips of an element.
+    """Return the grips of an element: by faces, then its turns, then the tool's, then places.
 
-    Args:
-        up: Shape (3,). What is up in the stock, in the element's frame.
-        mass: [kg]
-
-    Returns:
-        In the recipe's order: faces, then turns of the element, then turns of the tool, then places along and across.
+    `up`: Shape (3,). In the stock.
     """
     wanted = recipe.grips
     if tool.cups is None:
@@ -101,13 +88,13 @@ def find_grips(pieces: Pieces, up: np.ndarray, mass: float, recipe: PlaceRecipe,
 
 @dataclass(frozen=True, eq=False)
 class _Face:
-    """A flat face: a plane, and a frame in it below the centre of gravity, x along the longer side, z outwards."""
+    """A plane, and a frame in it below the centre of gravity, x along the longer side, z outwards."""
 
     name: str
     frame: Pose
 
     def turned(self, angle_deg: float) -> Pose:
-        """Return the motion that turns the element about the face's normal through the frame's origin."""
+        """Return the turn of the element about the face's normal."""
         angle = math.radians(angle_deg)
         about = self.frame.rotation @ _about_z(angle) @ self.frame.rotation.T
         return Pose(self.frame.position - about @ self.frame.position, about)
@@ -115,8 +102,6 @@ class _Face:
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """A place of the tool on a face."""
-
     face: _Face
     yaw_deg: float
     along: float
@@ -124,20 +109,18 @@ class _Place:
 
     @property
     def name(self) -> str:
-        """For people."""
         offsets = f"{1e3 * self.along:g} mm along, {1e3 * self.across:g} mm across"
         return f"{self.face.name} {offsets}, tool at {self.yaw_deg:g} deg"
 
     @property
     def element_T_tcp(self) -> Pose:
-        """Pose of the tool's centre point: z into the face."""
         frame = self.face.frame
         position = frame.position + frame.rotation @ np.array([self.along, self.across, 0.0])
         into = frame.rotation @ _about_z(math.radians(self.yaw_deg)) @ np.diag([1.0, -1.0, -1.0])
         return Pose(position, into)
 
     def held(self, pieces: Pieces, cups: Cups, margin: float) -> np.ndarray:
-        """Return the middles of the cups that lie on the face whole, shape (k, 3)."""
+        """Return the middles of the cups that lie on the face, shape (k, 3)."""
         pose = self.element_T_tcp
         middles = np.array([pose.position + pose.rotation @ (x, y, 0.0) for x, y in cups.at])
         disc = _disc(cups.radius + margin) @ pose.rotation.T
@@ -148,7 +131,7 @@ class _Place:
 
 
 def _faces(pieces: Pieces, up: np.ndarray, wanted: tuple[str, ...]) -> list[_Face]:
-    """Return the faces that are wanted, in that order, each once."""
+    """Return the wanted faces in their order, each once."""
     found: list[_Face] = []
     used: set[int] = set()
     for word in wanted:
@@ -209,7 +192,7 @@ def _long_side(flat: np.ndarray) -> float:
 
 
 def _problem(place: _Place, cups: np.ndarray, needed: int, lever: float, pieces: Pieces) -> tuple[int, str] | None:
-    """Return why a place does not hold the element, with how far it came; None: it does."""
+    """Return why a place does not hold the element, with how far it came."""
     if len(cups) < needed:
         return len(cups), f"{place.name}: {len(cups)} cups lie on the face; {needed} are needed"
     pose = place.element_T_tcp

@@ -1,6 +1,6 @@
-"""The scenes of one task, one after the other, and where the flange is at the ends of its straight ways.
+"""The scenes of one task, and where the flange is at the ends of its straight ways. Metres; poses in the base_link.
 
-Metres; poses in the robot's base_link. Each scene allows exactly the contacts that its straight way needs, see `contacts`.
+Each scene allows exactly the contacts that its straight way needs, see `contacts`.
 """
 
 from __future__ import annotations
@@ -23,12 +23,10 @@ from construction_twin.scene.scene_change import SceneChange
 
 @dataclass(frozen=True, eq=False)
 class Ways:
-    """Where the flange is, ``base_T_tool0``, at the ends of the straight ways of one task.
+    """``base_T_tool0`` at the ends of the straight ways of one task.
 
     Attributes:
-        before: Before the tool goes to the element in the stock.
-        lifted, above: Where the free way with the element begins and ends.
-        after: Where the tool has gone away from the element.
+        lifted, above: Ends of the free way with the element.
     """
 
     before: Pose
@@ -54,10 +52,7 @@ class Scenes:
 
 
 def ways(job: WorkJob, grip: Grip, recipe: PlaceRecipe, tool: ToolFile, leave: np.ndarray, arrive: np.ndarray) -> Ways:
-    """Return where the flange goes.
-
-    `leave`, `arrive`: Shape (3,). The straight ways of the element from the stock, and back from its place [m].
-    """
+    """Return where the flange goes; `leave`, `arrive`: the element's straight ways, shape (3,)."""
     assert job.base_T_stock is not None
     tcp_T_tool0 = inverse(pose_of(tool.tool.tool0_T_tcp))
     turned_T_tcp = product(inverse(grip.element_T_turned), grip.element_T_tcp)
@@ -78,7 +73,7 @@ def ways(job: WorkJob, grip: Grip, recipe: PlaceRecipe, tool: ToolFile, leave: n
 
 
 def direction(asked: Direction, base_T_element: Pose) -> np.ndarray:
-    """Return a direction of a recipe as a unit vector in the base_link, shape (3,)."""
+    """Return a direction of a recipe as a unit vector in the base_link."""
     if asked == "up":
         return np.array([0.0, 0.0, 1.0])
     if isinstance(asked, str):
@@ -89,7 +84,7 @@ def direction(asked: Direction, base_T_element: Pose) -> np.ndarray:
 def scenes(
     scene: Scene, job: WorkJob, recipe: PlaceRecipe, tool: ToolFile, link: str, at: Ways, shapes: Shapes
 ) -> Scenes:
-    """Return the scene of each part of a task; `scene`: the present one, with the tool's shapes and the element in stock."""
+    """Return the scene of each part of a task; `scene`: the present one."""
     bare = tool_objects(tool, link)
     own = {item.name for item in job.bodies}
     supports = [item for item in scene.objects if item.name in job.supports and item.name not in own and not item.link]
@@ -104,7 +99,6 @@ def scenes(
     goal_tool, goal_held = near(beside, at.above, at.goal, at.after), near(held, at.above, at.goal)
 
     def tools(beside_names: Iterable[str], gripping: bool) -> list[SceneObject]:
-        """Return the tool's shapes with what they may touch."""
         items = []
         for item in bare:
             shape, names = item.name.removeprefix(TOOL), []
