@@ -110,10 +110,10 @@ def _planned(search: Search, before: np.ndarray, at: Pose, above: Pose, name: st
     scene, scale = search.scene, search.recipe.free_speed_scale
     down = search.line(before, at, scale, scene, TOUCH)
     back = search.line(down.positions[-1], above, scale, scene, BACK)
-    free = search.free(search.start, before, scale, scene, TO_POINT)
+    free, clearance = search.free(search.start, before, scale, scene, TO_POINT)
     empty = search.tool.tool.release.signals()
     made = PlanBuilder(search, scene)
-    made.add(TO_POINT, free.trajectory, False, empty, (), scene, free.clearance)
+    made.add(TO_POINT, free, False, empty, (), scene, clearance)
     made.add(TOUCH, down, True, empty, (), scene)
     made.add(BACK, back, True, empty, (), scene)
     return made.plan(name)

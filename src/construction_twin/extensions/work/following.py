@@ -119,12 +119,13 @@ def follow(
         # of a plan that is not known any more, no segment says that the grip closed or let go
         return number >= 0 and (segment > number or (segment == number and at_its_end))
 
-    if events.state is TaskState.WORKING and behind(plan.grips, stands):
-        events.add(TaskEvent.GRIPPING)
-    if events.state is TaskState.GRIPPING and behind(plan.grips, confirmed):
-        events.add(TaskEvent.GRIPPED)
-    if events.state is TaskState.CARRYING and behind(plan.releases, stands):
-        events.add(TaskEvent.RELEASING)
+    for state, number, at_its_end, event in (
+        (TaskState.WORKING, plan.grips, stands, TaskEvent.GRIPPING),
+        (TaskState.GRIPPING, plan.grips, confirmed, TaskEvent.GRIPPED),
+        (TaskState.CARRYING, plan.releases, stands, TaskEvent.RELEASING),
+    ):
+        if events.state is state and behind(number, at_its_end):
+            events.add(event)
     if events.state is TaskState.RELEASING and behind(plan.releases, confirmed):
         events.add(TaskEvent.RELEASED, pose=built, source=source if built else "")
     if report.ended:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import queue
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
 from construction_twin.core.reports import EngagementReport, ExecutionReport, ToolReport
 from construction_twin.review.record import Fate, read_fate
@@ -20,7 +18,6 @@ from construction_twin.scene.scene_change import SceneChange
 _KEPT = 100
 #: Work plans and scenes that are remembered for an arm that is left engaged.
 _KEPT_PLANS, _KEPT_SCENES = 4, 12
-_Kept = TypeVar("_Kept")
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +80,7 @@ class Heard:
         self._publishers, self._ends = publishers, ends
         self._review_file = review_file
         self._changed = threading.Condition()
-        self._news: queue.SimpleQueue[None] = queue.SimpleQueue()
+        self._news = threading.Event()
         self.execution: ExecutionReport | None = None
         self.plan: KnownPlan | None = None
         self.engagement: EngagementReport | None = None
@@ -91,10 +88,10 @@ class Heard:
         self.tool: ToolReport | None = None
         #: The planner that published the plan is still there, and gives it to an executor that starts anew.
         self._plan_offered = False
-        #: By plan, by hash, and by plan; the newest last. Of scenes and plans an engaged arm's scene is made.
-        self._verdicts: dict[str, Verdict] = {}
-        self._scenes: dict[str, Scene] = {}
-        self._work_plans: dict[str, KnownPlan] = {}
+        #: The newest first. Of scenes and plans an engaged arm's scene is made.
+        self._verdicts: list[Verdict] = []
+        self._scenes: list[Scene] = []
+        self._work_plans: list[KnownPlan] = []
 
     def take(self, said: ExecutionReport | EngagementReport | ToolReport | KnownPlan | Verdict | Scene) -> None:
         """Store what was received, and wake whoever waits for it."""
@@ -107,28 +104,29 @@ class Heard:
                 case ToolReport():
                     self.tool = said
                 case Verdict():
-                    _keep(self._verdicts, said.plan_id, said, _KEPT)
+                    self._verdicts = [said, *self._verdicts][:_KEPT]
                 case Scene():
                     self.scene = said
-                    _keep(self._scenes, said.hash, said, _KEPT_SCENES)
+                    self._scenes = [said, *(one for one in self._scenes if one.hash != said.hash)][:_KEPT_SCENES]
                 case KnownPlan():
                     self.plan, self._plan_offered = said, True
                     # a way back changes nothing, and may be planned again and again
                     if any(segment.scene != segment.scene_after for segment in said.plan.segments):
-                        _keep(self._work_plans, said.plan.id, said, _KEPT_PLANS)
+                        self._work_plans = [said, *(one for one in self._work_plans if one.plan.id != said.plan.id)][
+                            :_KEPT_PLANS
+                        ]
             self._changed.notify_all()
         self.announce()
 
     def announce(self) -> None:
         """Let whoever waits for news know that there are some."""
-        self._news.put(None)
+        self._news.set()
 
     def wait_for_news(self, seconds: float) -> bool:
-        """Return whether there was news within a time [s], one piece for each that was taken and each `announce`."""
-        try:
-            self._news.get(timeout=seconds)
-        except queue.Empty:
+        """Return whether there was news within a time [s]."""
+        if not self._news.wait(seconds):
             return False
+        self._news.clear()
         return True
 
     def wait_for(self, condition: Callable[[], object], seconds: float) -> bool:
@@ -167,16 +165,15 @@ class Heard:
 
     def work_plan(self, plan_id: str) -> KnownPlan | None:
         """Return one of the last work plans that change the scene; None: unknown."""
-        return self._work_plans.get(plan_id)
+        return next((one for one in self._work_plans if one.plan.id == plan_id), None)
 
     def scenes(self) -> list[Scene]:
         """Return the scenes received last, the newest first."""
-        with self._changed:
-            return list(reversed(self._scenes.values()))
+        return self._scenes
 
     def verdict(self, plan_id: str) -> Verdict | None:
         """Return the verdict on a plan; None: none was received."""
-        return self._verdicts.get(plan_id)
+        return next((one for one in self._verdicts if one.plan_id == plan_id), None)
 
     def fate(self, plan_id: str, offer: str) -> Fate:
         """Return what became of a plan, from the topics, else from the executor's record.
@@ -186,7 +183,7 @@ class Heard:
         """
         plan = self.plan.plan if self.plan is not None else None
         if plan is not None and (plan.id == plan_id or (offer and offer in plan.source)):
-            if plan.id not in self._verdicts and self._publishers("plan"):
+            if self.verdict(plan.id) is None and self._publishers("plan"):
                 return Fate(plan.id, False, under_review=True)
             plan_id = plan.id
         return read_fate(self._review_file, plan_id, offer)
@@ -215,10 +212,3 @@ class Heard:
         if said is None or not said.known or not self._publishers("tool"):
             return GripReading(False, False)
         return grip_of(tool, said.outputs, said.inputs)
-
-
-def _keep(kept: dict[str, _Kept], key: str, value: _Kept, most: int) -> None:
-    kept.pop(key, None)
-    kept[key] = value
-    while len(kept) > most:
-        kept.pop(next(iter(kept)))

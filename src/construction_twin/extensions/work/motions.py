@@ -73,14 +73,6 @@ class Failed(Exception):
 
 
 @dataclass(frozen=True, eq=False)
-class Free:
-    """A free way; `clearance`: [m]."""
-
-    trajectory: Trajectory
-    clearance: float
-
-
-@dataclass(frozen=True, eq=False)
 class Search:
     """One planning: what is asked, what it is planned with, and the motions that an attempt is made of.
 
@@ -176,8 +168,10 @@ class Search:
             raise Failed(stage, f"{one} would be {depth:.1f} mm inside of {other}; at most {most:g} mm are allowed")
         return trajectory
 
-    def free(self, start: np.ndarray, goal: np.ndarray, scale: float, scene: Scene, stage: str) -> Free:
-        """Return a free way between two joint vectors."""
+    def free(
+        self, start: np.ndarray, goal: np.ndarray, scale: float, scene: Scene, stage: str
+    ) -> tuple[Trajectory, float]:
+        """Return a free way between two joint vectors, and the clearance on it [m]."""
         world = self.world(scene)
         try:
             plan = self.planner.plan_to_joints(start, goal, PlanRequest("work", speed_scale=scale), world)
@@ -185,7 +179,7 @@ class Search:
             self._checked(trajectory, world)
         except (PlanningError, KinematicsError) as error:
             raise Failed(stage, str(error)) from error
-        return Free(trajectory, plan.report.clearance.distance)
+        return trajectory, plan.report.clearance.distance
 
     def nearest(self, solutions: Sequence[np.ndarray]) -> list[int]:
         """Return the numbers of joint solutions, the soonest reached first."""

@@ -108,35 +108,29 @@ class Recipes:
         return recipe
 
 
+class _File(Strict):
+    recipes: Annotated[dict[str, dict[str, Any]], pydantic.Field(min_length=1)]
+
+
 def read_recipes(path: str | Path) -> Recipes:
     """Read a recipes file."""
     description = read_yaml(path, " of recipes, as config/work/recipes.yaml")
-    entries = description.get("recipes") if isinstance(description, dict) else None
-    if not isinstance(entries, dict) or not entries:
-        return Recipes(str(path), _read(path, DEFAULT, description))
-    processes = {name: _process(path, name, entry) for name, entry in entries.items()}
-    found: dict[str, Recipe] = {}
-    for process in dict.fromkeys(processes.values()):
-        mine = {name: entry for name, entry in entries.items() if processes[name] == process}
-        found |= _read(path, process, {**description, "recipes": mine})
-    return Recipes(str(path), {name: found[name] for name in entries})
-
-
-def _process(path: str | Path, recipe: str, entry: object) -> str:
-    """Return the process that a recipe of the file names."""
-    name = entry.get("process", DEFAULT) if isinstance(entry, dict) else DEFAULT
-    if not isinstance(name, str) or name not in MODULES:
-        raise ConfigurationError(f"{path}/recipes/{recipe}/process", name, f"one of {', '.join(MODULES)}")
-    return name
-
-
-def _read(path: str | Path, process: str, description: object) -> dict[str, Any]:
-    of_process: Any = Annotated[dict[str, process_of(process).recipe], pydantic.Field(min_length=1)]  # type: ignore[misc]
-    file = pydantic.create_model("File", __base__=Strict, recipes=(of_process, ...))
     try:
-        return file.model_validate(description).recipes  # type: ignore[attr-defined]
+        entries = _File.model_validate(description).recipes
     except pydantic.ValidationError as error:
-        raise configuration_error(error, file, str(path)) from error
+        raise configuration_error(error, _File, str(path)) from error
+    return Recipes(str(path), {name: _recipe(f"{path}/recipes/{name}", entry) for name, entry in entries.items()})
+
+
+def _recipe(where: str, entry: dict[str, Any]) -> Recipe:
+    process = entry.get("process", DEFAULT)
+    if process not in list(MODULES):
+        raise ConfigurationError(f"{where}/process", process, f"one of {', '.join(MODULES)}")
+    recipe = process_of(process).recipe
+    try:
+        return recipe.model_validate(entry)
+    except pydantic.ValidationError as error:
+        raise configuration_error(error, recipe, where) from error
 
 
 def _wrong(job: WorkJob, name: str, value: object, expected: str) -> TaskPlanningError:

@@ -287,22 +287,23 @@ class WorkSession:
             self._allowed(task)
             board.add(Entry("offered", task, offer=offer, grip=plan.method, pose=held, process=named))
         how = f"{named}, {plan.method}" if named else plan.method
-        answer, problem = None, None
+
+        def unnamed() -> bool:
+            memory = board.book.tasks[task]
+            return memory.state is TaskState.PLANNED and not memory.plan
+
         try:
             answer = self._calls.plan_work(task, f"{title} by {how}, offer {offer}", plan.segments)
         except ConstructionTwinError as error:
-            problem = error
-        with self.lock:
-            memory = board.book.tasks[task]
-            unnamed = memory.state is TaskState.PLANNED and not memory.plan
-            if answer is None:
-                if not isinstance(problem, NoAnswer):
-                    board.add(Entry("dropped", task, offer=offer, reason=str(problem)))
-                elif unnamed:
+            with self.lock:
+                if not isinstance(error, NoAnswer):
+                    board.add(Entry("dropped", task, offer=offer, reason=str(error)))
+                elif unnamed():
                     self._follower.settle_offer(task, offer)
-                board.failures[task] = str(problem)
-                raise WorkRefused(str(problem)) from problem
-            if unnamed:
+                board.failures[task] = str(error)
+            raise WorkRefused(str(error)) from error
+        with self.lock:
+            if unnamed():
                 board.add(Entry("planned", task, plan=answer.plan_id, offer=offer))
         sentence = f"{title}: plan {answer.plan_id} of {answer.duration:.1f} s with {plan.method} waits for approval"
         return replace(answer, message=sentence)

@@ -14,7 +14,7 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.extensions.work.contacts import FALL
 from construction_twin.extensions.work.convex_bodies import Pieces
 from construction_twin.extensions.work.errors import TaskPlanningError
-from construction_twin.extensions.work.motions import Failed, Free, PlanBuilder, Search
+from construction_twin.extensions.work.motions import Failed, PlanBuilder, Search
 from construction_twin.extensions.work.place.grips import Grip, find_grips
 from construction_twin.extensions.work.place.phases import Scenes, Ways, direction, scenes, ways
 from construction_twin.extensions.work.place.recipe import OVERRIDES, PlaceRecipe, check_tool, mass_of
@@ -313,22 +313,22 @@ class _OneWay:
 
     def _joined(self, stock: _Stock, goal: _Goal) -> TaskMotions:
         search, recipe, there = self.search, self.search.recipe, self.scenes
-        fetch = search.free(search.start, stock.before, recipe.free_speed_scale, there.fetch, TO_STOCK)
+        fetch, clearance = search.free(search.start, stock.before, recipe.free_speed_scale, there.fetch, TO_STOCK)
         carry = search.free(stock.lift.positions[-1], goal.above, recipe.carry_speed_scale, there.carry, CARRY)
         grip, release = search.tool.tool.grip, search.tool.tool.release
         # a sensor that is stuck, or a scrap on the cups, is found before anything is gripped
         held, empty = grip.signals(), release.signals()
         made = PlanBuilder(search, there.fetch)
-        made.add(TO_STOCK, fetch.trajectory, False, empty, (), there.approach, fetch.clearance)
+        made.add(TO_STOCK, fetch, False, empty, (), there.approach, clearance)
         made.add(APPROACH, stock.approach, True, empty, grip.switches(), there.lift)
         made.add(LIFT, stock.lift, True, held, (), there.carry)
         return self._carried(made, carry, goal)
 
-    def _carried(self, made: PlanBuilder, carry: Free, goal: _Goal) -> TaskMotions:
+    def _carried(self, made: PlanBuilder, carry: tuple[Trajectory, float], goal: _Goal) -> TaskMotions:
         there, tool = self.scenes, self.search.tool.tool
         held, empty = tool.grip.signals(), tool.release.signals()
         engaged = self.search.recipe.carry_engaged
-        made.add(CARRY, carry.trajectory, engaged, held, (), there.set_down, carry.clearance)
+        made.add(CARRY, carry[0], engaged, held, (), there.set_down, carry[1])
         made.add(SET_DOWN, goal.set_down, True, held, tool.release.switches(), there.retreat)
         made.add(RETREAT, goal.retreat, True, empty, (), there.done)
         return made.plan(self.grip.name, self.at.tool0_T_element)
