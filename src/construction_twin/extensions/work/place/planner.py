@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.sentences import Sentence
-from construction_twin.extensions.work.contacts import FALL
+from construction_twin.extensions.work.contacts import FALL, straight
 from construction_twin.extensions.work.convex_bodies import Pieces
 from construction_twin.extensions.work.errors import TaskPlanningError
 from construction_twin.extensions.work.motions import Failed, PlanBuilder, Search
-from construction_twin.extensions.work.place.grips import Grip, find_grips
-from construction_twin.extensions.work.place.phases import Scenes, Ways, direction, scenes, ways
-from construction_twin.extensions.work.place.recipe import OVERRIDES, PlaceRecipe, check_tool, mass_of
+from construction_twin.extensions.work.place.grips import AXES, Grip, find_grips
+from construction_twin.extensions.work.place.recipe import OVERRIDES, Direction, PlaceRecipe, check_tool, mass_of
 from construction_twin.extensions.work.process import REACH, Process, TaskMotions
 from construction_twin.extensions.work.site import inverse, pose_of
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.trajectory import Trajectory
-from construction_twin.scene.objects import product
+from construction_twin.scene.objects import TOOL, Scene, SceneObject, product, tool_objects
+from construction_twin.scene.scene_change import SceneChange
 
 #: Names of the segments of a plan, in their order.
 TO_STOCK, APPROACH, LIFT, CARRY, SET_DOWN, RETREAT = "to stock", "approach", "lift", "carry", "set down", "retreat"
@@ -88,9 +88,8 @@ def _rest(search: Search, tool0_T_element: Pose) -> TaskMotions:
     grip = Grip("the grip it is held with", element_T_tcp, Pose(np.zeros(3), np.eye(3)), 0)
 
     def arriving(arrive: np.ndarray) -> TaskMotions:
-        at = ways(job, grip, recipe, search.tool, np.zeros(3), arrive)
-        there = scenes(search.scene, job, recipe, search.tool, search.robot.tip_link, at, search.shapes)
-        return _OneWay(search, grip, at, there).plan_carried()
+        at = ways(search, grip, np.zeros(3), arrive)
+        return _OneWay(search, grip, at, scenes(search, at)).plan_carried()
 
     options = _options(recipe.place.arrive, recipe.place.lengths, job.base_T_goal)
     return _first(search, options, arriving, method=grip.name)
@@ -143,11 +142,11 @@ def _with_grip(search: Search, grip: Grip, falls: str) -> TaskMotions:
     assert job.base_T_stock is not None
 
     def by(leave_arrive: tuple[np.ndarray, np.ndarray]) -> TaskMotions:
-        at = ways(job, grip, recipe, search.tool, *leave_arrive)
+        at = ways(search, grip, *leave_arrive)
         _check_reach(at, search)
         if falls:
             raise Failed(SET_DOWN, falls, True)
-        there = scenes(search.scene, job, recipe, search.tool, search.robot.tip_link, at, search.shapes)
+        there = scenes(search, at)
         _check_bodies(search, at, there)
         return _OneWay(search, grip, at, there).plan()
 
@@ -190,14 +189,124 @@ def _check_bodies(search: Search, at: Ways, there: Scenes) -> None:
             raise Failed(stage, said)
 
 
-def _options(directions: tuple, lengths: tuple[float, ...], base_T_element: Pose) -> list[np.ndarray]:
-    return [length * direction(asked, base_T_element) for asked in directions for length in lengths]
+def _options(directions: tuple[Direction, ...], lengths: tuple[float, ...], base_T_element: Pose) -> list[np.ndarray]:
+    """Return straight ways in the base_link, shape (3,) each, the best first."""
+    units = {"up": np.array([0.0, 0.0, 1.0])} | {name: base_T_element.rotation @ axis for name, axis in AXES.items()}
+    ways_of = [
+        units[asked] if isinstance(asked, str) else np.array(asked) / np.linalg.norm(asked) for asked in directions
+    ]
+    return [length * way for way in ways_of for length in lengths]
 
 
 def _further(one: Failed | None, other: Failed) -> Failed:
     """Return the attempt that came further."""
     return other if one is None or STAGES.index(other.stage) > STAGES.index(one.stage) else one
 
+
+# -- where the flange is, and what stands where
+
+
+@dataclass(frozen=True, eq=False)
+class Ways:
+    """``base_T_tool0`` at the ends of the straight ways of one task.
+
+    Attributes:
+        lifted, above: Ends of the free way with the element.
+    """
+
+    before: Pose
+    stock: Pose
+    lifted: Pose
+    above: Pose
+    goal: Pose
+    after: Pose
+    tool0_T_element: Pose
+
+
+@dataclass(frozen=True, eq=False)
+class Scenes:
+    """The scene of each part of a task."""
+
+    fetch: Scene
+    approach: Scene
+    lift: Scene
+    carry: Scene
+    set_down: Scene
+    retreat: Scene
+    done: Scene
+
+
+def ways(search: Search, grip: Grip, leave: np.ndarray, arrive: np.ndarray) -> Ways:
+    """Return where the flange goes; `leave`, `arrive`: the element's straight ways, shape (3,)."""
+    job, recipe = search.job, search.recipe
+    assert job.base_T_stock is not None
+    tcp_T_tool0 = inverse(pose_of(search.tool.tool.tool0_T_tcp))
+    turned_T_tcp = product(inverse(grip.element_T_turned), grip.element_T_tcp)
+    base_T_stock_tcp, base_T_goal_tcp = (
+        product(job.base_T_stock, grip.element_T_tcp),
+        product(job.base_T_goal, turned_T_tcp),
+    )
+    stock, goal = product(base_T_stock_tcp, tcp_T_tool0), product(base_T_goal_tcp, tcp_T_tool0)
+    # the tool's z points into the face
+    out, away = -base_T_stock_tcp.rotation[:, 2], -base_T_goal_tcp.rotation[:, 2]
+    return Ways(
+        _moved(stock, recipe.stock.approach * out),
+        stock,
+        _moved(stock, leave),
+        _moved(goal, arrive),
+        goal,
+        _moved(goal, recipe.place.retreat * away),
+        product(inverse(tcp_T_tool0), inverse(turned_T_tcp)),
+    )
+
+
+def _moved(pose: Pose, by: np.ndarray) -> Pose:
+    return Pose(pose.position + by, pose.rotation)
+
+
+def scenes(search: Search, at: Ways) -> Scenes:
+    """Return the scene of each part of a task, which allows exactly the contacts that its straight way needs, see `contacts`."""
+    scene, job, grips, link = search.scene, search.job, search.recipe.grips, search.robot.tip_link
+    bare = tool_objects(search.tool, link)
+    own = {item.name for item in job.bodies}
+    supports = [item for item in scene.objects if item.name in job.supports and item.name not in own and not item.link]
+    held = [item.moved(product(at.tool0_T_element, item.pose)) for item in job.bodies]
+    beside = [item for item in bare if item.name.removeprefix(TOOL) in grips.beside]
+
+    def near(moving: Sequence[SceneObject], *ends: Pose) -> tuple[str, ...]:
+        places = [pose for start, end in zip(ends, ends[1:]) for pose in straight(start, end)]
+        return search.shapes.near(moving, places, supports, scene.padding) if moving else ()
+
+    stock_tool, stock_held = near(beside, at.before, at.stock, at.lifted), near(held, at.stock, at.lifted)
+    goal_tool, goal_held = near(beside, at.above, at.goal, at.after), near(held, at.above, at.goal)
+
+    def tools(beside_names: Iterable[str], gripping: bool) -> list[SceneObject]:
+        items = []
+        for item in bare:
+            shape, names = item.name.removeprefix(TOOL), []
+            if gripping and shape in grips.touching:
+                names += sorted(own)
+            if shape in grips.beside:
+                names += list(beside_names)
+            items.append(replace(item, touch=(*item.touch, *names)))
+        return items
+
+    def carried(names: Iterable[str]) -> list[SceneObject]:
+        return [body.moved(item.pose, link, names) for body, item in zip(job.bodies, held)]
+
+    placed = [item.moved(product(job.base_T_goal, item.pose)) for item in job.bodies]
+    after = (
+        tools(stock_tool, True),
+        [*tools(stock_tool, False), *carried(stock_held)],
+        [*bare, *carried(())],
+        [*tools(goal_tool, False), *carried(goal_held)],
+        [*tools(goal_tool, True), *placed],
+        [*bare, *placed],
+    )
+    return Scenes(scene, *(SceneChange(tuple(items)).apply(scene) for items in after))
+
+
+# -- the attempt with one grip and one pair of straight ways
 
 _Made = TypeVar("_Made")
 
