@@ -172,10 +172,10 @@ class Layout:
         jobs: Sequence[Job] = (),
     ):
         self.site, self.building, self.order = site, building, tuple(order)
-        self._pieces = {element: tuple(pieces[element]) for element in order}
+        self.pieces = {element: tuple(pieces[element]) for element in order}
         self._base_T_model = inverse(site.model_T_base(building))
         self._tool = tool_objects(site.tool, link)
-        corners = {element: Pieces(items).points for element, items in self._pieces.items()}
+        corners = {element: Pieces(items).points for element, items in self.pieces.items()}
         own = (Job(one, "", "", one, (), (), site.recipes.process(building.element(one))) for one in order)
         self._jobs = {job.id: job for job in jobs or own}
         placed = {job.element for job in self._jobs.values() if job.moves}
@@ -190,14 +190,6 @@ class Layout:
         self.comes_after = comes_after(building.elements, moved)
         self._shapes = Shapes()
         self._stood: dict[tuple[str, bytes], tuple[SceneObject, ...]] = {}
-
-    def pieces(self, element: str) -> tuple[SceneObject, ...]:
-        """Return an element's convex pieces, in its frame."""
-        return self._pieces[element]
-
-    def slot(self, element: str) -> Slot | None:
-        """Return where an element lies in stock; None: it is not moved."""
-        return self.stock.slots.get(element)
 
     def base_T_goal(self, element: str) -> Pose:
         """Return where an element is to stand, as designed."""
@@ -222,31 +214,31 @@ class Layout:
             if element not in placed and element not in gone:
                 objects += self._at(element, self.base_T_goal(element))
         for element, pose in placed.items():
-            if element in self._pieces:
+            if element in self.pieces:
                 objects += self._at(element, pose)
         return Scene(tuple(objects), self.site.scene.padding)
 
     def job_for(self, element: str, scene: Scene, task: str = "") -> WorkJob:
         """Return the job of an element; `task`: its id, by default the element's first."""
         asked = self._jobs.get(task) or next(job for job in self._jobs.values() if job.element == element)
-        built, slot = self.building.element(element), self.slot(element) if asked.moves else None
+        built, slot = self.building.element(element), self.stock.slots.get(element) if asked.moves else None
         goal = self.base_T_goal(element) if asked.moves else self._stands(element, scene)
         of_task = self.building.tasks.get(asked.task)
-        of_work = {item.name for items in self._pieces.values() for item in items}
+        of_work = {item.name for items in self.pieces.values() for item in items}
         of_work |= {item.name for item in self.standing}
-        own = {item.name for item in self._pieces[element]}
+        own = {item.name for item in self.pieces[element]}
         others = [item for item in scene.objects if item.name in of_work - own and not item.link]
         beside = {
             name
             for pose in ([goal] if slot is None else [slot.base_T_element, goal])
-            for name in self._shapes.near(self._pieces[element], [pose], others, scene.padding)
+            for name in self._shapes.near(self.pieces[element], [pose], others, scene.padding)
         }
         x, y, z = map(float, self._base_T_model.rotation[:, 2])
         fixed = {*self.site.file.supports, *([] if slot is None else [slot.surface])} & set(scene.names)
         return WorkJob(
             task or element,
             built,
-            bodies=self._pieces[element],
+            bodies=self.pieces[element],
             base_T_stock=None if slot is None else slot.base_T_element,
             base_T_goal=goal,
             supports=tuple(sorted(beside | fixed)),
@@ -256,7 +248,7 @@ class Layout:
 
     def _stands(self, element: str, scene: Scene) -> Pose:
         """Return where an element stands in a scene, or as designed."""
-        first = self._pieces[element][0]
+        first = self.pieces[element][0]
         if first.name not in scene.names or scene.get(first.name).link:
             return self.base_T_goal(element)
         return product(scene.get(first.name).pose, inverse(first.pose))
@@ -266,5 +258,5 @@ class Layout:
         if key not in self._stood:
             if len(self._stood) >= _STOOD:
                 self._stood.clear()
-            self._stood[key] = tuple(item.moved(product(base_T_element, item.pose)) for item in self._pieces[element])
+            self._stood[key] = tuple(item.moved(product(base_T_element, item.pose)) for item in self.pieces[element])
         return self._stood[key]
