@@ -21,8 +21,16 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.extensions.work import process
 from construction_twin.extensions.work.errors import TaskPlanningError
 from construction_twin.extensions.work.motions import Failed, PlanBuilder, Search
-from construction_twin.extensions.work.process import Process, TaskMotions
-from construction_twin.extensions.work.recipe import SHARED, Finite, Length, Override, Recipe, numbers
+from construction_twin.extensions.work.process import (
+    SHARED,
+    Finite,
+    Length,
+    Override,
+    Process,
+    Recipe,
+    TaskMotions,
+    numbers,
+)
 from construction_twin.extensions.work.site import inverse, pose_of
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.objects import product

@@ -13,8 +13,7 @@ import yaml
 
 from construction_twin.extensions.work.building import Body, BuildingModel, Element
 from construction_twin.extensions.work.motions import TaskLimits, TaskPlanner
-from construction_twin.extensions.work.process import WorkJob
-from construction_twin.extensions.work.recipes import Recipes, read_recipes
+from construction_twin.extensions.work.process import Recipes, WorkJob, read_recipes
 from construction_twin.extensions.work.schedule import Job
 from construction_twin.extensions.work.site import Site, read_site
 from construction_twin.extensions.work.site_scene import Layout

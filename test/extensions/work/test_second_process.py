@@ -32,7 +32,7 @@ from construction_twin.extensions.work.following import after_restart
 from construction_twin.extensions.work.heard import GripReading
 from construction_twin.extensions.work.ledger import Ledger
 from construction_twin.extensions.work.prepared import Prepared
-from construction_twin.extensions.work.recipes import read_recipes
+from construction_twin.extensions.work.process import read_recipes
 from construction_twin.extensions.work.schedule import Job, Schedule
 from construction_twin.extensions.work.site_scene import StockPlan
 from construction_twin.extensions.work.task_memory import Entry, NotNow, TaskMemory, TaskState

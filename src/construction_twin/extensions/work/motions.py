@@ -20,9 +20,7 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.extensions.work.contacts import Shapes, difference
 from construction_twin.extensions.work.errors import TaskPlanningError
-from construction_twin.extensions.work.process import REACH, TaskMotions, WorkJob, process_of
-from construction_twin.extensions.work.recipe import Recipe
-from construction_twin.extensions.work.recipes import Recipes
+from construction_twin.extensions.work.process import REACH, Recipe, Recipes, TaskMotions, WorkJob, process_of
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import InverseKinematics
 from construction_twin.planning.cartesian import plan_cartesian

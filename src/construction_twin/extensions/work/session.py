@@ -22,8 +22,7 @@ from construction_twin.extensions.work.following import Follower
 from construction_twin.extensions.work.heard import Heard
 from construction_twin.extensions.work.ledger import Ledger
 from construction_twin.extensions.work.prepared import Prepared
-from construction_twin.extensions.work.process import TaskMotions
-from construction_twin.extensions.work.recipe import DEFAULT
+from construction_twin.extensions.work.process import DEFAULT, TaskMotions
 from construction_twin.extensions.work.task_board import TaskBoard, WorkRefused
 from construction_twin.extensions.work.task_memory import UNDER_WAY, Entry, TaskState
 from construction_twin.kinematics.chain import Chain, Pose

@@ -12,8 +12,7 @@ import pydantic
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.validation import configuration_error
 from construction_twin.extensions.work.building import BuildingModel, Element
-from construction_twin.extensions.work.recipe import PROPERTY_SET, Match, Strict
-from construction_twin.extensions.work.recipes import DELIVERED, Recipes, read_recipes
+from construction_twin.extensions.work.process import DELIVERED, PROPERTY_SET, Match, Recipes, Strict, read_recipes
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rpy_to_rotation
 from construction_twin.robot.tool import Place as FilePose

@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 
 from construction_twin.core.sentences import Sentence
 from construction_twin.extensions.work.errors import WorkError
-from construction_twin.extensions.work.process import MODULES, process_of
-from construction_twin.extensions.work.recipe import DEFAULT
+from construction_twin.extensions.work.process import DEFAULT, MODULES, process_of
 
 
 class TaskState(Enum):

@@ -9,8 +9,7 @@ import pydantic
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.extensions.work.errors import TaskPlanningError
-from construction_twin.extensions.work.process import WorkJob
-from construction_twin.extensions.work.recipe import (
+from construction_twin.extensions.work.process import (
     PROPERTY_SET,
     SHARED,
     Finite,
@@ -19,6 +18,7 @@ from construction_twin.extensions.work.recipe import (
     Recipe,
     Scale,
     Strict,
+    WorkJob,
     numbers,
     words,
 )  # fmt: skip
