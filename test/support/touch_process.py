@@ -20,7 +20,7 @@ from work_samples import RECIPES
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.extensions.work import process
 from construction_twin.extensions.work.errors import TaskPlanningError
-from construction_twin.extensions.work.motions import Failed, PlanBuilder, Search
+from construction_twin.extensions.work.motions import PAIRS, Failed, PlanBuilder, Search
 from construction_twin.extensions.work.process import (
     SHARED,
     Finite,
@@ -105,7 +105,7 @@ def _at(search: Search, point: tuple[float, float, float], name: str) -> TaskMot
     search.demand_reach(at, "at the point")
     befores = search.solutions(above, search.start, scene, TO_POINT, "above the point")
     furthest: Failed | None = None
-    for number in search.nearest(befores)[: search.limits.pairs]:
+    for number in search.nearest(befores)[:PAIRS]:
         try:
             return _planned(search, befores[number], at, above, name)
         except Failed as failed:

@@ -11,7 +11,6 @@ from work_samples import building, element, layout, pairs, planner, recipes, rob
 from construction_twin.core.units import CYCLE
 from construction_twin.extensions.work.contacts import Shapes
 from construction_twin.extensions.work.errors import TaskPlanningError
-from construction_twin.extensions.work.motions import TaskLimits
 from construction_twin.extensions.work.process import TaskMotions
 from construction_twin.extensions.work.site_scene import Layout
 from construction_twin.kinematics.chain import Pose
@@ -238,9 +237,7 @@ def test_a_budget_ends_the_search_and_says_so(work):
     scene = work.scene()
     far = Pose(np.array([0.0, 3.6, 0.6]), np.eye(3))
     with pytest.raises(TaskPlanningError, match=r"\(1 of .* grips tried in 0 s\)"):
-        planner(limits=TaskLimits(budget=0.0)).plan(
-            replace(work.job_for("brick0", scene), base_T_goal=far), HOME, scene
-        )
+        planner(budget=0.0).plan(replace(work.job_for("brick0", scene), base_T_goal=far), HOME, scene)
 
 
 def test_an_arm_in_contact_is_not_planned_from(work):

@@ -41,21 +41,10 @@ from construction_twin.scene.self_collision import SelfCollision
 _WRIST = 0.5
 
 
-@dataclass(frozen=True)
-class TaskLimits:
-    """How long and how widely is searched.
-
-    Attributes:
-        budget: After it no other method or way is begun [s].
-        solutions: Joint solutions per pose.
-        pairs: Combinations of two straight ways per method.
-        free_budget: For one free way [s].
-    """
-
-    budget: float = 1.2
-    solutions: int = 8
-    pairs: int = 6
-    free_budget: float = 0.7
+#: Time after which no other method or way is begun, and for the search of one free way [s].
+BUDGET, FREE_BUDGET = 1.2, 0.7
+#: Most joint solutions of a pose that are tried, and combinations of two straight ways with one method.
+SOLUTIONS, PAIRS = 8, 6
 
 
 class Failed(Exception):
@@ -91,7 +80,7 @@ class Search:
     planner: Planner
     settings: PlannerSettings
     tool: ToolFile
-    limits: TaskLimits
+    budget: float
     clock: Clock
     make_world: Callable[[Scene], CollisionWorld]
     shapes: Shapes = field(repr=False)
@@ -100,7 +89,7 @@ class Search:
     @property
     def late(self) -> bool:
         """Whether the time for another attempt is over."""
-        return self.clock() - self.began > self.limits.budget
+        return self.clock() - self.began > self.budget
 
     def world(self, scene: Scene) -> CollisionWorld:
         """Return the collision world of a scene."""
@@ -127,7 +116,7 @@ class Search:
             found = [solution.q for solution in self.solver.all(pose, seed)]
         except KinematicsError as error:
             raise Failed(REACH, f"{where}: {error}") from error
-        free = list(itertools.islice((q for q in found if world.is_free(q)), self.limits.solutions))
+        free = list(itertools.islice((q for q in found if world.is_free(q)), SOLUTIONS))
         if not free:
             self.demand_free(found[0], scene, stage, where)
         return free
@@ -202,31 +191,26 @@ class PlanBuilder:
         self._search = search
         self._segments: list[WorkSegment] = []
         self._scenes = [scene]
-        self._clearances: list[float | None] = []
+        self._clearance = math.inf
 
     def add(
         self, name: str, trajectory: Trajectory, engaged: bool, requires: tuple[Signal, ...], switches: tuple[Switch, ...],
         after: Scene, clearance: float | None = None,
     ) -> None:  # fmt: skip
         """Add a segment; `clearance`: [m], None: to be computed."""
-        change = difference(self._scenes[-1], after)
-        self._segments.append(WorkSegment(name, trajectory, engaged, requires, switches, change))
+        scene = self._scenes[-1]
+        if clearance is None:
+            samples = trajectory.sample_many(cycle_times(trajectory))[0]
+            clearance = self._search.world(scene).clearance_of(samples)[0].distance
+        self._clearance = min(self._clearance, clearance)
+        self._segments.append(WorkSegment(name, trajectory, engaged, requires, switches, difference(scene, after)))
         self._scenes.append(after)
-        self._clearances.append(clearance)
 
     def plan(self, method: str, tool0_T_element: Pose | None = None) -> TaskMotions:
         """Return the plan."""
-        search = self._search
+        search, segments, scenes = self._search, tuple(self._segments), tuple(self._scenes)
         planning_time = search.clock() - search.began
-        clearance = min(map(self._clearance, self._segments, self._scenes, self._clearances))
-        segments, scenes = tuple(self._segments), tuple(self._scenes)
-        return TaskMotions(search.job, method, segments, scenes, planning_time, clearance, tool0_T_element)
-
-    def _clearance(self, segment: WorkSegment, scene: Scene, known: float | None) -> float:
-        if known is not None:
-            return known
-        samples = segment.trajectory.sample_many(cycle_times(segment.trajectory))[0]
-        return self._search.world(scene).clearance_of(samples)[0].distance
+        return TaskMotions(search.job, method, segments, scenes, planning_time, self._clearance, tool0_T_element)
 
 
 def whole_cycles(trajectory: Trajectory) -> Trajectory:
@@ -254,13 +238,13 @@ class TaskPlanner:
         tool: ToolFile,
         recipes: Recipes,
         clock: Clock,
-        limits: TaskLimits = TaskLimits(),
+        budget: float = BUDGET,
     ):
         self._robot, self._solver, self._tool, self._recipes = robot, solver, tool, recipes
-        self._self_collision, self._clock, self._limits = self_collision, clock, limits
+        self._self_collision, self._clock, self._budget = self_collision, clock, budget
         self._settings = settings
-        budget = min(settings.planning_budget, limits.free_budget)
-        self._planner = Planner(robot, solver, settings.model_copy(update={"planning_budget": budget}), clock)
+        free = settings.model_copy(update={"planning_budget": min(settings.planning_budget, FREE_BUDGET)})
+        self._planner = Planner(robot, solver, free, clock)
         self._shapes = Shapes()
         self._world: CollisionWorld | None = None
 
@@ -272,7 +256,7 @@ class TaskPlanner:
         q = np.array(start, dtype=float)
         search = Search(
             job, name, recipe, q, scene, held, began, self._robot, self._solver, self._planner, self._settings,
-            self._tool, self._limits, self._clock, self._world_of, self._shapes,
+            self._tool, self._budget, self._clock, self._world_of, self._shapes,
         )  # fmt: skip
         process.check(search)
         try:

@@ -72,45 +72,37 @@ class Neighbours:
 
 
 class WorkSession:
-    """The work on one model, for several threads.
+    """The work on a loaded model, for several threads; its ledger is called after robot and cell file.
 
-    `lock`: Guards board and ledger; free while another node is waited for.
+    `clock`: Returns the time since 1970 [ns]. `lock`: Guards board and ledger; free while another node is waited for.
     """
 
-    def __init__(self, board: TaskBoard, heard: Heard, chain: Chain, calls: Neighbours, clock: Callable[[], int]):
-        self.board, self._heard, self._calls, self._clock = board, heard, calls, clock
-        self._follower = Follower(board, heard, chain, calls.arm_pose, calls.refuse, calls.log)
-        self.lock = threading.RLock()
-        self._planning = threading.Lock()
-        #: Why an engaged arm has no scene to go back in, and what that was found of.
-        self._blocked = ""
-        self._blocked_in: tuple | None = None
-
-    @classmethod
-    def open(
-        cls,
+    def __init__(
+        self,
         prepared: Prepared,
         folder: Path,
         robot: RobotModel,
         heard: Heard,
         calls: Neighbours,
         clock: Callable[[], int],
-    ) -> WorkSession:
-        """Return the work on a loaded model; its ledger is called after robot and cell file.
-
-        `clock`: Returns the time since 1970 [ns].
-        """
+    ):
         ledger = Ledger(
             folder / f"{robot.name}_{Path(prepared.cell).stem}.jsonl", prepared.after, prepared.digest, clock,
             str(Path(prepared.cell).resolve()), prepared.schedule.placing, prepared.standing_elements, robot.name,
             prepared.present,
         )  # fmt: skip
-        board = TaskBoard(prepared, ledger, robot.name, robot.tip_link)
-        decisions.look_around(board)
+        self.board = TaskBoard(prepared, ledger, robot.name, robot.tip_link)
+        self._heard, self._calls, self._clock = heard, calls, clock
+        decisions.look_around(self.board)
         opened = f"{prepared.model}: {len(prepared.schedule.jobs)} tasks, {ledger.lines} lines in {ledger.path}"
-        for said in (opened, *board.notes):
+        for said in (opened, *self.board.notes):
             calls.log(said)
-        return cls(board, heard, Chain(robot), calls, clock)
+        self._follower = Follower(self.board, heard, Chain(robot), calls.arm_pose, calls.refuse, calls.log)
+        self.lock = threading.RLock()
+        self._planning = threading.Lock()
+        #: Why an engaged arm has no scene to go back in, and what that was found of.
+        self._blocked = ""
+        self._blocked_in: tuple | None = None
 
     def recall(self, listen_time: float) -> None:
         """Find out what became of a plan that is offered or under way in the ledger; listens so long [s]."""
@@ -198,12 +190,12 @@ class WorkSession:
             element = board.element_of(left.task) if memory is not None else ""
             forms = board.built.forms(left.task) if memory is not None else ()
             found = engaged_scene.due(left, scene, segments, changes, heard.scenes(), element, forms)
-        if found.change is None:
-            self._blocked, self._blocked_in = found.sentence, about
-            self._calls.refuse("engagement", found.sentence)
-            return found.sentence
+        if isinstance(found, str):
+            self._blocked, self._blocked_in = found, about
+            self._calls.refuse("engagement", found)
+            return found
         # tried again as long as the scene node refuses
-        self._blocked, self._blocked_in = self._edit(scene.hash, found.change, found.after), None
+        self._blocked, self._blocked_in = self._edit(scene.hash, found, found.apply(scene).hash), None
         return self._blocked
 
     def _edit(self, before: str, wanted: SceneChange, after: str = "") -> str:

@@ -189,7 +189,7 @@ class WorkNode:
             self._diagnostics.refuse,
             functools.partial(rospy.loginfo, "%s"),
         )
-        self.session = WorkSession.open(prepared, folder, robot, self.heard, neighbours, time.time_ns)
+        self.session = WorkSession(prepared, folder, robot, self.heard, neighbours, time.time_ns)
         self.session.recall(settings.listen_time)
 
     def _show_building(self, prepared: Prepared, files: Any) -> None:

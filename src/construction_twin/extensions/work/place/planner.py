@@ -14,7 +14,7 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.extensions.work.contacts import FALL, straight
 from construction_twin.extensions.work.convex_bodies import Pieces
 from construction_twin.extensions.work.errors import TaskPlanningError
-from construction_twin.extensions.work.motions import Failed, PlanBuilder, Search
+from construction_twin.extensions.work.motions import PAIRS, Failed, PlanBuilder, Search
 from construction_twin.extensions.work.place.grips import AXES, Grip, find_grips
 from construction_twin.extensions.work.place.recipe import OVERRIDES, Direction, PlaceRecipe, check_tool, mass_of
 from construction_twin.extensions.work.process import REACH, Process, TaskMotions
@@ -77,7 +77,7 @@ def _whole(search: Search) -> TaskMotions:
                 reason=failed.reason,
                 tried=tried,
                 count=len(grips.grips),
-                seconds=search.limits.budget,
+                seconds=search.budget,
             )
         raise
 
@@ -353,7 +353,7 @@ class _OneWay:
         furthest: Failed | None = None
         tried = 0
         for one, other in self._combinations(befores, aboves):
-            if tried >= self.search.limits.pairs or (tried and self.search.late):
+            if tried >= PAIRS or (tried and self.search.late):
                 break
             try:
                 stock = _once(self._stocks, one, self._make_stock, befores[one])
@@ -375,7 +375,7 @@ class _OneWay:
             carry = search.free(search.start, goal.above, scale, there.carry, CARRY)
             return self._carried(PlanBuilder(search, search.scene), carry, goal)
 
-        return _first(search, search.nearest(aboves)[: search.limits.pairs], above)
+        return _first(search, search.nearest(aboves)[:PAIRS], above)
 
     def _combinations(self, befores: list[np.ndarray], aboves: list[np.ndarray]) -> Iterator[tuple[int, int]]:
         robot = self.search.robot
