@@ -276,7 +276,7 @@ class Follower:
                 q, source = self._arm_pose(), MEASURED
             except (PoseUnknownError, PayloadError) as error:
                 self._refuse("pose", f"the planned pose is taken for the arm's: {error}")
-        held, goal = pose_of_tuple(memory.tool0_T_element), self._board.goal(memory.task)
+        held, goal = pose_of_tuple(memory.tool0_T_element), self._board.built.element(memory.task).base_T_goal
         return pose_tuple(as_built(self._chain.forward(q), self._chain.forward(planned), held, goal)), source
 
     # -- a task that nobody reports
@@ -302,13 +302,10 @@ class Follower:
         if fate.outcome != FINISHED:
             self._add(after_restart(memory, fate, self.grip()))
             return
-        ended = ExecutionReport("", "", fate.plan, fate.outcome)
-        unseen = followed_unseen(fate.plan, memory, fate.outcome)
         # where the element was to be let go is known as long as the plan is
-        known = self._heard.plan
-        followed = self._followed(memory, known) if known is not None and known.plan.id == fate.plan else None
-        built, source = self._as_built(memory, followed, ended) if followed is not None else ((), "")
-        self._add(follow(memory, unseen, ended, self.grip(), built, source))
+        followed = self._followed(memory, self._heard.work_plan(fate.plan))
+        followed = followed or followed_unseen(fate.plan, memory, fate.outcome)
+        self._write(memory, followed, ExecutionReport("", "", fate.plan, fate.outcome))
 
     def settle_offer(self, task: str, offer: str) -> None:
         """Settle a task whose plan the planner may have published without an answer."""

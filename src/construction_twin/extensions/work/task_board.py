@@ -29,7 +29,6 @@ from construction_twin.extensions.work.task_memory import (
     TaskEvent,
     TaskState,
 )  # fmt: skip
-from construction_twin.kinematics.chain import Pose
 
 #: Words for where the schedule comes from, as `WorkTasks.msg` has them.
 FROM_MODEL, FROM_PERSON, PROPOSED = "model", "accepted", "proposed"
@@ -156,10 +155,6 @@ class TaskBoard:
         """Return the GlobalId of a task's element."""
         return self.built.job(task).element
 
-    def goal(self, task: str) -> Pose:
-        """Return where the model has a task's element."""
-        return self.built.element(task).base_T_goal
-
     def report(self, now: int) -> WorkReport:
         """Return the state of the work; the arm is not engaged."""
         return WorkReport(
@@ -198,12 +193,8 @@ class TaskBoard:
         return self.obstacle(book.open[0], now) if book.open else "every task is done or skipped"
 
     def _row(self, task: str, now: int) -> TaskReport:
-        job, memory, facts, far = (
-            self.built.job(task),
-            self.book.tasks[task],
-            self.built.element(task),
-            self.built.deviation(task),
-        )
+        job, memory = self.built.job(task), self.book.tasks[task]
+        facts, far = self.built.element(task), self.built.deviation(task)
         scheduled = self.prepared.scheduled.get(task, Scheduled())
         return TaskReport(
             id=task,

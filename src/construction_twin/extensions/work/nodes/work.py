@@ -162,7 +162,6 @@ class WorkNode:
         files = None
         if settings.private:
             files = extension("console.private_files").PrivateFiles(ros_home() / settings.private, robot.name)
-        if files is not None:
             files.drop_building()
         began, folder = time.monotonic(), ros_home() / settings.folder
         prepared: Prepared = self._worker.ask_first(
