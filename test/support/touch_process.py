@@ -80,6 +80,7 @@ def check(search: Search) -> None:
 
 
 def plan(search: Search) -> TaskMotions:
+    check(search)
     furthest: Failed | None = None
     for point in search.recipe.points:
         if furthest is not None and search.late:
@@ -137,7 +138,6 @@ PROCESS = Process(
     check_recipe=check_recipe,
     mass=lambda job, name, recipe, tool: job.element.mass,
     acts=TOUCH,
-    check=check,
     plan=plan,
 )
 

@@ -258,7 +258,6 @@ class TaskPlanner:
             job, name, recipe, q, scene, held, began, self._robot, self._solver, self._planner, self._settings,
             self._tool, self._budget, self._clock, self._world_of, self._shapes,
         )  # fmt: skip
-        process.check(search)
         try:
             self._robot.check_range(q)
         except KinematicsError as error:

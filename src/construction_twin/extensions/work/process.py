@@ -198,8 +198,7 @@ class Process:
         check_recipe: Takes a recipe, the tool, and file and name of the recipe; raises ConfigurationError.
         mass: Takes a job, name of its recipe, the recipe and the tool [kg]; None: unknown. Raises TaskPlanningError.
         acts: Name of the segment at whose end it acts.
-        check: Takes a `motions.Search`; raises TaskPlanningError.
-        plan: Takes the same; raises `motions.Failed`, of the attempt that came furthest.
+        plan: Takes a `motions.Search`; raises `motions.Failed`, of the attempt that came furthest, or TaskPlanningError.
     """
 
     moves: bool
@@ -208,7 +207,6 @@ class Process:
     check_recipe: Callable[[Any, Tool, str], None]
     mass: Callable[[WorkJob, str, Any, Tool], float | None]
     acts: str
-    check: Callable[[Any], None]
     plan: Callable[[Any], TaskMotions]
 
 

@@ -35,26 +35,19 @@ STAGES = (GRIP, REACH, APPROACH, LIFT, TO_STOCK, SET_DOWN, RETREAT, CARRY)
 _NEAR_LIMIT = 0.01
 
 
-def check(search: Search) -> None:
-    """Refuse what is too heavy, or held and would fall."""
-    mass_of(search.job, search.name, search.recipe, search.tool.tool)
-    if search.held is not None and (falls := _falls(search)):
-        raise TaskPlanningError(search.job.task, falls, SET_DOWN)
-
-
 def plan(search: Search) -> TaskMotions:
     """Return the plan of a task; with the element held, of the rest.
 
     Raises:
         Failed: The attempt that came furthest.
     """
-    return _whole(search) if search.held is None else _rest(search, search.held)
+    mass = mass_of(search.job, search.name, search.recipe, search.tool.tool)
+    return _whole(search, mass) if search.held is None else _rest(search, search.held)
 
 
-def _whole(search: Search) -> TaskMotions:
+def _whole(search: Search, mass: float) -> TaskMotions:
     job = search.job
     assert job.base_T_stock is not None
-    mass = mass_of(job, search.name, search.recipe, search.tool.tool)
     try:
         grips = find_grips(Pieces(job.bodies), job.base_T_stock.rotation.T[:, 2], mass, search.recipe, search.tool.tool)
     except SceneError as error:
@@ -84,6 +77,8 @@ def _whole(search: Search) -> TaskMotions:
 
 def _rest(search: Search, tool0_T_element: Pose) -> TaskMotions:
     job, recipe = search.job, search.recipe
+    if falls := _falls(search):
+        raise Failed(SET_DOWN, falls)
     element_T_tcp = product(inverse(tool0_T_element), pose_of(search.tool.tool.tool0_T_tcp))
     grip = Grip("the grip it is held with", element_T_tcp, Pose(np.zeros(3), np.eye(3)), 0)
 
@@ -450,6 +445,5 @@ PROCESS = Process(
     check_recipe=check_tool,
     mass=mass_of,
     acts=SET_DOWN,
-    check=check,
     plan=plan,
 )
