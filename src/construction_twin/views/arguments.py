@@ -40,11 +40,7 @@ class Exit(enum.IntEnum):
 
 
 def parser(robot: str) -> argparse.ArgumentParser:
-    """Return the parser of the whole command line.
-
-    Args:
-        robot: Namespace of the robot when none is given.
-    """
+    """Return the parser of the whole command line; `robot`: namespace of the robot when none is given."""
     root = argparse.ArgumentParser(
         prog="twin",
         description="Plan, review and watch the motions of one robot and its twin. Angles in deg, lengths in mm.",
@@ -71,6 +67,10 @@ def parser(robot: str) -> argparse.ArgumentParser:
     command("back", "have the way back out of an engaged segment planned for review; nothing moves")
     command("show", "show the plan under review")
     _add_export(command("export", "write the newest plan, whatever became of it, as a CSV file that plan --csv reads"))
+    gateway = command(
+        "gateway", "write the configuration of rsi_gateway for the cell PC, from the running bringup's parameters"
+    )
+    gateway.add_argument("file", metavar="FILE", help="the file to write, e.g. kr120_gateway.json; -: standard output")
     preview = command("preview", "let the ghost play the plan under review")
     preview.add_argument("--speed", type=_percent, default=1.0, metavar="PERCENT", help="of the plan's own speed [100]")
     add_approve(command("approve", "approve the plan under review: it starts"))

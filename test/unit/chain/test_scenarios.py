@@ -51,7 +51,7 @@ DECIMALS, CYCLE_MS = 3, 4
 DRIVES = str(ROOT / "config/kr120_drives.yaml")
 #: Its hash only: nothing is in the way here.
 SCENE = "s"
-#: As in launch/gate.launch with the mock; a scenario's own settings have the last word.
+#: As in launch/bringup.launch with the mock; a scenario's own settings have the last word.
 LAG_MARGIN = 0.06
 #: Longest wait until a plan could be started, and for a `reset` [s].
 READY, RESET = 5.0, 5.0

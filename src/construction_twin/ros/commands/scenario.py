@@ -322,12 +322,7 @@ def run_scenario(settings: ScenarioSettings, content: dict, console: Console) ->
 
 
 def read_run(folder: Path, namespace: str | None = None) -> Run:
-    """Read a recorded run.
-
-    Args:
-        folder: Holds the bag and the driver's notes.
-        namespace: The robot's; default: that of the only robot in the bag.
-    """
+    """Read a recorded run from the folder of bag and notes; `namespace` None: of the only robot in the bag."""
     path = folder / BAG
     recording = read_recording(path, namespace)
     prefix = recording.robot.rstrip("/")

@@ -1,7 +1,4 @@
-"""Conversions between the scene's messages and its values, and the scene as rviz markers; no parameters, no clock.
-
-Numbers are converted without loss, so a scene has the same hash on both sides.
-"""
+"""The scene as messages, without loss, so that it has one hash on both sides; and as rviz markers."""
 
 from __future__ import annotations
 
@@ -44,11 +41,7 @@ def object_to_msg(item: SceneObject) -> ObjectMsg:
 
 
 def object_from_msg(msg: ObjectMsg) -> SceneObject:
-    """Return the object; it is not a fixed one.
-
-    Raises:
-        SceneError: If the message does not describe one.
-    """
+    """Return the object, not a fixed one; SceneError where it is none."""
     position, orientation = msg.pose.position, msg.pose.orientation
     return SceneObject(
         name=msg.name,
@@ -72,12 +65,7 @@ def scene_to_msg(scene: Scene, stamp: genpy.Time, frame_id: str) -> SceneMsg:
 
 
 def scene_from_msg(msg: SceneMsg) -> Scene:
-    """Return the scene.
-
-    Raises:
-        SceneError: If the message does not describe one, or its hash is another scene's: then a mesh file differs between the two
-            machines or has changed.
-    """
+    """Return the scene; SceneError where it is none, or its hash another one's: then a mesh file differs between two machines."""
     scene = Scene(tuple(map(object_from_msg, msg.objects)), msg.padding)
     if scene.hash != msg.hash:
         raise SceneError(
@@ -89,14 +77,7 @@ def scene_from_msg(msg: SceneMsg) -> Scene:
 def scene_markers(
     scene: Scene, gone: Iterable[str], touching: Collection[str], base_link: str, tf_prefix: str
 ) -> MarkerArray:
-    """Return the scene for rviz: one marker per object, in a namespace of its name.
-
-    Args:
-        gone: Objects that were shown before and are not in the scene any more.
-        touching: Objects to show as in contact.
-        base_link: Frame of what stands in the world, without prefix.
-        tf_prefix: Of the twin's frames, without a slash at its end; may be empty.
-    """
+    """Return one marker per object, in a namespace of its name, and the removal of what is `gone`."""
     markers = [_marker(item, item.name in touching, base_link, tf_prefix) for item in scene.objects]
     markers += [Marker(ns=name, action=Marker.DELETE) for name in gone]
     return MarkerArray(markers)
@@ -108,13 +89,7 @@ def tf_frame(tf_prefix: str, link: str) -> str:
 
 
 def body_marker(item: SceneObject, frame_id: str, colour: tuple[float, ...], pose: Pose | None = None) -> Marker:
-    """Return an object's shape for rviz, in a namespace of its name.
-
-    Args:
-        frame_id: tf frame that it moves with.
-        colour: Length 4. r, g, b, a.
-        pose: In that frame. Default: the object's own.
-    """
+    """Return an object's shape for rviz, at its own pose by default, in a namespace of its name."""
     marker = Marker(ns=item.name, type=SHAPES[item.shape], action=Marker.ADD, frame_locked=True)
     marker.header.frame_id = frame_id
     position, quaternion = item.position, item.quaternion

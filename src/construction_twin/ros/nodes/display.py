@@ -1,9 +1,7 @@
 """display: what people look at, and poses at a low rate for those who need no 250 Hz. Nothing waits for it.
 
-`velocities/joint_states` is the twin's pose with velocities, which joint_state_publisher reads for `joint_states`. Of a twin with
-mass that is the commanded pose: MoveIt starts from it, and goals in a link's frame are looked up in the tf made of it, by way of
-`shown/twin`. The other trees of tf are made here: physical arm, the ghost that plays a plan (`preview/joint_states`), and, where
-there are such, the simulated and the expected arm. Markers: the plan under review and its rehearsal, and the monitor's state.
+Of a twin with mass `velocities/joint_states`, and so `joint_states` and tf, have the commanded pose: goals are looked up there. The
+trees of tf of arm, ghost, simulated and expected arm are made here.
 """
 
 from __future__ import annotations
@@ -80,7 +78,7 @@ Shown = TypeVar("Shown")
 
 
 class Settings(PrivateSettings):
-    """Private parameters, given in launch/twin.launch: launch arguments of these names."""
+    """Private parameters, given in launch/bringup.launch: launch arguments of these names."""
 
     arm: Literal["mock", "real", "none"]
     twin: Literal["kinematic", "mujoco", "gazebo"]
@@ -122,11 +120,7 @@ class ShownPoses(Generic[Shown]):
 
 
 class JointVelocities:
-    """Velocities of a chain's joints.
-
-    Args:
-        largest: Length n. The joints' speed limits [rad/s], [m/s].
-    """
+    """Velocities of a chain's joints; `largest`: their speed limits [rad/s], [m/s]."""
 
     def __init__(self, largest: Sequence[float]):
         self._largest = tuple(_JUMP * velocity for velocity in largest)
@@ -134,11 +128,7 @@ class JointVelocities:
         self._last: tuple[int, tuple[float, ...]] | None = None
 
     def of(self, stamp: int, q: tuple[float, ...]) -> tuple[float, ...]:
-        """Return the mean velocities since the pose of the last call, shape (n,) [rad/s], [m/s].
-
-        0 for the first pose, for a stamp that is not newer, and for a pose that no joint could have moved to since: the twin took
-        the arm's pose over.
-        """
+        """Return the mean velocities since the last pose [rad/s], [m/s]; 0 without a newer stamp, or after a jump."""
         before, self._last = self._last, (stamp, q)
         if before is None or stamp <= before[0]:
             return self._rest
@@ -150,11 +140,7 @@ class JointVelocities:
 
 
 class RobotFrames:
-    """The frames of a robot's copies, below a prefix each.
-
-    Args:
-        place: Where the URDF's root stands in ``world``.
-    """
+    """The frames of a robot's copies, below a prefix each; the URDF's root stands at `place` in ``world``."""
 
     def __init__(self, robot: RobotModel, place: Pose):
         model = parse_urdf(robot.urdf)
@@ -281,10 +267,7 @@ class DisplayNode:
         self._publish_frames("expected", stamp, q)
 
     def move_ghost(self) -> None:
-        """Show where the ghost is now, and once that a silent twin is at rest.
-
-        Otherwise joint_state_publisher would repeat its last velocity with fresh stamps.
-        """
+        """Show where the ghost is, and once that a silent twin rests: joint_state_publisher would repeat its last velocity."""
         now = time.monotonic()
         with self._lock:
             twin = self._twin

@@ -1,8 +1,4 @@
-"""executor: plays the approved plan as `next/joint_states` at 250 Hz; serves `review_plan`, the stops, `pause`, `resume`.
-
-`~act_as_seen` stops, pauses and resumes for people at screens elsewhere. Of a work plan also `tool_command`, from what `tool` says;
-`engagement`, and the service `release_engagement`. What decides is in `execution`.
-"""
+"""executor: plays the approved plan as `next/joint_states` at 250 Hz. What decides is in `execution`."""
 
 from __future__ import annotations
 
@@ -72,7 +68,7 @@ _Result = TypeVar("_Result")
 
 
 class Settings(NodeSettings, Permission):
-    """Private parameters; see config/executor.yaml, the others are given in launch/gate.launch."""
+    """Private parameters; see config/executor.yaml, the others are given in launch/bringup.launch."""
 
     review_file: Annotated[str, pydantic.Field(min_length=1)]
     neighbour: str = ""
@@ -344,7 +340,7 @@ class ExecutorNode:
         self._publish("review", message)
 
     def _publish_changes(self) -> None:
-        """Publish and note what has changed; on the cycle's thread, so nothing here waits for a disk or a terminal.
+        """Publish and note what has changed, on the cycle's thread: nothing here waits for a disk or a terminal.
 
         From a safety act until it has been told, and the arm rests, no part of this can end the node.
         """

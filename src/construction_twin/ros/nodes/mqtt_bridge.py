@@ -72,12 +72,7 @@ class Settings(MqttSettings):
 class MqttBridge:
     """ROS and MQTT around a `Bridge`: a method for each topic and service of either side.
 
-    `_lock` guards the `Bridge`; nothing is sent while it is held. Its times are monotonic: a wall clock that is set must not make a
-    gateway look alive, or an arm at rest.
-
-    Args:
-        config: As the gateway should run it.
-        client: Not connected yet.
+    `_lock` guards the `Bridge`; nothing is sent while it is held. Its times are monotonic.
     """
 
     def __init__(
@@ -382,7 +377,6 @@ INTERFACE = Interface(
     ),
     serves=(
         Served("reset", Trigger, lambda node, _: node.ask("reset")),
-        Served("~arm", Trigger, lambda node, _: node.ask("arm")),
         Served("~act_as_seen", ActAsSeen, lambda node, asked: node.ask(asked.act, asked.person, asked.moment)),
         Served("arm", TakeResponsibility, lambda node, asked: node.ask("arm", asked.responsible)),
         Served("halt", Trigger, MqttBridge.on_halt),
@@ -397,7 +391,7 @@ def check(settings: Settings, robot: RobotModel, shared: Shared) -> None:
     config_of_link(robot, shared["gateway"], settings.gateway_kind != PLC)
     broker_of(settings)
     if settings.arm == "real" and not settings.account and not settings.anonymous_broker_is_meant:
-        raise ConfigurationError("bridge_account", "", ACCOUNTS)
+        raise ConfigurationError("accounts", "", ACCOUNTS)
 
 
 NODE = NodeShell("mqtt_bridge", Settings, start, INTERFACE, check, fast=True)

@@ -43,12 +43,8 @@ def first_meeting(
 ) -> tuple[float, Contact] | None:
     """Return when a plan first comes too close to the other arm [s] and what does, None if nothing does.
 
-    Poses are checked between which no point moves further than the padding, and half of that is kept besides a quarter of it. So a
-    plan that was made with the whole padding is free while the other arm occupies what it did then.
-
-    Args:
-        world: Of our arm with all that it will carry on its way.
-        padding: Distance that plans keep, besides the scene's [m].
+    Poses are checked between which no point moves further than the padding, and half of that is kept besides a quarter: a plan
+    made with the whole padding is free. `world`: of our arm with all that it will carry.
     """
     beside = world.with_neighbour((item.padded(0.75 * padding) for item in obstacles), alone=True)
     times, qs = plan_rows(plan)
@@ -111,8 +107,7 @@ class NeighbourNode:
     def _problem(self, plan: Plan, own: Claim | None) -> str:
         """Return why a plan must not start, or not go on; empty: nothing is against it.
 
-        A plan that is played ends when it meets the other arm's that was begun before it, as both were approved at the same moment,
-        or the other arm where it stands, as after that.
+        A plan that is played ends when it meets the other arm's that was begun before it, or the other arm where it stands.
         """
         scene, plays = self._own.scene, own is not None and own.plan_id == plan.id
         try:

@@ -1,7 +1,4 @@
-"""pca_monitor: the pose checking algorithm as the gate between `next/joint_states` and `command/joint_states`.
-
-It also merges what limits the speed, beside the gate: `SpeedLimitService`.
-"""
+"""pca_monitor: the gate between `next/joint_states` and `command/joint_states`; beside it the merge of speed limits."""
 
 from __future__ import annotations
 
@@ -96,11 +93,9 @@ class Rules(pydantic.BaseModel):
 
 
 class SpeedLimitService:
-    """ROS around a SpeedLimits: of one program on `speed_limit`, of people by `limit_speed`; the lowest is published, and repeated.
+    """ROS around a SpeedLimits: of one program and of people; the lowest is published, and repeated. Not safety rated.
 
-    Beside the gate, in threads of its own: no setpoint waits for its lock or file. A raise of people is on the disk before it acts,
-    a lower limit acts at once: a restart raises nothing. Not safety rated. The file `path` keeps what people set; None: it ends
-    with the process.
+    Beside the gate, in threads of its own. A raise of people is on the disk, in `path`, before it acts; a lower limit acts at once.
     """
 
     def __init__(self, path: Path | None, ports: Ports):

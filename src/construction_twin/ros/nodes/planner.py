@@ -67,15 +67,7 @@ from construction_twin.scene.self_collision import read_self_collision
 
 
 def plan_request(request, source: str = "request") -> PlanRequest:
-    """Return the request behind any of the services'; zero and empty mean the default.
-
-    Args:
-        source: Name of the requester if the request does not give one.
-
-    Raises:
-        PayloadError: ``moment``, of when it was asked for.
-        PlanningError: If that is not before it arrived, on the same clock: then a stop between the two would not void it.
-    """
+    """Return the request behind any of the services'; PlanningError where it was asked for after it came, or on another clock."""
     arrived = present()
     asked = parse_moment(request.asked) if getattr(request, "asked", "") else arrived
     if asked.origin != arrived.origin or asked.at > arrived.at:
@@ -89,14 +81,7 @@ def plan_request(request, source: str = "request") -> PlanRequest:
 
 
 def tool_waypoints(waypoints: Iterable, base_T_frame: Pose) -> list[ToolWaypoint]:
-    """Return a Cartesian path in the robot's base.
-
-    Args:
-        base_T_frame: The frame that they are given in.
-
-    Raises:
-        KinematicsError: If an orientation is not a unit quaternion.
-    """
+    """Return a Cartesian path in the robot's base; KinematicsError where an orientation is no unit quaternion."""
     path = []
     for message in waypoints:
         via = base_T_frame.position + base_T_frame.rotation @ np.array((message.via.x, message.via.y, message.via.z))
@@ -127,10 +112,7 @@ SCENE_TIMEOUT = 5.0
 
 
 class Settings(PlannerSettings):
-    """The node's parameters: the planner's, and what only the node needs.
-
-    Behaviour is explained in config/planner.yaml; `self_collision` and `tf_prefix` are given in launch/twin.launch.
-    """
+    """The planner's parameters (config/planner.yaml), and those of the launch file."""
 
     ik_budget: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]
     self_collision: str

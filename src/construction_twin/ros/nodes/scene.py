@@ -57,7 +57,7 @@ _RUN = "/run_id"
 
 
 class Settings(PrivateSettings):
-    """Private parameters, given in launch/twin.launch; `scene` ``none`` or empty: no objects, no padding."""
+    """Private parameters, given in launch/bringup.launch; `scene` ``none`` or empty: no objects, no padding."""
 
     scene: str
     self_collision: str

@@ -173,8 +173,7 @@ class StartupNode:
 def expect_reachable(environ: Mapping[str, str]) -> None:
     """Raise a ConfigurationError when nodes of this machine would not reach each other, or the master.
 
-    Each node tells the master an address of its own: `ROS_HOSTNAME`, else `ROS_IP`, else the machine's name. With one that leads
-    nowhere every node starts, and none hears another.
+    Each tells the master `ROS_HOSTNAME`, else `ROS_IP`, else the machine's name: with one that leads nowhere none hears another.
     """
     if environ.get("ROS_IPV6") == "on":
         return
@@ -216,15 +215,11 @@ def reaches_itself(host: str, timeout: float) -> str:
 
 
 def expect_known(words: list[str]) -> None:
-    """Raise a ConfigurationError about an argument for a launch file of this package that none of them has.
-
-    Args:
-        words: Of roslaunch's command line, which takes any name; others' launch files, which may include ours, are not looked at.
-    """
+    """Raise a ConfigurationError about an argument on roslaunch's command line that no launch file of this package knows."""
     files = list((share_folder() / "launch").glob("*.launch"))
     if "construction_twin" not in words and not {str(file) for file in files} & set(words):
         return
-    known = {name for file in files for name in re.findall(r'<arg name="(\w+)"', file.read_text(encoding="utf-8"))}
+    known = {name for file in files for name in re.findall(r'<arg name="(\w+)"\s+default=', file.read_text())}
     for word in words:
         name, assigned, value = word.partition(":=")
         if assigned and not name.startswith("_") and name not in known:

@@ -1,7 +1,6 @@
-"""tool_marker: the operator's handle in rviz. It follows the tool; dragged away, it shows at once whether the arm can go there.
+"""tool_marker: the operator's handle in rviz. Dragged away from the tool, it shows at once whether the arm can go there.
 
-Its menu is in `ros.shared.tool_marker_menu`. The verdict is drawn by markers of its own, because rviz takes a changed interactive
-marker for a new one in the middle of a drag.
+The verdict is drawn by markers of its own: rviz takes a changed interactive marker for a new one in the middle of a drag.
 """
 
 from __future__ import annotations
@@ -53,12 +52,7 @@ from construction_twin.views.texts import waiting_plan
 
 
 class MarkerServer(InteractiveMarkerServer):
-    """As `InteractiveMarkerServer`, but deaf to what is played.
-
-    Args:
-        topic: Namespace of the marker's topics.
-        refused: Called as ``refused(reason, sentence)`` for a message that its sender did not make.
-    """
+    """As `InteractiveMarkerServer`, but deaf to what is played: `refused(reason, sentence)` is told of it."""
 
     def __init__(self, topic: str, refused: Callable[[str, str], None]):
         self._refused = refused
@@ -127,12 +121,7 @@ class Settings(PrivateSettings):
 
 
 def tool_marker(frame: str, pose: PoseMsg, scale: float) -> InteractiveMarker:
-    """Return the interactive marker: it moves along and turns about its axes, and opens the menu.
-
-    Args:
-        frame: tf frame of the pose. The stamp is 0: rviz then keeps the marker in this frame, and reports poses in it.
-        scale: [m]
-    """
+    """Return the interactive marker, of `scale` [m]; its stamp is 0: rviz keeps it in this frame, and reports poses in it."""
     marker = InteractiveMarker(name=NAME, description="", pose=pose, scale=scale)
     marker.header.frame_id = frame
     handle = Marker(type=Marker.SPHERE, color=ColorRGBA(1.0, 1.0, 1.0, 0.2))

@@ -42,11 +42,7 @@ EFFORT_PERIOD = NANOSECONDS // 50
 
 
 class Settings(NodeSettings):
-    """Private parameters, given in launch/gate.launch; what follows `twin` counts with mujoco alone.
-
-    Attributes:
-        payload: At the flange at all times: mass [kg], or mass and centre in the tip link [m]; empty: nothing.
-    """
+    """Private parameters, given in launch/bringup.launch; what follows `twin` counts with mujoco alone."""
 
     arm: Literal["mock", "real", "none"]
     twin: Literal["kinematic", "mujoco", "gazebo"]
