@@ -284,7 +284,6 @@ _Found = tuple[str, str] | None
 
 
 def _link(seen: Seen, deployment: Deployment) -> _Found:
-    """Broker, gateway, configuration, controller, first feedback."""
     word = seen.link or Word("", "")
     state, reason = word.state, word.reason
     if not state:

@@ -241,7 +241,6 @@ def main() -> int:
 
 
 def _new_directory(results: Path) -> Path:
-    """Make and return a new folder named after the present time."""
     name = time.strftime("%Y-%m-%d_%H-%M-%S")
     for suffix in ("", *(f"_{number}" for number in range(2, 100))):
         directory = results / (name + suffix)

@@ -155,7 +155,6 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _make(options: argparse.Namespace, command: str) -> list[str]:
-    """Write the files; return what to say."""
     if not 0 < options.full_speed_in < float("inf") or options.samples < 1:
         raise ConfigurationError(
             "--full-speed-in, --samples", (options.full_speed_in, options.samples), "positive numbers"

@@ -58,7 +58,6 @@ class Recorder:
             return False  # a node is still registering, or just left
 
     def _sent_by(self, nodes: set[str]) -> set[tuple[str, str]]:
-        """Return the pairs of topic and node of what these nodes send to the recorder."""
         sent = set()
         for node in nodes:
             answer: Any = xmlrpc.client.ServerProxy(self._master.lookupNode(node)).getBusInfo(self._name)

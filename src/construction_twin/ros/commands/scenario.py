@@ -375,7 +375,6 @@ def _outcomes(messages: list) -> Iterator[Change]:
 
 
 def _faults(reports: list[dict]) -> Iterator[Change]:
-    """Return which faults began and ended, by name, and the controller sessions that began."""
     before: set[str] = set()
     session = reports[0]["session"]
     for report in reports:

@@ -276,7 +276,6 @@ class Command:
         return _print(self._client.review(request))
 
     def _wait(self, listener: RobotListener, plan: Plan) -> Exit:
-        """Wait for the motion's end, print it, and return its exit code."""
         seen = []
 
         def over() -> bool:

@@ -285,7 +285,6 @@ class DisplayNode:
         self._publishers["velocities/joint_states"].publish(message)
 
     def _show(self, tree: str, stamp: int, q: tuple[float, ...]) -> tuple[int, tuple[float, ...]] | None:
-        """Publish a pose in tf and return it, if it is its turn."""
         shown = self._poses_shown[tree].take(time.monotonic(), (), q, (stamp, q))
         if shown is not None:
             self._publish_frames(tree, *shown)

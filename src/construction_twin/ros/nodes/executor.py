@@ -47,7 +47,6 @@ from construction_twin.ros.shared.node_shell import (
     PoseSubscription,
     Publication,
     Served,
-    Shared,
     Subscription,
     has_arm,
 )
@@ -388,7 +387,7 @@ class ExecutorNode:
         return Report(WARN if self._news.waits else OK, f"{executor.state.name}: {executor.reason}", values)
 
 
-def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
+def check(settings: Settings, robot: RobotModel, *_: object) -> None:
     """Check permission and files; see `NodeShell`."""
     settings.check(robot)
     if settings.rehearsal == "require":

@@ -22,15 +22,7 @@ from construction_twin.mock.network import MockRsi
 from construction_twin.mock.program import MockSettings, axis_angles, build_controller, gateway_address, joint_angles
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
-from construction_twin.ros.shared.node_shell import (
-    Interface,
-    NodeShell,
-    Ports,
-    PosePublication,
-    Publication,
-    Served,
-    Shared,
-)
+from construction_twin.ros.shared.node_shell import Interface, NodeShell, Ports, PosePublication, Publication, Served
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.srv import InjectFault, InjectFaultRequest
@@ -141,7 +133,6 @@ class MockRsiNode:
         }
 
     def _tool(self) -> dict | None:
-        """Return `$OUT` and `$IN` of the tool; None without one."""
         tool = self._controller.tool
         return None if tool is None else {"outputs": dict(tool.outputs), "inputs": dict(tool.inputs)}
 
@@ -189,7 +180,6 @@ class MockRsiNode:
         return {"active": self._mock.faults.active}
 
     def _fault(self, request: InjectFaultRequest) -> Fault:
-        """Return the request in the controller's axes."""
         names, axes = self._robot.joint_names, self._robot.axes
         if request.joint and request.joint not in names:
             raise ConfigurationError(request.fault, request.joint, f"one of {', '.join(names)}")
@@ -221,7 +211,7 @@ INTERFACE = Interface(
 )
 
 
-def check(settings: MockSettings, robot: RobotModel, _shared: Shared) -> None:
+def check(settings: MockSettings, robot: RobotModel, *_: object) -> None:
     """Check that there can be such a controller; see `NodeShell`."""
     build_controller(settings, robot)
 

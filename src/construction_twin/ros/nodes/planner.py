@@ -40,12 +40,7 @@ from construction_twin.ros.messages.convert import (
 )
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
-from construction_twin.ros.shared.arm_listener import (
-    OtherArm,
-    await_robot,
-    listen_to_other_arm,
-    neighbour_settings,
-)
+from construction_twin.ros.shared.arm_listener import OtherArm, await_robot, listen_to_other_arm, neighbour_settings
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.frames import FRAMES, listen_to_frames
 from construction_twin.ros.shared.node_shell import (
@@ -55,7 +50,6 @@ from construction_twin.ros.shared.node_shell import (
     Ports,
     Publication,
     Served,
-    Shared,
     Subscription,
 )
 from construction_twin.ros.shared.outcome import Outcome
@@ -153,7 +147,6 @@ class PlannerNode:
     # -- the other arm
 
     def _occupied(self) -> list[Obstacle]:
-        """Return the space that the other arm occupies, padded."""
         assert self._other is not None and self._beside is not None
         return [item.padded(self._beside.padding) for item in self._other.occupied().obstacles]
 
@@ -231,7 +224,6 @@ class PlannerNode:
         self._through(asked, lambda: trajectory_waypoints(message, self._robot))
 
     def _through(self, asked: PlanRequest, read: Callable[[], Waypoints], retime: bool = False) -> Outcome:
-        """Read waypoints, and plan through them from where the twin stands."""
 
         def plan() -> Callable[[], Plan]:
             waypoints = read()
@@ -364,7 +356,7 @@ INTERFACE = Interface(
 )
 
 
-def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
+def check(settings: Settings, robot: RobotModel, *_: object) -> None:
     """Check the file of pairs; see `NodeShell`."""
     read_self_collision(settings.self_collision, robot)
 

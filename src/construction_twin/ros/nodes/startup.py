@@ -22,7 +22,7 @@ from construction_twin.core.share import share_folder
 from construction_twin.msg import Feedback, Scene, StartRefused
 from construction_twin.robot.description import RobotModel, other_joints_text
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report, warn_of_refusals
-from construction_twin.ros.shared.node_shell import Every, Interface, NodeShell, Ports, Shared, Subscription
+from construction_twin.ros.shared.node_shell import Every, Interface, NodeShell, Ports, Subscription
 from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.shared.robot_listener import REPORTS, RobotListener
 from construction_twin.ros.shared.start_refusal import AGAIN, TOPIC, launch
@@ -227,7 +227,7 @@ def expect_known(words: list[str]) -> None:
             raise ConfigurationError(name, value, f"an argument that `roslaunch --ros-args` lists{near}")
 
 
-def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
+def check(settings: Settings, robot: RobotModel, *_: object) -> None:
     """Check what is no other node's: addresses, roslaunch's words, and what would start beside something missing."""
     expect_reachable(os.environ)
     expect_known(_words_of_parent())

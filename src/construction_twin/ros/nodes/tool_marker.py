@@ -283,7 +283,6 @@ class ToolMarkerNode:
             self._goal.reached(self._chain.forward(plan.trajectory.positions[-1]))
 
     def _follow(self) -> None:
-        """Put the marker where the tool is."""
         try:
             tool = self._chain.forward(self._twin.pose(MAX_POSE_AGE))
         except (PoseUnknownError, PayloadError) as error:

@@ -26,7 +26,6 @@ from construction_twin.ros.shared.node_shell import (
     PosePublication,
     PoseSubscription,
     Publication,
-    Shared,
     Subscription,
     has_arm,
 )
@@ -241,7 +240,7 @@ INTERFACE = Interface(
 )
 
 
-def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
+def check(settings: Settings, robot: RobotModel, *_: object) -> None:
     """Check that a twin with mass can be simulated; see `NodeShell`."""
     if settings.twin == "gazebo" and settings.payload:
         raise ConfigurationError(

@@ -85,7 +85,6 @@ class FrameListener:
         self._last = now
 
     def _problem(self, frame: str, caller: str) -> str:
-        """Return why a node may not publish a frame; "" when it may."""
         who = caller or "a node without a name"
         robot, tree = _tree(frame)
         if tree in PUBLISHERS:

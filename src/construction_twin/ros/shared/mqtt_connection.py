@@ -77,5 +77,4 @@ def connect(
 
 
 def _alone(take: Callable[[MQTTMessage], None]) -> Callable[[object, object, MQTTMessage], None]:
-    """Return a callback for paho that hands on the message alone."""
     return lambda _client, _data, message: take(message)

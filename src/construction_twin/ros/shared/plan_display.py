@@ -139,7 +139,6 @@ class PlanDisplay:
             return self._preview.pose(now)
 
     def _draw(self) -> None:
-        """Publish the markers of another plan than the one drawn, or their removal."""
         self._draw_plan()
         self._draw_rehearsal()
 
@@ -159,7 +158,6 @@ class PlanDisplay:
         self._grip(time.monotonic())
 
     def _draw_rehearsal(self) -> None:
-        """Publish the markers of the rehearsal of the plan under review, or their removal."""
         plan, report = self._preview.under_review, self._report
         rehearsed = report and (report.plan_id, report.plan_hash, report.scene)
         if plan is None or report is None or rehearsed != (plan.id, plan.hash, plan.scene):

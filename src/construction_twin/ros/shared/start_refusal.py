@@ -48,7 +48,6 @@ def expect_no_other(name: str) -> None:
 
 
 def _is_beside(node: RunningNode) -> bool:
-    """Return whether a node is of this process's launch."""
     try:
         return f"{VARIABLE}={launch()}".encode() in Path(f"/proc/{node.pid}/environ").read_bytes().split(b"\0")
     except OSError:

@@ -144,7 +144,6 @@ class ToolMarkerMenu:
         self._say(f"{title}: {sentence}")
 
     def _plan(self, request: Callable[[], GoalRequest]) -> Outcome:
-        """Ask for a plan, unless another request is under way."""
         if not self._planning.acquire(blocking=False):
             raise RequestRefused("a plan is being made already; wait for it")
         try:

@@ -82,7 +82,6 @@ class DirectConnection:
         return True
 
     def _send(self, data: bytes) -> int:
-        """Send what the socket takes without waiting; return how many bytes."""
         if self._connection.done or self._connection.socket is None:
             raise TransportTerminated("connection closed")
         try:
