@@ -36,21 +36,8 @@ from construction_twin.ros.messages.display_markers import (
 )
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import tf_frame
+from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
-from construction_twin.ros.shared.node_shell import (
-    Every,
-    Interface,
-    NodeShell,
-    Ports,
-    PosePublication,
-    PoseSubscription,
-    Publication,
-    Served,
-    Shared,
-    SharedParameter,
-    Subscription,
-    has_arm,
-)
 from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.shared.plan_display import PlanDisplay
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
@@ -92,7 +79,7 @@ def is_simulated(settings: Settings) -> bool:
 
 def knows_servos(settings: Settings) -> bool:
     """Return whether the monitor says where the servos should have the arm."""
-    return bool(settings.servo_model) and has_arm(settings)
+    return bool(settings.servo_model) and shell.has_arm(settings)
 
 
 class ShownPoses(Generic[Shown]):
@@ -195,7 +182,7 @@ def _transform(parent: str, child: str, place: PyKDL.Frame, stamp: genpy.Time) -
 class DisplayNode:
     """Poses, trees of tf and the picture of the monitor's state; the plan is a `PlanDisplay`'s."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, ports: shell.Ports):
         self._robot = robot
         self._publishers, self._diagnostics = ports.publishers, ports.diagnostics
         self._shapes = visual_markers(robot.urdf)
@@ -222,13 +209,13 @@ class DisplayNode:
 
     def _publish_static_frames(self, settings: Settings) -> None:
         now = to_time(now_ns())
-        trees = ["preview", *(["physical"] if has_arm(settings) else [])]
+        trees = ["preview", *(["physical"] if shell.has_arm(settings) else [])]
         trees += ["simulated"] if is_simulated(settings) else []
         trees += ["expected"] if knows_servos(settings) else []
         transforms = self._frames.of_the_twin(self._prefix("twin"), now)
         for tree in trees:
             transforms += self._frames.still(self._prefix(tree), now)
-        if not has_arm(settings):
+        if not shell.has_arm(settings):
             # the root alone: nothing below it would move, and the links at its end would be a tree of their own
             transforms += self._frames.of_the_twin(self._prefix("physical"), now)
         self._publishers["/tf_static"].publish(TFMessage(transforms))
@@ -334,50 +321,54 @@ class DisplayNode:
         return Report(OK, "shows twin, arm and plan", values)
 
 
-INTERFACE = Interface(
+INTERFACE = shell.Interface(
     report=DisplayNode.report,
-    parameters=(SharedParameter("cell"),),
+    parameters=(shell.SharedParameter("cell"),),
     publishes=(
-        Publication("velocities/joint_states", JointState, queue_size=5),
-        Publication("shown/twin", JointState, queue_size=5),
-        PosePublication("preview/joint_states"),
-        Publication("/tf", TFMessage, queue_size=100, tcp_nodelay=True),
-        Publication("/tf_static", TFMessage, queue_size=100, latch=True),
-        Publication("plan_markers", MarkerArray, queue_size=2, latch=True),
-        Publication("rehearsal_markers", MarkerArray, queue_size=2, latch=True),
-        Publication("sync_markers", MarkerArray, queue_size=2, latch=True, when=has_arm),
+        shell.Publication("velocities/joint_states", JointState, queue_size=5),
+        shell.Publication("shown/twin", JointState, queue_size=5),
+        shell.PosePublication("preview/joint_states"),
+        shell.Publication("/tf", TFMessage, queue_size=100, tcp_nodelay=True),
+        shell.Publication("/tf_static", TFMessage, queue_size=100, latch=True),
+        shell.Publication("plan_markers", MarkerArray, queue_size=2, latch=True),
+        shell.Publication("rehearsal_markers", MarkerArray, queue_size=2, latch=True),
+        shell.Publication("sync_markers", MarkerArray, queue_size=2, latch=True, when=shell.has_arm),
     ),
     hears=(
-        PoseSubscription("twin/joint_states", DisplayNode.on_twin, queue_size=1),
-        Subscription("joint_states", JointState, DisplayNode.on_joints, queue_size=1),
-        PoseSubscription(
-            "physical/joint_states", DisplayNode.on_physical, queue_size=1, pause=FRAME_PERIOD, when=has_arm
+        shell.PoseSubscription("twin/joint_states", DisplayNode.on_twin, queue_size=1),
+        shell.Subscription("joint_states", JointState, DisplayNode.on_joints, queue_size=1),
+        shell.PoseSubscription(
+            "physical/joint_states", DisplayNode.on_physical, queue_size=1, pause=FRAME_PERIOD, when=shell.has_arm
         ),
-        PoseSubscription("twin/effort", DisplayNode.on_simulated, queue_size=1, pause=FRAME_PERIOD, when=is_simulated),
-        PoseSubscription(
+        shell.PoseSubscription(
+            "twin/effort", DisplayNode.on_simulated, queue_size=1, pause=FRAME_PERIOD, when=is_simulated
+        ),
+        shell.PoseSubscription(
             "expected/joint_states", DisplayNode.on_expected, queue_size=1, pause=FRAME_PERIOD, when=knows_servos
         ),
-        Subscription("sync", Sync, DisplayNode.on_sync, queue_size=1, when=has_arm),
-        Subscription("hold", Hold, DisplayNode.on_hold, queue_size=1, when=has_arm),
-        Subscription("scene", Scene, lambda node, message: node.plan.on_scene(message), queue_size=1),
-        Subscription("review", Review, lambda node, message: node.plan.on_review(message), queue_size=5),
-        Subscription("execution", Execution, lambda node, message: node.plan.on_execution(message), queue_size=10),
-        Subscription("plan", Plan, lambda node, message: node.plan.on_plan(message), queue_size=2),
-        Subscription("rehearsal", Rehearsal, lambda node, message: node.plan.on_rehearsal(message), queue_size=2),
+        shell.Subscription("sync", Sync, DisplayNode.on_sync, queue_size=1, when=shell.has_arm),
+        shell.Subscription("hold", Hold, DisplayNode.on_hold, queue_size=1, when=shell.has_arm),
+        shell.Subscription("scene", Scene, lambda node, message: node.plan.on_scene(message), queue_size=1),
+        shell.Subscription("review", Review, lambda node, message: node.plan.on_review(message), queue_size=5),
+        shell.Subscription(
+            "execution", Execution, lambda node, message: node.plan.on_execution(message), queue_size=10
+        ),
+        shell.Subscription("plan", Plan, lambda node, message: node.plan.on_plan(message), queue_size=2),
+        shell.Subscription("rehearsal", Rehearsal, lambda node, message: node.plan.on_rehearsal(message), queue_size=2),
     ),
-    serves=(Served("preview_plan", PreviewPlan, lambda node, request: node.plan.on_preview(request)),),
+    serves=(shell.Served("preview_plan", PreviewPlan, lambda node, request: node.plan.on_preview(request)),),
     every=(
-        Every(lambda _settings: FRAME_PERIOD, DisplayNode.move_ghost),
-        Every(lambda _settings: SYNC_PERIOD, DisplayNode.show_sync),
+        shell.Every(lambda _settings: FRAME_PERIOD, DisplayNode.move_ghost),
+        shell.Every(lambda _settings: SYNC_PERIOD, DisplayNode.show_sync),
     ),
 )
 
 
-def check(_settings: Settings, robot: RobotModel, shared: Shared) -> None:
+def check(_settings: Settings, robot: RobotModel, shared: shell.Shared) -> None:
     """Check that the robot has a place in the cell; see `NodeShell`."""
     if shared["cell"] is not None:
         load_cell(shared["cell"]).world_T_root(robot.name)
 
 
-NODE = NodeShell("display", Settings, DisplayNode, INTERFACE, check)
+NODE = shell.NodeShell("display", Settings, DisplayNode, INTERFACE, check)
 main = NODE.run

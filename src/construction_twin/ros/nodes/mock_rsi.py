@@ -21,8 +21,8 @@ from construction_twin.mock.faults import KINDS, Fault
 from construction_twin.mock.network import MockRsi
 from construction_twin.mock.program import MockSettings, axis_angles, build_controller, gateway_address, joint_angles
 from construction_twin.robot.description import RobotModel
+from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
-from construction_twin.ros.shared.node_shell import Interface, NodeShell, Ports, PosePublication, Publication, Served
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.srv import InjectFault, InjectFaultRequest
@@ -43,7 +43,7 @@ class _Observed:
 class MockRsiNode:
     """ROS around a MockRsi. Its loop runs in the main thread and hands what is to be published to another one."""
 
-    def __init__(self, settings: MockSettings, robot: RobotModel, ports: Ports):
+    def __init__(self, settings: MockSettings, robot: RobotModel, ports: shell.Ports):
         self._settings = settings
         self._robot = robot
         self._controller = build_controller(self._settings, self._robot)
@@ -201,12 +201,12 @@ class MockRsiNode:
         return done
 
 
-INTERFACE = Interface(
+INTERFACE = shell.Interface(
     report=MockRsiNode.report,
-    publishes=(PosePublication("~joint_states"), Publication("~status", String, queue_size=5, latch=True)),
+    publishes=(shell.PosePublication("~joint_states"), shell.Publication("~status", String, queue_size=5, latch=True)),
     serves=(
-        Served("~restart", Trigger, MockRsiNode.on_restart),
-        Served("~inject", InjectFault, MockRsiNode.on_inject, refused=MockRsiNode.active_faults),
+        shell.Served("~restart", Trigger, MockRsiNode.on_restart),
+        shell.Served("~inject", InjectFault, MockRsiNode.on_inject, refused=MockRsiNode.active_faults),
     ),
 )
 
@@ -216,5 +216,5 @@ def check(settings: MockSettings, robot: RobotModel, *_: object) -> None:
     build_controller(settings, robot)
 
 
-NODE = NodeShell("mock_rsi", MockSettings, MockRsiNode, INTERFACE, check)
+NODE = shell.NodeShell("mock_rsi", MockSettings, MockRsiNode, INTERFACE, check)
 main = NODE.run

@@ -15,6 +15,7 @@ from construction_twin.msg import Conflict as ConflictMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 from construction_twin.ros.messages.records import with_sentences
+from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.arm_listener import (
     ARM_POSES,
     ARM_TOPICS,
@@ -27,7 +28,6 @@ from construction_twin.ros.shared.arm_listener import (
     plan_rows,
 )
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
-from construction_twin.ros.shared.node_shell import Interface, NodeShell, Ports, Publication
 from construction_twin.ros.transport.publisher import Sink
 from construction_twin.scene.collision_world import CollisionWorld, Contact
 from construction_twin.scene.neighbour import Obstacle, key_rows
@@ -149,7 +149,7 @@ class NeighbourNode:
         return self._state
 
 
-def start(settings: NeighbourSettings, robot: RobotModel, ports: Ports) -> NeighbourNode:
+def start(settings: NeighbourSettings, robot: RobotModel, ports: shell.Ports) -> NeighbourNode:
     """Return the watch with its parameters and topics."""
     refuse = ports.diagnostics.refuse
     await_robot(settings.name)
@@ -159,10 +159,10 @@ def start(settings: NeighbourSettings, robot: RobotModel, ports: Ports) -> Neigh
     return NeighbourNode(own, other, world, settings.padding, ports.publishers["conflict"])
 
 
-INTERFACE = Interface(
+INTERFACE = shell.Interface(
     report=NeighbourNode.report,
-    publishes=(Publication("conflict", ConflictMsg, queue_size=10),),
+    publishes=(shell.Publication("conflict", ConflictMsg, queue_size=10),),
     listeners=(*ARM_TOPICS, *ARM_POSES),
 )
-NODE = NodeShell("neighbour", NeighbourSettings, start, INTERFACE)
+NODE = shell.NodeShell("neighbour", NeighbourSettings, start, INTERFACE)
 main = NODE.run

@@ -40,18 +40,10 @@ from construction_twin.ros.messages.convert import (
 )
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
+from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.arm_listener import OtherArm, await_robot, listen_to_other_arm, neighbour_settings
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.frames import FRAMES, listen_to_frames
-from construction_twin.ros.shared.node_shell import (
-    Interface,
-    NewestPose,
-    NodeShell,
-    Ports,
-    Publication,
-    Served,
-    Subscription,
-)
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.transport.subscriber import caller_of
 from construction_twin.scene.neighbour import Obstacle
@@ -116,7 +108,7 @@ class Settings(PlannerSettings):
 class PlannerNode:
     """ROS around a PlanningPipeline: requests by service and topic in, plans out."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, ports: shell.Ports):
         self._robot = robot
         self._chain = Chain(self._robot)
         self._beside = neighbour_settings()
@@ -330,28 +322,28 @@ class PlannerNode:
         return Report(OK if scene is not None else WARN, self._last, values)
 
 
-INTERFACE = Interface(
+INTERFACE = shell.Interface(
     report=PlannerNode.report,
     publishes=(
-        Publication("plan", msg.Plan, queue_size=1, latch=True),
-        Publication("plan_outcome", msg.PlanOutcome, queue_size=1, latch=True),
+        shell.Publication("plan", msg.Plan, queue_size=1, latch=True),
+        shell.Publication("plan_outcome", msg.PlanOutcome, queue_size=1, latch=True),
     ),
-    reads=(NewestPose("twin/joint_states"),),
+    reads=(shell.NewestPose("twin/joint_states"),),
     hears=(
-        Subscription("engagement", msg.Engagement, PlannerNode.on_engagement, queue_size=1),
-        Subscription("review", msg.Review, PlannerNode.on_review, queue_size=10),
-        Subscription("scene", msg.Scene, PlannerNode.on_scene, queue_size=1),
-        Subscription("joint_trajectory", JointTrajectory, PlannerNode.on_trajectory, queue_size=10),
+        shell.Subscription("engagement", msg.Engagement, PlannerNode.on_engagement, queue_size=1),
+        shell.Subscription("review", msg.Review, PlannerNode.on_review, queue_size=10),
+        shell.Subscription("scene", msg.Scene, PlannerNode.on_scene, queue_size=1),
+        shell.Subscription("joint_trajectory", JointTrajectory, PlannerNode.on_trajectory, queue_size=10),
     ),
     listeners=FRAMES,
     serves=(
-        Served("plan_to_joints", srv.PlanToJoints, PlannerNode.on_plan_to_joints),
-        Served("plan_to_pose", srv.PlanToPose, PlannerNode.on_plan_to_pose),
-        Served("plan_cartesian", srv.PlanCartesian, PlannerNode.on_plan_cartesian),
-        Served("plan_from_csv", srv.PlanFromCsv, PlannerNode.on_plan_from_csv),
-        Served("plan_trajectory", srv.PlanTrajectory, PlannerNode.on_plan_trajectory),
-        Served("plan_work", srv.PlanWork, PlannerNode.on_plan_work),
-        Served("plan_way_back", Trigger, PlannerNode.on_plan_way_back),
+        shell.Served("plan_to_joints", srv.PlanToJoints, PlannerNode.on_plan_to_joints),
+        shell.Served("plan_to_pose", srv.PlanToPose, PlannerNode.on_plan_to_pose),
+        shell.Served("plan_cartesian", srv.PlanCartesian, PlannerNode.on_plan_cartesian),
+        shell.Served("plan_from_csv", srv.PlanFromCsv, PlannerNode.on_plan_from_csv),
+        shell.Served("plan_trajectory", srv.PlanTrajectory, PlannerNode.on_plan_trajectory),
+        shell.Served("plan_work", srv.PlanWork, PlannerNode.on_plan_work),
+        shell.Served("plan_way_back", Trigger, PlannerNode.on_plan_way_back),
     ),
 )
 
@@ -361,5 +353,5 @@ def check(settings: Settings, robot: RobotModel, *_: object) -> None:
     read_self_collision(settings.self_collision, robot)
 
 
-NODE = NodeShell("planner", Settings, PlannerNode, INTERFACE, check)
+NODE = shell.NodeShell("planner", Settings, PlannerNode, INTERFACE, check)
 main = NODE.run

@@ -19,18 +19,9 @@ from construction_twin.core.motion_errors import SceneError
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.convert import pose_from_msg
 from construction_twin.ros.messages.scene_convert import object_from_msg, scene_markers, scene_to_msg
+from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.frames import FRAMES, listen_to_frames
-from construction_twin.ros.shared.node_shell import (
-    Every,
-    Interface,
-    NewestPose,
-    NodeShell,
-    Ports,
-    Publication,
-    Served,
-    SharedParameter,
-)
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import PrivateSettings, ros_home
 from construction_twin.ros.transport.publisher import Sink
@@ -49,7 +40,7 @@ _PATIENCE = 1.0
 CHECK_PERIOD = 0.2
 #: Where MoveIt is told, if its message types are installed. For one that is busy many messages are kept: one that is dropped may be
 #: the one that took something away.
-PLANNING_SCENE = Publication("planning_scene", "moveit_msgs/PlanningScene", queue_size=50, latch=True)
+PLANNING_SCENE = shell.Publication("planning_scene", "moveit_msgs/PlanningScene", queue_size=50, latch=True)
 #: roslaunch's id of this run.
 _RUN = "/run_id"
 
@@ -65,7 +56,7 @@ class Settings(PrivateSettings):
 class SceneNode:
     """ROS around a CollisionWorld: what changes the scene, and who hears of it."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, ports: shell.Ports):
         self._robot = robot
         self._prefix = settings.tf_prefix.rstrip("/")
         start = read_scene(settings.scene)
@@ -234,19 +225,19 @@ def _scene_file(start: Scene, run: str) -> SceneFile:
     return SceneFile(ros_home() / f"{name}_edits.json", run, start)
 
 
-def _edit(name: str, kind: type, change: Callable[[SceneNode, Any], tuple[Scene, str]]) -> Served:
-    return Served(name, kind, lambda node, request: node.edit(change, request), refused=SceneNode.present_hash)
+def _edit(name: str, kind: type, change: Callable[[SceneNode, Any], tuple[Scene, str]]) -> shell.Served:
+    return shell.Served(name, kind, lambda node, request: node.edit(change, request), refused=SceneNode.present_hash)
 
 
-INTERFACE = Interface(
+INTERFACE = shell.Interface(
     report=SceneNode.report,
-    parameters=(SharedParameter(_RUN, ""),),
+    parameters=(shell.SharedParameter(_RUN, ""),),
     publishes=(
-        Publication("scene", msg.Scene, queue_size=1, latch=True),
-        Publication("scene_markers", MarkerArray, queue_size=1, latch=True),
+        shell.Publication("scene", msg.Scene, queue_size=1, latch=True),
+        shell.Publication("scene_markers", MarkerArray, queue_size=1, latch=True),
         PLANNING_SCENE,
     ),
-    reads=(NewestPose("twin/joint_states"),),
+    reads=(shell.NewestPose("twin/joint_states"),),
     listeners=FRAMES,
     serves=(
         _edit("add_object", srv.AddObject, SceneNode.add),
@@ -256,7 +247,7 @@ INTERFACE = Interface(
         _edit("clear_scene", Trigger, SceneNode.clear),
         _edit("edit_scene", srv.EditScene, SceneNode.change),
     ),
-    every=(Every(lambda _settings: CHECK_PERIOD, SceneNode.check),),
+    every=(shell.Every(lambda _settings: CHECK_PERIOD, SceneNode.check),),
 )
 
 
@@ -266,5 +257,5 @@ def check(settings: Settings, robot: RobotModel, *_: object) -> None:
     RobotBodies(robot).place_all(read_scene(settings.scene))
 
 
-NODE = NodeShell("scene", Settings, SceneNode, INTERFACE, check)
+NODE = shell.NodeShell("scene", Settings, SceneNode, INTERFACE, check)
 main = NODE.run

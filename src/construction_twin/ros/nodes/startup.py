@@ -21,8 +21,8 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.share import share_folder
 from construction_twin.msg import Feedback, Scene, StartRefused
 from construction_twin.robot.description import RobotModel, other_joints_text
+from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report, warn_of_refusals
-from construction_twin.ros.shared.node_shell import Every, Interface, NodeShell, Ports, Subscription
 from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.shared.robot_listener import REPORTS, RobotListener
 from construction_twin.ros.shared.start_refusal import AGAIN, TOPIC, launch
@@ -92,7 +92,7 @@ class StartupNode:
     """ROS around a StartUp."""
 
     def __init__(
-        self, settings: Settings, robot: RobotModel, ports: Ports, clock: Callable[[], float] = time.monotonic
+        self, settings: Settings, robot: RobotModel, ports: shell.Ports, clock: Callable[[], float] = time.monotonic
     ):
         namespace = rospy.get_namespace().rstrip("/")
         named = settings.model_dump(exclude={"console"})
@@ -256,15 +256,15 @@ def refused(sentence: str) -> None:
     refusals.end_launch()
 
 
-INTERFACE = Interface(
+INTERFACE = shell.Interface(
     report=StartupNode.report,
     hears=(
-        Subscription(FEEDBACK, Feedback, lambda node, _: node.came.add(FEEDBACK), queue_size=1),
-        Subscription(TWIN, rospy.AnyMsg, lambda node, _: node.came.add(TWIN), queue_size=1),
-        Subscription(SCENE, Scene, lambda node, _: node.came.add(SCENE), queue_size=1),
+        shell.Subscription(FEEDBACK, Feedback, lambda node, _: node.came.add(FEEDBACK), queue_size=1),
+        shell.Subscription(TWIN, rospy.AnyMsg, lambda node, _: node.came.add(TWIN), queue_size=1),
+        shell.Subscription(SCENE, Scene, lambda node, _: node.came.add(SCENE), queue_size=1),
     ),
     listeners=(*REPORTS, TOPIC),
-    every=(Every(lambda _settings: PERIOD, StartupNode.update),),
+    every=(shell.Every(lambda _settings: PERIOD, StartupNode.update),),
 )
-NODE = NodeShell("startup", Settings, StartupNode, INTERFACE, check, refused=refused)
+NODE = shell.NodeShell("startup", Settings, StartupNode, INTERFACE, check, refused=refused)
 main = NODE.run

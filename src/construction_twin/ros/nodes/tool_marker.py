@@ -37,8 +37,8 @@ from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.convert import pose_from_msg, pose_to_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg, tf_frame
+from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
-from construction_twin.ros.shared.node_shell import Interface, NewestPose, NodeShell, Ports, Publication, Subscription
 from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.shared.robot_listener import REPORTS, RobotListener
@@ -165,7 +165,7 @@ def _text(text: str, at: Point, scale: float) -> Marker:
 class ToolMarkerNode:
     """Interactive marker `tool_marker`, markers `tool_marker/verdict`; its menu calls the services that an operator would."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, ports: shell.Ports):
         self._settings = settings
         self._robot = robot
         self._chain = Chain(self._robot)
@@ -344,15 +344,15 @@ class ToolMarkerNode:
         return Report(OK, f"{'follows the tool' if self._goal.pose is None else f'goal is {free}'}: {verdict.sentence}")
 
 
-INTERFACE = Interface(
+INTERFACE = shell.Interface(
     report=ToolMarkerNode.report,
-    publishes=(Publication("tool_marker/verdict", MarkerArray, queue_size=2, latch=True),),
-    reads=(NewestPose("twin/joint_states"),),
+    publishes=(shell.Publication("tool_marker/verdict", MarkerArray, queue_size=2, latch=True),),
+    reads=(shell.NewestPose("twin/joint_states"),),
     hears=(
-        Subscription("scene", SceneMsg, ToolMarkerNode.on_scene, queue_size=1),
-        Subscription("tool_marker/feedback", InteractiveMarkerFeedback, ToolMarkerNode.on_click, queue_size=50),
+        shell.Subscription("scene", SceneMsg, ToolMarkerNode.on_scene, queue_size=1),
+        shell.Subscription("tool_marker/feedback", InteractiveMarkerFeedback, ToolMarkerNode.on_click, queue_size=50),
     ),
     listeners=REPORTS,
 )
-NODE = NodeShell("tool_marker", Settings, ToolMarkerNode, INTERFACE)
+NODE = shell.NodeShell("tool_marker", Settings, ToolMarkerNode, INTERFACE)
 main = NODE.run
