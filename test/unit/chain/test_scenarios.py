@@ -260,8 +260,6 @@ class ScenarioRun:
             armed = chain.run_until(lambda: chain.supervisor.session != before and self.now("link") == "ARMED", RESET)
             if not armed:
                 raise ScenarioError(f"not armed within {RESET:g} s: {chain.supervisor.reason}")
-        elif service == "mock_rsi/restart":
-            self._request(chain.controller.restart)
         else:
             raise ScenarioError(f"{service}: no scenario on the simulated chain calls it")
 

@@ -13,7 +13,6 @@ from queue import SimpleQueue
 
 import rospy
 from std_msgs.msg import String
-from std_srvs.srv import Trigger, TriggerRequest
 
 from construction_twin.core.errors import ConfigurationError, RequestRefused
 from construction_twin.core.units import to_wire
@@ -156,15 +155,6 @@ class MockRsiNode:
             return Report(WARN, f"{running}, replies are refused: {refused}", values)
         return Report(OK, running, values)
 
-    def on_restart(self, _request: TriggerRequest) -> str:
-        """Start a new RSI session where the arm stands."""
-
-        def restart() -> str:
-            self._controller.restart()
-            return f"a new {self._controller.words.protocol} session starts where the arm stands"
-
-        return self._ask(restart)
-
     def on_inject(self, request: InjectFaultRequest) -> Outcome:
         """Switch a fault on or off."""
         faults = self._mock.faults
@@ -204,10 +194,7 @@ class MockRsiNode:
 INTERFACE = shell.Interface(
     report=MockRsiNode.report,
     publishes=(shell.PosePublication("~joint_states"), shell.Publication("~status", String, queue_size=5, latch=True)),
-    serves=(
-        shell.Served("~restart", Trigger, MockRsiNode.on_restart),
-        shell.Served("~inject", InjectFault, MockRsiNode.on_inject, refused=MockRsiNode.active_faults),
-    ),
+    serves=(shell.Served("~inject", InjectFault, MockRsiNode.on_inject, refused=MockRsiNode.active_faults),),
 )
 
 
