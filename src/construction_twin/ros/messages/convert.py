@@ -29,6 +29,9 @@ from construction_twin.ros.messages.records import from_msg, to_msg
 from construction_twin.ros.messages.scene_convert import object_from_msg, object_to_msg
 from construction_twin.scene.scene_change import SceneChange
 
+#: What a plan and its message have alike.
+_ALIKE = ("id", "hash", "source", "planner", "scene", "planning_time", "task")
+
 
 def trajectory_to_msg(trajectory: Trajectory) -> JointTrajectory:
     """Return the message; its header is left empty: a trajectory has no start time of its own."""
@@ -68,14 +71,9 @@ def plan_to_msg(plan: Plan, frame_id: str, tool_path: np.ndarray, changes: Seque
     clearance, usage = plan.report.clearance, plan.report.usage
     told = changes or [SceneChange()] * len(plan.segments)
     msg = PlanMsg(
+        **{name: getattr(plan, name) for name in _ALIKE},
         asked=str(plan.asked),
-        id=plan.id,
-        hash=plan.hash,
-        source=plan.source,
-        planner=plan.planner,
-        scene=plan.scene,
         duration=plan.trajectory.duration,
-        planning_time=plan.planning_time,
         recheck_time=plan.report.recheck_time,
         trajectory=trajectory_to_msg(plan.trajectory),
         tool_path=[Point(*position) for position in np.asarray(tool_path).tolist()],
@@ -86,7 +84,6 @@ def plan_to_msg(plan: Plan, frame_id: str, tool_path: np.ndarray, changes: Seque
         velocity_use=list(usage.velocity),
         acceleration_use=list(usage.acceleration),
         jerk_use=list(usage.jerk),
-        task=plan.task,
         segments=[segment_to_msg(segment, change) for segment, change in zip(plan.segments, told, strict=True)],
     )
     msg.header.frame_id = frame_id
@@ -96,16 +93,10 @@ def plan_to_msg(plan: Plan, frame_id: str, tool_path: np.ndarray, changes: Seque
 def plan_from_msg(msg: PlanMsg) -> Plan:
     """Return the plan; TrajectoryError or PayloadError where its trajectory, hash, measurements or moment are none."""
     return Plan(
-        id=msg.id,
-        hash=msg.hash,
-        source=msg.source,
-        planner=msg.planner,
-        scene=msg.scene,
+        **{name: getattr(msg, name) for name in _ALIKE},
         asked=parse_moment(msg.asked),
-        planning_time=msg.planning_time,
         trajectory=trajectory_from_msg(msg.trajectory),
         report=_report_from_msg(msg),
-        task=msg.task,
         segments=tuple(from_msg(Segment, segment) for segment in msg.segments),
     )
 

@@ -15,6 +15,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.msg import SceneObject as ObjectMsg
 from construction_twin.robot.frames import rotation_to_quaternion
+from construction_twin.ros.messages.records import to_msg
 from construction_twin.scene.objects import Scene, SceneObject
 
 #: Colours r, g, b, a in rviz: contacts are the most visible, fixed objects (the floor) the least.
@@ -28,16 +29,9 @@ SHAPES = {"box": Marker.CUBE, "cylinder": Marker.CYLINDER, "sphere": Marker.SPHE
 
 def object_to_msg(item: SceneObject) -> ObjectMsg:
     """Return the message."""
-    return ObjectMsg(
-        name=item.name,
-        shape=item.shape,
-        size=list(item.size),
-        mesh=item.mesh,
-        pose=PoseMsg(Point(*item.position), Quaternion(*item.quaternion)),
-        padding=item.padding,
-        link=item.link,
-        touch=list(item.touch),
-    )
+    message = to_msg(item, ObjectMsg)
+    message.pose = PoseMsg(Point(*item.position), Quaternion(*item.quaternion))
+    return message
 
 
 def object_from_msg(msg: ObjectMsg) -> SceneObject:
