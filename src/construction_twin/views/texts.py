@@ -241,11 +241,8 @@ def under_review(plan: Plan | None) -> str:
 def waiting_plan(plan: Plan) -> str:
     """Return the short line about the plan under review that stands beside the marker."""
     clearance = plan.report.clearance.distance
-    if math.isfinite(clearance):
-        return (
-            f"plan {plan.id[:8]} waits for approval: {plan.trajectory.duration:.1f} s, closest {clearance * 1e3:.0f} mm"
-        )
-    return f"plan {plan.id[:8]} waits for approval: {plan.trajectory.duration:.1f} s"
+    closest = f", closest {clearance * 1e3:.0f} mm" if math.isfinite(clearance) else ""
+    return f"plan {plan.id[:8]} waits for approval: {plan.trajectory.duration:.1f} s{closest}"
 
 
 def between(bodies: Sequence[str]) -> str:

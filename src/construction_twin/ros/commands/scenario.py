@@ -57,6 +57,7 @@ from construction_twin.scenario.definition import STATES, Injection, Move, Scena
 from construction_twin.scenario.judge import Judgement, judge
 from construction_twin.scenario.timeline import Change, GatewayStop, Run, SyncMoment
 from construction_twin.srv import InjectFault, PlanToJoints, ReviewPlan
+from construction_twin.views.texts import READY
 
 
 def print_verdict(verdict: Judgement, console: Console) -> None:
@@ -128,8 +129,7 @@ class ScenarioDriver:
 
     def wait_until_ready(self) -> None:
         """Wait until a plan could be started."""
-        ready = {"link": "ARMED", "sync": "IN_SYNC", "execution": "IDLE"}
-        self._wait(lambda: all(self.now(t) == s for t, s in ready.items()), f"{ready}", time.monotonic() + _READY)
+        self._wait(lambda: all(self.now(t) == s for t, s in READY.items()), f"{READY}", time.monotonic() + _READY)
         for service in ("plan_to_joints", "mock_rsi/inject"):
             rospy.wait_for_service(service, _READY)
 

@@ -62,6 +62,8 @@ STILL = 1e-5
 _JUMP = 1.1
 
 Shown = TypeVar("Shown")
+#: Trees of tf that are made here, besides the twin's.
+TREES = ("physical", "preview", "simulated", "expected")
 
 
 class Settings(PrivateSettings):
@@ -198,7 +200,7 @@ class DisplayNode:
         self._heard = self._next = 0.0
         self._silent = False
         self._twin_shown: ShownPoses[JointState] = ShownPoses()
-        self._poses_shown = {tree: ShownPoses[tuple[int, tuple[float, ...]]]() for tree in ("physical", "preview")}
+        self._poses_shown = {tree: ShownPoses[tuple[int, tuple[float, ...]]]() for tree in TREES}
         cell = ports.parameters["cell"]
         place = Pose(np.zeros(3), np.eye(3)) if cell is None else load_cell(cell).world_T_root(robot.name)
         self._frames = RobotFrames(robot, place)
@@ -241,18 +243,6 @@ class DisplayNode:
             self._publishers["shown/twin"].publish(shown)
         time.sleep(FRAME_PERIOD)
 
-    def on_physical(self, stamp: int, q: tuple[float, ...]) -> None:
-        """Show the physical arm."""
-        self._show("physical", stamp, q)
-
-    def on_simulated(self, stamp: int, q: tuple[float, ...]) -> None:
-        """Show where an arm with mass would be."""
-        self._publish_frames("simulated", stamp, q)
-
-    def on_expected(self, stamp: int, q: tuple[float, ...]) -> None:
-        """Show where the servos should have the arm."""
-        self._publish_frames("expected", stamp, q)
-
     def move_ghost(self) -> None:
         """Show where the ghost is, and once that a silent twin rests: joint_state_publisher would repeat its last velocity."""
         now = time.monotonic()
@@ -263,7 +253,7 @@ class DisplayNode:
                 # the pose is known of its own time only
                 self._publish_twin(*twin, (0.0,) * len(twin[1]))
         pose = self.plan.ghost(now, None if twin is None else twin[1])
-        if pose is not None and (shown := self._show("preview", now_ns(), pose)) is not None:
+        if pose is not None and (shown := self.show("preview", now_ns(), pose)) is not None:
             self._publishers["preview/joint_states"].publish(*shown)
 
     def _publish_twin(self, stamp: int, q: tuple[float, ...], velocity: tuple[float, ...]) -> None:
@@ -271,7 +261,8 @@ class DisplayNode:
         message.header.stamp = to_time(stamp)
         self._publishers["velocities/joint_states"].publish(message)
 
-    def _show(self, tree: str, stamp: int, q: tuple[float, ...]) -> tuple[int, tuple[float, ...]] | None:
+    def show(self, tree: str, stamp: int, q: tuple[float, ...]) -> tuple[int, tuple[float, ...]] | None:
+        """Publish a pose [rad] in a tree of tf and return it, if it is its turn."""
         shown = self._poses_shown[tree].take(time.monotonic(), (), q, (stamp, q))
         if shown is not None:
             self._publish_frames(tree, *shown)
@@ -321,6 +312,12 @@ class DisplayNode:
         return Report(OK, "shows twin, arm and plan", values)
 
 
+def _shown_pose(topic: str, tree: str, when: shell.When) -> shell.PoseSubscription:
+    return shell.PoseSubscription(
+        topic, lambda node, *pose: node.show(tree, *pose), queue_size=1, pause=FRAME_PERIOD, when=when
+    )
+
+
 INTERFACE = shell.Interface(
     report=DisplayNode.report,
     parameters=(shell.SharedParameter("cell"),),
@@ -337,15 +334,9 @@ INTERFACE = shell.Interface(
     hears=(
         shell.PoseSubscription("twin/joint_states", DisplayNode.on_twin, queue_size=1),
         shell.Subscription("joint_states", JointState, DisplayNode.on_joints, queue_size=1),
-        shell.PoseSubscription(
-            "physical/joint_states", DisplayNode.on_physical, queue_size=1, pause=FRAME_PERIOD, when=shell.has_arm
-        ),
-        shell.PoseSubscription(
-            "twin/effort", DisplayNode.on_simulated, queue_size=1, pause=FRAME_PERIOD, when=is_simulated
-        ),
-        shell.PoseSubscription(
-            "expected/joint_states", DisplayNode.on_expected, queue_size=1, pause=FRAME_PERIOD, when=knows_servos
-        ),
+        _shown_pose("physical/joint_states", "physical", shell.has_arm),
+        _shown_pose("twin/effort", "simulated", is_simulated),
+        _shown_pose("expected/joint_states", "expected", knows_servos),
         shell.Subscription("sync", Sync, DisplayNode.on_sync, queue_size=1, when=shell.has_arm),
         shell.Subscription("hold", Hold, DisplayNode.on_hold, queue_size=1, when=shell.has_arm),
         shell.Subscription("scene", Scene, lambda node, message: node.plan.on_scene(message), queue_size=1),
