@@ -85,7 +85,7 @@ NOT_MEASURED = {"deviation_mm": math.nan, "deviation_deg": math.nan}
 
 
 class Settings(PrivateSettings):
-    """Private parameters, explained in config/work.yaml and launch/work.launch.
+    """Private parameters, explained in config/work.yaml and launch/bringup.launch.
 
     Attributes:
         tool, scene: Of the robot; those that the cell file names.
