@@ -112,9 +112,8 @@ class Heard:
                     self.plan, self._plan_offered = said, True
                     # a way back changes nothing, and may be planned again and again
                     if any(segment.scene != segment.scene_after for segment in said.plan.segments):
-                        self._work_plans = [said, *(one for one in self._work_plans if one.plan.id != said.plan.id)][
-                            :_KEPT_PLANS
-                        ]
+                        others = (one for one in self._work_plans if one.plan.id != said.plan.id)
+                        self._work_plans = [said, *others][:_KEPT_PLANS]
             self._changed.notify_all()
         self.announce()
 
