@@ -99,7 +99,7 @@ class Task:
         start: ISO 8601; empty: unknown.
         duration: [s]
         kind: ``makes``: places its products, or works on them; ``takes_down``: removes products and inputs; ``other``.
-        properties: Of its own `recipe.PROPERTY_SET`, which come before its elements'.
+        properties: Of its own `process.PROPERTY_SET`, which come before its elements'.
     """
 
     id: str

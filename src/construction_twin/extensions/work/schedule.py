@@ -26,9 +26,8 @@ from graphlib import CycleError, TopologicalSorter
 from construction_twin.extensions.work.building import BuildingModel, Element, Sequence, Task
 from construction_twin.extensions.work.errors import ScheduleError
 from construction_twin.extensions.work.names import first_few
-from construction_twin.extensions.work.process import process_of
+from construction_twin.extensions.work.process import DEFAULT, RECIPE, process_of
 from construction_twin.extensions.work.proposed_schedule import in_order, propose
-from construction_twin.extensions.work.recipe import DEFAULT, RECIPE
 from construction_twin.extensions.work.wholes import parts_of, workpieces
 
 #: Takes an element and a task; returns the process by which the task works on it.
