@@ -131,11 +131,9 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault to be injected or ended; then values do not count.
+    """A fault to be injected or ended; without an axis it is of none, or of all.
 
-    Attributes:
-        axis: The controller's axis; empty for none, or for all.
-        duration: The fault ends by itself after this time [s]; 0: it stays. Of ``jog``: the length of the motion, 0: moderate.
+    It ends by itself after a `duration` [s], 0: never. Of ``jog``: the length of the motion, 0: moderate.
     """
 
     name: str
