@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 from construction_twin.controller.axis_unit import AxisUnit
@@ -177,6 +177,8 @@ def parse_config(text: str, where: str) -> GatewayConfig:
         if document["format"] != FORMAT:
             raise ConfigurationError(where, document["format"], f"format {FORMAT}; export it again")
         motion = _with_tuples(document["motion"])
+        if missing := {field.name for field in fields(GatewayConfig)} - set(motion):
+            raise KeyError(", ".join(sorted(missing)))
         layout = make_of(motion.pop("make")).read_layout(_with_tuples(motion["layout"]))
         tool = GatewayTool.of_document(motion["tool"]) if motion["tool"] else None
         config = GatewayConfig(**motion | {"layout": layout, "tool": tool})

@@ -8,10 +8,10 @@ from collections import deque
 import pytest
 from gateway_cell import CONFIG, RUN, START
 
+from construction_twin.gateway.arm_side import LONGEST_REFUSAL
 from construction_twin.gateway.controller_socket import DRAIN_LIMIT, TelegramInbox
 from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.states import State
-from construction_twin.gateway.status import LONGEST_REFUSAL
 from construction_twin.rsi.controller_codec import RobotEncoder
 
 HERE, THERE = ("192.168.1.20", 49152), ("192.168.1.20", 49153)
