@@ -13,7 +13,6 @@ from typing import NamedTuple, NoReturn
 
 import numpy as np
 
-from construction_twin.core.motion_errors import NotFoundError, UnreachableError
 from construction_twin.kinematics.branches import BranchInverse
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.opw import OpwModel
@@ -23,6 +22,8 @@ from construction_twin.kinematics.solution import (
     Configuration,
     IkSettings,
     IkSolution,
+    NotFoundError,
+    UnreachableError,
     check_pose,
     distinct,
     residual,

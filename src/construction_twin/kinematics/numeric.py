@@ -15,7 +15,6 @@ from typing import NoReturn
 import numpy as np
 import PyKDL
 
-from construction_twin.core.motion_errors import NotFoundError, UnreachableError
 from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.kinematics.chain import Chain, Pose, to_frame
 from construction_twin.kinematics.solution import (
@@ -25,6 +24,8 @@ from construction_twin.kinematics.solution import (
     IkSettings,
     IkSolution,
     InverseKinematics,
+    NotFoundError,
+    UnreachableError,
     check_pose,
     pose_error,
     refuse_configuration,

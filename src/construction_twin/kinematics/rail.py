@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from construction_twin.core.motion_errors import KinematicsError, UnreachableError
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
 from construction_twin.kinematics.numeric import NumericInverse
@@ -26,11 +25,13 @@ from construction_twin.kinematics.solution import (
     Configuration,
     IkSolution,
     InverseKinematics,
+    UnreachableError,
     check_pose,
     distinct,
     spaced,
 )
 from construction_twin.robot.description import JointValues
+from construction_twin.robot.motion_errors import KinematicsError
 from construction_twin.robot.urdf import chain_joints, parse_urdf
 
 #: Spacing of the grid along the axis [m], its fewest steps between two ends of the reach, and parts of what is divided.

@@ -11,9 +11,94 @@ from typing import NoReturn
 
 import numpy as np
 
-from construction_twin.core.motion_errors import BranchError, KinematicsError
+from construction_twin.core.sentences import Quantity, Sentence, both
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.robot.description import JointValues, RobotModel
+from construction_twin.robot.motion_errors import JointRangeError, KinematicsError
+
+
+class UnreachableError(KinematicsError):
+    """The target lies outside of what the arm reaches, whatever its joint ranges.
+
+    Attributes:
+        missing: How far the target has to move, at least [m], > 0.
+        too_close: Too close to the arm's base to fold the arm to it, not too far away.
+    """
+
+    def __init__(self, missing: float, too_close: bool = False):
+        self.missing, self.too_close = missing, too_close
+        mm = missing * 1e3
+        super().__init__(
+            Sentence("the target is too close to the arm by {mm:g} mm; move it away from the base", mm=mm)
+            if too_close
+            else Sentence("the target is out of the arm's reach by {mm:g} mm; move it closer to the base", mm=mm)
+        )
+
+
+class PoseRangeError(JointRangeError):
+    """The target could be reached, but only with a joint outside its range: of the solution that is out of range by least."""
+
+
+class PositionRangeError(PoseRangeError):
+    """The wrist cannot get where the target needs it within the joint ranges."""
+
+    def _sentence(self, **values: str | Quantity) -> Sentence:
+        return Sentence(
+            "the target's position needs {joint} at {value}, outside its range {lower} to {upper}; move the target",
+            **values,
+        )
+
+
+class OrientationError(PoseRangeError):
+    """The target's position can be reached, but not with its orientation within the joint ranges."""
+
+    def _sentence(self, **values: str | Quantity) -> Sentence:
+        return Sentence(
+            "the target's orientation needs {joint} at {value}, outside its range {lower} to {upper}; turn the target",
+            **values,
+        )
+
+
+class BranchError(KinematicsError):
+    """A configuration of the arm (shoulder, elbow, wrist) is unknown, or does not exist for this arm or target."""
+
+    def __init__(self, asked: str, available: tuple[str, ...], problem: str):
+        choose = f"choose one of: {', '.join(available)}" if available else "leave the choice open"
+        super().__init__(f"configuration {asked!r} {problem}; {choose}")
+
+
+class UnreachableOrientationError(KinematicsError):
+    """The target's position can be reached, but not with its orientation, whatever the joint ranges."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            Sentence("the target's position can be reached, but not with its orientation: turn the target")
+        )
+
+
+class NotFoundError(KinematicsError):
+    """No joint solution was found in the time given, which does not prove that there is none.
+
+    Attributes:
+        residual_m, residual_rad: Errors of the best attempt within the ranges; inf without any.
+        hint: What the search saw besides: part of a sentence, or "".
+    """
+
+    def __init__(self, tried: int, budget_s: float, residual_m: float, residual_rad: float, hint: str = ""):
+        self.tried, self.budget_s, self.hint = tried, budget_s, hint
+        self.residual_m, self.residual_rad = residual_m, residual_rad
+        away, turned, best = Quantity(residual_m, "m"), Quantity(residual_rad, "rad"), ""
+        if residual_m < 1e3:
+            best = Sentence("the best attempt was {away:.3} and {turned:.4} away", away=away, turned=turned)
+        super().__init__(
+            Sentence(
+                "no joint solution was found in the time given ({budget:.3g} s, {tried} starts); it may still be reachable: {seen}",
+                budget=budget_s,
+                tried=tried,
+                seen=both(best, hint, Sentence("allow more time or turn the target")),
+            )
+        )
+
 
 #: One turn [rad].
 TURN = 2.0 * math.pi

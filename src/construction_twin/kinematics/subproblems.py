@@ -23,7 +23,6 @@ from typing import NoReturn
 import numpy as np
 from eaik.pybindings.EAIK import Robot as Solver
 
-from construction_twin.core.motion_errors import KinematicsError, UnreachableError, UnreachableOrientationError
 from construction_twin.kinematics.axes import TOLERANCE, Axis, joint_axes
 from construction_twin.kinematics.branches import BranchInverse
 from construction_twin.kinematics.chain import Chain, Pose
@@ -32,6 +31,8 @@ from construction_twin.kinematics.solution import (
     ArmKind,
     Configuration,
     IkSolution,
+    UnreachableError,
+    UnreachableOrientationError,
     check_pose,
     distinct,
     refine,
@@ -39,6 +40,7 @@ from construction_twin.kinematics.solution import (
     residual,
 )
 from construction_twin.robot.description import JointValues
+from construction_twin.robot.motion_errors import KinematicsError
 
 #: An arm that misses the properties of a kind by no more than this gets a nominal model of that kind.
 NEAR_M, NEAR_RAD = 5e-3, math.radians(0.3)

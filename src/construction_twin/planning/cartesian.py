@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from construction_twin.core.motion_errors import CollisionError, FarWaypointError, JointRangeError, PlanningError
 from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.kinematics.batch_kinematics import angles_between
@@ -24,13 +23,27 @@ from construction_twin.kinematics.solution import InverseKinematics
 from construction_twin.planning.curves import JointCurve
 from construction_twin.planning.ik_branch import Branch
 from construction_twin.planning.limit_usage import cycle_times
+from construction_twin.planning.recheck import CollisionError
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.timing import WAYPOINT_SPACING, TimedCurve, time_curve
 from construction_twin.planning.tool_path import Piece, ToolPath, ToolWaypoint
 from construction_twin.planning.work_plan import joined
 from construction_twin.robot.description import JointValues
+from construction_twin.robot.motion_errors import JointRangeError, PlanningError
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_world import CollisionWorld
+
+
+class FarWaypointError(PlanningError):
+    """A tool path leads so far beyond the arm's reach, both from its first turning joint [m], that it must be a mistake."""
+
+    def __init__(self, waypoint: int, what: str, distance: float, reach: float):
+        away = f"{distance * 1e3:.0f}" if distance < 1e6 else f"{distance * 1e3:.6g}"
+        super().__init__(
+            f"waypoint {waypoint}: {what} is {away} mm from the arm, which reaches {reach * 1e3:.0f} mm; expected a place "
+            "near the arm, in the frame of the request: are unit and frame right?"
+        )
+
 
 #: Largest deviation of a 4 ms sample from the commanded path.
 DEVIATION_M = 1e-4

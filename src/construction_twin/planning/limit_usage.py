@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.core.units import CYCLE
 from construction_twin.robot.description import RobotModel
+from construction_twin.robot.motion_errors import JointRangeError
 from construction_twin.robot.plan import LimitUsage
 from construction_twin.robot.trajectory import Trajectory
 

@@ -16,8 +16,23 @@ from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
-from construction_twin.core.motion_errors import NoPathError
+from construction_twin.core.sentences import Sentence
 from construction_twin.planning.motion_validator import MotionValidator
+from construction_twin.robot.motion_errors import PlanningError
+
+
+class NoPathError(PlanningError):
+    """The planner found no path in its time budget [s]."""
+
+    def __init__(self, planner: str, budget: float):
+        super().__init__(
+            Sentence(
+                "{planner} found no path within {budget:.3g} s; allow more time or choose another goal",
+                planner=planner,
+                budget=budget,
+            )
+        )
+
 
 #: Distance of the points between which shortcuts are tried: shorter costs more checks and gains little.
 SPACING = 0.7

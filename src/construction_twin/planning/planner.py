@@ -16,18 +16,18 @@ import yaml
 
 from construction_twin.core.clock import Clock
 from construction_twin.core.freshness import Moment
-from construction_twin.core.motion_errors import CollisionError, NoPathError, PlanningError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import share_file
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import Configuration, InverseKinematics
 from construction_twin.planning.curves import parameters, with_close_corners
 from construction_twin.planning.motion_validator import CornerRounding, MotionValidator
-from construction_twin.planning.ompl_search import OmplSearch, PathQuery, ompl_planners
-from construction_twin.planning.recheck import recheck
+from construction_twin.planning.ompl_search import NoPathError, OmplSearch, PathQuery, ompl_planners
+from construction_twin.planning.recheck import CollisionError, recheck
 from construction_twin.planning.request_limits import PlanBounds, check_request
 from construction_twin.planning.timing import timed_path, with_midpoints
 from construction_twin.robot.description import JointValues, RobotModel
+from construction_twin.robot.motion_errors import PlanningError
 from construction_twin.robot.plan import Plan, PlanReport, content_hash
 from construction_twin.robot.segments import Segment
 from construction_twin.robot.trajectory import Trajectory

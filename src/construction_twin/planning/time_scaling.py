@@ -17,10 +17,10 @@ from types import ModuleType
 
 import numpy as np
 
-from construction_twin.core.motion_errors import PlanningError
 from construction_twin.core.sentences import Sentence
 from construction_twin.planning.curves import JointCurve, Pieces
 from construction_twin.robot.description import RobotModel
+from construction_twin.robot.motion_errors import PlanningError
 
 #: `import toppra` imports matplotlib's pyplot, which nothing here asks for: a quarter of a second in each process that plans or
 #: checks a plan. While it is imported two empty modules stand where pyplot would be; whoever draws later imports the real ones.

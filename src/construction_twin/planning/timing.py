@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from construction_twin.core.motion_errors import DurationError, JointRangeError, PlanningError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.planning.curves import JointCurve, interpolated, monotone, parameters, rounded
@@ -27,7 +26,18 @@ from construction_twin.planning.time_scaling import (
     straight_time_scaling,
 )
 from construction_twin.robot.description import RobotModel
+from construction_twin.robot.motion_errors import JointRangeError, PlanningError
 from construction_twin.robot.trajectory import Trajectory, whole_nanoseconds
+
+
+class DurationError(PlanningError):
+    """The requested duration is shorter than the limits allow [s]."""
+
+    def __init__(self, requested: float, minimum: float):
+        super().__init__(
+            f"a duration of {requested:.3f} s breaks the joint limits; the shortest possible is {minimum:.3f} s"
+        )
+
 
 #: Fractions of the velocity and acceleration limits that a plan uses. The remainder covers what happens to the setpoints after
 #: planning, where they are checked against the full limits: the gateway interpolates between setpoints on the grid of another

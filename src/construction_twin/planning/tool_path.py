@@ -17,9 +17,9 @@ import numpy as np
 from scipy.interpolate import BPoly, CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
-from construction_twin.core.motion_errors import PlanningError
 from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.kinematics.chain import Pose
+from construction_twin.robot.motion_errors import PlanningError
 
 #: Path length assigned to a turn on the spot [m/rad].
 TURN_LENGTH = 0.1

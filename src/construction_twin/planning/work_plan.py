@@ -14,22 +14,33 @@ from contextlib import contextmanager
 import numpy as np
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.motion_errors import CollisionError, PlanningError, SegmentError, TrajectoryError
 from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.planning.limit_usage import SAME_POINT
 from construction_twin.planning.planner import PlanRequest
-from construction_twin.planning.recheck import check_limits, recheck
+from construction_twin.planning.recheck import CollisionError, check_limits, recheck
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.waypoints import AT_REST, START_TOLERANCE_M, START_TOLERANCE_RAD
 from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import JointValues, RobotModel
+from construction_twin.robot.motion_errors import PlanningError, TrajectoryError
 from construction_twin.robot.plan import LimitUsage, Plan, PlanReport
 from construction_twin.robot.segments import Segment, Signal
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.same_space import fills_same_space
 from construction_twin.scene.scene_change import SceneChange
+
+
+class SegmentError(PlanningError):
+    """A segment of a work plan cannot be used, and so neither can the plan."""
+
+    def __init__(self, number: int, name: str, cause: ConstructionTwinError):
+        self.cause = cause
+        super().__init__(
+            Sentence("segment {number} ({name}): {cause}", number=number, name=repr(name[:80]), cause=str(cause))
+        )
+
 
 #: Name of the planner in a work plan.
 WORK = "work"

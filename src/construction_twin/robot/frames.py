@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from construction_twin.core.motion_errors import KinematicsError
+from construction_twin.robot.motion_errors import KinematicsError
 
 #: Below this |cos B| the angles A and C turn about the same axis and only their sum or difference is defined.
 _GIMBAL = 1e-12

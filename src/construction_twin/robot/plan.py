@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from construction_twin.core.freshness import Moment
-from construction_twin.core.motion_errors import TrajectoryError
+from construction_twin.robot.motion_errors import TrajectoryError
 from construction_twin.robot.segments import Segment, check_segments, segments_hash
 from construction_twin.robot.trajectory import Trajectory
 

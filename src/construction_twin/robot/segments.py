@@ -11,7 +11,7 @@ import json
 import math
 from dataclasses import asdict, dataclass
 
-from construction_twin.core.motion_errors import TrajectoryError
+from construction_twin.robot.motion_errors import TrajectoryError
 
 
 @dataclass(frozen=True)

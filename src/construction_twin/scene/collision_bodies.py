@@ -18,9 +18,9 @@ import numpy as np
 import pinocchio
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import JointValues, RobotModel
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.robot.packages import with_mesh_files
 from construction_twin.scene.mesh_file import parse_mesh
 from construction_twin.scene.objects import Scene, SceneObject, listed, read_mesh_file

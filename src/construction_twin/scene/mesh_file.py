@@ -11,7 +11,7 @@ from collections import Counter
 
 import numpy as np
 
-from construction_twin.core.motion_errors import SceneError
+from construction_twin.robot.motion_errors import SceneError
 
 #: Most triangles: far beyond what a collision shape needs, and still checked and built within seconds.
 MOST_TRIANGLES = 100_000

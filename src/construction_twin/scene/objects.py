@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from construction_twin.core.files import read_file
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import quaternion_to_rotation, rotation_to_quaternion, rpy_to_quaternion
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.robot.tool import ToolFile
 
 #: A quaternion whose norm differs from 1 by more than the first value is refused, by more than the second it is normalised. A

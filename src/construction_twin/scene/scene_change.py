@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from construction_twin.core.motion_errors import SceneError
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.scene.objects import Scene, SceneObject, listed
 
 

@@ -10,9 +10,9 @@ import pydantic
 import yaml
 
 from construction_twin.core.errors import problem_of
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.validation import wrong_value
 from construction_twin.robot.frames import rpy_to_quaternion
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.scene.objects import Scene, SceneObject
 
 #: Stands for the path of a scene without objects and padding: roslaunch drops an argument that is empty.

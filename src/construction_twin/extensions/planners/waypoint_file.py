@@ -25,9 +25,9 @@ from pathlib import Path
 import numpy as np
 
 from construction_twin.core.files import read_file
-from construction_twin.core.motion_errors import PlanningError, WaypointsError
-from construction_twin.planning.waypoints import Unit, Waypoints, check_finite
+from construction_twin.planning.waypoints import Unit, Waypoints, WaypointsError, check_finite
 from construction_twin.robot.description import RobotModel
+from construction_twin.robot.motion_errors import PlanningError
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.trajectory import Trajectory
 

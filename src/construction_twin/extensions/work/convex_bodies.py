@@ -12,8 +12,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Pose
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.scene.collision_bodies import is_convex
 from construction_twin.scene.mesh_file import parse_mesh
 from construction_twin.scene.objects import SceneObject, read_mesh_file

@@ -12,7 +12,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.sentences import Sentence
 from construction_twin.extensions.work.contacts import FALL
 from construction_twin.extensions.work.convex_bodies import Pieces
@@ -24,6 +23,7 @@ from construction_twin.extensions.work.place.recipe import OVERRIDES, PlaceRecip
 from construction_twin.extensions.work.process import REACH, Process, TaskMotions
 from construction_twin.extensions.work.site import inverse, pose_of
 from construction_twin.kinematics.chain import Pose
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.objects import product
 
