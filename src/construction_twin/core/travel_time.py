@@ -78,11 +78,11 @@ class StateCheck:
         self._forget_clock()
 
     def accept(self, seq: int, stamp: int, received: int) -> None:
-        """Take a state by its sequence number, the gateway's stamp and the time of reception, each on its own clock [ns].
+        """Take a state by its number, the gateway's stamp and the time of reception, each on its own clock [ns].
 
         Raises:
-            PayloadError: ``sequence``; ``stale``, when it is too old; ``early``, when it is so much quicker than all others that
-                only further ones like it are believed: a single wrong stamp must not cause all later states to be refused.
+            PayloadError: ``sequence``; ``stale``; ``early``: so much quicker than all others that only further ones like it are
+                believed, because a single wrong stamp must not cause all later states to be refused.
         """
         self._accept_number(seq)
         excess = self._travel.excess(stamp, received)

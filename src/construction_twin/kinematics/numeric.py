@@ -80,18 +80,11 @@ class NumericInverse(InverseKinematics):
         return ArmKind("search", self._why)
 
     def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
-        """See `InverseKinematics.nearest`: of the solutions found, until `patience` in a row bring nothing nearer.
-
-        It is not proven to be the nearest that exists: `all` with the same settings may find a nearer one, or miss this one.
-        """
+        """See `InverseKinematics.nearest`: of the solutions found, until `patience` in a row bring nothing nearer."""
         return _Search(self, pose, seed, configuration).nearest()
 
     def all(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> list[IkSolution]:
-        """See `InverseKinematics.all`: those found, until `patience` solved starting points in a row bring nothing new.
-
-        Probably all that exist, but this is not proven. Of a redundant arm also solutions spaced along the self-motions: who has to
-        avoid contacts takes the first that is free.
-        """
+        """See `InverseKinematics.all`: those found, until `patience` solved starting points in a row bring nothing new."""
         return _Search(self, pose, seed, configuration).all()
 
     def configuration(self, q: JointValues) -> None:

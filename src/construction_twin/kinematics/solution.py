@@ -199,24 +199,14 @@ class IkSolution:
 
 @dataclass(frozen=True)
 class ArmKind:
-    """How an arm is solved.
-
-    Attributes:
-        name: ``OPW``, ``closed form``, ``OPW on a linear axis`` or ``search``.
-        why: What was found in its geometry: part of a sentence.
-    """
+    """How an arm is solved: ``OPW``, ``closed form``, ``OPW on a linear axis`` or ``search``, and why, as part of a sentence."""
 
     name: str
     why: str
 
 
 class Ranges:
-    """The ranges of n joints, and whole turns: a revolute joint reaches the same pose a turn further, where its range allows it.
-
-    Attributes:
-        lower, upper: Shape (n,). Ends of the ranges.
-        turns: Shape (n,). A whole turn; 0 for a prismatic joint.
-    """
+    """The ranges of n joints, and whole turns, 0 for a prismatic joint: a turn further a joint reaches the same pose."""
 
     def __init__(self, robot: RobotModel):
         self.lower, self.upper = np.array(robot.lower), np.array(robot.upper)
@@ -274,22 +264,11 @@ class InverseKinematics(abc.ABC):
         positions of its division. By search it is the nearest solution found: probably the nearest that exists, but this is not
         proven, and `all` may find a nearer one.
 
+        Distances are Euclidean over all joints, whole turns included. Every error is a KinematicsError that says why there is none.
+
         Args:
             pose: Target ``base_T_tip``.
             seed: Length n. Joint values within the ranges [rad] or [m]: normally the arm's present pose.
-
-        Returns:
-            By Euclidean joint distance, whole turns included.
-
-        Raises:
-            UnreachableError: If the pose is too far or too close, and by how much.
-            PositionRangeError, OrientationError: If it can be reached only with a joint out of range; names the joint and its
-                range.
-            BranchError: If no solution has the configuration asked for, or the arm knows no configurations.
-            UnreachableOrientationError: If its position can be reached, but not with its orientation.
-            NotFoundError: If nothing was found within the budget, which proves nothing.
-            JointRangeError: If the seed is out of range.
-            KinematicsError: If the pose is not finite, or its rotation matrix is not a rotation.
         """
 
     @abc.abstractmethod
@@ -298,10 +277,7 @@ class InverseKinematics(abc.ABC):
 
         Where a pose leaves joints free (a singular pose, or an arm with more than six joints), the list holds one solution of
         each continuous family for every choice of whole turns: the one nearest to the seed. For an arm with more than six joints,
-        it also holds some that are spaced along the families, for whoever cannot use the nearest.
-
-        Returns:
-            At least one, ordered by Euclidean joint distance from the seed.
+        it also holds some that are spaced along the families, for whoever cannot use the nearest. Nearest first.
         """
 
     @abc.abstractmethod
@@ -456,11 +432,7 @@ def refine(chain: Chain, q: np.ndarray, pose: Pose, steps: int = 8, within: bool
 
 
 def pose_error(reached: Pose, target: Pose) -> np.ndarray:
-    """Return the twist from one pose to another near it.
-
-    Returns:
-        Shape (6,). Translation [m], then rotation vector [rad] (exact to second order in the angle), in the base's directions.
-    """
+    """Return the twist from one pose to another near it, shape (6,): translation, then rotation vector, to second order."""
     # the sum of the cross products of the axes of both; written out, because numpy's takes ten times as long for single vectors
     turn = target.rotation @ reached.rotation.T
     x, y, z = (target.position - reached.position).tolist()

@@ -65,12 +65,7 @@ SPEED_ROUNDS = 4
 
 @dataclass(frozen=True, eq=False)
 class CartesianMotion:
-    """A trajectory along a tool path, with measurements on its 4 ms samples.
-
-    Attributes:
-        deviation_m, deviation_rad: Largest distance and angle from the commanded pose.
-        top_speed: Largest speed of the tool [m/s].
-    """
+    """A trajectory along a tool path; on its 4 ms samples the largest deviation from the commanded pose, and speed [m/s]."""
 
     trajectory: Trajectory
     path: ToolPath
@@ -96,11 +91,6 @@ def plan_cartesian(
         world: The motion must be free of contact in it, at every 4 ms sample and between them. Default: nothing is checked.
         speed: Of the tool along the path [m/s]: never exceeded, and reached where the joint limits allow. Default: as fast as the
             limits allow.
-
-    Raises:
-        CartesianPathError: If the path cannot be followed to its end; where, and why.
-        FarWaypointError: If a waypoint, or an arc that leads to one, is more than `FAR` times as far away as the arm reaches.
-        PlanningError: If start, path or an argument is invalid, or the motion would be larger than `bounds`.
     """
     if speed is not None and not 0.0 < speed < math.inf:
         found = Quantity(speed, "m/s")

@@ -90,11 +90,7 @@ class Branch:
             raise self._singular(0.0, start)
 
     def walk(self, start: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """Follow the path from a joint vector over places, shape (m,), ascending [m]; CartesianPathError where the branch ends.
-
-        Returns:
-            Shape (m, n)
-        """
+        """Follow the path from a joint vector over places, shape (m,), ascending [m]; CartesianPathError where the branch ends."""
         targets = [Pose(*target) for target in zip(*self.path.poses(s))]
         done = np.asarray(start)[None]
         while len(done) < len(s):

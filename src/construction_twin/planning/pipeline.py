@@ -131,11 +131,7 @@ def _reversed(trajectory: Trajectory, begin: float, robot: RobotModel) -> Trajec
 
 
 class PlanningPipeline:
-    """Plans motions of one robot in the latest scene.
-
-    Every method that returns a plan raises, besides what it names: `NoSceneError` without a scene, `SceneError` if the
-    scene cannot be used with this robot, `SceneChangedError` if another scene arrived while planning, `LimitError` and
-    `CollisionError` if a 4 ms sample of the result is outside a limit, or something touches, at a sample or between two.
+    """Plans motions of one robot in the latest scene; PlanningError and SceneError say why there is no plan.
 
     Args:
         solver: Default: the one that fits the robot.

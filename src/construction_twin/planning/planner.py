@@ -151,14 +151,7 @@ class Planner:
     def plan_to_joints(
         self, start: JointValues, goal: JointValues, request: PlanRequest, world: CollisionWorld
     ) -> Plan:
-        """Plan a motion between two joint vectors, length n [rad] or [m].
-
-        Raises:
-            CollisionError: If start or goal touches something, and what.
-            NoPathError: If none was found within the budget.
-            DurationError: If the requested duration is shorter than the limits allow.
-            PlanningError: If an end is out of range, the plan would be too large, or the request does not make sense.
-        """
+        """Plan a motion between two joint vectors, length n [rad] or [m]; PlanningError says why there is none."""
         began = self._clock()
         begin, end = self._joint_vector("start", start), self._joint_vector("goal", goal)
         self._check_request(request)
@@ -172,14 +165,9 @@ class Planner:
         """Plan a motion that brings the robot's tip to a pose in its base frame.
 
         Every joint solution of the pose is a goal: straight motions to them are tried first, the nearest before the
-        others; a search is given the nearest ones that are free.
+        others; a search is given the nearest ones that are free. KinematicsError where it cannot be reached.
 
-        Args:
-            configuration: Only joint solutions of this configuration, see `Configuration.parse`. Default: all.
-
-        Raises:
-            KinematicsError: If the pose cannot be reached within the ranges, or start is out of range.
-            CollisionError: If the start, or every solution of the goal, touches something; of the goal the nearest one's pair.
+        `configuration`: Only joint solutions of this one, see `Configuration.parse`.
         """
         began = self._clock()
         begin = self._joint_vector("start", start)

@@ -79,13 +79,10 @@ def recheck(
 ) -> PlanReport:
     """Check and measure a trajectory: its limits at every 4 ms sample, its contacts and clearance also between two samples.
 
-    Args:
-        clock: Returns seconds from any fixed origin; measures `PlanReport.recheck_time`.
-        sampled: What `sampled_usage` found of this very trajectory; of another one it is not used. Default: it is measured here.
+    `sampled`: What `sampled_usage` found of this very trajectory; of another one it is not used.
 
     Raises:
-        LimitError: If a sample is outside the range or a limit.
-        CollisionError: If something touches, at a sample or between two; `where` says when.
+        LimitError, CollisionError: At a sample, or between two; the sentence says when.
     """
     began = clock()
     if sampled is None or sampled.trajectory is not trajectory:

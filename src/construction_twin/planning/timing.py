@@ -111,9 +111,8 @@ def timed_path(
             `corner_fraction` from where it is nearest to one to where it is nearest to the next.
 
     Raises:
-        DurationError: If `duration` is shorter than the limits allow.
         JointRangeError: If a point is out of range, or the motion between few waypoints leaves the range.
-        PlanningError: If another argument is invalid, the path cannot be timed, or the motion would be larger than `bounds`.
+        PlanningError: If an argument is invalid, the path cannot be timed, or the motion would be larger than `bounds`.
     """
     acceleration_scale = speed_scale if acceleration_scale is None else acceleration_scale
     check_request(duration, speed_scale, acceleration_scale, waypoints, corner_fraction)
@@ -278,8 +277,7 @@ class _Request:
     def _slowed(
         self, curve: JointCurve, scaling: TimeScaling, ends: np.ndarray, least: float, count: int | None = None
     ) -> TimedCurve:
-        """Slow a motion by the smallest factor (at least 1 and `least`, to `STRETCH_STEP`) that brings it into the
-        limits.
+        """Slow a motion by the smallest factor (at least 1 and `least`, to `STRETCH_STEP`) that brings it into the limits.
 
         Args:
             count: Of the waypoints that `least` was found with: with as many, it is enough for what is between the samples.

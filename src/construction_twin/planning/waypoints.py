@@ -118,9 +118,6 @@ def from_points(
         positions: Per point, in the order of `joint_names` [rad] or [m].
         velocities, accelerations: The same; None or all empty: not given.
         times: [s]; None or all 0: not given.
-
-    Raises:
-        WaypointsError: If names or counts do not fit, or a value is not finite.
     """
     if sorted(joint_names) != sorted(robot.joint_names):
         found, joints = ", ".join(joint_names), ", ".join(robot.joint_names)
@@ -189,8 +186,7 @@ def plan_waypoints(
             its time is how long the motion takes.
 
     Raises:
-        WaypointsError: Naming row, joint, value and limit: out of range, too far from the present pose, times that do not increase,
-            not at rest at an end, too fast.
+        WaypointsError: Naming row, joint, value and limit.
         PlanningError: If waypoints without times cannot be timed, or the motion would be larger than `bounds`.
     """
     waypoints = _from_here(waypoints, present, robot, bounds)

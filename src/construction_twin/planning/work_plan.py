@@ -69,14 +69,9 @@ def plan_work(
         present: Length n. The arm's pose. The first segment must begin there within `START_TOLERANCE_RAD` or `START_TOLERANCE_M`;
             what is left of the difference fades away during the segment, so that the plan begins exactly at `present`.
         request: Its duration, scales and number of waypoints are not used.
-        clock: Returns seconds from any fixed origin.
 
     Raises:
-        SegmentError: Naming the segment. Its cause: `TrajectoryError` if it does not begin where the one before ends, or does not
-            begin and end at rest; `LimitError`, `CollisionError`, also at its end after its change of the scene; `SceneError` if
-            the change is impossible; `PlanningError` for names, numbers and counts that make no sense.
-        PlanSizeError: If the plan would be too large.
-        PlanningError: If there is no task, or no segment.
+        SegmentError: Naming the segment, with its cause.
     """
     began = clock()
     _check_counts(task, segments, bounds)

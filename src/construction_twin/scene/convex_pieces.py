@@ -64,10 +64,7 @@ class Pieces:
 
 
 def convex_pieces(vertices: np.ndarray, triangles: np.ndarray) -> Pieces | None:
-    """Return convex pieces of what a mesh encloses; the same mesh gives the same ones, and is divided once per process.
-
-    None: it is not closed, has more than 5,000 triangles, or more than 64 bodies.
-    """
+    """Return convex pieces of what a mesh encloses, the same for the same mesh; None: not closed, too fine, or too many pieces."""
     if len(triangles) > MOST_TRIANGLES:
         return None
     return _divided(

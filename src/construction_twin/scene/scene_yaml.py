@@ -45,13 +45,7 @@ class _SceneDescription(pydantic.BaseModel):
 
 
 def load_scene(description: Mapping, base_dir: str | Path) -> Scene:
-    """Build a scene from a parsed YAML file.
-
-    Args:
-        description: Keys ``padding`` [m] and ``objects``: a mapping of names to their properties. Rotations are ``rpy_deg``: about
-            the fixed x, y and z axes, in this order [deg].
-        base_dir: Directory that mesh files are relative to.
-    """
+    """Build a scene from a parsed YAML file, see config/scene.yaml, whose mesh files are relative to `base_dir`."""
     try:
         parsed = _SceneDescription.model_validate(dict(description))
     except pydantic.ValidationError as error:

@@ -10,7 +10,7 @@ import argparse
 import os
 import sys
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -80,10 +80,6 @@ def propose_hulls(robot: RobotModel, folder: Path) -> list[str]:
     ]
 
 
-#: A line is printed each time this part of the poses is done.
-_PART = 0.25
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Sample a robot's self collisions and write the file."""
     options = _parser().parse_args(arguments)
@@ -94,7 +90,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _check_folder(output)
         robot = read_robot_files(options.urdf, options.robot, options.robot_xacro_args)
         _check_owner(output, robot)
-        found = sample_self_collision(robot, options.samples, options.seed, progress(options.samples))
+        print(f"sampling {options.samples} poses", file=sys.stderr, flush=True)
+        found = sample_self_collision(robot, options.samples, options.seed)
         text = self_collision_yaml(robot, found, options.samples, options.seed)
         if output is None:
             print(text, end="")
@@ -139,20 +136,6 @@ def _check_owner(output: Path | None, robot: RobotModel) -> None:
         raise ConfigurationError(
             str(output), f"the file of robot {owner}", f"a new file for {robot.name}, or one of its own"
         )
-
-
-def progress(samples: int) -> Callable[[int, int], None]:
-    """Return a function that says on standard error how far the sampling is."""
-    reported = 0.0
-
-    def report(poses: int, pairs: int) -> None:
-        nonlocal reported
-        done = min(1.0, poses / samples)
-        if done - reported >= _PART or (done == 1.0 and reported < 1.0):
-            reported = done - done % _PART
-            print(f"sampling: {poses} of {samples} poses, {pairs} pairs not decided", file=sys.stderr, flush=True)
-
-    return report
 
 
 def _check_folder(output: Path | None) -> None:

@@ -71,13 +71,6 @@ def parse_waypoints(text: str, robot: RobotModel, columns: str = "") -> Waypoint
         columns: For a file without a line of names: the names of its columns, separated by commas. ``joints_rad`` and
             ``joints_deg`` stand for a column of every joint in the robot's order (a prismatic joint: in m, in mm), ``joints_rad_s``
             and ``joints_rad_s2`` for its velocities and accelerations. Empty: the file names them.
-
-
-    Returns:
-        `rows` are the file's lines, from 1.
-
-    Raises:
-        WaypointsError: Naming the line, the column, what was found and what was expected.
     """
     lines = [
         (number, line.split("#", 1)[0].strip()) for number, line in enumerate(text.lstrip("\ufeff").splitlines(), 1)

@@ -39,7 +39,7 @@ from construction_twin.scene.self_collision import (
     sample_self_collision,
     self_collision_yaml,
 )
-from construction_twin.scene.self_collision_command import progress, propose_hulls
+from construction_twin.scene.self_collision_command import propose_hulls
 
 
 def launch_text(values: Mapping[str, str]) -> str:
@@ -244,7 +244,7 @@ def _settle(
     for _ in range(_ATTEMPTS):
         description = with_home(description, home.q)
         robot = load_robot(robot.urdf, description)
-        pairs = sample_self_collision(robot, samples, SEED, progress(samples))
+        pairs = sample_self_collision(robot, samples, SEED)
         world = CollisionWorld(robot, scene, pairs)
         if world.is_free(robot.home):
             measured = world.clearance(robot.home)
