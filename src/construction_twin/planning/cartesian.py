@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -102,11 +103,11 @@ def plan_cartesian(
     path = _path_in_reach(chain, chain.forward(q), waypoints)
     bounds.check_tool_path(sum(piece.end - piece.begin for piece in path.pieces if not piece.turn), speed)
     branch = Branch(path, inverse, q)
-    request = _Request(speed_scale, acceleration_scale, bounds)
+    asked = {"speed_scale": speed_scale, "acceleration_scale": acceleration_scale, "bounds": bounds}
     parts = []
     for piece in path.pieces:
         curve = _joint_curve(branch, piece, q)
-        parts.append(_Part.make(branch, piece, curve, math.inf if piece.turn or speed is None else speed, request))
+        parts.append(_Part.make(branch, piece, curve, math.inf if piece.turn or speed is None else speed, asked))
         if world is not None:
             parts[-1].check_free(branch, world)
         q = parts[-1].timed.trajectory.positions[-1]
@@ -140,15 +141,6 @@ def _path_in_reach(chain: Chain, start: Pose, waypoints: Sequence[ToolWaypoint])
     return path
 
 
-@dataclass(frozen=True)
-class _Request:
-    """How fast and how large the motion may be; see `plan_cartesian`."""
-
-    speed_scale: float
-    acceleration_scale: float | None
-    bounds: PlanBounds
-
-
 @dataclass(frozen=True, eq=False)
 class _Part:
     """The motion from one stop to the next, with its 4 ms samples and the measurements on them."""
@@ -161,12 +153,12 @@ class _Part:
     top_speed: float
 
     @classmethod
-    def make(cls, branch: Branch, piece: Piece, curve: JointCurve, speed: float, request: _Request) -> _Part:
-        """Time a piece, with waypoints dense enough for the deviation and slow enough for the tool's speed."""
+    def make(cls, branch: Branch, piece: Piece, curve: JointCurve, speed: float, asked: dict[str, Any]) -> _Part:
+        """Time a piece as asked, with waypoints dense enough for the deviation and slow enough for the tool's speed."""
         top_speed = SPEED_FRACTION * speed
         for spacing in SPACINGS:
             for _ in range(SPEED_ROUNDS):
-                part = cls._measured(branch, piece, _time(branch, piece, curve, top_speed, request, spacing))
+                part = cls._measured(branch, piece, _time(branch, piece, curve, top_speed, spacing, asked))
                 if part.top_speed <= speed:
                     break
                 # within the deviation, the tool's path along the joint curve may be slightly longer than the commanded one
@@ -233,18 +225,10 @@ def _joint_curve(branch: Branch, piece: Piece, q: np.ndarray) -> JointCurve:
 
 
 def _time(
-    branch: Branch, piece: Piece, curve: JointCurve, speed: float, request: _Request, spacing: float
+    branch: Branch, piece: Piece, curve: JointCurve, speed: float, spacing: float, asked: dict[str, Any]
 ) -> TimedCurve:
     try:
-        return time_curve(
-            curve,
-            branch.chain.robot,
-            request.speed_scale,
-            request.acceleration_scale,
-            top_speed=speed,
-            spacing=spacing,
-            bounds=request.bounds,
-        )
+        return time_curve(curve, branch.chain.robot, top_speed=speed, spacing=spacing, **asked)
     except JointRangeError as error:
         # all samples of the curve are in range, but the motion between two of them leaves it
         what = Sentence("{problem}; move the path away from the limit", problem=str(error))

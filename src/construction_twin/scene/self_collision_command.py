@@ -7,7 +7,6 @@ cannot use. Nothing is replaced: the proposal is a URDF of its own beside its me
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections import Counter
 from collections.abc import Sequence
@@ -18,6 +17,7 @@ import coal
 import numpy as np
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.files import check_writable, write_whole
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.scene.collision_bodies import RobotBodies, is_convex, mesh_triangles
 from construction_twin.scene.mesh_file import binary_stl
@@ -87,7 +87,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.exit(f"self_collision: found {options.samples} samples, seed {options.seed}; expected 1 or more, 0 or more")
     output = None if options.output == "-" else Path(options.output).absolute()
     try:
-        _check_folder(output)
+        if output is not None:
+            check_writable(output.parent)
         robot = read_robot_files(options.urdf, options.robot, options.robot_xacro_args)
         _check_owner(output, robot)
         print(f"sampling {options.samples} poses", file=sys.stderr, flush=True)
@@ -96,7 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if output is None:
             print(text, end="")
             return
-        output.write_text(text, encoding="utf-8")
+        write_whole(output, text)
         print(f"{output}: {len(found.ignored)} pairs left out, geometry {found.geometry_hash[:12]} of {robot.name}")
         if not options.no_hulls:
             for line in propose_hulls(robot, output.with_name(f"{output.stem.removesuffix('_self_collision')}_hulls")):
@@ -136,12 +137,3 @@ def _check_owner(output: Path | None, robot: RobotModel) -> None:
         raise ConfigurationError(
             str(output), f"the file of robot {owner}", f"a new file for {robot.name}, or one of its own"
         )
-
-
-def _check_folder(output: Path | None) -> None:
-    """Refuse an output that cannot be written, before anything is computed."""
-    if output is None:
-        return
-    writable = output if output.exists() else output.parent
-    if output.is_dir() or not os.access(writable, os.W_OK):
-        raise ConfigurationError(str(output), "not writable", "a file in a folder that exists and can be written")
