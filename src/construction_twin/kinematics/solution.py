@@ -63,6 +63,7 @@ class BranchError(KinematicsError):
     """A configuration of the arm (shoulder, elbow, wrist) is unknown, or does not exist for this arm or target."""
 
     def __init__(self, asked: str, available: tuple[str, ...], problem: str):
+        self.available = available
         choose = f"choose one of: {', '.join(available)}" if available else "leave the choice open"
         super().__init__(f"configuration {asked!r} {problem}; {choose}")
 

@@ -39,6 +39,7 @@ class FarWaypointError(PlanningError):
     """A tool path leads so far beyond the arm's reach, both from its first turning joint [m], that it must be a mistake."""
 
     def __init__(self, waypoint: int, what: str, distance: float, reach: float):
+        self.distance, self.reach = distance, reach
         away = f"{distance * 1e3:.0f}" if distance < 1e6 else f"{distance * 1e3:.6g}"
         super().__init__(
             f"waypoint {waypoint}: {what} is {away} mm from the arm, which reaches {reach * 1e3:.0f} mm; expected a place "

@@ -26,6 +26,7 @@ class NoPathError(PlanningError):
     """The planner found no path in its time budget [s]."""
 
     def __init__(self, planner: str, budget: float):
+        self.planner, self.budget = planner, budget
         super().__init__(
             Sentence(
                 "{planner} found no path within {budget:.3g} s; allow more time or choose another goal",

@@ -51,7 +51,7 @@ class LimitError(PlanningError):
     """A motion breaks a limit of position, velocity, acceleration or jerk; of a position `limit` is the end of the range."""
 
     def __init__(self, where: str, joint: str, quantity: str, value: float, limit: float, linear: bool = False):
-        self.joint, self.quantity = joint, quantity
+        self.where, self.joint, self.quantity, self.value, self.limit = where, joint, quantity, value, limit
         unit = ("m" if linear else "rad") + {"velocity": "/s", "acceleration": "/s^2", "jerk": "/s^3"}.get(quantity, "")
         super().__init__(
             Sentence(

@@ -30,7 +30,7 @@ class PlanSizeError(PlanningError):
     }
 
     def __init__(self, quantity: str, value: float, limit: float):
-        self.quantity = quantity
+        self.quantity, self.value, self.limit = quantity, value, limit
         what, to_do = self._OF[quantity]
         found, most = (
             f"{Quantity(number, 'm')}" if quantity == "length" else f"{number:g}{' s' * (quantity == 'duration')}"

@@ -34,6 +34,7 @@ class DurationError(PlanningError):
     """The requested duration is shorter than the limits allow [s]."""
 
     def __init__(self, requested: float, minimum: float):
+        self.requested, self.minimum = requested, minimum
         super().__init__(
             f"a duration of {requested:.3f} s breaks the joint limits; the shortest possible is {minimum:.3f} s"
         )

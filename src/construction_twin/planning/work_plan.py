@@ -36,7 +36,7 @@ class SegmentError(PlanningError):
     """A segment of a work plan cannot be used, and so neither can the plan."""
 
     def __init__(self, number: int, name: str, cause: ConstructionTwinError):
-        self.cause = cause
+        self.number, self.name, self.cause = number, name, cause
         super().__init__(
             Sentence("segment {number} ({name}): {cause}", number=number, name=repr(name[:80]), cause=str(cause))
         )
