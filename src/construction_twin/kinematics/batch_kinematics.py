@@ -89,8 +89,7 @@ class BatchKinematics:
 
     def errors(self, q: np.ndarray, positions: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return the twists from the tip's poses to targets near them, shape (k, 6)."""
-        tip = self._tips(q)
-        return _twists(tip, positions, rotations)
+        return _twists(self._tips(q), positions, rotations)
 
     def newton(
         self, q: np.ndarray, positions: np.ndarray, rotations: np.ndarray, steps: int, pace: np.ndarray | None = None

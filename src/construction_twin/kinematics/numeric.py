@@ -87,10 +87,6 @@ class NumericInverse(InverseKinematics):
         """See `InverseKinematics.all`: those found, until `patience` solved starting points in a row bring nothing new."""
         return _Search(self, pose, seed, configuration).all()
 
-    def configuration(self, q: JointValues) -> None:
-        """Return None: these arms have no named configurations."""
-        return None
-
     def solve_from(self, start: JointValues, target: PyKDL.Frame) -> np.ndarray:
         """Return where the solver ends from one starting point, shape (n,). Ranges are ignored, and it need not be a solution."""
         for index, value in enumerate(start):

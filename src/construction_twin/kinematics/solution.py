@@ -281,9 +281,9 @@ class InverseKinematics(abc.ABC):
         it also holds some that are spaced along the families, for whoever cannot use the nearest. Nearest first.
         """
 
-    @abc.abstractmethod
     def configuration(self, q: JointValues) -> Configuration | None:
         """Return in which configuration joint values are [rad]; None: the arm has no named configurations."""
+        return None
 
     def refuse(self, configuration: Configuration, pose: Pose, seed: JointValues) -> NoReturn:
         """Raise the error that names the configurations that reach a pose, or the reason if none does."""

@@ -234,10 +234,6 @@ class SubproblemInverse(BranchInverse):
         found = self._with_search(found, complete, pose, start, lambda: self._search.all(pose, start))
         return distinct(sorted(found, key=lambda solution: solution.distance))
 
-    def configuration(self, q: JointValues) -> None:
-        """Return None: these arms have no named configurations."""
-        return None
-
     def _start(self, seed: JointValues, configuration: Configuration | None) -> list[float]:
         self.chain.robot.check_range(seed)
         refuse_configuration(configuration)
