@@ -1,7 +1,6 @@
-"""tool_marker: the operator's handle in rviz. It follows the tool; dragged away, it shows at once whether the arm can go there.
+"""tool_marker: the operator's handle in rviz. Dragged away from the tool, it shows at once whether the arm can go there.
 
-Its menu is in `ros.shared.tool_marker_menu`. The verdict is drawn by markers of its own, because rviz takes a changed interactive
-marker for a new one in the middle of a drag.
+The verdict is drawn by markers of its own: rviz takes a changed interactive marker for a new one in the middle of a drag.
 """
 
 from __future__ import annotations
@@ -38,8 +37,8 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.robot.motion_errors import KinematicsError, SceneError
 from construction_twin.ros.messages.convert import pose_from_msg, pose_to_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg, tf_frame
+from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
-from construction_twin.ros.shared.node_shell import Interface, NewestPose, NodeShell, Ports, Publication, Subscription
 from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.shared.robot_listener import REPORTS, RobotListener
@@ -53,12 +52,7 @@ from construction_twin.views.texts import waiting_plan
 
 
 class MarkerServer(InteractiveMarkerServer):
-    """As `InteractiveMarkerServer`, but deaf to what is played.
-
-    Args:
-        topic: Namespace of the marker's topics.
-        refused: Called as ``refused(reason, sentence)`` for a message that its sender did not make.
-    """
+    """As `InteractiveMarkerServer`, but deaf to what is played: `refused(reason, sentence)` is told of it."""
 
     def __init__(self, topic: str, refused: Callable[[str, str], None]):
         self._refused = refused
@@ -127,12 +121,7 @@ class Settings(PrivateSettings):
 
 
 def tool_marker(frame: str, pose: PoseMsg, scale: float) -> InteractiveMarker:
-    """Return the interactive marker: it moves along and turns about its axes, and opens the menu.
-
-    Args:
-        frame: tf frame of the pose. The stamp is 0: rviz then keeps the marker in this frame, and reports poses in it.
-        scale: [m]
-    """
+    """Return the interactive marker, of `scale` [m]; its stamp is 0: rviz keeps it in this frame, and reports poses in it."""
     marker = InteractiveMarker(name=NAME, description="", pose=pose, scale=scale)
     marker.header.frame_id = frame
     handle = Marker(type=Marker.SPHERE, color=ColorRGBA(1.0, 1.0, 1.0, 0.2))
@@ -176,7 +165,7 @@ def _text(text: str, at: Point, scale: float) -> Marker:
 class ToolMarkerNode:
     """Interactive marker `tool_marker`, markers `tool_marker/verdict`; its menu calls the services that an operator would."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, ports: shell.Ports):
         self._settings = settings
         self._robot = robot
         self._chain = Chain(self._robot)
@@ -294,7 +283,6 @@ class ToolMarkerNode:
             self._goal.reached(self._chain.forward(plan.trajectory.positions[-1]))
 
     def _follow(self) -> None:
-        """Put the marker where the tool is."""
         try:
             tool = self._chain.forward(self._twin.pose(MAX_POSE_AGE))
         except (PoseUnknownError, PayloadError) as error:
@@ -356,15 +344,15 @@ class ToolMarkerNode:
         return Report(OK, f"{'follows the tool' if self._goal.pose is None else f'goal is {free}'}: {verdict.sentence}")
 
 
-INTERFACE = Interface(
+INTERFACE = shell.Interface(
     report=ToolMarkerNode.report,
-    publishes=(Publication("tool_marker/verdict", MarkerArray, queue_size=2, latch=True),),
-    reads=(NewestPose("twin/joint_states"),),
+    publishes=(shell.Publication("tool_marker/verdict", MarkerArray, queue_size=2, latch=True),),
+    reads=(shell.NewestPose("twin/joint_states"),),
     hears=(
-        Subscription("scene", SceneMsg, ToolMarkerNode.on_scene, queue_size=1),
-        Subscription("tool_marker/feedback", InteractiveMarkerFeedback, ToolMarkerNode.on_click, queue_size=50),
+        shell.Subscription("scene", SceneMsg, ToolMarkerNode.on_scene, queue_size=1),
+        shell.Subscription("tool_marker/feedback", InteractiveMarkerFeedback, ToolMarkerNode.on_click, queue_size=50),
     ),
     listeners=REPORTS,
 )
-NODE = NodeShell("tool_marker", Settings, ToolMarkerNode, INTERFACE)
+NODE = shell.NodeShell("tool_marker", Settings, ToolMarkerNode, INTERFACE)
 main = NODE.run

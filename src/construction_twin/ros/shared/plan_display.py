@@ -38,11 +38,7 @@ PLAN_TIMEOUT = 1.0
 
 
 class PlanDisplay:
-    """ROS around a Preview.
-
-    Args:
-        tf_prefix: Of the ghost's frames.
-    """
+    """ROS around a Preview; `tf_prefix`: of the ghost's frames."""
 
     def __init__(self, robot: RobotModel, shapes: list[Marker], tf_prefix: str, ports: Ports):
         self._robot, self._shapes, self._tf_prefix = robot, shapes, tf_prefix
@@ -135,12 +131,7 @@ class PlanDisplay:
             return self._preview.play(request.speed, request.loop, time.monotonic())
 
     def ghost(self, now: float, twin: tuple[float, ...] | None) -> tuple[float, ...] | None:
-        """Return where the ghost is; None before the twin has a pose and without a plan.
-
-        Args:
-            now: On the monotonic clock [s].
-            twin: The twin's newest pose [rad], [m]; None: unknown.
-        """
+        """Return where the ghost is at a monotonic time [s]; None before the twin has a pose and without a plan."""
         with self._news:
             if twin is not None:
                 self._preview.on_twin(twin)
@@ -148,7 +139,6 @@ class PlanDisplay:
             return self._preview.pose(now)
 
     def _draw(self) -> None:
-        """Publish the markers of another plan than the one drawn, or their removal."""
         self._draw_plan()
         self._draw_rehearsal()
 
@@ -168,7 +158,6 @@ class PlanDisplay:
         self._grip(time.monotonic())
 
     def _draw_rehearsal(self) -> None:
-        """Publish the markers of the rehearsal of the plan under review, or their removal."""
         plan, report = self._preview.under_review, self._report
         rehearsed = report and (report.plan_id, report.plan_hash, report.scene)
         if plan is None or report is None or rehearsed != (plan.id, plan.hash, plan.scene):

@@ -1,7 +1,6 @@
 """How a start is refused: a node publishes one sentence on `start_refused`, and `startup` ends the launch.
 
-Where `startup` does not, because the arm may be moving by now, the node ends after a while, and roslaunch starts it again: what
-was in its way may have passed.
+Where the arm may be moving by now `startup` does not: then the node ends after a while, and roslaunch starts it again.
 """
 
 from __future__ import annotations
@@ -49,7 +48,6 @@ def expect_no_other(name: str) -> None:
 
 
 def _is_beside(node: RunningNode) -> bool:
-    """Return whether a node is of this process's launch."""
     try:
         return f"{VARIABLE}={launch()}".encode() in Path(f"/proc/{node.pid}/environ").read_bytes().split(b"\0")
     except OSError:
@@ -77,11 +75,7 @@ def expect_own_parameters() -> None:
 
 
 def refuse(sentence: str, log: bool = True) -> NoReturn:
-    """Publish why this node cannot start, and end, at the latest after `AGAIN`; started by hand, end with the sentence.
-
-    Args:
-        log: Whether standard output is a log file, as of a node whose `output` is not the screen.
-    """
+    """Publish why this node cannot start, print it into a `log` file, and end after `AGAIN`; started by hand, at once."""
     import rospy
 
     from construction_twin.msg import StartRefused

@@ -71,12 +71,7 @@ def moved(before: Pose, after: Pose, tolerance: float = STILL) -> bool:
 
 
 class ToolMarkerMenu:
-    """Carries out what an operator chooses.
-
-    Args:
-        home: Length n. The robot's home pose [rad], [m] for prismatic joints.
-        run: ``run(title, action)`` runs an action; `in_thread` by default.
-    """
+    """Carries out what an operator chooses, by `run(title, action)`; `home` in [rad], [m]."""
 
     def __init__(
         self,
@@ -149,7 +144,6 @@ class ToolMarkerMenu:
         self._say(f"{title}: {sentence}")
 
     def _plan(self, request: Callable[[], GoalRequest]) -> Outcome:
-        """Ask for a plan, unless another request is under way."""
         if not self._planning.acquire(blocking=False):
             raise RequestRefused("a plan is being made already; wait for it")
         try:

@@ -91,7 +91,7 @@ NOT_MEASURED = {"deviation_mm": math.nan, "deviation_deg": math.nan}
 
 
 class Settings(PrivateSettings):
-    """Private parameters: behaviour is explained in config/work.yaml, the others are given in launch/work.launch.
+    """Private parameters: behaviour is explained in config/work.yaml, the others are given in launch/bringup.launch.
 
     Attributes:
         model, cell: Absolute paths of the IFC file and of the cell file.
