@@ -162,10 +162,12 @@ CAUSES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Occasion(state_table.Occasion):
+class Occasion:
     """What came with an event.
 
     Attributes:
+        reason: One sentence for people: why the next state is entered.
+        now: When [ns].
         session: Of the control message; "" for none.
         stamp, q: Of the command [ns], [rad].
         account: Whose `stop/<account>` it was; "" for every other way.
@@ -173,6 +175,8 @@ class Occasion(state_table.Occasion):
         value: Of the control message.
     """
 
+    reason: str = ""
+    now: int = 0
     session: str = ""
     stamp: int = 0
     q: tuple[float, ...] = ()
