@@ -8,6 +8,7 @@ import logging
 import secrets
 import signal
 import sys
+import threading
 from logging.handlers import QueueHandler, QueueListener
 from pathlib import Path
 from queue import SimpleQueue
@@ -147,6 +148,8 @@ def _run(argv: list[str]) -> int:
     except ConstructionTwinError as error:
         log.error("%s", error)
         return 2
+    # before the first line is logged: the log's thread may be the one that fails
+    threading.excepthook = service.on_thread_failure
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: service.stop())
     log.info(

@@ -65,6 +65,7 @@ class GatewayService:
         self._stops = stops
         self._sock = sock
         self.controller = ControllerSocket(self.gateway, sock, controller)
+        self._thread_failure: BaseException | None = None
         # what failed, until it has been told
         self._cause: BaseException | None = None
         self._selector = selectors.DefaultSelector()
@@ -119,6 +120,13 @@ class GatewayService:
         except Exception as error:  # noqa: BLE001 (the arm brakes and holds, whatever it is)
             self._fail(error)
             return None
+
+    def on_thread_failure(self, arguments: threading.ExceptHookArgs) -> None:
+        """Take an exception that ended another thread, as `threading.excepthook`; the loop takes it in its next turn."""
+        if arguments.exc_value is not None:
+            self._thread_failure = arguments.exc_value
+        # to stderr as well: the thread that has ended may be the one that writes the log
+        threading.__excepthook__(arguments)
 
     def _fail(self, error: BaseException) -> None:
         if self.failure:
@@ -179,6 +187,8 @@ class GatewayService:
 
     def _work(self) -> None:
         events = self._wait()
+        if self._thread_failure is not None:
+            raise self._thread_failure
         now = self.mqtt.now = time.monotonic_ns()
         answered = self.controller.serve(now)
         if answered:
