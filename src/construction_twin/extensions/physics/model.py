@@ -169,11 +169,6 @@ class _Builder:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         spec.compiler.degree = False
-        # a bright sky behind what a film draws
-        spec.add_texture(
-            name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-            rgb1=[0.95, 0.97, 1.0], rgb2=[0.7, 0.8, 0.9], width=16, height=96,
-        )  # fmt: skip
         # which bodies may touch is said pair by pair below
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
 

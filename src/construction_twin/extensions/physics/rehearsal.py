@@ -84,19 +84,8 @@ class Rehearsal:
     tool: str = ""
     inputs: str = ""
 
-    def of_plan(
-        self,
-        plan: Plan,
-        scenes: Mapping[str, Scene],
-        clock: Callable[[], float],
-        progress: Callable[[float, SimulatedArm], None] | None = None,
-    ) -> RehearsalReport:
-        """Rehearse a plan.
-
-        Args:
-            clock: For how long it took, e.g. ``time.perf_counter`` [s].
-            progress: Called after each cycle with the time in the plan [s] and the arm as it is then.
-        """
+    def of_plan(self, plan: Plan, scenes: Mapping[str, Scene], clock: Callable[[], float]) -> RehearsalReport:
+        """Rehearse a plan; `clock`: for how long it took, e.g. ``time.perf_counter`` [s]."""
         begin = clock()
         named = RehearsalReport(
             plan_id=plan.id, plan_hash=plan.hash, scene=plan.scene, tool=self.tool, inputs=self.inputs, engine=ENGINE
@@ -109,7 +98,7 @@ class Rehearsal:
             return finished(replace(named, reasons=(reason,)), clock() - begin)
         ends = [segment.end for segment in plan.segments] or [plan.trajectory.duration]
         parts = [Part(scenes[scene], end) for scene, end in zip(wanted, ends)]
-        run = _Run(self, plan.trajectory, parts, scenes[last], progress)
+        run = _Run(self, plan.trajectory, parts, scenes[last])
         try:
             found = run.report(named, clock)
         # ValueError: MuJoCo's compiler refuses a model
@@ -188,12 +177,11 @@ class _Run:
     `after`: The scene at the end, when the last tool has switched.
     """
 
-    def __init__(self, of: Rehearsal, trajectory: Trajectory, parts: Sequence[Part], after: Scene, progress=None):
+    def __init__(self, of: Rehearsal, trajectory: Trajectory, parts: Sequence[Part], after: Scene):
         self._of = of
         self._trajectory = trajectory
         self._parts = parts
         self._after = after
-        self._progress = progress
         scenes = (*(part.scene for part in parts), after)
         self._bodies = rigid_bodies(scenes)
         carried = [{item.name for item in scene.objects if item.link} for scene in scenes]
@@ -342,8 +330,6 @@ class _Run:
             self._track.note(arm, peak, gravity)
             if watch is not None:
                 watch.note(at, data)
-            if self._progress is not None:
-                self._progress(at, arm)
         if watch is not None:
             self._grips.append(watch.worst())
         return None
@@ -390,9 +376,6 @@ class _Run:
             for _step in arm.steps(setpoint):
                 if arm.data.ncon:
                     self._note_contacts(arm.physics, arm.data, duration, without)
-            if self._progress is not None:
-                duration += CYCLE
-                self._progress(duration, arm)
         found = dict(self._displaced)
         for name in arm.physics.loose:
             one = self._found(arm, name)
