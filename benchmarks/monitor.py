@@ -60,7 +60,7 @@ def identify_arm(arm: Servo | None = None) -> tuple[ServoModel, dict]:
     for goal in itertools.islice(poses(1), IDENTIFIED):
         play_to_the_end(chain, make_plan(chain, goal))
     found = identified(chain)
-    return model_of(found), {joint.name: rounded(joint.residual_rms) for joint in found.joints}
+    return model_of(found), {joint.name: rounded(joint.residual_rms) for joint in found}
 
 
 def stalls(model: ServoModel | None) -> dict[str, int | None]:

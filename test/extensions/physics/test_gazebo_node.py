@@ -65,15 +65,18 @@ class Bench:
         monkeypatch.setattr(module, "PAUSE", 0.0)
         for said in ("loginfo", "logerr"):
             monkeypatch.setattr(rospy, said, lambda *_: None)
-        diagnostics = SimpleNamespace(refuse=lambda *said: self.refused.append(said))
-        self.node = GazeboNode(self.make, self.launch, tmp_path / "gazebo", diagnostics)
+        monkeypatch.setattr(module, "world_of", self.make)
+        monkeypatch.setattr(module, "launch_server", lambda words, path: self.launch(path))
+        monkeypatch.setenv("ROS_HOME", str(tmp_path))
+        ports = SimpleNamespace(diagnostics=SimpleNamespace(refuse=lambda *said: self.refused.append(said)))
+        self.node = GazeboNode(Settings(gzserver=sys.executable, drives="", realtime=0), ROBOT, ports)
 
     def is_over(self) -> bool:
         if self.servers and self.servers[-1].code is None:
             self.at_wait(self.servers[-1])
         return self.over
 
-    def make(self, scene: Scene) -> GazeboWorld:
+    def make(self, _bodies, scene: Scene, *_) -> GazeboWorld:
         if self.problem:
             raise ConstructionTwinError(self.problem)
         return GazeboWorld(f"<sdf>{scene.hash}</sdf>", {"0_mesh.stl": b"solid"}, ("a remark",))
@@ -154,8 +157,8 @@ def test_the_server_ends_when_the_node_is_killed(tmp_path):
         [
             sys.executable,
             "-c",
-            "import sys, time; from pathlib import Path; from construction_twin.extensions.physics.nodes.gazebo import _launch;"
-            f"_launch([sys.executable, {str(server)!r}], Path('/none')); time.sleep(600)",
+            "import sys, time; from pathlib import Path; from construction_twin.extensions.physics.nodes import gazebo;"
+            f"gazebo.launch_server([sys.executable, {str(server)!r}], Path('/none')); time.sleep(600)",
         ],
         stdout=subprocess.PIPE,
         text=True,

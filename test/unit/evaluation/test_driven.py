@@ -29,7 +29,7 @@ def test_the_mocks_servo_is_found_from_what_a_bag_holds(run):
     assert cycle_of(run) == CYCLE_NS
     drives = drives_of(run, CYCLE_NS)
     assert sum(len(drive.targets) for drive in drives) > 1000
-    for joint in identify(run.joint_names, drives, CYCLE_NS).joints:
+    for joint in identify(run.joint_names, drives, CYCLE_NS):
         assert joint.servo.lag(CYCLE) == pytest.approx(2 * 0.8 / 60.0 - CYCLE / 2, abs=1e-4)
         assert joint.residual_max < 2e-5 and joint.residual_rms < 1e-5
 

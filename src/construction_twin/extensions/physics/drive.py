@@ -1,7 +1,6 @@
 """What drives the axes: torques they can give, inertias of their motors, friction, and how much the arm may carry. SI.
 
-Torque limits are the URDF's ``effort``; the rest a file of the arm says (config/kr120_drives.yaml), each number with its source, or
-that it is an estimate. What no file says is zero, and named.
+Torque limits are the URDF's ``effort``; the rest is in a file of the arm (config/kr120_drives.yaml), or zero.
 """
 
 from __future__ import annotations
@@ -47,13 +46,12 @@ class ArmDrives:
     """The drives of an arm, in the order of ``robot.joint_names``.
 
     Attributes:
-        torque: Length n. What an axis can give [N m], of a linear one [N]; None: nobody says.
-        armature: Length n. Inertia of motor and gear, seen from the axis [kg m^2], [kg].
-        damping: Length n. Friction that grows with speed [N m s/rad], [N s/m].
-        friction: Length n. Friction at any speed [N m], [N].
-        rating: None: nobody says.
+        torque: What an axis can give [N m], of a linear one [N]; None: unknown.
+        armature: Inertia of motor and gear, seen from the axis [kg m^2], [kg].
+        damping: Friction that grows with speed [N m s/rad], [N s/m].
+        friction: Friction at any speed [N m], [N].
         source: Where the torques are from.
-        estimates: What is an estimate: keys of the file, `torque` also where it is the URDF's effort; `link_masses`: the URDF's.
+        estimates: Keys of the file that are estimates, `torque` also where it is the URDF's effort; `link_masses`: the URDF's.
     """
 
     torque: tuple[float | None, ...]
@@ -63,6 +61,12 @@ class ArmDrives:
     rating: PayloadRating | None
     source: str
     estimates: tuple[str, ...]
+
+    @property
+    def remarks(self) -> list[str]:
+        """What is an estimate, as a sentence; empty: nothing is."""
+        keys = ", ".join(self.estimates).replace("_", " ")
+        return [f"of the arm these are estimates: {keys}; torques: {self.source}"] if keys else []
 
 
 class _Axis(_Strict):

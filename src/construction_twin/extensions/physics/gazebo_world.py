@@ -26,7 +26,6 @@ from construction_twin.extensions.physics.mass import (
     MassProperties,
     of_link,
     of_object,
-    of_shape,
     together,
 )
 from construction_twin.robot.packages import Packages
@@ -138,9 +137,7 @@ class _Builder:
         drive = self._drives
         each = zip(drive.torque, drive.armature, drive.damping, drive.friction)
         drives = dict(zip(self._bodies.robot.joint_names, each))
-        if self._drives.estimates:
-            keys = ", ".join(self._drives.estimates)
-            self._remarks.append(f"of the arm these are estimates: {keys}; torques: {self._drives.source}")
+        self._remarks += drive.remarks
         lines = [_numbers((0.0, 0.0, -GRAVITY))]
         before = "world"
         for index in range(1, model.njoints):
@@ -182,16 +179,10 @@ class _Builder:
 
     def _mass_of(self, index: int) -> MassProperties:
         """Return what a joint moves by itself: its link, and what is carried there."""
-        model = self._bodies.model
-        name = model.names[index]
-        own = [one for one in self._own if one.joint == index]
-        shapes = [of_shape(one.geometry).at(one.placement) for one in own if one.item is None]
-        parts = [of_link(name, model.inertias[index], shapes)]
-        if parts[0].estimated:
-            self._remarks.append(
-                f"the URDF gives no mass for what {name} moves; estimated from its shapes: {parts[0].mass:.1f} kg"
-            )
-        objects = (one for one in own if one.item is not None)
+        link, remarks = of_link(self._bodies, index)
+        self._remarks += remarks
+        parts = [link]
+        objects = (one for one in self._own if one.joint == index and one.item is not None)
         for owner, placed in itertools.groupby(objects, key=lambda one: one.owner):
             pieces = list(placed)
             part = of_object(pieces)

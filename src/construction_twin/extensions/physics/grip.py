@@ -71,8 +71,7 @@ class SuctionGrip:
     def usages(self, forces: np.ndarray, moments: np.ndarray) -> np.ndarray:
         """Return the fraction of what the cup that is loaded most holds, shape (N,).
 
-        `forces`, `moments`: Shape (N, 3). What the cups must exert on the workpiece, about the origin of the plane, in the axes of
-        the plane [N], [N m].
+        `forces`, `moments`: Shape (N, 3). What the cups must exert on the workpiece, about origin and axes of the plane [N], [N m].
         """
         points = (self.cups[:, None] + self.radius * _LIP).reshape(-1, 2)
         x, y = points.T
@@ -116,7 +115,7 @@ class GripWatch:
         self._moments: list[np.ndarray] = []
 
     def note(self, time: float, data: mujoco.MjData) -> None:
-        """Take the last step, at `time` of the plan [s]: its accelerations, and the forces of what the workpiece touched."""
+        """Add the last step, at `time` of the plan [s]: its accelerations, and the forces of what the workpiece touched."""
         mujoco.mj_rnePostConstraint(self._model, data)
         moment, force = data.cfrc_int[self._pieces].sum(axis=0).reshape(2, 3)
         rotation = data.xmat[self._holder].reshape(3, 3)

@@ -32,6 +32,7 @@ _OPTIONS = {
 }
 #: One more parameter must lower the sum of squares by so much, whatever the criterion says of many samples.
 _GAIN = 0.02
+NO_MOTION = "the recording holds no motion that begins at rest and answers commands as they were given"
 #: First guesses of frequency [rad/s].
 _GUESSES = (25.0, 60.0, 150.0)
 
@@ -71,24 +72,10 @@ class IdentifiedJoint:
     samples: int
 
 
-@dataclass(frozen=True)
-class Identified:
-    """What was found of an arm.
-
-    Attributes:
-        cycle_ns: Of the controller [ns].
-    """
-
-    joints: tuple[IdentifiedJoint, ...]
-    cycle_ns: int
-
-
-def identify(names: Sequence[str], drives: Sequence[Drive], cycle_ns: int) -> Identified:
-    """Find the servo of every joint."""
+def identify(names: Sequence[str], drives: Sequence[Drive], cycle_ns: int) -> tuple[IdentifiedJoint, ...]:
+    """Find the servo of every joint; `cycle_ns`: of the controller [ns]."""
     if not drives or not sum(int(drive.counts.sum()) for drive in drives):
-        raise ConstructionTwinError(
-            "the recording holds no motion that begins at rest and answers commands as they were given"
-        )
+        raise ConstructionTwinError(NO_MOTION)
     period = cycle_ns / NANOSECONDS
     still = [name for joint, name in enumerate(names) if not _excited(drives, joint, period)]
     if still:
@@ -103,7 +90,7 @@ def identify(names: Sequence[str], drives: Sequence[Drive], cycle_ns: int) -> Id
             f"the lag of {', '.join(unsure)} is not known to {LAG_ERROR * 1e3:g} ms: record more and "
             "quicker motion of each joint"
         )
-    return Identified(found, cycle_ns)
+    return found
 
 
 def response(servo: JointServo, targets: np.ndarray, period: float) -> np.ndarray:

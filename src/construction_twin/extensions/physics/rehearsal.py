@@ -1,8 +1,8 @@
 """A plan, carried out by the simulated arm faster than real time, before a person approves it. SI; joints as in `PhysicsModel`.
 
-What it finds: torques against what the drives can give, the payload against the arm's rating, contacts that the plan does not have,
-how far the arm goes on when it must stop at the worst moment, and what becomes of what is let go. A plan of several segments has a
-scene for each; what was let go in one goes on lying where it lies in the next.
+It finds torques against what the drives can give, the payload against the arm's rating, contacts that the plan does not have, how
+far the arm goes on when it must stop at the worst moment, and what becomes of what is let go. Each segment of a plan has a scene of
+its own; what was let go in one goes on lying where it lies in the next.
 """
 
 from __future__ import annotations
@@ -67,10 +67,10 @@ class Rehearsal:
 
     Attributes:
         masses: Of objects, by name [kg]. What stands and has one can be tipped over.
-        unweighed: Elements that stand there and of which nobody says the mass: they are part of the world.
+        unweighed: Elements that stand there and whose mass is unknown: part of the world.
         flange: A payload without a shape, in the frame of the tip link.
-        grip: The tool's cups; None: it has none, and whether it holds what it carries is not looked at.
-        tool, inputs: Hashes of the tool file, and of what else decides the result, as the report has them.
+        grip: The tool's cups; None: it has none.
+        tool, inputs: Hashes of the tool file, and of what else decides the result.
     """
 
     bodies: RobotBodies
@@ -113,14 +113,13 @@ ENGINE = f"MuJoCo {mujoco.__version__}"
 
 
 class _Track:
-    """The arm's way through a plan, cycle by cycle; all of shape (n,) but where something else is said. SI.
+    """The arm's way through a plan, cycle by cycle. SI.
 
     Attributes:
         torques: The largest that each axis needed in a cycle.
         speeds, poses: At its end.
-        gravity: What holding the arm still there would need.
-        usages: Scalars. The largest fraction of an axis' torque.
-        kinetic: Scalars. Kinetic energy.
+        gravity: Torques that would hold the arm still there.
+        usages: The largest fraction of an axis' torque.
         off: Furthest that each axis was off its setpoint, without the servo's lag, until now.
     """
 
@@ -136,7 +135,7 @@ class _Track:
         self.off = np.zeros(len(self.limit))
 
     def note(self, arm: SimulatedArm, peak: np.ndarray, gravity: GravityTorque) -> None:
-        """Take a cycle that has ended, and the largest torque of each axis in it."""
+        """Add a cycle, with the largest torque of each axis in it."""
         q = arm.q
         self.torques.append(peak)
         self.speeds.append(arm.data.qvel[arm.physics.joints].copy())
@@ -172,10 +171,7 @@ class _Track:
 
 
 class _Run:
-    """One rehearsal: it steps the arm through the parts, and notes.
-
-    `after`: The scene at the end, when the last tool has switched.
-    """
+    """One rehearsal, part by part; `after`: the scene at the end, when the last tool has switched."""
 
     def __init__(self, of: Rehearsal, trajectory: Trajectory, parts: Sequence[Part], after: Scene):
         self._of = of

@@ -1,7 +1,7 @@
-"""What can be tipped over and stands around before a plan begins: how it lies at rest, and what would not stay there anyway. SI.
+"""What can be tipped over and stands around before a plan begins: how it lies at rest, and what would move anyway. SI.
 
 The planner's scene has every element where it was planned to be: without the mortar between two bricks, or a hair inside its
-neighbour. So the simulation first lets everything come to rest. What moves by itself then is no matter of the plan.
+neighbour. So the simulation first lets everything come to rest.
 """
 
 from __future__ import annotations

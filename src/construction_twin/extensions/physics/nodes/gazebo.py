@@ -11,7 +11,6 @@ import shutil
 import signal
 import subprocess
 import threading
-from collections.abc import Callable
 from pathlib import Path
 
 import pydantic
@@ -20,11 +19,11 @@ import rospy
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.files import write_whole
 from construction_twin.extensions.physics.drive import read_drives
-from construction_twin.extensions.physics.gazebo_world import GazeboWorld, check_serial, world_of
+from construction_twin.extensions.physics.gazebo_world import check_serial, world_of
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.scene_convert import scene_from_msg
-from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Report
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
 from construction_twin.ros.shared.node_shell import Interface, NodeShell, Ports, Shared, Subscription
 from construction_twin.ros.shared.params import PrivateSettings, ros_home
 from construction_twin.scene.collision_bodies import RobotBodies
@@ -54,22 +53,14 @@ class Settings(PrivateSettings):
 
 
 class GazeboNode:
-    """A scene in, a server that simulates it.
+    """A scene in, a server that simulates it."""
 
-    Args:
-        make: Returns the world of a scene. Raises ConstructionTwinError.
-        launch: Starts the server with a world's file.
-        folder: For the world and its meshes.
-    """
-
-    def __init__(
-        self,
-        make: Callable[[Scene], GazeboWorld],
-        launch: Callable[[Path], subprocess.Popen],
-        folder: Path,
-        diagnostics: NodeDiagnostics,
-    ):
-        self._make, self._launch, self._folder, self._diagnostics = make, launch, folder, diagnostics
+    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+        self._bodies, self._drives = RobotBodies(robot), read_drives(settings.drives, robot)
+        self._priority, self._server = settings.realtime, find_gzserver(settings.gzserver)
+        #: For the world and its meshes.
+        self._folder = (ros_home() / "construction_twin" / f"{robot.name}_gazebo").absolute()
+        self._diagnostics = ports.diagnostics
         self._news = threading.Condition()
         self._present: Scene | None = None
         #: Hash of the scene of the server's start; empty: none runs.
@@ -111,7 +102,7 @@ class GazeboNode:
                 self._news.wait_for(lambda: self._present is not scene or rospy.is_shutdown(), patience)
             return
         self._problem = ""
-        program = self._launch(path)
+        program = launch_server(self._server, path)
         self._simulated = scene.hash
         rospy.loginfo("Gazebo simulates scene %s: %s", scene.hash[:12], path)
         code = self._attend(program)
@@ -139,7 +130,7 @@ class GazeboNode:
             return program.wait()
 
     def _write(self, scene: Scene) -> Path:
-        world = self._make(scene)
+        world = world_of(self._bodies, scene, self._drives, self._folder, self._priority)
         for name, contents in world.meshes.items():
             write_whole(self._folder / name, contents)
         path = self._folder / "twin.world"
@@ -184,7 +175,8 @@ def find_gzserver(words: str) -> list[str]:
     return found
 
 
-def _launch(words: list[str], path: Path) -> subprocess.Popen:
+def launch_server(words: list[str], path: Path) -> subprocess.Popen:
+    """Start Gazebo's server with a world's file; it ends with this process."""
     libc = ctypes.CDLL(None, use_errno=True)
 
     def prepare() -> None:
@@ -207,22 +199,8 @@ def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
     check_serial(RobotBodies(robot))
 
 
-def start(settings: Settings, robot: RobotModel, ports: Ports) -> GazeboNode:
-    """Return the node with its parameters and topics."""
-    bodies = RobotBodies(robot)
-    drives = read_drives(settings.drives, robot)
-    folder = (ros_home() / "construction_twin" / f"{robot.name}_gazebo").absolute()
-    words = find_gzserver(settings.gzserver)
-    return GazeboNode(
-        lambda scene: world_of(bodies, scene, drives, folder, settings.realtime),
-        lambda path: _launch(words, path),
-        folder,
-        ports.diagnostics,
-    )
-
-
 INTERFACE = Interface(
     report=GazeboNode.report, hears=(Subscription("scene", SceneMsg, GazeboNode.on_scene, queue_size=1),)
 )
-NODE = NodeShell("gazebo", Settings, start, INTERFACE, check)
+NODE = NodeShell("gazebo", Settings, GazeboNode, INTERFACE, check)
 main = NODE.run

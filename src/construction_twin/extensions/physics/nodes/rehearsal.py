@@ -20,8 +20,8 @@ from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.worker import Worker
 from construction_twin.extensions.physics.drive import read_drives
+from construction_twin.extensions.physics.known_mass import element_masses, tool_mass
 from construction_twin.extensions.physics.mass import payload_of
-from construction_twin.extensions.physics.nodes.element_masses import element_masses, placed_elements, tool_mass
 from construction_twin.extensions.physics.process import PROGRAM, Question, digest, file_digest
 from construction_twin.msg import Plan as PlanMsg
 from construction_twin.msg import Rehearsal, Review, WorkTasks
@@ -43,6 +43,8 @@ from construction_twin.scene.self_collision import read_self_collision
 
 #: A plan may come so long before the scene that it begins in [s].
 SCENE_DELAY = 1.0
+#: The state of `WorkTask.msg` in which an element stands at its place.
+PLACED = "done"
 #: Scenes, plans and verdicts that are remembered.
 _KEPT = 12
 #: How often the main thread looks whether this process is to end [s].
@@ -123,7 +125,8 @@ class RehearsalNode:
     def on_tasks(self, message: WorkTasks) -> None:
         """Take what the elements of the tasks weigh, and which of them were placed."""
         with self._news:
-            self._masses, self._placed = {**element_masses(message), **self._of_tool}, placed_elements(message)
+            self._masses = element_masses(message.tasks) | self._of_tool
+            self._placed = frozenset(task.element for task in message.tasks if task.state == PLACED)
             self._knows_tasks = True
             self._news.notify_all()
 
