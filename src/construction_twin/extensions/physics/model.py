@@ -399,7 +399,14 @@ class _Builder:
 
 def _unplanned(owners: Sequence[str], checked: set[frozenset[str]]) -> np.ndarray:
     """Return which contacts of geoms are of pairs that the planner checks, shape (geoms, geoms)."""
-    return np.array([[frozenset((one, other)) in checked for other in owners] for one in owners], dtype=bool)
+    geoms: dict[str, list[int]] = {}
+    for number, owner in enumerate(owners):
+        geoms.setdefault(owner, []).append(number)
+    found = np.zeros((len(owners), len(owners)), dtype=bool)
+    for first, second in checked:
+        for one, other in itertools.product(geoms.get(first, ()), geoms.get(second, ())):
+            found[one, other] = found[other, one] = True
+    return found
 
 
 def _followers(model: mujoco.MjModel) -> tuple[Follower, ...]:
