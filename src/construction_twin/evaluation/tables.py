@@ -1,7 +1,4 @@
-"""The paper's Table 1 for this run: error figures per joint, as data, as CSV and on the terminal.
-
-Works on the mapping that `summary.json` holds, so that a stored run prints exactly as a fresh one.
-"""
+"""The paper's Table 1 for this run: error figures per joint, as data, as CSV and on the terminal, made of `summary.json`."""
 
 from __future__ import annotations
 

@@ -88,20 +88,18 @@ class _DrivesFile(_Strict):
 
 
 def drives_of(robot: RobotModel) -> ArmDrives:
-    """Return what the URDF alone says: its efforts, of which nobody knows whether they are a datasheet's."""
+    """Return what the URDF alone says: its efforts, as estimates."""
     zeros = (0.0,) * len(robot.joint_names)
     return ArmDrives(_efforts(robot), zeros, zeros, zeros, None, "URDF effort", ("torque", "armature", "friction"))
 
 
 def read_drives(path: str | Path, robot: RobotModel) -> ArmDrives:
     """Read the file of an arm's drives, see config/kr120_drives.yaml; no path: what the URDF says."""
-    return load_drives(read_yaml(path), robot, str(path)) if path else drives_of(robot)
-
-
-def load_drives(content: object, robot: RobotModel, where: str) -> ArmDrives:
-    """Return the drives that a file's content describes; raises like `read_drives`, naming `where`."""
+    if not path:
+        return drives_of(robot)
+    where = str(path)
     try:
-        read = _DrivesFile.model_validate(content)
+        read = _DrivesFile.model_validate(read_yaml(path))
     except pydantic.ValidationError as error:
         raise configuration_error(error, _DrivesFile, where) from error
     if set(read.joints) != set(robot.joint_names):

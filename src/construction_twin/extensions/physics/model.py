@@ -1,7 +1,7 @@
 """A MuJoCo model of an arm, what it carries and what stands around it, from the records that the planner checks collisions with.
 
-The same joints, shapes and pairs as `scene.collision_world`: what the planner calls free, the simulation finds free, too. The world
-is the root of the URDF's tree; SI; joints in the order of ``robot.joint_names``.
+What the planner calls free, the simulation finds free, too. The world is the root of the URDF's tree; SI; joints in the order of
+``robot.joint_names``.
 """
 
 from __future__ import annotations
@@ -35,12 +35,8 @@ from construction_twin.scene.self_collision import SelfCollision
 _CONTACT = (0.004, 1.0)
 
 
-def _unsaid(_message: object) -> None:
-    """Take a warning of MuJoCo, which counts it in the state as well: `rehearsal` reads the counters."""
-
-
-# without it MuJoCo writes MUJOCO_LOG.TXT into whatever folder the process was started in
-mujoco.set_mju_user_warning(_unsaid)
+# `arm.is_broken` reads MuJoCo's counters of warnings; without this it would write MUJOCO_LOG.TXT into the present folder
+mujoco.set_mju_user_warning(lambda _message: None)
 
 
 @dataclass(frozen=True)
@@ -138,7 +134,7 @@ def build_model(
     load: Load = Load(),
     contacts: bool = True,
 ) -> PhysicsModel:
-    """Compile the model; `contacts`: whether bodies touch each other; if not, they have masses and no shapes."""
+    """Compile the model; without `contacts` bodies have masses and no shapes."""
     return _Builder(bodies, scene, self_collision, drives, load, contacts).build()
 
 

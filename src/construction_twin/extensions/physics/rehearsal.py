@@ -54,14 +54,6 @@ _LONGEST_BRAKING = 10.0
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """One part of a plan in one scene: until `end` [s] of the plan's trajectory."""
-
-    scene: Scene
-    end: float
-
-
-@dataclass(frozen=True, eq=False)
 class Rehearsal:
     """What rehearses the plans of one arm.
 
@@ -97,7 +89,7 @@ class Rehearsal:
             reason = Sentence("the scene {scene} that a segment needs is not known here", scene=missing[0][:12])
             return finished(replace(named, reasons=(reason,)), clock() - begin)
         ends = [segment.end for segment in plan.segments] or [plan.trajectory.duration]
-        parts = [Part(scenes[scene], end) for scene, end in zip(wanted, ends)]
+        parts = [(scenes[scene], end) for scene, end in zip(wanted, ends)]
         run = _Run(self, plan.trajectory, parts, scenes[last])
         try:
             found = run.report(named, clock)
@@ -171,14 +163,19 @@ class _Track:
 
 
 class _Run:
-    """One rehearsal, part by part; `after`: the scene at the end, when the last tool has switched."""
+    """One rehearsal.
 
-    def __init__(self, of: Rehearsal, trajectory: Trajectory, parts: Sequence[Part], after: Scene):
+    Args:
+        parts: Scene and end of each part of the plan [s].
+        after: The scene at the end, when the last tool has switched.
+    """
+
+    def __init__(self, of: Rehearsal, trajectory: Trajectory, parts: Sequence[tuple[Scene, float]], after: Scene):
         self._of = of
         self._trajectory = trajectory
         self._parts = parts
         self._after = after
-        scenes = (*(part.scene for part in parts), after)
+        scenes = (*(scene for scene, _ in parts), after)
         self._bodies = rigid_bodies(scenes)
         carried = [{item.name for item in scene.objects if item.link} for scene in scenes]
         self._carried = frozenset[str]().union(*carried)
@@ -206,15 +203,15 @@ class _Run:
         if not self._let_stand(setpoints):
             return self._diverged(named, 0.0)
         settle = clock() - started
-        for number, part in enumerate(self._parts):
-            last = len(times) if number == len(self._parts) - 1 else round(part.end / CYCLE)
-            arm = self._arm(part.scene, setpoints[first], arm, begin)
+        for number, (scene, end) in enumerate(self._parts):
+            last = len(times) if number == len(self._parts) - 1 else round(end / CYCLE)
+            arm = self._arm(scene, setpoints[first], arm, begin)
             # what lies still, far from the arm, costs nothing
             arm.physics.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
-            diverged = self._play(arm, times[first:last], setpoints[first:last], self._watch(part.scene, arm.physics))
+            diverged = self._play(arm, times[first:last], setpoints[first:last], self._watch(scene, arm.physics))
             if diverged is not None:
                 return self._diverged(named, diverged)
-            first, begin = last, part.end
+            first, begin = last, end
         assert arm is not None
         started = clock()
         arm = self._arm(self._after, setpoints[-1], arm, begin)
@@ -232,7 +229,7 @@ class _Run:
 
     def _let_stand(self, setpoints: np.ndarray) -> bool:
         """Let what stands before the plan begins come to rest; return False when the simulation came apart."""
-        of, scene = self._of, self._parts[0].scene
+        of, scene = self._of, self._parts[0][0]
         names = {item.name for item in scene.objects if not item.link} & of.masses.keys() - self._handled
         known = {self._bodies[name] for name in names} - {self._bodies[name] for name in self._handled}
         objects = [item for item in scene.objects if self._bodies[item.name] in known]
@@ -424,9 +421,9 @@ class _Run:
         seconds = float(np.max(np.abs(speed) / most))
         if seconds <= 0.0 or not math.isfinite(seconds):
             return Braking(time=number * CYCLE)
-        part = next(part for part in self._parts if part is self._parts[-1] or number * CYCLE < part.end)
+        scene = next((scene for scene, end in self._parts if number * CYCLE < end), self._parts[-1][0])
         # how far the arm goes on, whatever stands in the way
-        physics = self._model(part.scene, {})
+        physics = self._model(scene, {})
         physics.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         arm = SimulatedArm(physics, self._track.poses[number], Servo(saturates=False))
         arm.begin_with(speed)
