@@ -161,9 +161,9 @@ def table_csv(tables: Mapping) -> str:
     return text.getvalue()
 
 
-def table_console(stderr: bool = False, markup: bool = True) -> Console:
+def table_console(markup: bool = True) -> Console:
     """Return a console for tables: into a pipe or a file they are as wide as they need, on a terminal as wide as that."""
-    console = Console(highlight=False, stderr=stderr, markup=markup)
+    console = Console(highlight=False, markup=markup)
     if not console.is_terminal:
         console.width = _WIDEST
     return console

@@ -1,8 +1,7 @@
 """A servo's model from a recording: what targets the controller took, and where the arm was.
 
-A joint's model begins with two unknowns, frequency and damping. Delay, feed-forward and backlash are taken in one by one, each only
-where the recording says so: when it makes the residual so much smaller that the Bayesian information criterion falls. A parameter
-that the recording does not need is 0. Angles in rad, prismatic joints in m.
+A joint's model begins with frequency and damping. Delay, feed-forward and backlash are added one by one, while the Bayesian
+information criterion falls; a parameter that is left out is 0. Angles in rad, prismatic joints in m.
 """
 
 from __future__ import annotations
@@ -42,9 +41,8 @@ class Drive:
     """A stretch of a recording without a gap, from rest: one row per cycle.
 
     Attributes:
-        targets: Shape (m, n). What the controller took [rad].
-        measured: Shape (m, n). Where the arm was at the end of the cycle [rad].
-        counts: Shape (m,), bool. Rows that may be judged: the others only drive.
+        targets, measured: Shape (m, n). What the controller took, and where the arm was at the end of the cycle [rad].
+        counts: Shape (m,). Rows that may be judged: the others only drive.
     """
 
     targets: np.ndarray
@@ -58,9 +56,8 @@ class IdentifiedJoint:
 
     Attributes:
         lag_error: Standard deviation of its lag [s].
-        deviations: Standard deviation of each parameter that was fitted, by its name, in its unit.
+        deviations: Standard deviation of each fitted parameter, in its unit.
         residual_rms, residual_max: Measured minus model [rad], [m].
-        samples: In motion.
     """
 
     name: str
@@ -69,7 +66,6 @@ class IdentifiedJoint:
     deviations: dict[str, float]
     residual_rms: float
     residual_max: float
-    samples: int
 
 
 def identify(names: Sequence[str], drives: Sequence[Drive], cycle_ns: int) -> tuple[IdentifiedJoint, ...]:
@@ -211,7 +207,6 @@ class _Fit:
             dict(zip(("omega", "zeta", *taken), spread.tolist())),
             rms,
             float(np.abs(residuals).max()),
-            self._count,
         )
 
 

@@ -56,7 +56,6 @@ class PhysicsModel:
     Attributes:
         joints: Shape (n,). Place of each of ``robot.joint_names`` in MuJoCo's arrays.
         owners: Of each geom: the link or scene object that it belongs to.
-        links: Which names are those of links.
         loose: Position of each loose body (`Load.loose`) in MuJoCo's arrays of positions: 7 numbers from there.
         shares: Shape (joints of the arm, n). How fast each joint of the arm, its followers too, turns per joint of the chain; None:
             nothing follows.
@@ -72,7 +71,6 @@ class PhysicsModel:
     joints: np.ndarray
     drives: ArmDrives
     owners: tuple[str, ...]
-    links: frozenset[str]
     loose: Mapping[str, int]
     followers: tuple[Follower, ...]
     shares: np.ndarray | None
@@ -197,9 +195,8 @@ class _Builder:
             for one in followers:
                 shares[one.place] = one.factor * shares[one.leader]
         return PhysicsModel(
-            self._robot_bodies.robot, compiled, places, self._drives, tuple(owners),
-            frozenset(self._robot_bodies.link_joints), loose,
-            followers, shares, inertias, related, _unplanned(owners, checked), payload, tuple(dict.fromkeys(self._remarks)),
+            self._robot_bodies.robot, compiled, places, self._drives, tuple(owners), loose, followers, shares, inertias, related,
+            _unplanned(owners, checked), payload, tuple(dict.fromkeys(self._remarks)),
         )  # fmt: skip
 
     def _add_arm(self, model: pinocchio.Model) -> list:

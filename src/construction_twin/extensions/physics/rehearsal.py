@@ -8,12 +8,13 @@ its own; what was let go in one goes on lying where it lies in the next.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 import mujoco
 import numpy as np
+import pinocchio
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.sentences import Sentence
@@ -25,7 +26,6 @@ from construction_twin.extensions.physics.judgement import SETTLING, STAYS, STAY
 from construction_twin.extensions.physics.known_mass import TOOL, body_of
 from construction_twin.extensions.physics.mass import MassProperties
 from construction_twin.extensions.physics.model import Load, PhysicsModel, build_model
-from construction_twin.extensions.physics.rigid_bodies import rigid_bodies
 from construction_twin.extensions.physics.standing import MOST, STILL, Standing, come_to_rest, displacement, nearest
 from construction_twin.review.rehearsal_report import (
     FAILED,
@@ -42,11 +42,13 @@ from construction_twin.review.rehearsal_report import (
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_bodies import RobotBodies
-from construction_twin.scene.objects import Scene, listed
+from construction_twin.scene.objects import Scene, SceneObject, listed
 from construction_twin.scene.self_collision import SelfCollision
 
 #: A contact that the plan does not have counts from this force on [N]: two bodies that graze each other within rounding do not.
 LEAST_FORCE = 1.0
+#: Pieces whose numbers in one another's frames differ by less than this lie as before: rounding [1], [m].
+_SAME = 1e-4
 #: For so long the arm, whose servo lags, is watched after the end of a plan that leaves nothing loose [s].
 _COMING_TO_REST = 0.2
 #: Longest time that braking may take [s].
@@ -102,6 +104,41 @@ class Rehearsal:
 
 #: What simulates.
 ENGINE = f"MuJoCo {mujoco.__version__}"
+
+
+def rigid_bodies(scenes: Iterable[Scene]) -> dict[str, str]:
+    """Return the body that each object is a piece of while a plan goes through `scenes`, by the object's name.
+
+    Pieces are one body while they stand or hang together in all scenes, lying to one another as before; one that goes alone makes
+    each of them a body with its own full name.
+    """
+    found: dict[str, str] = {}
+    first: dict[str, Sequence[SceneObject]] = {}
+    apart: set[str] = set()
+    for scene in scenes:
+        pieces: dict[str, list[SceneObject]] = {}
+        for item in sorted(scene.objects, key=lambda each: each.name):
+            body = found[item.name] = body_of(item.name)
+            pieces.setdefault(body, []).append(item)
+        for body, items in pieces.items():
+            if not _is_rigid(first.setdefault(body, items), items):
+                apart.add(body)
+    return {name: name if body in apart else body for name, body in found.items()}
+
+
+def _is_rigid(before: Sequence[SceneObject], now: Sequence[SceneObject]) -> bool:
+    """Return whether pieces, sorted by name, can be one body that was carried from one place to another."""
+    if [item.name for item in before] != [item.name for item in now] or len({item.link for item in now}) > 1:
+        return False
+    places, others = ([_placement(item) for item in items] for items in (before, now))
+    return all(
+        np.abs(places[0].actInv(place).homogeneous - others[0].actInv(other).homogeneous).max() < _SAME
+        for place, other in zip(places[1:], others[1:])
+    )
+
+
+def _placement(item: SceneObject) -> pinocchio.SE3:
+    return pinocchio.XYZQUATToSE3(np.array((*item.position, *item.quaternion)))
 
 
 class _Track:

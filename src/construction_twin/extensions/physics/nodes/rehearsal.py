@@ -1,7 +1,6 @@
-"""rehearsal: has every plan carried out by the simulated arm as soon as it is made, and says what that found (`rehearsal`).
+"""rehearsal: has every plan carried out by the simulated arm as soon as it is made, and publishes what that found (`rehearsal`).
 
-It moves nothing and decides nothing. The simulation is a process of its own behind everything else (`physics_process`), so that
-what happens to it is an answer: a rehearsal that breaks off, or takes too long, is published as `broken`.
+The simulation is a process of its own (`physics.process`): a rehearsal that breaks off, or takes too long, is `broken`.
 """
 
 from __future__ import annotations
