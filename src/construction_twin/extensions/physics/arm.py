@@ -110,7 +110,7 @@ class SimulatedArm:
         self.physics.follow(self.data)
 
     def speeds_of(self, body: str) -> np.ndarray:
-        """Return where the speed of a loose body is among MuJoCo's: integers, shape (6,)."""
+        """Return where the speed of a loose body is among MuJoCo's, shape (6,)."""
         return int(self._model.jnt_dofadr[self._model.joint(f"free\n{body}").id]) + np.arange(6)
 
     def loose_state(self, body: str) -> tuple[np.ndarray, np.ndarray]:
@@ -186,7 +186,7 @@ def _course(servo: Servo, step: float) -> np.ndarray:
 
 
 class GravityTorque:
-    """Torques that hold the arm still where it is, and its kinetic energy; in a state of its own."""
+    """Torques that hold the arm still where it is, and its kinetic energy."""
 
     def __init__(self, physics: PhysicsModel):
         self._physics = physics

@@ -27,10 +27,9 @@ class _Strict(pydantic.BaseModel):
 
 
 class PayloadRating(_Strict):
-    """What the arm may carry at its flange, with its source; None: not known.
+    """What the arm may carry at its flange; None: unknown.
 
     Attributes:
-        inertia_kg_m2: Largest moment of inertia of the load at the flange.
         across_m, along_m: How far the load's centre of mass may be from the flange, across the last axis and along it.
     """
 

@@ -1,7 +1,7 @@
 """The world of the twin in Gazebo 11 (SDF 1.7): the arm, what it carries and what stands around it, from the planner's records.
 
-The world is the root of the URDF's tree; SI. The arm's links are one body per joint; the links that no joint moves stand still. The
-plugin (gazebo/) moves the arm; it calculates with the chain that stands in its element, a text that `gazebo/arm_control.hpp` reads.
+The world is the root of the URDF's tree; SI. The plugin (gazebo/) moves the arm; it calculates with the chain that stands in its
+element, a text that `gazebo/arm_control.hpp` reads.
 """
 
 from __future__ import annotations
@@ -45,9 +45,8 @@ class GazeboWorld:
     """A world, and what it needs beside it.
 
     Attributes:
-        sdf: Its text.
         meshes: Files that it names, to be written into its folder: name and contents (STL).
-        remarks: What is simulated otherwise than the planner checks it, and what is an estimate, one sentence each.
+        remarks: What is an estimate, one sentence each.
     """
 
     sdf: str

@@ -36,9 +36,8 @@ class SuctionGrip:
     """Cups that hold something.
 
     Attributes:
-        tip_T_tcp: Where the plane of the cups is, seen from the robot's tip link; z points to what is held.
+        tip_T_tcp: Plane of the cups in the robot's tip link; z points to what is held.
         cups: Shape (k, 2). Middle of each that holds, in that plane [m].
-        radius: Of a cup [m].
         holds: What one holds, safety factor included [N].
     """
 
@@ -86,13 +85,12 @@ class SuctionGrip:
 
 
 class GripWatch:
-    """Notes what the cups must exert on a workpiece, cycle by cycle.
+    """Records what the cups must exert on a workpiece, cycle by cycle.
 
     Args:
         grip: The cups that lie on it.
-        name: Of the workpiece.
         pieces: Names of its objects, which the arm carries.
-        joint: Name of the joint that carries the tip link; `joint_T_tip`: where the tip link is in its frame.
+        joint: Name of the joint that carries the tip link.
     """
 
     def __init__(

@@ -41,11 +41,6 @@ class LiveTwin:
         anew = "the simulation was begun anew at the commanded pose, because its numbers had become useless"
         return f"{anew}: {self.diverged} times so far" if self.diverged else ""
 
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """What is simulated otherwise than the planner checks it, and what is an estimate."""
-        return () if self._model is None else self._model.remarks
-
     def take_model(self, model: PhysicsModel) -> None:
         """Go on in another model from the next cycle on, with pose, speed and servo as they are then."""
         self._next.append(model)

@@ -37,7 +37,6 @@ class MassProperties:
     """What a rigid body weighs, and how its mass is spread.
 
     Attributes:
-        mass: [kg], above 0
         centre: Shape (3,). Centre of mass in the body's frame [m].
         inertia: Shape (3, 3). About the centre of mass, axes of the body's frame [kg m^2].
         estimated: Calculated from a volume and an assumed density.
@@ -61,12 +60,7 @@ class MassProperties:
 
 
 def payload_of(numbers: Sequence[float], name: str) -> MassProperties | None:
-    """Return a payload of which only numbers are known, in the frame of the tip link; of none None.
-
-    Args:
-        numbers: Mass [kg], or mass and centre of mass [m]; (): none.
-        name: For messages.
-    """
+    """Return the payload of a mass [kg], or of a mass and its centre [m], in the frame of the tip link; of no numbers None."""
     if not numbers:
         return None
     mass, *centre = numbers

@@ -71,9 +71,8 @@ class Question:
 
         Args:
             scene: That it begins in; None: unknown.
-            changes: What its segments make of the scene.
             known: Masses of bodies [kg].
-            placed: Elements of tasks that are done: in the scene they stand where they were placed.
+            placed: Elements that stand where their tasks placed them.
             constant: Hash of what decides the result beside plan, scene, tool and masses.
         """
         there = () if scene is None else scene.objects

@@ -116,11 +116,7 @@ COLUMNS = (
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Identify the servos from the bag named on the command line.
-
-    Returns:
-        0, or 1 after a sentence on standard error.
-    """
+    """Identify the servos from the bag named on the command line; return 0, or 1 after a sentence on standard error."""
     parser = bag_parser(
         "identify",
         "Find how the arm's servos answer their targets: a file for the argument servo_model.",

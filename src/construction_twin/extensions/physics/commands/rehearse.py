@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import json
 import sys
 import time
@@ -23,6 +22,7 @@ from construction_twin.evaluation.tables import table_console
 from construction_twin.extensions.physics.known_mass import TOOL, body_of, masses_of
 from construction_twin.extensions.physics.process import digest, file_digest, prepared
 from construction_twin.planning.waypoints import plan_waypoints
+from construction_twin.review import rehearsal_report as states
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
 from construction_twin.robot.tool import read_tool
@@ -30,40 +30,25 @@ from construction_twin.robot.trajectory import Trajectory
 from construction_twin.ros.commands.bag_report import read_plans
 from construction_twin.scene.objects import Scene, tool_objects
 from construction_twin.scene.scene_yaml import read_scene
+from construction_twin.views.rehearsal_table import rehearsal_table
 
 #: Exit codes: the rehearsal passed, failed, or could not be made.
 PASSED, FAILED, BROKEN = 0, 1, 2
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Rehearse the plan named on the command line.
-
-    Returns:
-        0 if it passed, 1 if it failed, 2 after a sentence on standard error if it could not be made.
-    """
+    """Rehearse the plan named on the command line; return the exit code, `BROKEN` after a sentence on standard error."""
     options = _parser().parse_args(rospy.myargv()[1:] if arguments is None else arguments)
     try:
         check_extras("physics")
-        _load_mujoco()
         return _rehearse(options)
-    except (ConstructionTwinError, OSError) as error:
+    # the last two: MuJoCo is not what this machine can load
+    except (ConstructionTwinError, OSError, ImportError, RuntimeError) as error:
         print(f"rehearse: {spoken(error)}", file=sys.stderr)
         return BROKEN
 
 
-def _load_mujoco() -> None:
-    """Load MuJoCo; a ConstructionTwinError where this machine cannot."""
-    try:
-        importlib.import_module("mujoco")
-    except (ImportError, OSError, RuntimeError) as error:
-        raise ConstructionTwinError(f"MuJoCo cannot be loaded: {' '.join(str(error).split())}") from error
-
-
 def _rehearse(options: argparse.Namespace) -> int:
-    # what follows needs the packages of the set-up's group
-    from construction_twin.review import rehearsal_report as states
-    from construction_twin.views.rehearsal_table import rehearsal_table
-
     if options.plan_id and options.plan.suffix != ".bag":
         raise _wrong("--plan-id", options.plan_id, "a bag: a file of waypoints is one plan")
     options.drives = options.drives or _drives_beside(options.robot_config)

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import threading
 import time
-from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from dataclasses import replace
+from typing import Annotated, Literal, NamedTuple
 
 import pydantic
 import rospy
@@ -51,12 +51,11 @@ _AWAKE = 0.5
 
 
 class Settings(PrivateSettings):
-    """Private parameters; see config/rehearsal.yaml, the others are given in launch/twin.launch.
+    """Private parameters; see config/rehearsal.yaml and launch/twin.launch.
 
     Attributes:
         mode: Of the launch argument `rehearsal`; with `auto` nothing is rehearsed where MuJoCo is not installed.
-        drives: Empty: what the URDF says, and nothing is known of motors and rating.
-        payload: At the flange at all times: mass [kg], or mass and centre in the tip link [m]; empty: nothing.
+        payload: As in `payload_of`.
     """
 
     mode: Literal["auto", "advise", "require"]
@@ -67,8 +66,7 @@ class Settings(PrivateSettings):
     payload: list[Annotated[float, pydantic.Field(allow_inf_nan=False)]] = []
 
 
-@dataclass(frozen=True, eq=False)
-class _Job:
+class _Job(NamedTuple):
     """A plan that is to be rehearsed, and what its segments make of the scene."""
 
     plan: Plan

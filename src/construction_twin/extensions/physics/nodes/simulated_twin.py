@@ -28,7 +28,6 @@ class SimulatedTwin:
     """
 
     def __init__(self, settings, robot: RobotModel, refuse: Callable[[str, str], None]):
-        """`settings`: those of `virtual_robot`; `refuse`: its diagnostics'."""
         self.twin = LiveTwin()
         arm = {"robot": robot, "payload": tuple(settings.payload)}
         arm |= {name: getattr(settings, name) for name in ("self_collision", "drives")}
