@@ -64,7 +64,7 @@ ALIGNMENTS = {
 #: What an alignment needs that not every run has.
 NEEDS = {"expected": "a run with the launch argument servo_model has it"}
 SIMULATION = "This is a simulation: the arm was the mock controller of this package, not a robot."
-ARM_NOT_TOLD = (
+ARM_UNKNOWN = (
     "The recording has no mock_rsi/status: the arm was a robot, or this is a simulation whose status was not recorded."
 )
 NO_MOTION = "Nothing moved while this was recorded: the figures say nothing of how twin and arm agree in motion."
@@ -197,7 +197,7 @@ def summary_lines(summary: Mapping) -> list[str]:
 
 def remarks(summary: Mapping) -> list[str]:
     """Return what is said beside the figures: what kind of arm they are of, and that nothing moved."""
-    return [*([] if summary["moved"] else [NO_MOTION]), SIMULATION if summary["mock"] else ARM_NOT_TOLD]
+    return [*([] if summary["moved"] else [NO_MOTION]), SIMULATION if summary["mock"] else ARM_UNKNOWN]
 
 
 def facts(summary: Mapping) -> list[tuple[str, str, str]]:
