@@ -150,7 +150,6 @@ class ForeignPlant(Plant):
         self._bare = InverseDynamics(bare_model(bodies, plain))
         self.laden = True
         super().__init__(known, 60.0, 0.8)
-        self._answer, self._speed = self._arm.answer, np.zeros(len(NAMES))
 
     def place(self, q) -> None:
         super().place(q)

@@ -225,11 +225,9 @@ class Plant:
     """An arm in empty space that can be pushed: what the mock controller moves; `omega`, `zeta` as in `Servo`."""
 
     def __init__(self, model: PhysicsModel, omega: float, zeta: float):
-        self._model = model
-        self._servo = Servo(omega, zeta, holds=True)
-        count = len(model.drives.torque)
-        self._push = np.zeros(count)
-        self._arm = self._arm_at(np.zeros(count))
+        self._model, self._servo = model, Servo(omega, zeta, holds=True)
+        self._push = np.zeros(len(model.drives.torque))
+        self.place(np.zeros(len(self._push)))
 
     @property
     def q(self) -> np.ndarray:
@@ -237,8 +235,9 @@ class Plant:
         return self._arm.q
 
     def place(self, q: JointValues) -> None:
-        """Stand at rest at `q`, shape (n,)."""
-        self._arm = self._arm_at(np.asarray(q, dtype=float))
+        """Stand at rest at `q`, shape (n,), pushed as before."""
+        self._arm = SimulatedArm(self._model, np.asarray(q, dtype=float), self._servo)
+        self._arm.push = self._push
 
     def hold(self, joint: int, position: float) -> None:
         """Put one joint at rest at `position` [rad], [m]; the others go on."""
@@ -252,9 +251,3 @@ class Plant:
         """Advance so many cycles of 4 ms to a setpoint, shape (n,)."""
         for _ in range(cycles):
             self._arm.cycle(setpoint)
-
-    def _arm_at(self, q: np.ndarray) -> SimulatedArm:
-        """Return an arm at rest, pushed as the one before."""
-        arm = SimulatedArm(self._model, q, self._servo)
-        arm.push = self._push
-        return arm

@@ -55,12 +55,7 @@ class GazeboWorld:
 
 
 def world_of(bodies: RobotBodies, scene: Scene, drives: ArmDrives, folder: Path, priority: int = 0) -> GazeboWorld:
-    """Return the world of an arm in a scene.
-
-    Args:
-        folder: Where the meshes will be: absolute path.
-        priority: SCHED_FIFO of the thread that simulates, where permitted; 0: none.
-    """
+    """Return the world of an arm in a scene, its meshes in an absolute folder; `priority`: SCHED_FIFO, 0: none."""
     return _Builder(bodies, scene, drives, folder).build(priority)
 
 
@@ -75,7 +70,7 @@ def check_serial(bodies: RobotBodies) -> None:
 
 
 class _Builder:
-    """Builds one world; the order of its steps is that of `build`."""
+    """Builds one world, in the order of `build`."""
 
     def __init__(self, bodies: RobotBodies, scene: Scene, drives: ArmDrives, folder: Path):
         check_serial(bodies)

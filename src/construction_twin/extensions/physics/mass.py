@@ -22,8 +22,6 @@ STEP = 0.001
 GRAVITY = 9.80665
 #: Friction of two bodies [1] of which nobody says more: wood, brick and steel lie between 0.3 and 0.6.
 FRICTION = 0.4
-
-
 #: Taken for a shape of unknown material [kg/m^3]: between spruce and aluminium, as what a lab carries is.
 UNKNOWN_DENSITY = 1000.0
 #: A body of no volume, a plate of a surface mesh, has this mass [kg]: MuJoCo simulates nothing that weighs nothing.

@@ -103,11 +103,7 @@ def file_digest(path: str) -> str:
 def prepared(
     robot: RobotModel, self_collision: str, drives: str, tool: str = "", payload: tuple[float, ...] = ()
 ) -> Rehearsal:
-    """Return what rehearses the plans of an arm; its files are read once.
-
-    `self_collision`, `drives` and `tool` are files, the last two empty for what the URDF says and no tool; `payload` as in
-    `payload_of`.
-    """
+    """Return what rehearses the plans of an arm; of its files `drives` and `tool` may be empty; `payload` as in `payload_of`."""
     from construction_twin.extensions.physics.grip import SuctionGrip
     from construction_twin.extensions.physics.rehearsal import Rehearsal
 

@@ -36,7 +36,6 @@ class Settings(PrivateSettings):
 
     Attributes:
         gzserver: Words that start Gazebo's server; the world's file is put behind them.
-        realtime: SCHED_FIFO priority of the thread that simulates, where permitted; 0: none.
     """
 
     gzserver: str
