@@ -59,7 +59,7 @@ def test_rows_at_a_closed_gate_are_not_judged(run):
 def test_a_recording_without_commands_or_stamps_is_refused(run):
     for lacking in (replace(run, command=None), replace(run, feedback=None)):
         with pytest.raises(ConstructionTwinError):
-            drives_of(lacking, CYCLE_NS)
+            identify(run.joint_names, drives_of(lacking, CYCLE_NS), CYCLE_NS)
     none = replace(run.feedback, command_stamps=np.zeros_like(run.feedback.command_stamps))
     with pytest.raises(ConstructionTwinError):
         cycle_of(replace(run, feedback=none))
