@@ -114,7 +114,7 @@ def main() -> None:
     options = parser.parse_args()
     end_in_order()
     result: dict = {"environment": environment()}
-    with launched(("console_files:=true", "gui:=false")) as launch:
+    with launched(("console:=files", "gui:=false")) as launch:
         launch.await_line("ready; plan with")
         port = launch.broker_port
         result["quiet"] = stop_times(port, options.stops)

@@ -103,14 +103,13 @@ def launch(name: str, arguments: list[str], variables: dict[str, str]) -> None:
     run.wait()
 
 
-def gazebo_arguments() -> list[str]:
-    """Return the launch arguments of the twin in Gazebo, from a Debian 11 chroot where it is not installed."""
-    server = "gzserver"
-    if shutil.which(server) is None:
-        chroot = ROOT / "scripts" / "gazebo_chroot.sh"
-        subprocess.run([chroot, "make"], check=True)
-        server = f"{chroot} run gzserver"
-    return ["twin:=gazebo", "servo:=realistic", f"gzserver:={server}"]
+def gzserver() -> str:
+    """Return the words that start Gazebo's server, in a Debian 11 chroot where it is not installed."""
+    if shutil.which("gzserver") is not None:
+        return "gzserver"
+    chroot = ROOT / "scripts" / "gazebo_chroot.sh"
+    subprocess.run([chroot, "make"], check=True)
+    return f"{chroot} run gzserver"
 
 
 def main(target: str, arguments: list[str]) -> int:
@@ -120,7 +119,8 @@ def main(target: str, arguments: list[str]) -> int:
         browser = ROOT / ".ws/browser/bin/python"
         return subprocess.run([browser, ROOT / "tools/screenshots.py", *arguments[1:]]).returncode
     if target == "demo" and arguments[:1] == ["gazebo"]:
-        arguments = [*gazebo_arguments(), *arguments[1:]]
+        os.environ["GZSERVER"] = gzserver()
+        arguments = ["twin:=gazebo", "servo:=realistic", *arguments[1:]]
     given = dict(argument.split(":=", 1) for argument in arguments if ":=" in argument)
     results = Path(given.get("results_dir", ROOT / "results")).expanduser()
     name, file = {"demo": ("experiment", "summary.json"), "build": ("build", "work.json")}[target]

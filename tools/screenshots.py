@@ -402,11 +402,12 @@ def shoot_console(camera: Camera) -> None:
 
 #: What stands before a program of Gazebo where it is not installed.
 GAZEBO = () if shutil.which("gzserver") else (str(ROOT / "scripts/gazebo_chroot.sh"), "run")
+os.environ["GZSERVER"] = " ".join((*GAZEBO, "gzserver"))
 #: Launch file and arguments, namespace, and what is photographed.
 SCENES: dict[str, tuple[tuple[str, ...], str, Callable[[Camera], None]]] = {
     "one": (("bringup.launch",), "kr120", shoot_one),
     "rehearsal": (("bringup.launch", "rehearsal:=require"), "kr120", shoot_rehearsal),
-    "console": (("bringup.launch", "console:=true", f"console_port:={CONSOLE_PORT}"), "kr120", shoot_console),
+    "console": (("bringup.launch", "console:={folder}/console.yaml"), "kr120", shoot_console),
     "work": (
         (
             "bringup.launch",
@@ -421,7 +422,7 @@ SCENES: dict[str, tuple[tuple[str, ...], str, Callable[[Camera], None]]] = {
     ),  # fmt: skip
     # without arms: two whole robots want two cores for themselves, and rviz takes one
     "two_robots": (("two_robots.launch", "arm:=none"), "", shoot_two),
-    "gazebo": (("gazebo.launch", f"gzserver:={' '.join((*GAZEBO, 'gzserver'))}"), "kr120", shoot_gazebo),
+    "gazebo": (("gazebo.launch",), "kr120", shoot_gazebo),
 }
 #: Photographed only when it is named: not every machine has Gazebo, or root for a chroot.
 BY_NAME = {"gazebo"}
@@ -434,9 +435,12 @@ def system(launch: tuple[str, ...], folder: Path):
     environment = os.environ | {"ROS_MASTER_URI": f"http://127.0.0.1:{tcp[0]}", "ROS_HOME": str(folder / "ros_home")}
     numbers = ("_1", "_2") if launch[0] == "two_robots.launch" else ("",)
     ports = [f"broker_port:={tcp[1]}", *(f"rsi_port{number}:={port}" for number, port in zip(numbers, udp))]
+    shipped = (ROOT / "config/console.yaml").read_text()
+    (folder / "console.yaml").write_text(shipped.replace("port: 8480", f"port: {CONSOLE_PORT}"))
+    words = [word.format(folder=folder) for word in launch]
     with open(folder / "launch.log", "w") as log:
         run = subprocess.Popen(
-            ["roslaunch", "-p", str(tcp[0]), "construction_twin", *launch, *ports],
+            ["roslaunch", "-p", str(tcp[0]), "construction_twin", *words, *ports],
             env=environment, stdout=log, stderr=subprocess.STDOUT, start_new_session=True,
         )  # fmt: skip
         try:

@@ -93,8 +93,8 @@ def drives_of(robot: RobotModel) -> ArmDrives:
 
 
 def read_drives(path: str | Path, robot: RobotModel) -> ArmDrives:
-    """Read the file of an arm's drives, see config/kr120_drives.yaml; no path: what the URDF says."""
-    if not path:
+    """Read the file of an arm's drives, see config/kr120_drives.yaml; no such file: what the URDF says."""
+    if not Path(path).is_file():
         return drives_of(robot)
     where = str(path)
     try:

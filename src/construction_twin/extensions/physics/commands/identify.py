@@ -118,7 +118,7 @@ COLUMNS = (
 def main(arguments: list[str] | None = None) -> int:
     """Identify the servos from the bag named on the command line; return 0, or 1 after a sentence on standard error."""
     parser = bag_parser(
-        "identify",
+        "evaluate identify",
         "Find how the arm's servos answer their targets: a file for the argument servo_model.",
         "a bag with at least twin, physical, physical/feedback and command/joint_states",
         "_servos",
@@ -135,7 +135,7 @@ def main(arguments: list[str] | None = None) -> int:
         console.print(servo_table(found, cycle_ns))
         return [path]
 
-    return report_bag("identify", options, write)
+    return report_bag("evaluate identify", options, write)
 
 
 def servo_table(joints: Sequence[IdentifiedJoint], cycle_ns: int) -> Table:

@@ -32,7 +32,7 @@ _AWAKE = 0.5
 
 
 class Settings(PrivateSettings):
-    """Private parameters, given in launch/twin.launch.
+    """Private parameters, given in launch/bringup.launch.
 
     Attributes:
         gzserver: Words that start Gazebo's server; the world's file is put behind them.

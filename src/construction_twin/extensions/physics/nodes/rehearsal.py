@@ -51,7 +51,7 @@ _AWAKE = 0.5
 
 
 class Settings(PrivateSettings):
-    """Private parameters; see config/rehearsal.yaml and launch/twin.launch.
+    """Private parameters; see config/rehearsal.yaml and launch/bringup.launch.
 
     Attributes:
         mode: Of the launch argument `rehearsal`; with `auto` nothing is rehearsed where MuJoCo is not installed.
