@@ -36,6 +36,8 @@ _PR_SET_CHILD_SUBREAPER = 36
 _LIBC = ctypes.CDLL(None)
 #: Longest start [s].
 PATIENCE = 120.0
+#: Longest wait for what a launch left behind [s].
+PATIENCE_AT_END = 10.0
 #: After it said that it is ready, what still starts beside [s].
 SETTLE = 5.0
 
@@ -162,10 +164,12 @@ def launched(words: Sequence[str]) -> Iterator[Launch]:
             yield launch
         finally:
             launch.end()
-            # and what it left behind, which ends by itself
+            # and what it left behind, which ends by itself; another child of this process may stay
+            deadline = time.monotonic() + PATIENCE_AT_END
             with suppress(ChildProcessError):
-                while True:
-                    os.wait()
+                while time.monotonic() < deadline:
+                    os.waitpid(-1, os.WNOHANG)
+                    time.sleep(0.01)
 
 
 def measure_start(words: Sequence[str], idle: float) -> dict:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 import time
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
 import pydantic
@@ -92,7 +93,9 @@ class RehearsalNode:
             rospy.loginfo("%s", self._absent)
         self._tool, self._of_tool = tool_hash(settings.tool), tool_mass(settings.tool)
         payload = [settings.payload] if settings.payload else []
-        self._constant = digest(file_digest(settings.drives), file_digest(settings.self_collision), *payload)
+        # an arm may have no file of its drives
+        drives = settings.drives if Path(settings.drives).is_file() else ""
+        self._constant = digest(file_digest(drives), file_digest(settings.self_collision), *payload)
         self._news = threading.Condition()
         self._scenes: dict[str, Scene] = {}
         self._masses, self._placed = dict(self._of_tool), frozenset[str]()
