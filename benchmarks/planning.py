@@ -19,9 +19,9 @@ import numpy as np
 import yaml
 from link_world import environment, write_figures
 
-from construction_twin.core.motion_errors import NoPathError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
+from construction_twin.planning.ompl_search import NoPathError
 from construction_twin.planning.planner import Planner, PlannerSettings, PlanRequest
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.plan import Plan
