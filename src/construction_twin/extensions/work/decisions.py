@@ -181,11 +181,9 @@ def _look_at(board: TaskBoard, memory: TaskMemory, mine: bool, source: str) -> N
     if not task:
         if not (mine and memory.body):
             return
-        (low, high), placing = (
-            box_of(board.built.bodies(memory), placed_at(memory, ORIGIN)),
-            board.prepared.schedule.placing,
-        )
-        boxes = (board.built.goal_box(one) for one in placing.values() if board.built.element(one).bodies)
+        low, high = box_of(board.built.bodies(memory), placed_at(memory, ORIGIN))
+        placing = board.prepared.schedule.placing.values()
+        boxes = (board.built.goal_box(one) for one in placing if board.built.element(one).bodies)
         if not any((np.minimum(high, box[1]) - np.maximum(low, box[0]) > OVERLAP).all() for box in boxes):
             return
         task = memory.element
