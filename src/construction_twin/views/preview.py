@@ -41,13 +41,9 @@ class Playing:
 
 
 class Preview:
-    """Which plan is shown, and where the ghost is.
+    """Which plan is shown, under review or approved and not at its end, and where the ghost is.
 
-    The ghost stands at the goal of the plan under review, and plays it when asked to, from its start. Without a plan under review
-    it has the twin's pose and is hidden by it.
-
-    Attributes:
-        plan: The plan that is shown: under review, or approved and not at its end.
+    It stands at the goal of the plan under review, and plays it when asked to; else it has the twin's pose, and is hidden by it.
     """
 
     def __init__(self):

@@ -77,11 +77,6 @@ HEIGHT, WIDTH, SPACING, BEHIND, BESIDE, TALLEST = 0.36, 0.045, 0.15, 0.3, 0.1, 1
 REHEARSAL_TEXT, REHEARSAL_ROOM, CONTACT_SIZE, MOST_REASONS = 0.075, 0.07, 0.09, 3
 
 
-def all_gone(namespace: str) -> Marker:
-    """Return the removal of all markers of a topic."""
-    return Marker(ns=namespace, action=Marker.DELETEALL)
-
-
 # -- the physical arm in the colour of the gate's state
 
 

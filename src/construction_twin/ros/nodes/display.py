@@ -328,7 +328,6 @@ INTERFACE = shell.Interface(
         shell.Publication("/tf", TFMessage, queue_size=100, tcp_nodelay=True),
         shell.Publication("/tf_static", TFMessage, queue_size=100, latch=True),
         shell.Publication("plan_markers", MarkerArray, queue_size=2, latch=True),
-        shell.Publication("rehearsal_markers", MarkerArray, queue_size=2, latch=True),
         shell.Publication("sync_markers", MarkerArray, queue_size=2, latch=True, when=shell.has_arm),
     ),
     hears=(

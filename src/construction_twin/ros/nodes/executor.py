@@ -280,11 +280,7 @@ class ExecutorNode:
     # -- in the background
 
     def do_background_work(self) -> None:
-        """Do what may wait; to be called every `BACKGROUND_PERIOD`.
-
-        An error would end the timer for good: that of a record is said and tried again, no other can occur. Publishing fails only
-        while the node shuts down, where `Publisher` drops the message; a verdict that is refused ends in `Approval`.
-        """
+        """Do what may wait, every `BACKGROUND_PERIOD`; an error of a record is said and tried again."""
         self.write_records()
         # where a stop leaves the arm is written down here
         self.side_effects.run("the engagement", self.keep_engagement)

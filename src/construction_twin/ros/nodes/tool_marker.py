@@ -42,7 +42,7 @@ from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.shared.robot_listener import REPORTS, RobotListener
-from construction_twin.ros.shared.tool_marker_menu import MarkerGoal, ToolMarkerMenu, moved
+from construction_twin.ros.shared.tool_marker_menu import ToolMarkerMenu, moved
 from construction_twin.ros.transport.subscriber import PUBLISHER, caller_of
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene
@@ -178,7 +178,6 @@ class ToolMarkerNode:
         self._pending = False
         self._scene: Scene | None = None
         self._said = ""
-        self._goal = MarkerGoal()
         # what only the worker uses
         self._world: CollisionWorld | None = None
         self._place: Pose | None = None
@@ -192,7 +191,6 @@ class ToolMarkerNode:
         self._menu = ToolMarkerMenu(
             OperatorClient(namespace, SERVICE_TIMEOUT, "tool_marker"),
             self._listener.under_review,
-            self._goal,
             self._robot.home,
             self._settings.reviewer or getpass.getuser(),
             self._say,
@@ -210,9 +208,9 @@ class ToolMarkerNode:
                 scene = self._scene
             if not asked:
                 self._notice_ending()
-                if self._goal.pose is None:
+                if self._menu.goal is None:
                     self._follow()
-            goal = self._goal.pose
+            goal = self._menu.goal
             # a pose that could not be judged is tried again
             if asked or self._verdict is None:
                 self._judge(self._place if goal is None else goal, scene)
@@ -231,9 +229,9 @@ class ToolMarkerNode:
         if feedback.event_type == feedback.MOUSE_UP:
             # the other clients learn the new place at the end of a drag only
             self._server.applyChanges()
-            if self._goal.pose is None:
+            if self._menu.goal is None:
                 return
-        self._goal.drag(pose)
+        self._menu.goal = pose
         self._wake()
 
     def _read(self, feedback: InteractiveMarkerFeedback) -> Pose:
@@ -280,7 +278,7 @@ class ToolMarkerNode:
         self._finished = execution.plan_id
         plan = self._listener.plan(execution.plan_id)
         if plan is not None:
-            self._goal.reached(self._chain.forward(plan.trajectory.positions[-1]))
+            self._menu.reached(self._chain.forward(plan.trajectory.positions[-1]))
 
     def _follow(self) -> None:
         try:
@@ -341,7 +339,7 @@ class ToolMarkerNode:
         if verdict is None:
             return Report(WARN, self._problem)
         free = "free" if verdict.reach is Reach.FREE else "not free"
-        return Report(OK, f"{'follows the tool' if self._goal.pose is None else f'goal is {free}'}: {verdict.sentence}")
+        return Report(OK, f"{'follows the tool' if self._menu.goal is None else f'goal is {free}'}: {verdict.sentence}")
 
 
 INTERFACE = shell.Interface(

@@ -1,6 +1,4 @@
-"""virtual_robot: the twin. Executes `command/joint_states`, publishes `twin/joint_states`: where it is told to be, or, with
-`twin:=mujoco` and `twin:=gazebo`, where an arm with mass would be. What is commanded is `twin/commanded` then.
-"""
+"""virtual_robot: the twin: publishes where it is told to be, or where an arm with mass would be."""
 
 from __future__ import annotations
 

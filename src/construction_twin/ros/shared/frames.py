@@ -40,11 +40,7 @@ FRAMES = ("/tf", "/tf_static")
 
 
 class FrameListener:
-    """Fills a buffer with what is heard of frames.
-
-    Args:
-        refused: Called as ``refused(reason, sentence)`` for a transform of a node that may not publish its frame.
-    """
+    """Fills a buffer with what is heard of frames; others' are `refused(reason, sentence)`."""
 
     def __init__(self, refused: Callable[[str, str], None]):
         self.buffer = tf2_ros.Buffer()

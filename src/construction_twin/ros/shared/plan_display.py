@@ -18,7 +18,6 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan as MadePlan
 from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg
 from construction_twin.ros.messages.display_markers import (
-    all_gone,
     grip_markers,
     headline_height,
     plan_markers,
@@ -43,7 +42,7 @@ class PlanDisplay:
     def __init__(self, robot: RobotModel, shapes: list[Marker], tf_prefix: str, ports: Ports):
         self._robot, self._shapes, self._tf_prefix = robot, shapes, tf_prefix
         self._chain = Chain(robot)
-        self._markers, self._rehearsal = ports.publishers["plan_markers"], ports.publishers["rehearsal_markers"]
+        self._markers = ports.publishers["plan_markers"]
         self._refuse = ports.diagnostics.refuse
         self._preview = Preview()
         self._scene: Scene | None = None
@@ -51,6 +50,7 @@ class PlanDisplay:
         self._states: WorkStates | None = None
         self._gripped: tuple[SceneObject, ...] = ()
         self._still: list[Marker] = []
+        self._rehearsed: list[Marker] = []
         #: The newest: it may come before its plan, and never after the next plan's.
         self._report: RehearsalReport | None = None
         #: Made when the first rehearsal comes: where there is none, nobody pays for them.
@@ -148,7 +148,7 @@ class PlanDisplay:
         if name == self._drawn:
             return
         self._drawn = name
-        self._still, self._states = [all_gone("plan")], None
+        self._still, self._states = [], None
         self._gripped = ()
         if plan is not None:
             changes, chain = self._changes.get(plan.id, ()), self._chain
@@ -162,8 +162,8 @@ class PlanDisplay:
         rehearsed = report and (report.plan_id, report.plan_hash, report.scene)
         if plan is None or report is None or rehearsed != (plan.id, plan.hash, plan.scene):
             if self._rehearsal_drawn is not None:
-                self._rehearsal_drawn = None
-                self._rehearsal.publish(MarkerArray(markers=[all_gone("rehearsal")]))
+                self._rehearsal_drawn, self._rehearsed = None, []
+                self._publish()
             return
         carried = self._carried(plan, report.worst_time)
         drawn = report.plan_id, report.hash, bool(carried)
@@ -173,8 +173,8 @@ class PlanDisplay:
         if self._bodies is None:
             self._bodies = RobotBodies(self._robot)
         link_pose, length = self._bodies.link_pose, self._chain.arm_length
-        markers = rehearsal_markers(report, self._shapes, link_pose, length, carried, self._frame)
-        self._rehearsal.publish(MarkerArray(markers=[all_gone("rehearsal"), *markers]))
+        self._rehearsed = rehearsal_markers(report, self._shapes, link_pose, length, carried, self._frame)
+        self._publish()
 
     def _carried(self, plan: MadePlan, at: float) -> tuple[SceneObject, ...]:
         """Return what the arm carries at a time of a plan [s], where the scene that it begins in is known."""
@@ -197,4 +197,6 @@ class PlanDisplay:
 
     def _publish(self) -> None:
         """Publish all that is drawn: who listens later hears the last message only."""
-        self._markers.publish(MarkerArray(markers=[*self._still, *grip_markers(self._gripped, self._tf_prefix)]))
+        gripped = grip_markers(self._gripped, self._tf_prefix)
+        gone = Marker(ns="plan", action=Marker.DELETEALL)
+        self._markers.publish(MarkerArray(markers=[gone, *self._still, *gripped, *self._rehearsed]))

@@ -31,9 +31,7 @@ def launch() -> str:
 
 
 def expect_no_other(name: str) -> None:
-    """Raise a ConfigurationError where a node of this name runs, which the master would end in favour of this one, or where another
-    launch has started the robot.
-    """
+    """Raise a ConfigurationError where a node of this name runs, or another launch has started the robot."""
     uri = rosgraph.get_master_uri()
     name = rosgraph.names.load_mappings(sys.argv).get("__name", name)
     own, startup = (rosgraph.names.ns_join(rosgraph.names.get_ros_namespace(), each) for each in (name, "startup"))

@@ -1,7 +1,4 @@
-"""Services of other nodes: a call whose silence is an error, and one over a connection that stays open.
-
-Over that connection, from `PersistentService.open` or the first call on, later calls ask no master and shake no hands.
-"""
+"""Services of other nodes: a call whose silence is an error, and one over a connection that stays open."""
 
 from __future__ import annotations
 

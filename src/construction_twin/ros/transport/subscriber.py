@@ -81,8 +81,7 @@ def hand_on_error() -> None:
 class Subscriber:
     """As `rospy.Subscriber`, for one publisher, `publisher`; None: everybody is heard.
 
-    A ProtocolError of the callback, and a message from another node, go to ``refused(reason, sentence)``; any other exception to
-    `threading.excepthook`: rospy would log it and go on.
+    A ProtocolError of the callback, and another node's message, are refused; any other exception goes to `threading.excepthook`.
     """
 
     def __init__(
