@@ -23,16 +23,19 @@ from construction_twin.views.goals import pose_goal
 
 
 def chosen(tasks: Sequence[TaskReport], text: str) -> TaskReport:
-    """Return the task that a person means by its id, its name, or the beginning of one of them."""
-    low, found = text.lower(), []
-    for fits in (
-        lambda task: task.id == text,
-        lambda task: task.name.lower() == low,
-        lambda task: low and (task.id.lower().startswith(low) or task.name.lower().startswith(low)),
-    ):
-        found = [task for task in tasks if fits(task)]
+    """Return the task that a person means by its id, its name, or the beginning of one of them.
+
+    Raises:
+        RequestRefused: When none fits, or several do.
+    """
+    for exact in (lambda task: task.id == text, lambda task: task.name.lower() == text.lower()):
+        found = [task for task in tasks if exact(task)]
         if len(found) == 1:
             return found[0]
+    low = text.lower()
+    found = [task for task in tasks if low and (task.id.lower().startswith(low) or task.name.lower().startswith(low))]
+    if len(found) == 1:
+        return found[0]
     if found:
         several = ", ".join([*(task.name or task.id for task in found[:5]), *(["..."] if len(found) > 5 else [])])
         raise RequestRefused(f"{text!r} fits {len(found)} tasks: {several}; give more of it")
@@ -82,19 +85,28 @@ def show_lines(work: WorkReport, task: TaskReport) -> list[str]:
     return lines
 
 
-_DECISIONS = ("skip", "redo", "answer", "removed", "accept")
+_DECISIONS = {"skip": "skip", "redo": "redo", "answer": "answer", "removed": "removed", "accept": "accept_schedule"}
 #: Stands for every task that asks about what was placed.
 ALL = "all"
 
 
 class WorkCommand:
-    """One step of `twin work`; `account`: the user's name, for the record."""
+    """One step of `twin work`.
+
+    Args:
+        account: The user's name, for the record.
+    """
 
     def __init__(self, options: argparse.Namespace, account: str, client: OperatorClient):
         self._options, self._account, self._client = options, account, client
 
     def run(self) -> Exit:
-        """Do it; raise RequestRefused with the work node's sentence, or SilenceError."""
+        """Do it.
+
+        Raises:
+            RequestRefused: With the work node's sentence.
+            SilenceError: When nobody answers.
+        """
         step = self._options.step
         if step in _DECISIONS:
             self._decide(step)
@@ -103,7 +115,7 @@ class WorkCommand:
         return Exit.DONE
 
     def plan_under_review(self) -> tuple[str, Callable[[str], str]]:
-        """Return the id of the plan that waits for approval, and what puts names in place of ids."""
+        """Return the id of the plan of a task that waits for approval, and what puts names of elements in place of ids."""
         work = self._work()
         found = next((task.plan_id for task in work.tasks if task.state == "planned" and task.plan_id), "")
         if not found:
@@ -133,8 +145,9 @@ class WorkCommand:
             # what was left out or understood in some way is known before it is accepted
             print("\n".join(note_lines(work) or ["no notes on model and schedule"]))
         answer = options.answer if step == "answer" else ""
-        decision = {"accept": "accept_schedule", "answer": "answer_all"}[step] if every else step
-        fields = {"task": task, "decision": decision, "answer": answer, "person": options.person or self._account}
+        person = options.person or self._account
+        decision = "answer_all" if every and step == "answer" else _DECISIONS[step]
+        fields = {"task": task, "decision": decision, "answer": answer, "person": person}
         print(self._client.ask("work/decide", WorkDecide, reason=options.reason, **fields).message)
 
     def _measured(self) -> None:
