@@ -44,9 +44,9 @@ class Window:
     """The span of ROS time that is evaluated.
 
     Attributes:
-        start, end: First and last moment [ns], both included.
+        start, end: First and last moment [ns].
         task_end: Nominal stamp of the last setpoint [ns]; `end` is later by the time the arm needs to answer it.
-        from_plan: Whether start and end come from the plans that were played; otherwise from the overlap of both streams.
+        from_plan: Start and end come from the plans that were played; False: from the overlap of both streams.
     """
 
     start: int
@@ -73,7 +73,8 @@ class Alignment:
     """Differences between paired samples.
 
     Attributes:
-        stamps, errors: Shapes (m,), int64, and (m, n). ROS time of the physical samples [ns]; physical - twin [rad].
+        stamps: Shape (m,), int64. ROS time of the physical samples [ns].
+        errors: Shape (m, n). physical - twin [rad].
         skipped: Samples inside the window without a command stamp, or beyond the twin's recording.
     """
 
@@ -94,7 +95,11 @@ class Alignment:
 
 
 class TwinPath:
-    """The twin's motion over time; samples that are not later than all before are left out. `base`: times count from it [ns]."""
+    """The twin's motion as a function of time.
+
+    Samples whose stamp does not lie after all earlier ones (a restarted or repeated stream) are left out. `base`: Stamp that times
+    are counted from [ns].
+    """
 
     def __init__(self, twin: Stream, base: int):
         newest = np.maximum.accumulate(twin.stamps)
@@ -186,9 +191,10 @@ def align_expected(recording: Recording, window: Window) -> Alignment | None:
 
 
 def estimate_lag(recording: Recording, window: Window) -> float | None:
-    """Return the constant lag of the arm behind its commands [ns], by least squares; None without commands or motion.
+    """Return the constant lag of the arm behind its commands [ns], by least squares; None without stamps, or a twin at rest.
 
-    A coarse scan over whole cycles finds the global minimum's neighbourhood, and a bounded search inside it the minimum.
+    A coarse scan over whole cycles finds the global minimum's neighbourhood (a repetitive motion has several local minima), a
+    bounded search inside it the minimum.
     """
     answered, _ = _answered(recording, window)
     if answered is None:

@@ -1,4 +1,4 @@
-"""A recorded run as plain arrays: the input of an evaluation, independent of the file format.
+"""A recorded run as plain arrays: the input of an evaluation, made by `bag` or filled by a simulation.
 
 Stamps are int64 nanoseconds, positions float64 rad, columns in the order of `Recording.joint_names`.
 """
