@@ -34,12 +34,8 @@ def main(arguments: list[str] | None = None) -> int:
         "_evaluation",
     )
     parser.add_argument("--plans", action="store_true", help="also write each plan as plan_N.csv, for twin plan --csv")
-    parser.add_argument(
-        "--robot-xacro",
-        type=Path,
-        metavar="FILE",
-        help="URDF or xacro for figure 8 and units (default: the one here that fits the bag)",
-    )
+    xacro = "URDF or xacro for figure 8 and units (default: the one here that fits the bag)"
+    parser.add_argument("--robot-xacro", type=Path, metavar="FILE", help=xacro)
     parser.add_argument("--robot-xacro-args", default="", metavar="'NAME=VALUE ...'", help="arguments of the xacro")
     parser.add_argument("--robot-config", type=Path, metavar="FILE", help="robot YAML (default: likewise)")
     options = parser.parse_args(rospy.myargv()[1:] if arguments is None else arguments)
