@@ -64,9 +64,7 @@ def parser(robot: str) -> argparse.ArgumentParser:
     export = command("export", "write the newest plan, whatever became of it, as a CSV file that plan --csv reads")
     export.add_argument("file", metavar="FILE", help="the file to write; -: standard output")
     export.add_argument("--deg", action="store_true", help="in deg and mm [rad and m, to the last bit]")
-    gateway = command(
-        "gateway", "write the configuration of rsi_gateway for the cell PC, from the running bringup's parameters"
-    )
+    gateway = command("gateway", "write the gateway's configuration for the cell PC, from the parameters of a bringup")
     gateway.add_argument("file", metavar="FILE", help="the file to write, e.g. kr120_gateway.json; -: standard output")
     preview = command("preview", "let the ghost play the plan under review")
     preview.add_argument("--speed", type=_percent, default=1.0, metavar="PERCENT", help="of the plan's own speed [100]")
@@ -154,7 +152,7 @@ def finite(text: str) -> float:
     """Return the number of an option; refuse nan and infinity."""
     if "," in text:
         raise argparse.ArgumentTypeError(
-            f"{text.strip()!r} holds a comma: write decimals with a point, and separate numbers by spaces"
+            f"{text.strip()!r} holds a comma: a point for decimals, spaces between numbers"
         )
     try:
         value = float(text)

@@ -230,12 +230,8 @@ def under_review(plan: Plan | None) -> str:
     """Return one line about the plan under review."""
     if plan is None:
         return "no plan waits"
-    if plan.segments:
-        return (
-            f"work plan {plan.id} of {len(plan.segments)} segments and {plan.trajectory.duration:.1f} s "
-            f"for {plan.source} waits for approval"
-        )
-    return f"plan {plan.id} of {plan.trajectory.duration:.1f} s for {plan.source} waits for approval"
+    kind = f"work plan {plan.id} of {len(plan.segments)} segments and" if plan.segments else f"plan {plan.id} of"
+    return f"{kind} {plan.trajectory.duration:.1f} s for {plan.source} waits for approval"
 
 
 def waiting_plan(plan: Plan) -> str:

@@ -149,7 +149,7 @@ def test_broken_contents_are_one_sentence_with_what_was_expected(tmp_path, name,
         ("drives", "axes: 3", "expected "),
         ("drives", None, ""),
     ],
-)  # fmt: skip
+)
 def test_what_lies_beside_the_robot_yaml_is_checked(tmp_path, name, text, sentence):
     for each in ("kr120", "kr120_self_collision", "kr120_drives"):
         shutil.copy(ROOT / f"config/{each}.yaml", tmp_path)

@@ -87,10 +87,7 @@ class Experiment:
         topics = [rospy.resolve_name(topic) for topic in self._settings.topics]
         bag = directory / "experiment.bag"
         with Recorder(bag, topics, rospy.resolve_name("recorder")) as recorder:
-            self._wait(
-                lambda: "" if recorder.connected() else "the recorder to connect",
-                "the recording did not start",
-            )
+            self._wait(lambda: "" if recorder.connected() else "the recorder to connect", "the recording did not start")
             self._say(f"recording to {bag}")
             for number, goal in enumerate(self._settings.goals_deg, start=1):
                 self._play(self._plan(goal), f"plan {number} of {len(self._settings.goals_deg)}")
@@ -147,7 +144,7 @@ class Experiment:
             played = rospy.get_time() - now.plan_start.to_sec()
             if played > now.duration + self._settings.timeout:
                 raise ConstructionTwinError(
-                    f"the plan lasts {now.duration:g} s but plays for {played:.0f} s; is the executor alive?"
+                    f"the plan of {now.duration:g} s plays for {played:.0f} s; is the executor alive?"
                 )
             if (tenth := min(9, int(10.0 * played / now.duration))) > said:
                 said = tenth

@@ -306,9 +306,8 @@ def run_scenario(settings: ScenarioSettings, content: dict, console: Console) ->
         failure = driver.run()
         rospy.sleep(0.6)  # the mock's next report belongs to the recording
         recorder.stop(_READY)
-    (folder / NOTES).write_text(
-        json.dumps({"failure": failure, "actions": [asdict(action) for action in driver.actions]}, indent=2) + "\n"
-    )
+    notes = {"failure": failure, "actions": [asdict(action) for action in driver.actions]}
+    (folder / NOTES).write_text(json.dumps(notes, indent=2) + "\n")
     shutil.copyfile(settings.trace, folder / TRACE)
     run, trace = read_run(folder, rospy.get_namespace()), read_trace(str(folder / TRACE))
     decimals, cycle_ms = rospy.get_param("gateway/decimals"), rospy.get_param("gateway/cycle")
@@ -423,9 +422,7 @@ def checked(parameters: Parameters = rospy) -> tuple[ScenarioSettings, dict]:
     for name in yaml.safe_load(Path(settings.file).read_text(encoding="utf-8")):
         if name not in known:
             near = "".join(f"; did you mean {each}?" for each in difflib.get_close_matches(name, known, n=1))
-            raise ConfigurationError(
-                settings.file, name, f"`scenario`, or the name of a node whose parameters it changes{near}"
-            )
+            raise ConfigurationError(settings.file, name, f"`scenario`, or a node whose parameters it changes{near}")
     check_writable(Path(settings.results_dir).expanduser())
     return settings, content
 

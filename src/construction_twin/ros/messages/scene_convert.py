@@ -62,9 +62,7 @@ def scene_from_msg(msg: SceneMsg) -> Scene:
     """Return the scene; SceneError where it is none, or its hash another one's: then a mesh file differs between two machines."""
     scene = Scene(tuple(map(object_from_msg, msg.objects)), msg.padding)
     if scene.hash != msg.hash:
-        raise SceneError(
-            "the scene's hash", msg.hash, f"{scene.hash}, that of its contents; a mesh file may have changed"
-        )
+        raise SceneError("the scene's hash", msg.hash, f"{scene.hash}, its contents'; a mesh file may have changed")
     return scene
 
 

@@ -147,9 +147,8 @@ class ExecutorNode:
     def on_limit(self, message: msg.SpeedLimitInForce) -> None:
         """Take the speed limit in force."""
         with self._lock:
-            self._limit.accept(
-                message.limit, caller_of(message), time.monotonic_ns(), sentence=sentence_of(message, message.reason)
-            )
+            reason = sentence_of(message, message.reason)
+            self._limit.accept(message.limit, caller_of(message), time.monotonic_ns(), sentence=reason)
 
     def on_scene(self, message: msg.Scene) -> None:
         """Take the scene for which plans may be approved."""
@@ -332,17 +331,13 @@ class ExecutorNode:
         with self._lock:
             run = self.side_effects.run if executor.take_act() else _do
             events, orders = executor.take_events(), executor.take_orders()
-            report, lines = run("the executor's state", self._news.take, lambda: (now_ns(), str(present()))) or (
-                None,
-                (),
-            )
+            news = run("the executor's state", self._news.take, lambda: (now_ns(), str(present())))
+            report, lines = news or (None, ())
         for order in orders:
             self._publish("tool_command", order_to_msg(order))
         if report is not None:
-            run(
-                "the topic execution",
-                lambda: self._ports.publishers["execution"].publish(to_msg(report, msg.Execution)),
-            )
+            publish = self._ports.publishers["execution"].publish
+            run("the topic execution", lambda: publish(to_msg(report, msg.Execution)))
         for event in events:
             if not (isinstance(event, Verdict) and event.verdict == REJECTED):
                 # a person's rejection was kept for the record when it was carried out

@@ -43,18 +43,10 @@ class MockRsiNode:
     """ROS around a MockRsi. Its loop runs in the main thread and hands what is to be published to another one."""
 
     def __init__(self, settings: MockSettings, robot: RobotModel, ports: shell.Ports):
-        self._settings = settings
-        self._robot = robot
-        self._controller = build_controller(self._settings, self._robot)
-        gateway = gateway_address(self._settings)
-        self._mock = MockRsi(
-            self._controller,
-            gateway,
-            self._settings.restart_after,
-            self._observe,
-            rospy.loginfo,
-            self._settings.fault_seed,
-        )
+        self._settings, self._robot = settings, robot
+        self._controller, after = build_controller(settings, robot), settings.restart_after
+        told = self._observe, rospy.loginfo
+        self._mock = MockRsi(self._controller, gateway_address(settings), after, *told, settings.fault_seed)
         self._outbox: SimpleQueue[_Observed | None] = SimpleQueue()
         self._cycle = 0
         self._status_cycles = round(_STATUS_PERIOD / self._controller.config.period)
@@ -126,10 +118,8 @@ class MockRsiNode:
         ramp = self._controller.ramp
         if ramp is None:
             return None
-        return {
-            "time": ramp.cycles * self._controller.config.period,
-            "distance_deg": to_wire(ramp.distance, self._robot.linear),
-        }
+        period = self._controller.config.period
+        return {"time": ramp.cycles * period, "distance_deg": to_wire(ramp.distance, self._robot.linear)}
 
     def _tool(self) -> dict | None:
         tool = self._controller.tool

@@ -396,9 +396,7 @@ def check(settings: Settings, robot: RobotModel, shared: shell.Shared) -> None:
         known = read_servos(settings.servo_model, robot.joint_names).cycle_ns // 1_000_000
         cycle = (shared["gateway"] or {}).get("cycle", known)
         if known != cycle:
-            raise ConfigurationError(
-                "cycle_ms", known, f"{cycle} as the controller has: identify the servos at that cycle"
-            )
+            raise ConfigurationError("cycle_ms", known, f"{cycle} as the controller has: identify at that cycle")
     check_writable(robot_file(settings.transition_file, robot.name).parent)
 
 

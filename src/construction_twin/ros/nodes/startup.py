@@ -232,15 +232,11 @@ def check(settings: Settings, robot: RobotModel, *_: object) -> None:
     expect_reachable(os.environ)
     expect_known(_words_of_parent())
     if settings.gateway_kind == "plc" and settings.arm == "mock" and any(robot.linear):
-        raise ConfigurationError(
-            "gateway_kind",
-            "plc",
-            "rsi with track:=true: the PLC of examples/plc, which is the mock arm then, has no track",
-        )
+        expected = "rsi with track:=true: the PLC of examples/plc, which is the mock arm then, has no track"
+        raise ConfigurationError("gateway_kind", "plc", expected)
     if settings.console and settings.arm == "none":
-        raise ConfigurationError(
-            "console", True, "false with arm:=none: nothing is told by MQTT then, and the page would stay empty"
-        )
+        expected = "false with arm:=none: nothing is told by MQTT then, and the page would stay empty"
+        raise ConfigurationError("console", True, expected)
 
 
 def _words_of_parent() -> list[str]:

@@ -73,9 +73,7 @@ class MarkerServer(InteractiveMarkerServer):
             super().processFeedback(feedback)
             return
         sender = caller or "a node without a name"
-        self._refused(
-            PUBLISHER, f"click of {feedback.client_id!r} on the marker, sent by {sender}: it is no rviz's own"
-        )
+        self._refused(PUBLISHER, f"click of {feedback.client_id!r} on the marker, sent by {sender}: no rviz's own")
 
 
 #: How often the marker follows the tool while it has not been dragged, and the texts are renewed [s].

@@ -146,9 +146,8 @@ class VirtualRobotNode:
                     self._cycles.begin_at(stamp)
                 self._advance(stamp, q, self._clock.on_command(stamp, self._cycles.reach(stamp)))
                 return
-        self._diagnostics.refuse(
-            "order", "command before the arm's pose was taken over, away from it, or not newer than the last"
-        )
+        why = "command before the arm's pose was taken over, away from it, or not newer than the last"
+        self._diagnostics.refuse("order", why)
 
     def on_physical(self, stamp: int, q: tuple[float, ...]) -> None:
         """Take the arm's pose [rad] with its stamp [ns]; waits while the twin needs none."""
@@ -232,9 +231,8 @@ INTERFACE = shell.Interface(
 def check(settings: Settings, robot: RobotModel, *_: object) -> None:
     """Check that a twin with mass can be simulated; see `NodeShell`."""
     if settings.twin == "gazebo" and settings.payload:
-        raise ConfigurationError(
-            "payload", settings.payload, "none with twin:=gazebo, whose world knows no payload; twin:=mujoco does"
-        )
+        expected = "none with twin:=gazebo, whose world knows no payload; twin:=mujoco does"
+        raise ConfigurationError("payload", settings.payload, expected)
     if has_mass(settings):
         extension("physics")
     if is_simulated_here(settings):

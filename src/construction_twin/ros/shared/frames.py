@@ -26,11 +26,7 @@ from construction_twin.ros.messages.scene_convert import tf_frame
 from construction_twin.ros.transport.subscriber import PUBLISHER, Subscriber, caller_of
 
 #: Who publishes the frames of a robot's trees, by the tree's name, in the robot's namespace.
-PUBLISHERS = {
-    "twin": ("robot_state_publisher", "display"),
-    "physical": ("display",),
-    "preview": ("display",),
-}
+PUBLISHERS = {"twin": ("robot_state_publisher", "display"), "physical": ("display",), "preview": ("display",)}
 #: Trees for people to look at, which nothing here is told of: of a simulated pose, and of where the servos should have the arm.
 SHOWN = ("simulated", "expected")
 #: Messages that are kept for a callback that is busy: about a second of three trees and of other robots'.

@@ -23,14 +23,8 @@ class ServiceSilentError(ConstructionTwinError):
 
     def __init__(self, service: str, problem: object, program: str):
         problem = problem if isinstance(problem, Sentence) else str(problem)
-        super().__init__(
-            Sentence(
-                "{service} does not answer: {problem}; does {program} run?",
-                service=service,
-                problem=problem,
-                program=program,
-            )
-        )
+        named = {"service": service, "problem": problem, "program": program}
+        super().__init__(Sentence("{service} does not answer: {problem}; does {program} run?", **named))
 
 
 def call(service: rospy.ServiceProxy, program: str, **request):
