@@ -357,14 +357,6 @@ def _line(topic: str, state: str, reason: str) -> Line:
 
 def _said(topic: str, state: str, words: Words, reason: str) -> Line:
     sentence = Sentence("{sentence}: {reason}", sentence=words.sentence, reason=reason) if reason else words.sentence
-    return Line(
-        topic=topic,
-        state=state,
-        level=int(words.level),
-        sentence=sentence,
-        waits_for=words.waits_for,
-        who=words.who,
-        todo=words.todo,
-        page=words.page,
-        said=told(sentence, words.waits_for, words.todo),
-    )
+    alike = {name: getattr(words, name) for name in ("waits_for", "who", "todo", "page")}
+    said = told(sentence, words.waits_for, words.todo)
+    return Line(topic=topic, state=state, level=int(words.level), sentence=sentence, said=said, **alike)

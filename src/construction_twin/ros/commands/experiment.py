@@ -157,9 +157,9 @@ class Experiment:
         subscriber = Subscriber(
             "physical/feedback",
             Feedback,
-            lambda message: rest.update(message.header.stamp.to_sec(), message.position),
+            lambda m: rest.update(m.header.stamp.to_sec(), m.position),
             warn_of_refusals(),
-            queue_size=250,
+            250,
         )
         self._wait(lambda: "" if rest.at_rest else "the physical arm to be at rest", "the arm does not come to rest")
         subscriber.unregister()

@@ -148,16 +148,9 @@ class StartupNode:
             if facts is not None and name not in snapshot.silent
         }
         told = snapshot.link.gateway_counters if snapshot.link is not None and "link" in words else {}
-        seen = Seen(
-            link=words.get("link"),
-            sync=words.get("sync"),
-            execution=words.get("execution"),
-            feedback=FEEDBACK in self.came,
-            twin=TWIN in self.came,
-            scene=SCENE in self.came,
-            controller=told.get("controller_sentence", ""),
-            clock=told.get("cycle_sentence", ""),
-        )
+        came = (topic in self.came for topic in (FEEDBACK, TWIN, SCENE))
+        beside = {"controller": told.get("controller_sentence", ""), "clock": told.get("cycle_sentence", "")}
+        seen = Seen(*map(words.get, reports), *came, **beside)
         for line in self._startup.update(seen, now):
             waits = self._startup.missing is not None
             (rospy.logwarn if waits else rospy.loginfo)("%s", line)

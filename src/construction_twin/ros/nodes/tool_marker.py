@@ -186,13 +186,11 @@ class ToolMarkerNode:
         namespace = rospy.get_namespace()
         self._diagnostics = ports.diagnostics
         self._listener = RobotListener(namespace, self._robot, refuse=self._diagnostics.refuse)
-        self._menu = ToolMarkerMenu(
+        client, reviewer = (
             OperatorClient(namespace, SERVICE_TIMEOUT, "tool_marker"),
-            self._listener.under_review,
-            self._robot.home,
-            self._settings.reviewer or getpass.getuser(),
-            self._say,
+            settings.reviewer or getpass.getuser(),
         )
+        self._menu = ToolMarkerMenu(client, self._listener.under_review, robot.home, reviewer, self._say)
         self._verdicts = ports.publishers["tool_marker/verdict"]
         self._server = MarkerServer("tool_marker", self._diagnostics.refuse)
         self._twin = ports.poses["twin/joint_states"]

@@ -40,11 +40,6 @@ class Settings(NodeSettings):
     payload: list[Annotated[float, pydantic.Field(allow_inf_nan=False)]] = []
 
 
-def has_mass(settings: Settings) -> bool:
-    """Return whether the twin is an arm with mass."""
-    return settings.twin != "kinematic"
-
-
 def is_simulated_here(settings: Settings) -> bool:
     """Return whether it is simulated in this process."""
     return settings.twin == "mujoco"
@@ -202,11 +197,8 @@ class VirtualRobotNode:
             return Report(OK, said)
         contacts = ", ".join(f"{first} + {second}" for first, second in self._backend.contacts)
         values = {"simulated scene": self._simulated.scene, "contacts": contacts or "none"}
-        problem = (
-            self._simulated.scene_problem
-            or self._backend.problem
-            or (contacts and f"the simulated arm touches: {contacts}")
-        )
+        touches = contacts and f"the simulated arm touches: {contacts}"
+        problem = self._simulated.scene_problem or self._backend.problem or touches
         return Report(WARN, problem, values) if problem else Report(OK, said, values)
 
 
@@ -214,7 +206,7 @@ INTERFACE = shell.Interface(
     report=VirtualRobotNode.report,
     publishes=(
         shell.PosePublication("twin/joint_states"),
-        shell.PosePublication("twin/commanded", when=has_mass),
+        shell.PosePublication("twin/commanded", when=shell.has_mass),
         shell.Publication("twin/effort", JointState, queue_size=5, when=is_simulated_here),
     ),
     hears=(
@@ -233,7 +225,7 @@ def check(settings: Settings, robot: RobotModel, *_: object) -> None:
     if settings.twin == "gazebo" and settings.payload:
         expected = "none with twin:=gazebo, whose world knows no payload; twin:=mujoco does"
         raise ConfigurationError("payload", settings.payload, expected)
-    if has_mass(settings):
+    if shell.has_mass(settings):
         extension("physics")
     if is_simulated_here(settings):
         check_extras("physics")

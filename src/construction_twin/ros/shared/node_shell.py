@@ -47,6 +47,16 @@ def has_arm(settings: Any) -> bool:
     return settings.arm != "none"
 
 
+def has_mass(settings: Any) -> bool:
+    """Return whether the twin is an arm with mass: then it has a pose beside the commanded one."""
+    return settings.twin != "kinematic"
+
+
+def knows_servos(settings: Any) -> bool:
+    """Return whether the arm is compared with a model of its servos."""
+    return bool(settings.servo_model) and has_arm(settings)
+
+
 @dataclass(frozen=True)
 class SharedParameter:
     """A parameter of the robot, read once before the node is made; `kept`: the node writes it for the process after it."""
