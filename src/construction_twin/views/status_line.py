@@ -297,9 +297,8 @@ def status_lines(reports: ReportsNow) -> list[Line]:
         lines.append(_start(reports.missing))
     if reports.arm:
         link = reports.link or Word("", "")
-        lines.append(
-            _line("link", "NEEDS_NAME" if reports.bare and link.state == "NEEDS_RESET" else link.state, link.reason)
-        )
+        state = "NEEDS_NAME" if reports.bare and link.state == "NEEDS_RESET" else link.state
+        lines.append(_line("link", state, link.reason))
     sync = reports.sync or Word("", "")
     lines.append(_line("sync", sync.state, sync.reason))
     lines.append(_execution(reports))

@@ -213,9 +213,8 @@ def checked(parameters: Parameters = rospy) -> tuple[ExperimentSettings, RobotMo
     joints = len(robot.joint_names)
     for goal in settings.goals_deg:
         if len(goal) != joints:
-            raise ConstructionTwinError(
-                f"a goal in ~goals_deg has {len(goal)} values; {robot.name} has {joints} joints"
-            )
+            found = f"a goal in ~goals_deg has {len(goal)} values"
+            raise ConstructionTwinError(f"{found}; {robot.name} has {joints} joints")
         robot.check_range(from_wire(goal, robot.linear))
     check_writable(Path(settings.results_dir).expanduser())
     return settings, robot

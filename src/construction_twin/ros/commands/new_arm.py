@@ -219,11 +219,10 @@ def _check_folder(folder: Path, files: Mapping[str, Path], force: bool) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     there = [file for file in files.values() if file.exists()]
     if there and not force:
-        raise ConfigurationError(
-            "--output",
-            str(there[0]),
-            "a folder without these files: what a person has filled in would be lost; give another one, or --force",
+        expected = (
+            "a folder without these files: what a person has filled in would be lost; give another one, or --force"
         )
+        raise ConfigurationError("--output", str(there[0]), expected)
 
 
 def _scene(robot: RobotModel, pairs: SelfCollision, floor: Scene) -> tuple[Scene, str, Home]:

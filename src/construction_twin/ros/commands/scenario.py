@@ -206,10 +206,8 @@ class ScenarioDriver:
         self._note("move", str(move.goal_deg))
         self._moved = rospy.Time.now().to_nsec()
         goal = from_wire(move.goal_deg, self._robot.linear)
-        answer = rospy.ServiceProxy("plan_to_joints", PlanToJoints)(
-            goal=goal, duration=move.duration, source="scenario"
-        )
-        self._check("plan_to_joints", answer)
+        plan = rospy.ServiceProxy("plan_to_joints", PlanToJoints)
+        self._check("plan_to_joints", plan(goal=goal, duration=move.duration, source="scenario"))
 
     def _approve(self, deadline: float, refused: bool) -> None:
         plan = self._wait(self._new_plan, "a plan to approve", deadline)

@@ -110,27 +110,19 @@ def segment_to_msg(segment: Segment, change: SceneChange = SceneChange()) -> Seg
 
 def work_segment_to_msg(segment: WorkSegment) -> WorkSegmentMsg:
     """Return the message."""
-    msg = WorkSegmentMsg(
-        name=segment.name,
-        trajectory=trajectory_to_msg(segment.trajectory),
-        engaged=segment.engaged,
-        requires=[to_msg(signal, SignalMsg) for signal in segment.requires],
-        switches=[to_msg(switch, ToolSwitch) for switch in segment.switches],
-    )
+    msg = WorkSegmentMsg(name=segment.name, engaged=segment.engaged, trajectory=trajectory_to_msg(segment.trajectory))
+    msg.requires = [to_msg(signal, SignalMsg) for signal in segment.requires]
+    msg.switches = [to_msg(switch, ToolSwitch) for switch in segment.switches]
     _add_change(msg, segment.change)
     return msg
 
 
 def work_segment_from_msg(msg: WorkSegmentMsg) -> WorkSegment:
     """Return the segment; TrajectoryError or SceneError where it is none."""
-    return WorkSegment(
-        msg.name,
-        trajectory_from_msg(msg.trajectory),
-        msg.engaged,
-        tuple(from_msg(Signal, signal) for signal in msg.requires),
-        tuple(from_msg(Switch, switch) for switch in msg.switches),
-        change_from_msg(msg),
-    )
+    requires = tuple(from_msg(Signal, signal) for signal in msg.requires)
+    switches = tuple(from_msg(Switch, switch) for switch in msg.switches)
+    path = trajectory_from_msg(msg.trajectory)
+    return WorkSegment(msg.name, path, msg.engaged, requires, switches, change_from_msg(msg))
 
 
 def _add_change(msg: SegmentMsg | WorkSegmentMsg, change: SceneChange) -> None:

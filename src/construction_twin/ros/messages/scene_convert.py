@@ -38,14 +38,10 @@ def object_from_msg(msg: ObjectMsg) -> SceneObject:
     """Return the object, not a fixed one; SceneError where it is none."""
     position, orientation = msg.pose.position, msg.pose.orientation
     return SceneObject(
-        name=msg.name,
-        shape=msg.shape,
+        **{name: getattr(msg, name) for name in ("name", "shape", "mesh", "padding", "link")},
         size=tuple(msg.size),
-        mesh=msg.mesh,
         position=(position.x, position.y, position.z),
         quaternion=(orientation.x, orientation.y, orientation.z, orientation.w),
-        padding=msg.padding,
-        link=msg.link,
         touch=tuple(msg.touch),
     )
 

@@ -201,9 +201,8 @@ class DisplayNode:
 
     def _publish_static_frames(self, settings: Settings) -> None:
         now = to_time(now_ns())
-        trees = ["preview", *(["physical"] if shell.has_arm(settings) else [])]
-        trees += ["simulated"] if shell.has_mass(settings) else []
-        trees += ["expected"] if shell.knows_servos(settings) else []
+        shown = shell.has_arm(settings), True, shell.has_mass(settings), shell.knows_servos(settings)
+        trees = [tree for tree, is_shown in zip(TREES, shown) if is_shown]
         transforms = self._frames.of_the_twin(self._prefix("twin"), now)
         for tree in trees:
             transforms += self._frames.still(self._prefix(tree), now)

@@ -106,9 +106,8 @@ class ExecutorNode:
             rospy.logwarn("auto_approve is on: every plan is approved by itself, without a person")
         elif settings.auto_approve_sources:
             named = ", ".join(settings.auto_approve_sources)
-            rospy.logwarn(
-                "auto_approve_sources is set: plans of %s are approved by themselves, without a person", named
-            )
+            set_to = "auto_approve_sources is set: plans of %s are approved by themselves, without a person"
+            rospy.logwarn(set_to, named)
 
     def run(self) -> None:
         """Publish one setpoint per cycle until shutdown."""
@@ -315,9 +314,8 @@ class ExecutorNode:
         reason = f": {verdict.reason}" if verdict.reason else ""
         known = verdict.rehearsal
         rehearsal = f"; rehearsal: {' '.join(filter(None, (known.state, known.engine)))}" if known is not None else ""
-        self._log_queue.add(
-            rospy.loginfo, "plan %s %s by %s%s%s", verdict.plan_id, verdict.verdict, verdict.reviewer, reason, rehearsal
-        )
+        words = verdict.plan_id, verdict.verdict, verdict.reviewer, reason, rehearsal
+        self._log_queue.add(rospy.loginfo, "plan %s %s by %s%s%s", *words)
         message = to_msg(verdict, msg.Review)
         message.approved = verdict.approved
         self._publish("review", message)

@@ -108,15 +108,17 @@ class PlannerNode:
         self._chain = Chain(self._robot)
         self._beside = neighbour_settings()
         rng, ik = np.random.default_rng(settings.seed), IkSettings(budget_s=settings.ik_budget)
-        self._pipeline = PlanningPipeline(
-            robot,
-            inverse_kinematics(self._chain, ik, rng, time.monotonic),
+        solver, pairs = inverse_kinematics(self._chain, ik, rng, time.monotonic), settings.self_collision
+        occupied = self._occupied if self._beside is not None else None
+        given = (
+            solver,
             settings,
-            read_self_collision(settings.self_collision, robot),
+            read_self_collision(pairs, robot),
             time.monotonic,
             rospy.resolve_name("scene"),
-            self._occupied if self._beside is not None else None,
+            occupied,
         )
+        self._pipeline = PlanningPipeline(robot, *given)
         self._plans = 0
         self._last = "no plan asked for yet"
         self._diagnostics = ports.diagnostics
@@ -241,12 +243,10 @@ class PlannerNode:
 
         def read() -> Callable[[], Plan]:
             if left is None:
-                raise PlanningError(
-                    Sentence(
-                        "the arm was not left inside an engaged segment: there is no way back, any motion can be "
-                        "planned"
-                    )
+                nothing = Sentence(
+                    "the arm was not left inside an engaged segment: there is no way back, any motion can be planned"
                 )
+                raise PlanningError(nothing)
             path = ExecutedPath(trajectory_from_msg(left.trajectory), left.end)
             requires = tuple(from_msg(Signal, signal) for signal in left.requires)
 

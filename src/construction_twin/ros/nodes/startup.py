@@ -201,9 +201,8 @@ def reaches_itself(host: str, timeout: float) -> str:
             # by the name, as HTTP does: where /etc/hosts has `::1` alone, who asks for IPv4 still gets 127.0.0.1, HTTP only ::1
             socket.create_connection((host, port), timeout).close()
         except OSError as error:
-            return (
-                f"it has an address of IPv6 alone, at which no program of ROS listens ({error.strerror or str(error)})"
-            )
+            why = error.strerror or str(error)
+            return f"it has an address of IPv6 alone, at which no program of ROS listens ({why})"
     return ""
 
 

@@ -186,10 +186,8 @@ class ToolMarkerNode:
         namespace = rospy.get_namespace()
         self._diagnostics = ports.diagnostics
         self._listener = RobotListener(namespace, self._robot, refuse=self._diagnostics.refuse)
-        client, reviewer = (
-            OperatorClient(namespace, SERVICE_TIMEOUT, "tool_marker"),
-            settings.reviewer or getpass.getuser(),
-        )
+        client = OperatorClient(namespace, SERVICE_TIMEOUT, "tool_marker")
+        reviewer = settings.reviewer or getpass.getuser()
         self._menu = ToolMarkerMenu(client, self._listener.under_review, robot.home, reviewer, self._say)
         self._verdicts = ports.publishers["tool_marker/verdict"]
         self._server = MarkerServer("tool_marker", self._diagnostics.refuse)

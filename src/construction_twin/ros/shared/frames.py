@@ -66,9 +66,6 @@ class FrameListener:
         for problem in problems:
             self._refused(PUBLISHER, problem)
 
-    def _is_there(self, node: str | None) -> bool:
-        return node is not None and any(subscriber.hears(node) for subscriber in self._subscribers)
-
     def _forget_what_lies_ahead(self) -> None:
         """Empty the buffer when the clock was set back: tf takes nothing that is older than what it has."""
         now = rospy.Time.now()
@@ -87,7 +84,7 @@ class FrameListener:
         owner = self._owners.get(frame)
         if owner == caller:
             return ""
-        if not self._is_there(owner):
+        if owner is None or not any(subscriber.hears(owner) for subscriber in self._subscribers):
             self._owners[frame] = caller
             return ""
         return f"message from {who}; {owner} publishes the frame {frame} on /tf: end one of the two"

@@ -105,12 +105,8 @@ def expect_wall_clock(uri: str) -> None:
     except FAILURES:
         return
     if is_simulated is True:
-        raise ConfigurationError(
-            SIMULATED,
-            True,
-            "false: the twin and the arm go by this machine's clock; rosparam set use_sim_time false, or start on "
-            "another master (roslaunch -p 11312)",
-        )
+        to_do = "rosparam set use_sim_time false, or start on another master (roslaunch -p 11312)"
+        raise ConfigurationError(SIMULATED, True, f"false: the twin and the arm go by this machine's clock; {to_do}")
 
 
 def publishing_nodes(topic: str) -> list[str]:

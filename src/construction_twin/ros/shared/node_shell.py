@@ -216,11 +216,8 @@ class Ports:
             self._diagnostics = NodeDiagnostics(robot.name, self._report)
         opened = ((each.topic, each.open(robot)) for each in interface.publishes if each.when(settings))
         self.publishers: dict[str, Sink] = {topic: publisher for topic, publisher in opened if publisher is not None}
-        self.poses = {
-            each.topic: LatestPose(each.topic, robot.joint_names, self.diagnostics.refuse)
-            for each in interface.reads
-            if each.when(settings)
-        }
+        reads = [each.topic for each in interface.reads if each.when(settings)]
+        self.poses = {topic: LatestPose(topic, robot.joint_names, self.diagnostics.refuse) for topic in reads}
         self._subscribers: dict[str, Subscriber] = {}
 
     @property
