@@ -26,10 +26,9 @@ READY = {"link": "ARMED", "sync": "IN_SYNC", "execution": "IDLE"}
 
 @dataclass(frozen=True)
 class Snapshot:
-    """One robot at a time `now` [s]; `silent`: for how long ``link``, ``sync``, ``execution`` have been silent [s], if too long."""
+    """One robot at one moment; `silent`: for how long ``link``, ``sync``, ``execution`` have been silent [s], if too long."""
 
     robot: str
-    now: float
     joints: tuple[str, ...]
     linear: tuple[bool, ...]
     link: LinkReport | None = None

@@ -50,6 +50,7 @@ class Settings(PrivateSettings):
     gateway: bool
     gateway_kind: Literal["rsi", "plc"] = "rsi"
     console: bool = False
+    gui: bool | Literal["marker"] = False
 
 
 class Refusals:
@@ -95,7 +96,7 @@ class StartupNode:
         self, settings: Settings, robot: RobotModel, ports: shell.Ports, clock: Callable[[], float] = time.monotonic
     ):
         namespace = rospy.get_namespace().rstrip("/")
-        named = settings.model_dump(exclude={"console"})
+        named = settings.model_dump(exclude={"console", "gui"})
         self._startup = StartUp(Deployment(namespace=namespace, **named))
         self._refusals, self._refused = Refusals(), threading.Event()
         self._said: set[str] = set()

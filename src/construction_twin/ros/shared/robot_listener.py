@@ -109,7 +109,6 @@ class RobotListener:
             silent["execution"] = now - self._heard["execution"]
         return Snapshot(
             robot=self._namespace.strip("/"),
-            now=rospy.get_time(),
             joints=self._robot.joint_names,
             linear=self._robot.linear,
             link=_record(LinkReport, newest.get("link")),
