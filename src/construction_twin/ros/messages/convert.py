@@ -119,10 +119,14 @@ def work_segment_to_msg(segment: WorkSegment) -> WorkSegmentMsg:
 
 def work_segment_from_msg(msg: WorkSegmentMsg) -> WorkSegment:
     """Return the segment; TrajectoryError or SceneError where it is none."""
-    requires = tuple(from_msg(Signal, signal) for signal in msg.requires)
-    switches = tuple(from_msg(Switch, switch) for switch in msg.switches)
-    path = trajectory_from_msg(msg.trajectory)
-    return WorkSegment(msg.name, path, msg.engaged, requires, switches, change_from_msg(msg))
+    return WorkSegment(
+        msg.name,
+        trajectory_from_msg(msg.trajectory),
+        msg.engaged,
+        tuple(from_msg(Signal, signal) for signal in msg.requires),
+        tuple(from_msg(Switch, switch) for switch in msg.switches),
+        change_from_msg(msg),
+    )
 
 
 def _add_change(msg: SegmentMsg | WorkSegmentMsg, change: SceneChange) -> None:

@@ -350,9 +350,14 @@ class PcaMonitorNode:
 
     def _report(self, change: Transition) -> None:
         self._transitions.add(change)
-        message = msg.Transition(event=change.event.value, reason=change.reason, name=self._names)
-        message.from_text, message.to_text = change.source.name, change.target.name
-        message.held_stamp = to_time(change.held_stamp)
+        message = msg.Transition(
+            from_text=change.source.name,
+            to_text=change.target.name,
+            event=change.event.value,
+            reason=change.reason,
+            name=self._names,
+            held_stamp=to_time(change.held_stamp),
+        )
         message.header.stamp = to_time(change.at)
         if change.comparison is not None:
             message.error, message.threshold = change.comparison.error, change.comparison.threshold

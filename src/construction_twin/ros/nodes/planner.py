@@ -79,9 +79,9 @@ def tool_waypoints(waypoints: Iterable, base_T_frame: Pose) -> list[ToolWaypoint
 def trajectory_waypoints(message: JointTrajectory, robot: RobotModel) -> Waypoints:
     """Return the waypoints of a trajectory message; raises like `waypoints.from_points`."""
     names = ("positions", "velocities", "accelerations")
-    values = ([getattr(point, name) for point in message.points] for name in names)
+    rows, velocities, accelerations = ([getattr(point, name) for point in message.points] for name in names)
     times = [point.time_from_start.to_nsec() / NANOSECONDS for point in message.points]
-    return from_points(robot, message.joint_names, *values, times)
+    return from_points(robot, message.joint_names, rows, velocities, accelerations, times)
 
 
 #: Oldest pose of the twin that a plan may start from, and longest wait for one [s since its reception].

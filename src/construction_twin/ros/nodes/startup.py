@@ -149,9 +149,10 @@ class StartupNode:
             if facts is not None and name not in snapshot.silent
         }
         told = snapshot.link.gateway_counters if snapshot.link is not None and "link" in words else {}
-        came = (topic in self.came for topic in (FEEDBACK, TWIN, SCENE))
-        beside = {"controller": told.get("controller_sentence", ""), "clock": told.get("cycle_sentence", "")}
-        seen = Seen(*map(words.get, reports), *came, **beside)
+        link, sync, execution = (words.get(name) for name in reports)
+        feedback, twin, scene = (topic in self.came for topic in (FEEDBACK, TWIN, SCENE))
+        beside = told.get("controller_sentence", ""), told.get("cycle_sentence", "")
+        seen = Seen(link, sync, execution, feedback, twin, scene, *beside)
         for line in self._startup.update(seen, now):
             waits = self._startup.missing is not None
             (rospy.logwarn if waits else rospy.loginfo)("%s", line)
