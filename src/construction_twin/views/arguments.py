@@ -152,7 +152,7 @@ def finite(text: str) -> float:
     """Return the number of an option; refuse nan and infinity."""
     if "," in text:
         raise argparse.ArgumentTypeError(
-            f"{text.strip()!r} holds a comma: a point for decimals, spaces between numbers"
+            f"{text.strip()!r} holds a comma: write decimals with a point, and separate numbers by spaces"
         )
     try:
         value = float(text)
