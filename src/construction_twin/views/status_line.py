@@ -1,7 +1,4 @@
-"""The status line that a foreman reads: what the arm does, why it holds, what is waited for, by whom, and what to do.
-
-One table has the words of every state; the reasons are those of the nodes.
-"""
+"""The status line that a foreman reads: what the arm does, why it holds, what is waited for, by whom, and what to do."""
 
 from __future__ import annotations
 

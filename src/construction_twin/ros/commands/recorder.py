@@ -41,10 +41,7 @@ class Recorder:
         self._end(signal.SIGINT)
 
     def connected(self) -> bool:
-        """Return whether every publisher of the topics sends to the recorder.
-
-        They are asked: the recorder counts a connection before the publisher has taken it up, up to a second on a busy machine.
-        """
+        """Return whether every publisher of the topics sends to the recorder: they are asked, it counts a connection too early."""
         if self._process.poll() is not None:
             raise ConstructionTwinError(f"the recorder ended with status {self._process.returncode}; is the disk full?")
         try:

@@ -58,10 +58,7 @@ class Settings(MqttSettings):
 
 
 class MqttBridge:
-    """ROS and MQTT around a `Bridge`: a method for each topic and service of either side.
-
-    `_lock` guards the `Bridge`; nothing is sent while it is held. Its times are monotonic.
-    """
+    """ROS and MQTT around a `Bridge`, which `_lock` guards: nothing is sent while it is held. Its times are monotonic."""
 
     def __init__(
         self,

@@ -166,10 +166,7 @@ class StartupNode:
 
 
 def expect_reachable(environ: Mapping[str, str]) -> None:
-    """Raise a ConfigurationError when nodes of this machine would not reach each other, or the master.
-
-    Each tells the master `ROS_HOSTNAME`, else `ROS_IP`, else the machine's name: with one that leads nowhere none hears another.
-    """
+    """Raise a ConfigurationError where ROS_HOSTNAME, else ROS_IP, else the machine's name leads no node of it to another."""
     if environ.get("ROS_IPV6") == "on":
         return
     variable = next((name for name in ("ROS_HOSTNAME", "ROS_IP") if name in environ), "")

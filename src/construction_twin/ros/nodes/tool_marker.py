@@ -1,7 +1,4 @@
-"""tool_marker: the operator's handle in rviz. Dragged away from the tool, it shows at once whether the arm can go there.
-
-The verdict is drawn by markers of its own: rviz takes a changed interactive marker for a new one in the middle of a drag.
-"""
+"""tool_marker: the operator's handle in rviz. Dragged away from the tool, it shows at once whether the arm can go there."""
 
 from __future__ import annotations
 

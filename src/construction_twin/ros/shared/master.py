@@ -131,10 +131,7 @@ def expect_publisher(topic: str, patience: float = ANSWER) -> None:
 
 
 def running(names: Iterable[str], uri: str, patience: float = NODE_TIMEOUT) -> list[RunningNode]:
-    """Return which nodes run now; none when there is no master.
-
-    One that was killed stays registered, so each is asked: refused connections and other names mean that it has ended.
-    """
+    """Return which nodes run now, each asked, because one that was killed stays registered; none when there is no master."""
     try:
         found = {name: ask(uri, TIMEOUT, "lookupNode", name) for name in names}
     except FAILURES:

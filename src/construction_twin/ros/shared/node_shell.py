@@ -1,7 +1,4 @@
-"""A robot's node: its parameters, their check, and all that it has to do with ROS, as data; `Ports` opens that.
-
-A handler's first argument is the node; it is bound once, when the subscription is opened.
-"""
+"""A robot's node: its parameters, their check, and all that it has to do with ROS, as data; `Ports` opens that."""
 
 from __future__ import annotations
 

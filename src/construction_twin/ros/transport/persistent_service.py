@@ -45,10 +45,7 @@ def call_twice(service: rospy.ServiceProxy, program: str, **request):
 
 
 class PersistentService(rospy.ServiceProxy):
-    """As a persistent `rospy.ServiceProxy`, from several threads; arguments are named.
-
-    A call whose connection broke is repeated once: only for a service that may be called twice.
-    """
+    """As a persistent `rospy.ServiceProxy`, for several threads, and services that may be called twice, as a broken call is."""
 
     transport: TCPROSTransport | None
 
