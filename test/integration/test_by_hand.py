@@ -18,8 +18,6 @@ from construction_twin.core.units import radians
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.ros.messages.convert import pose_to_msg
 
-#: Cycles over which an arm that must not move is watched.
-WATCH = 200
 FRAME = "kr120/twin/base_link"
 TWIN = Path(rospkg.RosPack().get_path("construction_twin")) / "nodes" / "twin"
 
@@ -139,12 +137,6 @@ class ByHandTest(RobotTest):
         self.assertEqual((run.returncode, run.stderr), (0, ""), run.stdout)
         return run.stdout
 
-    def assert_rests(self, stream: Stream):
-        since = len(stream.messages)
-        stream.wait_for_more(WATCH)
-        positions = stream.positions(since)
-        np.testing.assert_array_equal(positions, np.broadcast_to(positions[0], positions.shape))
-
     # -- the marker
 
     def test_marker_from_drag_to_finished_motion(self):
@@ -160,7 +152,7 @@ class ByHandTest(RobotTest):
             self.rviz.wait_for("green", f"plan {plan.id[:8]} waits for approval")
             self.rviz.choose("Preview")
             self.rviz.wait_for("green", "the ghost plays")
-            self.assert_rests(arm)
+            arm.assert_still()
             self.rviz.decide("Approve")
             self.client.wait_for_outcome(plan.id, "finished", 30.0)
             wait(arm.at_rest, "the arm to rest")
@@ -181,7 +173,7 @@ class ByHandTest(RobotTest):
             for part in (plan.id, plan.hash, "clearance", "largest fractions", "joint_a1 30.000 deg"):
                 self.assertIn(part, shown)
             self.assertEqual(self.twin("approve").returncode, 5, "nobody was asked, nobody said yes")
-            self.assert_rests(arm)
+            arm.assert_still()
             self.assertIn("plan 0000 is not under review", self.twin("approve", "0000", "--yes").stderr)
             said = self.done("approve", plan.id[:8], "--yes", "--wait", "--reviewer", "Ada")
             self.assertIn("finished", said)

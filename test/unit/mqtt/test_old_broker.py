@@ -13,9 +13,9 @@ import time
 
 import pytest
 from processes import wait_until
+from site_broker import Attempt
 
-from construction_twin.mqtt.client import Broker, make_client, unique_id
-from construction_twin.mqtt.failures import ConnectionReport
+from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.polled_client import PolledClient
 
 #: CONNACK of MQTT 3.1.1 with return code 1, "unacceptable protocol version"; the connection is closed behind it.
@@ -54,37 +54,20 @@ class Answering:
         self._listener.close()
 
 
-class ThreadClient:
+class ThreadClient(Attempt):
     """The bridge's kind of client, served by a thread."""
 
     def __init__(self, broker: Broker):
-        self.said: list[str] = []
-        self.report = ConnectionReport(broker, self.said.append)
-        self.client = make_client(broker, unique_id("arm", "test"), "unused/test", direct=True)
-        self.report.watch(self.client)
-        listen(self.client, self.report)
-        self.client.connect_async(broker.host, broker.port, broker.keepalive)
-
-    def __enter__(self) -> ThreadClient:
-        self.client.loop_start()
-        return self
-
-    def __exit__(self, *_) -> None:
-        self.client.disconnect()
-        self.client.loop_stop()
+        super().__init__(broker, direct=True)
 
 
-class LoopClient:
+class LoopClient(Attempt):
     """The gateway's kind of client, served from a select loop."""
 
     def __init__(self, broker: Broker):
-        self.said: list[str] = []
-        self.report = ConnectionReport(broker, self.said.append)
-        client = make_client(broker, unique_id("arm", "test"), "unused/test")
-        listen(client, self.report)
-        client.connect_async(broker.host, broker.port, broker.keepalive)
+        super().__init__(broker)
         self._selector = selectors.DefaultSelector()
-        self.polled = PolledClient(client, self._selector, self.report.failed)
+        self.polled = PolledClient(self.client, self._selector, self.report.failed)
         self._running = True
         self._thread = threading.Thread(target=self._serve, daemon=True)
 
@@ -101,12 +84,6 @@ class LoopClient:
     def __exit__(self, *_) -> None:
         self._running = False
         self._thread.join(5.0)
-
-
-def listen(client, report: ConnectionReport) -> None:
-    """Report as bridge and gateway do."""
-    client.on_connect = lambda c, u, f, code, p: report.refused(code) if code.is_failure else report.connected(c, p)
-    client.on_disconnect = lambda c, u, f, code, p: report.lost(code)
 
 
 KINDS = pytest.mark.parametrize("kind", [ThreadClient, LoopClient])
