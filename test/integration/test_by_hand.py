@@ -3,7 +3,6 @@
 
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -67,30 +66,22 @@ class Rviz:
 
     def decide(self, title: str) -> None:
         """Approve or reject; click again while the marker says that the plan was not shown long enough."""
-        clicked = [0.0]
 
         def decided() -> bool:
-            if time.monotonic() - clicked[0] > 0.5:
-                clicked[0] = time.monotonic()
-                self.choose(title)
             return f"{title}: " in self.text and "has only just come" not in self.text
 
-        wait(decided, f"the marker to take {title}", 60.0)
+        wait(lambda: decided() or self.choose(title), f"the marker to take {title}", 60.0, period=0.5)
 
     def go_back(self) -> None:
         """Let the marker follow the tool; click again where a click is ignored.
 
         The server of the markers takes no feedback from another client for 1 s after a marker appeared or was moved by somebody.
         """
-        clicked = [0.0]
 
         def follows() -> bool:
-            if time.monotonic() - clicked[0] > 1.0:
-                clicked[0] = time.monotonic()
-                self.choose("Back to the tool")
             return "the marker follows the tool" in self.text and self.colour == "green"
 
-        wait(follows, "the marker to follow the tool", 60.0)
+        wait(lambda: follows() or self.choose("Back to the tool"), "the marker to follow the tool", 60.0, period=1.0)
 
     def wait_for(self, colour: str, text: str) -> None:
         """Wait until the marker shows a colour and a text."""

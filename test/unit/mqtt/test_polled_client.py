@@ -133,33 +133,25 @@ def test_250_hz_both_ways_lose_nothing_and_keep_their_order(ways):
         assert [payload for _, payload in bridge.messages] == states
 
 
-def test_finds_the_broker_again_after_its_restart():
-    process = BrokerProcess()
+@pytest.mark.parametrize("kind", ["tcp", "tls"])
+def test_finds_the_broker_again_after_its_restart(kind, tmp_path):
+    if kind == "tcp":
+        process = BrokerProcess()
+        broker, kill = Broker(port=process.port), process.kill
+    else:
+        process = SiteBroker(tmp_path / "site", certificates=False)
+        broker, kill = process.broker(process.account("one-gateway")), process.stop
     process.start()
     try:
-        with loop_of(Broker(port=process.port)) as loop:
+        with loop_of(broker) as loop:
             loop.turn_until(lambda: loop.mqtt.connected, "the connection")
-            process.kill()
+            kill()
             loop.turn_until(lambda: not loop.mqtt.connected and loop.failures, "the loss")
             assert isinstance(loop.failures[0], ConnectionRefusedError)
             process.start()
             loop.turn_until(lambda: loop.mqtt.connected, "the new connection")
     finally:
-        process.kill()
-
-
-def test_finds_a_site_s_broker_again_after_its_restart(tmp_path):
-    site = SiteBroker(tmp_path / "site", certificates=False)
-    site.start()
-    try:
-        with loop_of(site.broker(site.account("one-gateway"))) as loop:
-            loop.turn_until(lambda: loop.mqtt.connected, "the connection")
-            site.stop()
-            loop.turn_until(lambda: not loop.mqtt.connected and loop.failures, "the loss")
-            site.start()
-            loop.turn_until(lambda: loop.mqtt.connected, "the new connection")
-    finally:
-        site.stop()
+        kill()
 
 
 def test_every_attempt_that_fails_is_told_with_its_error(site):
