@@ -258,9 +258,3 @@ def assert_still(controller, cycles=20):
     wait_until(lambda: len(controller.replies) >= count + cycles, what="telegrams")
     assert set(controller.replies[count:]) == {controller.replies[count - 1]}
     assert controller.measured == before
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
