@@ -9,6 +9,7 @@ import ast
 import json
 import shutil
 import subprocess
+import sys
 import threading
 import time
 from dataclasses import replace
@@ -53,9 +54,10 @@ def python():
     stamp, wanted = VENV / ".requirements", REQUIREMENTS.read_text()
     if not stamp.exists() or stamp.read_text() != wanted:
         shutil.rmtree(VENV, ignore_errors=True)
-        subprocess.run(["/usr/bin/python3", "-m", "venv", VENV], check=True)
-        pip = [VENV / "bin/pip", "install", "--quiet", "--disable-pip-version-check", "-r", REQUIREMENTS]
-        done = subprocess.run(pip, capture_output=True, text=True)
+        subprocess.run(["/usr/bin/python3", "-m", "venv", "--without-pip", VENV], check=True)
+        pip = [sys.executable, "-m", "pip", "--python", VENV / "bin/python", "--quiet", "--disable-pip-version-check"]
+        # of all that comes with it two short programs import a little
+        done = subprocess.run([*pip, "install", "--no-compile", "-r", REQUIREMENTS], capture_output=True, text=True)
         assert done.returncode == 0, f"pip could not install {REQUIREMENTS.name}: {done.stderr[-1000:]}"
         stamp.write_text(wanted)
     return VENV / "bin/python"
