@@ -21,7 +21,7 @@ TOPICS = Topics("twin", "kr120")
 
 
 class SiteTest(unittest.TestCase):
-    """Bringup with broker_config, bridge_account and gateway_account."""
+    """Bringup with a site's accounts."""
 
     @classmethod
     def setUpClass(cls):
@@ -30,10 +30,8 @@ class SiteTest(unittest.TestCase):
         site = cls.folder / "site"
         arguments = ["--host", "localhost", "--robot", "kr120", "--port", str(PORT), "--listen", "127.0.0.1"]
         assert make_site([str(site), *arguments, "--person", "ada:operate", "--person", "anna:operate,approve"]) == 0
-        command = ["roslaunch", "construction_twin", "bringup.launch", f"broker_config:={site}/broker/mosquitto.conf",
-                   "broker_host:=localhost", f"broker_port:={PORT}", "rsi_port:=49260",
-                   f"bridge_account:={site}/accounts/kr120-bridge/account.json",
-                   f"gateway_account:={site}/accounts/kr120-gateway/account.json"]  # fmt: skip
+        command = ["roslaunch", "construction_twin", "bringup.launch", f"accounts:={site}/accounts",
+                   "broker_host:=localhost", f"broker_port:={PORT}", "rsi_port:=49260"]  # fmt: skip
         cls.launch = Started(*command)
         cls.addClassCleanup(cls.launch.end)
         try:

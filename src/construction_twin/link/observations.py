@@ -323,7 +323,7 @@ class LinkObservations(ArmAndStream):
             )
         if self.status.get("hash") != self._hash:
             return LinkState.MISMATCH, Sentence(
-                "gateway runs another configuration (its hash differs); export_gateway_config, then restart the gateway"
+                "gateway runs another configuration (its hash differs); export it by `twin gateway`, then restart the gateway"
             )
         if not self.run or self.fault_number is None:
             return LinkState.MISMATCH, Sentence(

@@ -32,7 +32,7 @@ from construction_twin.extensions.work.following import after_restart
 from construction_twin.extensions.work.heard import GripReading
 from construction_twin.extensions.work.ledger import Ledger
 from construction_twin.extensions.work.prepared import Prepared
-from construction_twin.extensions.work.recipes import read_recipes
+from construction_twin.extensions.work.process import read_recipes
 from construction_twin.extensions.work.schedule import Job, Schedule
 from construction_twin.extensions.work.site_scene import StockPlan
 from construction_twin.extensions.work.task_memory import Entry, NotNow, TaskMemory, TaskState
@@ -91,10 +91,10 @@ def test_a_wrong_key_of_its_recipe_is_named(tmp_path, change, sentence):
 
 
 def test_what_is_not_moved_has_no_slot_and_stands_at_its_place_from_the_beginning(work):
-    assert work.slot("brick0") is None and work.stays == ("brick0",)
-    assert work.slot("brick1").number == 0
+    assert "brick0" not in work.stock.slots and work.stays == ("brick0",)
+    assert work.stock.slots["brick1"].number == 0
     there = work.scene().get("brick0/0").pose.position
-    assert np.allclose(there, product(work.base_T_goal("brick0"), work.pieces("brick0")[0].pose).position)
+    assert np.allclose(there, product(work.base_T_goal("brick0"), work.pieces["brick0"][0].pose).position)
     assert work.job_for("brick0", work.scene()).base_T_stock is None
 
 

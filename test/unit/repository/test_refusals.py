@@ -9,14 +9,14 @@ import sys
 from processes import ROOT, free_port
 
 XML = f"{ROOT}/krl/ethernet/ctwin_e1_ethernet.xml"
-SENTENCES = ("Ethernet XML", "executor: found '1', expected an argument", "--port: invalid int value: 'abc'")
+SENTENCES = ("Ethernet XML", "executor: found '1', expected an argument", "/no/console.yaml")
 
 
 def test_a_start_that_cannot_work_ends_with_its_sentences_by_hand_and_in_the_launch(tmp_path):
     uri = f"http://127.0.0.1:{(port := free_port())}"
     environment = os.environ | {"ROS_HOME": str(tmp_path), "ROS_LOG_DIR": f"{tmp_path}/log", "ROS_IP": "127.0.0.1"}
     environment["ROS_MASTER_URI"] = uri
-    words = [f"ethernet_xml:={XML}", "console:=true", "console_port:=abc"]
+    words = [f"ethernet_xml:={XML}", "console:=/no/console.yaml"]
     words += [f"broker_port:={free_port()}", f"rsi_port:={free_port()}"]
     options = {"capture_output": True, "text": True, "timeout": 120.0, "env": environment}
     bringup = ["roslaunch", "-p", str(port), f"{ROOT}/launch/bringup.launch"]

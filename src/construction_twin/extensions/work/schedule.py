@@ -27,9 +27,8 @@ from types import MappingProxyType
 from construction_twin.extensions.work.building import BuildingModel, Element, Sequence, Task
 from construction_twin.extensions.work.errors import ScheduleError
 from construction_twin.extensions.work.names import first_few
-from construction_twin.extensions.work.process import process_of
+from construction_twin.extensions.work.process import DEFAULT, RECIPE, process_of
 from construction_twin.extensions.work.proposed_schedule import propose
-from construction_twin.extensions.work.recipe import DEFAULT, RECIPE
 from construction_twin.extensions.work.wholes import parts_of, workpieces
 
 _KINDS = {"FINISH_START": True, "FINISH_FINISH": True, "START_START": False, "START_FINISH": False}

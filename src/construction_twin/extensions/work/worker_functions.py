@@ -27,9 +27,8 @@ from construction_twin.extensions.work.ifc.reading import read_building
 from construction_twin.extensions.work.motions import TaskPlanner
 from construction_twin.extensions.work.names import first_few
 from construction_twin.extensions.work.prepared import ElementFacts, Prepared, Scheduled
-from construction_twin.extensions.work.process import TaskMotions, WorkJob, process_of
+from construction_twin.extensions.work.process import DEFAULT, TaskMotions, WorkJob, process_of
 from construction_twin.extensions.work.proposed_schedule import propose
-from construction_twin.extensions.work.recipe import DEFAULT
 from construction_twin.extensions.work.schedule import Schedule
 from construction_twin.extensions.work.site import Site, inverse, pose_of, read_site
 from construction_twin.extensions.work.site_scene import Layout

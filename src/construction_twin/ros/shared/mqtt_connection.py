@@ -23,13 +23,7 @@ GRACE = 1.0
 
 
 class MqttSettings(NodeSettings):
-    """Where the broker is, and which account to use; given in launch/link.launch.
-
-    Attributes:
-        protocol: ``5`` or ``3.1.1``.
-        prefix: First level of the topics.
-        account: Account file on this machine; empty: anonymous, without TLS. No secret is ever a parameter.
-    """
+    """Where the broker is, and the account file (empty: anonymous, without TLS); `prefix`: first level of the topics."""
 
     host: str
     port: int = pydantic.Field(gt=0, lt=65536)
@@ -83,5 +77,4 @@ def connect(
 
 
 def _alone(take: Callable[[MQTTMessage], None]) -> Callable[[object, object, MQTTMessage], None]:
-    """Return a callback for paho that hands on the message alone."""
     return lambda _client, _data, message: take(message)

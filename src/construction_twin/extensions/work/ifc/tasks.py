@@ -23,7 +23,7 @@ from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.ifc.notes import Notes, Where, label
 from construction_twin.extensions.work.ifc.properties import Units, read_properties
 from construction_twin.extensions.work.ifc.relations import Relations
-from construction_twin.extensions.work.recipe import PROPERTY_SET, RECIPE
+from construction_twin.extensions.work.process import PROPERTY_SET, RECIPE
 from construction_twin.kinematics.chain import Pose
 
 _NO_TIME = "The project has no unit of time: a lag or duration that is a number is taken as seconds"
