@@ -1,7 +1,6 @@
 """What is wrong with a document, in one sentence for the person who wrote it: key, value, what is allowed.
 
-pydantic finds it and says it; what is added is the key's path, what it meant to say of a pattern, and the key that was mistyped.
-Standard library only: this takes what pydantic returns, not pydantic.
+pydantic says it; what is added is the key's path, the meaning of a pattern, and the key that was mistyped. Standard library only.
 """
 
 from __future__ import annotations
@@ -48,12 +47,7 @@ _KINDS = {
 
 @dataclass(frozen=True)
 class WrongValue:
-    """The first thing that is wrong.
-
-    Attributes:
-        key: Keys and positions from the top, with ``/`` between; empty: the document itself.
-        value: None when the key is missing.
-    """
+    """The first thing that is wrong: keys and positions from the top with ``/`` between; a value that is missing is None."""
 
     key: str
     value: object

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from construction_twin.core.freshness import Moment
-from construction_twin.core.motion_errors import TrajectoryError
+from construction_twin.robot.motion_errors import TrajectoryError
 from construction_twin.robot.segments import Segment, check_segments, segments_hash
 from construction_twin.robot.trajectory import Trajectory
 
@@ -18,13 +18,12 @@ BY_ACTION = "follow_joint_trajectory from"
 
 @dataclass(frozen=True)
 class Clearance:
-    """Smallest distance between two bodies that must not touch.
+    """Smallest distance between two bodies that must not touch, and when on a trajectory it occurs [s].
 
     Attributes:
         distance: [m]; negative: the penetration depth. inf: there is nothing to touch.
-        between: Length 2 or 0. Names of the two: a link of the robot first, then a link or an object of the scene.
-        point: Length 3. Nearest point on the first of them, in the robot's base frame [m].
-        time: Time from the start of the trajectory at which the distance occurs [s]; 0 for a single pose.
+        between: A link of the robot first, then a link or an object of the scene; or none.
+        point: Nearest point on the first of them, in the robot's base frame [m].
     """
 
     distance: float
@@ -35,11 +34,7 @@ class Clearance:
 
 @dataclass(frozen=True)
 class LimitUsage:
-    """Largest fraction of each joint's limit that a trajectory uses, over all 4 ms samples; 1 is exactly at the limit.
-
-    Attributes:
-        velocity, acceleration, jerk: Length n
-    """
+    """Largest fraction of each joint's limit that a trajectory uses, over all 4 ms samples; 1 is exactly at the limit."""
 
     velocity: tuple[float, ...]
     acceleration: tuple[float, ...]
@@ -48,11 +43,7 @@ class LimitUsage:
 
 @dataclass(frozen=True)
 class PlanReport:
-    """What was measured on every 4 ms sample of a trajectory.
-
-    Attributes:
-        recheck_time: Time the measurement took [s].
-    """
+    """What was measured on every 4 ms sample of a trajectory, which took `recheck_time` [s]."""
 
     clearance: Clearance
     usage: LimitUsage
@@ -64,9 +55,7 @@ class Plan:
     """A trajectory with its origin, as a reviewer sees it. The constructor refuses a hash that is not that of its content.
 
     Attributes:
-        id: Unique id.
         hash: The trajectory's `content_hash`; of a work plan: `segments_hash`.
-        source: Name of the requester.
         planner: How the path was found: name of an OMPL planner, ``direct``, ``cartesian``, ``waypoints``, ``work``, ``way back``.
         scene: Hash of the scene it was checked against.
         asked: When it was asked for: a stop after that voids it.
@@ -74,9 +63,6 @@ class Plan:
         retimed: Why the times that were asked for were replaced, as one sentence; empty: they were kept, or there were none.
         task: Id of the task that a work plan carries out.
         segments: Of a work plan; empty: the trajectory is one motion in one scene.
-
-    Raises:
-        TrajectoryError: If `id` is empty, `hash` is not that of the content, or the segments do not fit trajectory and scene.
     """
 
     id: str

@@ -11,7 +11,7 @@ import json
 import math
 from dataclasses import asdict, dataclass
 
-from construction_twin.core.motion_errors import TrajectoryError
+from construction_twin.robot.motion_errors import TrajectoryError
 
 
 @dataclass(frozen=True)
@@ -24,13 +24,7 @@ class Signal:
 
 @dataclass(frozen=True)
 class Switch:
-    """An output of the tool that is switched at rest, at the end of a segment.
-
-    Attributes:
-        output: Output of the tool file.
-        confirm: What the tool's inputs must read afterwards, all of them.
-        timeout: Longest time from the switch to that [s], above 0.
-    """
+    """An output of the tool that is switched at rest, and what all inputs in `confirm` must read within `timeout` [s] after it."""
 
     output: str
     value: bool
@@ -74,7 +68,7 @@ def segments_hash(trajectory_hash: str, task: str, segments: tuple[Segment, ...]
 
 
 def segments_content(trajectory_hash: str, task: str, segments: tuple[Segment, ...]) -> str:
-    """Return the text that `segments_hash` covers: JSON with the keys ``trajectory``, ``task``, ``segments``."""
+    """Return the JSON that `segments_hash` covers."""
     content = {"trajectory": trajectory_hash, "task": task, "segments": [asdict(segment) for segment in segments]}
     return json.dumps(content, sort_keys=True, allow_nan=False)
 

@@ -28,12 +28,7 @@ class _Strict(pydantic.BaseModel):
 
 
 class Place(_Strict):
-    """A pose in a file.
-
-    Attributes:
-        xyz: Length 3. [m]
-        rpy_deg: Length 3. About the fixed x, y and z axes, in this order [deg].
-    """
+    """A pose in a file: `xyz` [m], and turns about the fixed x, y and z axes, in this order."""
 
     xyz: _Vector
     rpy_deg: _Vector = (0.0, 0.0, 0.0)
@@ -50,13 +45,7 @@ class ToolShape(_Strict):
 
 
 class Cups(_Strict):
-    """Suction cups in the plane of the TCP.
-
-    Attributes:
-        radius: [m]
-        holds: What one cup holds, safety factor included [kg].
-        at: Length 2. Middle of each, x and y in the TCP's frame [m].
-    """
+    """Suction cups at places in the plane of the TCP [m]; what one holds has the safety factor in it [kg]."""
 
     radius: _Positive
     holds: _Positive
@@ -88,13 +77,7 @@ class Output(_Strict):
 
 
 class Action(_Strict):
-    """What closes or opens the grip.
-
-    Attributes:
-        set: Outputs and their values.
-        confirm: What the inputs must read afterwards.
-        timeout: [s]
-    """
+    """What closes or opens the grip: outputs, and what the inputs must read afterwards within `timeout` [s]."""
 
     set: Annotated[dict[_Name, bool], pydantic.Field(min_length=1)]
     confirm: Annotated[dict[_Name, bool], pydantic.Field(min_length=1)]
@@ -110,11 +93,7 @@ class Action(_Strict):
 
 
 class Tool(_Strict):
-    """A tool. The keys of the file, each explained in config/tools/vacuum_frame.yaml.
-
-    Attributes:
-        mass, payload, load: [kg]
-    """
+    """A tool. The keys of the file, each explained in config/tools/vacuum_frame.yaml."""
 
     name: _Name
     tool0_T_tcp: Place

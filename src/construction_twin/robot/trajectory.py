@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from construction_twin.core.motion_errors import TrajectoryError
+from construction_twin.robot.motion_errors import TrajectoryError
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,10 +25,7 @@ class Trajectory:
     Attributes:
         joint_names: Length n
         times: Shape (k,). Time of each waypoint from the start [s]: first 0, strictly increasing, at least two.
-        positions, velocities, accelerations: Shape (k, n). [rad], [rad/s], [rad/s^2]
-
-    Raises:
-        TrajectoryError: If shapes do not fit, a value is not finite, or times do not start at 0 and increase; names row and joint.
+        positions, velocities, accelerations: Shape (k, n). [rad], [rad/s], [rad/s^2], all finite
     """
 
     joint_names: tuple[str, ...]
@@ -67,9 +64,6 @@ class Trajectory:
 
         Before 0 and after `duration` the motion rests at its first or last position: velocity and acceleration are zero
         there even if the end waypoints have other values. At exactly 0 and `duration` the waypoints' own values are returned.
-
-        Returns:
-            q, qd, qdd: Shape (n,). [rad], [rad/s], [rad/s^2]; the caller's own copies.
         """
         knots = self._knots
         if not 0.0 <= t < knots[-1]:
@@ -90,11 +84,7 @@ class Trajectory:
         return q, qd, qdd
 
     def sample_many(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Evaluate the motion and its jerk at many times, shape (m,); outside [0, `duration`] as `sample` does.
-
-        Returns:
-            q, qd, qdd, qddd: Shape (m, n). [rad], [rad/s], [rad/s^2], [rad/s^3].
-        """
+        """Evaluate the motion and its jerk at many times, shape (m,): shape (m, n) each, outside of it as `sample` does."""
         times = np.asarray(times, dtype=np.float64)
         segment = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 2)
         x = (np.clip(times, 0.0, self.duration) - self.times[segment])[:, None]
@@ -183,9 +173,7 @@ def _check_times(times: np.ndarray) -> np.ndarray:
 
 
 def _quintic_coefficients(trajectory: Trajectory) -> np.ndarray:
-    """Return the segments' polynomial coefficients by ascending power of the time in the segment, shape (k - 1, 6,
-    n).
-    """
+    """Return the segments' coefficients by ascending power of the time in the segment, shape (k - 1, 6, n)."""
     h = np.diff(trajectory.times)[:, None]
     q0, q1 = trajectory.positions[:-1], trajectory.positions[1:]
     v0, v1 = trajectory.velocities[:-1], trajectory.velocities[1:]

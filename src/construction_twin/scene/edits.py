@@ -14,8 +14,8 @@ from typing import Annotated, Any
 import pydantic
 
 from construction_twin.core.files import read_file, write_whole
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.validation import wrong_value
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.scene.objects import Scene, SceneObject
 
 #: Largest file [bytes]: tens of thousands of objects.
@@ -37,12 +37,7 @@ _OBJECTS = pydantic.TypeAdapter(tuple[SceneObject, ...])
 
 @dataclass(frozen=True)
 class SceneFile:
-    """The file of one run's edits.
-
-    Attributes:
-        run: Id of the run; the file of another run is ignored.
-        start: The scene that the run began with.
-    """
+    """The file of one run's edits of the scene that it began with; that of another run is ignored."""
 
     path: Path
     run: str

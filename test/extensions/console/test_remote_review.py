@@ -18,7 +18,6 @@ from hypothesis import strategies as st
 from plan_samples import make_plan
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from construction_twin.core.motion_errors import TrajectoryError
 from construction_twin.extensions.console.nodes.shown_plan import plan_view
 from construction_twin.extensions.console.remote_review import (
     MAX_TRAJECTORY_NUMBERS,
@@ -26,6 +25,7 @@ from construction_twin.extensions.console.remote_review import (
     shown,
     thinned,
 )
+from construction_twin.robot.motion_errors import TrajectoryError
 from construction_twin.robot.plan import content_hash
 from construction_twin.robot.segments import Segment, Signal, Switch
 from construction_twin.robot.trajectory import Trajectory

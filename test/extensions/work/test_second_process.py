@@ -36,7 +36,7 @@ from construction_twin.extensions.work.process import read_recipes
 from construction_twin.extensions.work.schedule import Job, Schedule
 from construction_twin.extensions.work.site_scene import StockPlan
 from construction_twin.extensions.work.task_memory import Entry, NotNow, TaskMemory, TaskState
-from construction_twin.extensions.work.worker_functions import Checker
+from construction_twin.extensions.work.worker_functions import Session
 from construction_twin.planning.planner import PlanRequest
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.work_plan import plan_work
@@ -117,7 +117,7 @@ def test_whoever_checks_it_for_review_takes_it(plan, work):
 
 def test_the_check_before_the_work_plans_it_too(work):
     schedule = Schedule((Job("T1", "T1", "Probe brick", "brick0", (), (), "touch"),), ())
-    found = Checker(robot(), planner(work.site.recipes), work, schedule, {}, lambda: 0.0).check(0)
+    found = Session(robot(), planner(work.site.recipes), work, schedule, {}).check(0)
     assert found.possible and found.grip == "point 50 0 71 mm" and found.track is not None and found.path
 
 

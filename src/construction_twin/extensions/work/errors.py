@@ -17,9 +17,6 @@ class BuildingError(WorkError):
         self.file, self.what, self.found, self.expected = file, what, found, expected
         super().__init__(f"{file}: {what}: found {found}, expected {expected}")
 
-    def __reduce__(self):
-        return type(self), (self.file, self.what, self.found, self.expected)
-
 
 class ScheduleError(WorkError):
     """The order of the tasks makes no sense."""
@@ -48,15 +45,3 @@ class LedgerError(WorkError):
 
     def __init__(self, path: str, problem: str):
         super().__init__(f"{path}: {problem}")
-
-
-class BodyError(WorkError):
-    """An element's geometry cannot be brought into the scene."""
-
-    def __init__(self, element: str, problem: str):
-        self.element, self.problem = element, problem
-        super().__init__(f"element {element}: {problem}")
-
-    def __reduce__(self):
-        # it comes out of worker processes
-        return type(self), (self.element, self.problem)

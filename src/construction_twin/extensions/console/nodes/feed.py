@@ -17,7 +17,6 @@ from typing import Generic, TypeVar
 
 from construction_twin.core.errors import ConfigurationError, PayloadError, PoseUnknownError
 from construction_twin.core.freshness import present
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.reports import (
     ExecutionReport,
@@ -55,6 +54,7 @@ from construction_twin.msg import SessionRequest as SessionRequestMessage
 from construction_twin.msg import SpeedChange as SpeedChangeMessage
 from construction_twin.review.plan_under_review import EXECUTOR
 from construction_twin.review.rehearsal_report import FAILED, PASSED, RehearsalReport
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.transport.joint_stream import now_ns
