@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from construction_twin.core.errors import ReviewError
 from construction_twin.core.sentences import Sentence
-from construction_twin.link.observations import ABSENT, FRESH, LinkObservations, LinkState
+from construction_twin.link.observations import ABSENT, LinkObservations, LinkState
 from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.messages import OFFLINE, PLC
 
@@ -57,7 +57,7 @@ class BareObservations(LinkObservations):
             return LinkState.GATEWAY_OFFLINE, Sentence("no PLC has said `ready` on its `status` topic, retained")
         if self.offline_heard or self.gateway == OFFLINE:
             return LinkState.GATEWAY_OFFLINE, Sentence("the PLC says `offline`: it takes no strings; see to the PLC")
-        if self._pose is None or now - self._pose_at >= FRESH:
+        if not self.pose_is_fresh(now):
             why = self.why_no_pose(now) or Sentence("no joint string comes on its `state` topic")
             return LinkState.NO_CONTROLLER, Sentence("the PLC says `ready`, but {why}", why=why)
         return None

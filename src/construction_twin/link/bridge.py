@@ -6,9 +6,10 @@ Pure: events in; messages, reports and answers out. Times are arguments [ns]. No
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 from construction_twin.core.errors import ExpiredError, PayloadError
-from construction_twin.core.freshness import Moment, parse_moment, staleness
+from construction_twin.core.freshness import Moment, is_newer, parse_moment, staleness
 from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.reports import LinkReport, ToolReport
 from construction_twin.core.sentences import Sentence, both
@@ -23,7 +24,7 @@ from construction_twin.link.gateway_status import (
     status_values,
     without_counts,
 )
-from construction_twin.link.observations import LinkState, SeenStops
+from construction_twin.link.observations import SHOWN_AFTER, LinkState
 from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.link.tool_link import ToolLink
 from construction_twin.mqtt.joint_string import JointStringCodec
@@ -172,7 +173,9 @@ class Bridge:
         self._strings, self._timeout, self._new_id = strings, timeout, new_id
         self._tool = ToolLink(new_id)
         self._tool_told: ToolReport | None = None
-        self._stops = SeenStops()
+        #: The last stop that is known, and from when on a view surely shows it.
+        self._stop: object = None
+        self._stop_shown_from: Moment | None = None
         #: Why only a person leads on, for the process after this one; "": nobody is waited for.
         self.waits = waits
         # what the gateway's last status says beside its counters
@@ -285,7 +288,7 @@ class Bridge:
             seen = parse_moment(moment)
             if problem := staleness(seen, present):
                 raise ExpiredError(Sentence("this is {problem}", problem=problem))
-            if not self._stops.was_seen(seen):
+            if not is_newer(seen, self._stop_shown_from):
                 raise ExpiredError(
                     Sentence("this is void: the arm was stopped after what the screen had shown; ask anew")
                 )
@@ -300,8 +303,9 @@ class Bridge:
         return asked
 
     def _note_stops(self, present: Moment) -> None:
-        # one that was not known yet: no screen has shown it
-        self._stops.note((*self.supervisor.known_stop, self.supervisor.halts), present)
+        stop = (*self.supervisor.known_stop, self.supervisor.halts)
+        if stop != self._stop:
+            self._stop, self._stop_shown_from = stop, replace(present, at=present.at + SHOWN_AFTER)
 
     def mirror(self, leads: bool, now: int) -> tuple[str, Asked | None]:
         """Begin or end mirror mode; return one sentence, and the request that it ends in."""

@@ -5,10 +5,8 @@ Pure: time is an argument [ns]. Angles in rad (axis space).
 
 from __future__ import annotations
 
-from dataclasses import replace
 from enum import Enum
 
-from construction_twin.core.freshness import Moment, is_newer
 from construction_twin.core.limits import outside_tolerance
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
@@ -49,23 +47,6 @@ class LinkState(Enum):
 ABSENT = (LinkState.DISCONNECTED, LinkState.GATEWAY_OFFLINE, LinkState.NO_CONTROLLER, LinkState.MISMATCH)
 
 
-class SeenStops:
-    """When the last stop became known; it has to be noted at least as often as it is asked for."""
-
-    def __init__(self) -> None:
-        self._stop: object = None
-        self._shown_from: Moment | None = None
-
-    def note(self, stop: object, now: Moment) -> None:
-        """Take which stop is the last one that is known, by anything that another one differs in."""
-        if stop != self._stop:
-            self._stop, self._shown_from = stop, replace(now, at=now.at + SHOWN_AFTER)
-
-    def was_seen(self, seen: Moment) -> bool:
-        """Return whether a view of this moment has shown the last stop."""
-        return is_newer(seen, self._shown_from)
-
-
 class ArmAndStream:
     """The newest pose of the arm and the newest command, and whether they rest and meet."""
 
@@ -82,18 +63,18 @@ class ArmAndStream:
         self._command_at, self._command_rests_since = -FRESH, 0
 
     def on_pose(self, q: tuple[float, ...], now: int) -> None:
-        """Take the arm's pose [rad]."""
+        """Store the arm's pose [rad]."""
         if self._pose is None or outside_tolerance(q, self._rest_pose, self._rest_bands) is not None:
             self._rest_pose, self._moved_at = q, now
         self._pose, self._pose_at = q, now
         self._refusals = 0
 
     def on_pose_refused(self, sentence: str, now: int) -> None:
-        """Take why a string of the arm's pose was refused."""
+        """Store why a string of the arm's pose was refused."""
         self._refusals, self._refusal, self._refused_at = self._refusals + 1, sentence, now
 
     def on_command(self, q: tuple[float, ...], now: int) -> None:
-        """Take a command that wants to be sent [rad]."""
+        """Store a command that wants to be sent [rad]."""
         # before the first one, and after a pause, it is not known how it moved
         if q != self._command or now - self._command_at >= FRESH:
             self._command_rests_since = now
@@ -105,7 +86,11 @@ class ArmAndStream:
 
     def at_rest(self, now: int) -> bool:
         """Return whether the arm's pose is known, and has not changed for `REST`."""
-        return self._pose is not None and now - self._pose_at < FRESH and now - self._moved_at >= REST
+        return self.pose_is_fresh(now) and now - self._moved_at >= REST
+
+    def pose_is_fresh(self, now: int) -> bool:
+        """Return whether the arm's pose is known."""
+        return self._pose is not None and now - self._pose_at < FRESH
 
     def why_not_at_rest(self, now: int) -> str:
         """Return why the arm does not count as at rest, or why its strings are refused; empty when it is at rest."""
@@ -129,19 +114,16 @@ class ArmAndStream:
 
     def stream_rests(self, now: int) -> bool:
         """Return whether commands come, and have been the same for `REST`; a stream that has just begun must still show it."""
-        is_fresh = self._command is not None and now - self._command_at < FRESH
-        return is_fresh and self._command_at - self._command_rests_since >= REST
+        return self._command_is_fresh(now) and self._command_at - self._command_rests_since >= REST
+
+    def _command_is_fresh(self, now: int) -> bool:
+        return self._command is not None and now - self._command_at < FRESH
 
     def within_tolerance(self, now: int) -> bool:
         """Return whether the newest command and the newest pose are fresh and within the start tolerance of each other."""
-        if (
-            self._command is None
-            or self._pose is None
-            or now - self._command_at >= FRESH
-            or now - self._pose_at >= FRESH
-        ):
+        if not self._command_is_fresh(now) or not self.pose_is_fresh(now):
             return False
-        return outside_tolerance(self._command, self._pose, self._tolerances) is None
+        return outside_tolerance(self._command, self._pose, self._tolerances) is None  # type: ignore[arg-type]  # they are fresh
 
 
 class LinkObservations(ArmAndStream):
@@ -166,7 +148,7 @@ class LinkObservations(ArmAndStream):
     # -- what comes in
 
     def on_connection(self, connected: bool) -> None:
-        """Take the state of the connection to the broker."""
+        """Store whether there is a connection to the broker."""
         self._connected = connected
         if not connected:
             self.status = {}
@@ -179,7 +161,7 @@ class LinkObservations(ArmAndStream):
         """
         problem = self.why_not_believed(status, now)
         if status.get("kind") != PLC:
-            self._note_run(_run_of(status), status.get("state") != OFFLINE and bool(problem), now)
+            self._note_run(status.get("run", ""), status.get("state") != OFFLINE and bool(problem), now)
         if not problem:
             self.status, self._status_at = status, now
             self._note_stop()
@@ -191,7 +173,7 @@ class LinkObservations(ArmAndStream):
             return ""
         if status.get("kind") == PLC and self.status.get("kind") != PLC:
             return Sentence("a bare PLC's word `{word}` on `status`, where rsi_gateway answers", word=status["state"])
-        run = _run_of(status)
+        run = status.get("run", "")
         if self.status.get("kind") == PLC or not self.run:
             return ""
         if run != self.run:
@@ -203,13 +185,12 @@ class LinkObservations(ArmAndStream):
         if status.get("state") == OFFLINE and type(former) is type(present) is int and former < present:
             return Sentence("the last will of a former connection of run {run}: it changes nothing", run=repr(run))
         number, known = status.get("fault_number"), self.fault_number
-        if type(number) is int and known is not None and number < known:
+        if number is not None and known is not None and number < known:
             # a client sends again what was not acknowledged, behind what is newer
             return Sentence("an old status, of stop {number} after stop {known}", number=number, known=known)
         return ""
 
     def _note_run(self, run: str, speaks: bool, now: int) -> None:
-        """Take note of whether a run that is not the present one speaks; too many are not remembered."""
         heard = {other: at for other, at in self._other_runs.items() if other != run and now - at <= STATUS_TIMEOUT}
         if speaks and run != self.run and len(heard) < OTHER_RUNS:
             heard[run] = now
@@ -261,13 +242,12 @@ class LinkObservations(ArmAndStream):
     @property
     def run(self) -> str:
         """The gateway's present run; "" when its status names none."""
-        return _run_of(self.status)
+        return self.status.get("run", "")
 
     @property
     def fault_number(self) -> int | None:
         """Number of the last stop or fault in the gateway's run; None when its status names none."""
-        number = self.status.get("fault_number")
-        return number if type(number) is int else None
+        return self.status.get("fault_number")
 
     @property
     def stop_told(self) -> str:
@@ -282,8 +262,7 @@ class LinkObservations(ArmAndStream):
     @property
     def could_go_on(self) -> bool:
         """True when the gateway is ready, armed for a stream that never began, or holds and its last stop was for silence."""
-        stop = self.status.get("stop")
-        by_silence = isinstance(stop, dict) and stop.get("cause") == "silence"
+        by_silence = self.status.get("stop", {}).get("cause") == "silence"
         return self.gateway in ("ready", "armed") or (self.gateway == "holding" and by_silence)
 
     def follows(self, session: str) -> bool:
@@ -334,8 +313,3 @@ class LinkObservations(ArmAndStream):
                 "gateway has no RSI session to command: {reason}", reason=self.gateway_reason
             )
         return None
-
-
-def _run_of(status: dict) -> str:
-    run = status.get("run")
-    return run if isinstance(run, str) else ""

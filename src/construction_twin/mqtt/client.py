@@ -1,4 +1,4 @@
-"""A paho client set up the way this package needs it: MQTT 5 or 3.1.1, account, TLS, TCP_NODELAY, a last will.
+"""A paho client set up the way this package needs it: MQTT 5, account, TLS, TCP_NODELAY, a last will.
 
 Standard library and paho-mqtt only. Without TCP_NODELAY, traffic in both directions on one connection waits for the peer's
 delayed acknowledgement, up to 40 ms.
@@ -28,11 +28,7 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.network import is_loopback
-from construction_twin.mqtt.fast_client import DirectClient, FastClient, is_tested
-from construction_twin.mqtt.plain_client import PlainClient
-
-_PROTOCOLS = {"5": MQTTProtocolVersion.MQTTv5, "3.1.1": MQTTProtocolVersion.MQTTv311}
-
+from construction_twin.mqtt.fast_client import DirectClient, FastClient, check_paho
 
 #: An account file, and a password file, are short; anything longer is something else [bytes].
 _MAX_BYTES = 65536
@@ -135,21 +131,19 @@ def _load(path: str, load, expected: str, *more: str) -> None:
 
 @dataclass(frozen=True)
 class Broker:
-    """Where the broker is and how to talk to it: `protocol` ``5`` or ``3.1.1``, `keepalive` in s, without an account anonymous.
+    """Where the broker is; `keepalive` in s; without an account anonymous.
 
     Raises:
-        ConfigurationError: When the protocol is another one, or a password would cross a network in clear.
+        ConfigurationError: When the installed paho was not tested, or a password would cross a network in clear.
     """
 
     host: str = "127.0.0.1"
     port: int = 1883
-    protocol: str = "5"
     keepalive: int = 5
     account: Account | None = None
 
     def __post_init__(self):
-        if self.protocol not in _PROTOCOLS:
-            raise ConfigurationError("protocol", self.protocol, f"one of {', '.join(sorted(_PROTOCOLS))}")
+        check_paho()
         if self.account is not None and not self.encrypted and not is_loopback(self.host):
             expected = f"the CA of {self.host}'s certificate: a password crosses a network in TLS only"
             raise ConfigurationError(f"{self.account.name}: ca_file", "", expected)
@@ -184,8 +178,8 @@ def make_client(
     will: str = OFFLINE,
     direct: bool = False,
     will_retained: bool = True,
-) -> PlainClient:
-    """Return a client that is not connected yet: a fast one where the installed paho was tested with it.
+) -> FastClient:
+    """Return a client that is not connected yet.
 
     Args:
         client_id: See `unique_id`.
@@ -193,10 +187,8 @@ def make_client(
         will: Empty: the topic's retained message is taken away.
         direct: Send from the thread that publishes, where the socket allows it (not with TLS); for a client served by `loop_start`.
     """
-    kind: type[PlainClient] = PlainClient
-    if is_tested():
-        kind = DirectClient if direct and not broker.encrypted else FastClient
-    client = kind(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=_PROTOCOLS[broker.protocol])
+    kind = DirectClient if direct and not broker.encrypted else FastClient
+    client = kind(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=MQTTProtocolVersion.MQTTv5)
     client.will_set(will_topic, will, qos=1, retain=will_retained)
     # the same on a TLS socket: it hands the option to the TCP socket below
     client.on_socket_open = _without_delay
@@ -212,12 +204,9 @@ def _without_delay(client: paho.Client, userdata: object, sock: Any) -> None:
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
 
-def subscriptions(client: paho.Client, topics: list[tuple[str, int]]) -> list[tuple[str, int | SubscribeOptions]]:
+def subscriptions(topics: list[tuple[str, int]]) -> list[tuple[str, SubscribeOptions]]:
     """Return topics and their QoS in the form that `client.subscribe` takes, so that a retain flag stays visible.
 
     Without "retain as published" a broker shows the flag only on what it had stored, not on what is published while we listen.
-    MQTT 3.1.1 has no such option.
     """
-    if client.protocol != MQTTProtocolVersion.MQTTv5:
-        return list(topics)
     return [(topic, SubscribeOptions(qos=qos, retainAsPublished=True)) for topic, qos in topics]

@@ -14,7 +14,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from construction_twin.mqtt.plain_client import PlainClient
+from construction_twin.mqtt.fast_client import FastClient
 
 #: Pause between attempts to connect [s].
 RETRY = 0.5
@@ -32,7 +32,7 @@ class PolledClient:
 
     def __init__(
         self,
-        client: PlainClient,
+        client: FastClient,
         selector: selectors.BaseSelector,
         on_failure: Callable[[OSError], None] = lambda error: None,
     ):

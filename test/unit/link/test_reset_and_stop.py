@@ -536,7 +536,7 @@ class TestTwoGateways:
         bench.run(4.0)
         assert bench.link is LinkState.ARMED
 
-    @pytest.mark.parametrize("will", [{"run": "run0"}, {}, {"run": None}])
+    @pytest.mark.parametrize("will", [{"run": "run0"}, {}])
     def test_a_late_last_will_of_another_run_changes_nothing(self, will):
         bench = begun("armed")
         session = bench.supervisor.session

@@ -24,9 +24,9 @@ from construction_twin.link.bridge import PLC_HALTED, Asked, Bridge, JointString
 from construction_twin.link.gateway_status import parse_presence, parse_status
 from construction_twin.link.observations import LinkState
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
+from construction_twin.mqtt.fast_client import FastClient
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import PLC, BridgeStatus, Control, Topics
-from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.msg import Execution, Feedback, Link, SpeedLimitInForce, Sync, ToolCommand, ToolState
 from construction_twin.msg import SessionRequest as SessionRequestMessage
 from construction_twin.robot.description import RobotModel
@@ -87,12 +87,11 @@ class MqttBridge:
         config: GatewayConfig,
         codec: JointStringCodec,
         broker: Broker,
-        client: PlainClient,
+        client: FastClient,
         ports: Ports,
     ):
         bare, new_id = settings.gateway_kind == PLC, lambda: uuid.uuid4().hex
-        properties = config.properties and settings.protocol == "5"
-        self._strings = JointStrings(codec, properties, bare, settings.max_state_age)
+        self._strings = JointStrings(codec, config.properties, bare, settings.max_state_age)
         # not private parameters: those hold settings, and these came about while a bridge ran
         mirrors, waits = ports.parameters[MIRROR_MODE] is True, str(ports.parameters[WAITS])
         self._kept = [
@@ -215,7 +214,7 @@ class MqttBridge:
             return
         self._connection.connected(client, properties)
         topics = [(self._topics.state, 0), (self._topics.status, 1), (self._topics.control_ack, 1)]
-        client.subscribe(subscriptions(client, topics))
+        client.subscribe(subscriptions(topics))
         with self._lock:
             status = self._bridge.status()
             self._supervisor.inputs.on_connection(True)

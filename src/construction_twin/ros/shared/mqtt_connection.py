@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
-from typing import Literal
 
 import pydantic
 import rospy
@@ -12,7 +11,7 @@ from paho.mqtt.client import MQTTMessage
 
 from construction_twin.mqtt.client import Broker, load_account
 from construction_twin.mqtt.failures import ConnectionReport
-from construction_twin.mqtt.plain_client import PlainClient
+from construction_twin.mqtt.fast_client import FastClient
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.node_shell import Shared
 from construction_twin.ros.shared.params import NodeSettings
@@ -26,14 +25,12 @@ class MqttSettings(NodeSettings):
     """Where the broker is, and which account to use; given in launch/link.launch.
 
     Attributes:
-        protocol: ``5`` or ``3.1.1``.
         prefix: First level of the topics.
         account: Account file on this machine; empty: anonymous, without TLS. No secret is ever a parameter.
     """
 
     host: str
     port: int = pydantic.Field(gt=0, lt=65536)
-    protocol: Literal["5", "3.1.1"] = "5"
     prefix: str = "twin"
     account: str = ""
 
@@ -45,7 +42,7 @@ def broker_of(settings: MqttSettings) -> Broker:
         account.password()
     if account is not None and account.ca_file:
         account.context()
-    return Broker(settings.host, settings.port, settings.protocol, account=account)
+    return Broker(settings.host, settings.port, account=account)
 
 
 def check_broker(settings: MqttSettings, _robot: RobotModel, _shared: Shared) -> None:
@@ -65,7 +62,7 @@ def _say_later(sentence: str) -> None:
 
 
 def connect(
-    client: PlainClient,
+    client: FastClient,
     broker: Broker,
     report: ConnectionReport,
     on_connect: Callable[..., None],

@@ -29,8 +29,8 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.link.requests import Request, read, read_document
 from construction_twin.mqtt.client import Broker, subscriptions
+from construction_twin.mqtt.fast_client import FastClient
 from construction_twin.mqtt.messages import MAX_IDENTITY_BYTES, Topics, account_of, identity_of
-from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.mqtt.requests import RequestKind, answer_limits
 from construction_twin.ros.shared.diagnostics import DeferredLog
 from construction_twin.ros.shared.mqtt_connection import connect, report_of
@@ -58,7 +58,7 @@ class Connection:
         log: What `write_log` writes.
     """
 
-    def __init__(self, broker: Broker, client: PlainClient, topics: Topics, refuse: Callable[[str, str], None]):
+    def __init__(self, broker: Broker, client: FastClient, topics: Topics, refuse: Callable[[str, str], None]):
         self._broker, self._client, self.topics, self.refuse = broker, client, topics, refuse
         self._state = report_of(broker)
         self.endpoints: list[Endpoint] = []
@@ -101,7 +101,7 @@ class Connection:
                 return
             self._state.connected(client, properties)
             topic, payload, retain = first()
-            client.subscribe(subscriptions(client, topics))
+            client.subscribe(subscriptions(topics))
             info = client.publish(topic, payload, qos=1, retain=retain)
             self._state.watch_publish(client, topic, info.mid)
             then()

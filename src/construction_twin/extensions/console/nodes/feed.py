@@ -32,14 +32,15 @@ from construction_twin.core.reports import (
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.states import ACTIVE
-from construction_twin.extensions.console.message_history import APPROVED, REJECTED
+from construction_twin.extensions.console.message_board import APPROVED, REJECTED, MessageBoard
 from construction_twin.extensions.console.nodes.endpoint import Connection
-from construction_twin.extensions.console.nodes.messages import MessageBoard
 from construction_twin.extensions.console.nodes.shown_plan import PATH_POINTS, segment_ends
 from construction_twin.extensions.console.private_files import PrivateFiles
 from construction_twin.extensions.console.remote_review import PathView, scene_view
 from construction_twin.extensions.console.remote_view import ClosestView, PlanProgress, PoseView, Shown, ViewWriter
 from construction_twin.extensions.console.remote_view import Seen as ViewInputs
+from construction_twin.link.requests import Acknowledgement
+from construction_twin.mqtt.requests import ACKNOWLEDGE
 from construction_twin.msg import (
     Execution,
     Hold,
@@ -57,6 +58,7 @@ from construction_twin.review.plan_under_review import EXECUTOR
 from construction_twin.review.rehearsal_report import FAILED, PASSED, RehearsalReport
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.scene.objects import Scene
@@ -164,7 +166,13 @@ class ConsoleFeed:
         self._work: WorkReport | None = None
         self._hold = HoldReport()
         self._arm_seen = self._twin_seen = False
-        self.messages = MessageBoard(partial(self._keep, self._topics.messages), connection, messages, clock)
+        tell = partial(self._keep, self._topics.messages)
+        self.messages = MessageBoard(tell, connection.refuse, messages, clock)
+        connection.serve(
+            ACKNOWLEDGE,
+            Acknowledgement,
+            lambda asked, request: Outcome(*self.messages.acknowledge(asked.message, request.account)),
+        )
         self._looked = self._told_at = float("-inf")
         self._told = b""
 
@@ -187,7 +195,7 @@ class ConsoleFeed:
         person = message.reviewer
         if not message.approved:
             rejected = Sentence("{person} rejected a plan: {reason}", person=person, reason=message.reason)
-            self.messages.on_act(REJECTED, message.header.stamp, rejected)
+            self.messages.on_act(REJECTED, message.header.stamp.to_sec(), rejected)
             return
         sentence = Sentence("{person} approved a plan", person=person)
         if rehearsal is not None and rehearsal.engine and rehearsal.plan_hash == message.plan_hash:
@@ -197,7 +205,7 @@ class ConsoleFeed:
                 "{person} approved a plan. Its rehearsal ({engine}): {found}",
                 person=person, engine=rehearsal.engine, found=found,
             )  # fmt: skip
-        self.messages.on_act(APPROVED, message.header.stamp, sentence)
+        self.messages.on_act(APPROVED, message.header.stamp.to_sec(), sentence)
 
     def on_sync(self, message: Sync) -> None:
         """Take the gate's report."""
@@ -235,7 +243,7 @@ class ConsoleFeed:
             sentence = Sentence("{person} asked for arming. It lifts: {lifts}", **values)
         else:
             sentence = Sentence("{person} asked for a reset. It lifts: {lifts}", **values)
-        self.messages.on_act(asked.verb, message.stamp, sentence)
+        self.messages.on_act(asked.verb, message.stamp.to_sec(), sentence)
 
     def on_speed_change(self, message: SpeedChangeMessage) -> None:
         """Take that a person has set the speed limit of people."""
