@@ -17,18 +17,13 @@ from construction_twin.core.travel_time import StateCheck
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.bare_supervisor import BareSupervisor
-from construction_twin.link.gateway_status import (
-    clock_sentence,
-    controller_sentence,
-    cut,
-    status_values,
-    without_counts,
-)
+from construction_twin.link.gateway_status import GatewayAnswer, GatewayStatus, cut, without_counts
 from construction_twin.link.observations import SHOWN_AFTER, LinkState
 from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.link.tool_link import ToolLink
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import (
+    OFFLINE,
     PROTOCOL,
     BridgeStatus,
     CommandProperties,
@@ -130,7 +125,7 @@ class Asked:
         has_begun = supervisor.session != self._before
         if supervisor.halts != self._halts:
             return False, Sentence("not armed: halt was called meanwhile: {why}", why=supervisor.sentence)
-        if has_begun and supervisor.state is LinkState.ARMED and not supervisor.inputs.fault:
+        if has_begun and supervisor.state is LinkState.ARMED and not supervisor.inputs.status.fault:
             return True, Sentence("armed, {reason}", reason=supervisor.reason)
         if has_begun and supervisor.state is LinkState.NEEDS_RESET:
             sentence = Sentence("not armed: {why}", why=supervisor.sentence)
@@ -219,22 +214,22 @@ class Bridge:
     def _takes_control(self) -> bool:
         return self.supervisor.state is LinkState.ARMED and self.supervisor.sends_control
 
-    def on_status(self, status: dict, now: int) -> None:
-        """Take the gateway's status, or a bare PLC's word, as `parse_presence` has it; PayloadError where it is not believed."""
+    def on_status(self, status: GatewayStatus, now: int) -> None:
+        """Take the gateway's status, or a bare PLC's word; PayloadError where it is not believed."""
         if problem := self.supervisor.inputs.on_status(status, now):
             raise PayloadError("status", problem)
         self._tool.on_status(status)
-        self._values = status_values(status)
-        if status.get("state") == "offline":
+        self._values = status.shown()
+        if status.state == OFFLINE:
             self._strings.restart()
 
-    def on_answer(self, answer: dict, now: int) -> None:
+    def on_answer(self, answer: GatewayAnswer, now: int) -> None:
         """Take the gateway's answer to a control message; PayloadError where it has refused a speed limit."""
         self.supervisor.on_answer(answer, now)
         self._tool.on_answer(answer)
-        if answer.get("verb") == "speed_limit" and not answer.get("ok"):
-            reason = cut(answer.get("reason", ""))
-            raise PayloadError("speed_limit", Sentence("gateway refused the speed limit: {reason}", reason=reason))
+        if answer.verb == "speed_limit" and not answer.ok:
+            refused = Sentence("gateway refused the speed limit: {reason}", reason=cut(answer.reason))
+            raise PayloadError("speed_limit", refused)
 
     # -- the tool
 
@@ -331,9 +326,8 @@ class Bridge:
         # a status of a gateway that is gone says nothing of now
         if supervisor.state in (LinkState.DISCONNECTED, LinkState.GATEWAY_OFFLINE):
             return supervisor.reason
-        return both(
-            supervisor.reason, controller_sentence(supervisor.inputs.status), clock_sentence(supervisor.inputs.status)
-        )
+        status = supervisor.inputs.status
+        return both(supervisor.reason, status.sentence_of("controller"), status.sentence_of("cycle"))
 
     def news(self, now: int, connection: str) -> tuple[bool, bool]:
         """Return whether the link is to be reported now, and whether it has changed but for figures."""
@@ -354,22 +348,22 @@ class Bridge:
 
     @property
     def _gateway_values(self) -> dict[str, object]:
-        return self.supervisor.inputs.status.get("counters", {}) | self._values
+        return self.supervisor.inputs.status.counters | self._values
 
     def report(self, connection: str, refused: Mapping[str, int], stamp: int) -> LinkReport:
         """Return the report on `link`; `refused`: how often inputs were refused, by reason."""
-        supervisor = self.supervisor
-        reply = supervisor.inputs.status.get("reply_us", {})
+        supervisor, status = self.supervisor, self.supervisor.inputs.status
+        reply = status.reply_us
         counters = self._gateway_values | {
-            "decimals": supervisor.inputs.status.get("decimals", ""),
-            "reply_us_max": reply.get("max", 0),
+            "decimals": "" if status.decimals is None else status.decimals,
+            "reply_us_max": reply.max,
             "states_lost": self._strings.lost,
         }
         states_refused = sum(count for name, count in refused.items() if name.startswith("stat"))
         return LinkReport(
             supervisor.state.name,
             self.reason(connection),
-            gateway_state=str(supervisor.inputs.status.get("state", "offline")),
+            gateway_state=status.state,
             gateway_counters={key: str(value) for key, value in sorted(counters.items())},
             commands_refused=sum(refused.values()) - states_refused,
             states_refused=states_refused,
@@ -380,8 +374,8 @@ class Bridge:
             state=supervisor.state.value,
             stamp=stamp,
             commands_sent=self._strings.sent,
-            reply_us_bins=tuple(reply.get("bins", ())),
-            reply_us_counts=tuple(reply.get("counts", ())),
+            reply_us_bins=tuple(reply.bins),
+            reply_us_counts=tuple(reply.counts),
         )
 
     def values(self) -> dict[str, object]:

@@ -30,7 +30,7 @@ from service_cell import (
 )
 
 from construction_twin.gateway.states import State
-from construction_twin.link.gateway_status import parse_status
+from construction_twin.link.gateway_status import parse_answer, parse_status
 from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.fast_client import received_pairs
 from construction_twin.mqtt.messages import Control, arm_value, read_state_properties
@@ -148,7 +148,7 @@ def test_a_connection_that_is_silent_for_a_second_while_the_arm_rests_is_followe
     readers = {
         topics.state: lambda payload, now: supervisor.inputs.on_pose(CODEC.decode(payload), now),
         topics.status: lambda payload, now: supervisor.inputs.on_status(parse_status(payload), now),
-        topics.control_ack: lambda payload, now: supervisor.on_answer(parse_status(payload), now),
+        topics.control_ack: lambda payload, now: supervisor.on_answer(parse_answer(payload), now),
     }
     with serving(proxy.port, topics) as (service, address), controller_of(address) as controller:
         with client_of(broker, topics) as client:

@@ -6,7 +6,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable
-from typing import Literal
+from typing import Literal, TypeVar
 
 import pydantic
 import rospy
@@ -21,7 +21,7 @@ from construction_twin.core.sentences import Sentence, both
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.bridge import PLC_HALTED, Asked, Bridge, JointStrings
-from construction_twin.link.gateway_status import parse_presence, parse_status
+from construction_twin.link.gateway_status import parse_answer, parse_status
 from construction_twin.link.observations import LinkState
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.fast_client import FastClient
@@ -57,6 +57,9 @@ from construction_twin.srv import ActAsSeen, TakeResponsibility
 POLL, LOG_PERIOD = 0.02, 0.05
 #: Parameters in the robot's namespace, for the process after this one: whether the arm leads; why a person is waited for.
 MIRROR_MODE, WAITS = "mirror_mode", "waits_for_person"
+
+
+_Read = TypeVar("_Read")
 
 
 class Settings(MqttSettings):
@@ -246,13 +249,13 @@ class MqttBridge:
 
     def on_status(self, payload: bytes) -> None:
         """Take the gateway's status, or a bare PLC's word; one that cannot be read is refused as a whole."""
-        self._take(parse_presence, payload, self._bridge.on_status)
+        self._take(parse_status, payload, self._bridge.on_status)
 
     def on_answer(self, payload: bytes) -> None:
         """Take the gateway's answer to a control message."""
-        self._take(parse_status, payload, self._bridge.on_answer)
+        self._take(parse_answer, payload, self._bridge.on_answer)
 
-    def _take(self, read: Callable[[bytes], dict], payload: bytes, take: Callable[[dict, int], None]) -> None:
+    def _take(self, read: Callable[[bytes], _Read], payload: bytes, take: Callable[[_Read, int], None]) -> None:
         try:
             document = read(payload)
             with self._lock:
