@@ -28,8 +28,7 @@ class Authority:
     """A CA in a folder of its own, `ca.key` and `ca.crt`; made when it is not there. ConstructionTwinError where openssl fails.
 
     Args:
-        hosts: Names and addresses that a new CA may vouch for, beside this machine's loopback; no browser believes it about others.
-            Of a name also what stands below it: ``twin.example`` permits ``hall7.twin.example``.
+        hosts: Names and addresses that a new CA may vouch for, beside names below them and this machine's loopback.
     """
 
     def __init__(self, folder: Path, hosts: Iterable[str]):
@@ -57,10 +56,7 @@ class Authority:
         return [host for host in hosts if not permitted.intersection(_permitting(host))]
 
     def issue(self, name: str, key: Path, certificate: Path, days: int, hosts: Iterable[str] = ()) -> None:
-        """Sign a certificate for the key in `key`, which is made when it is not there.
-
-        With `hosts` it is a server's, for these names and addresses; otherwise a client's.
-        """
+        """Sign a certificate for a key, which is made when it is not there: with `hosts` a server's, else a client's."""
         if not key.exists():
             make_key(key)
         hosts = tuple(hosts)

@@ -26,9 +26,7 @@ _NEEDED = "every tablet and every client needs the new ca.crt"
 
 
 class SiteFolder:
-    """The files of a site: `ca/`, `broker/` for the broker, `console/` for the console, `accounts/<name>/` for the holder of that
-    account, `site.json`.
-    """
+    """The files of a site: `ca/`, `broker/`, `console/`, `accounts/<name>/`, `site.json`."""
 
     def __init__(self, folder: Path):
         self._folder, self._broker, self._console = folder, folder / "broker", folder / "console"
@@ -49,15 +47,12 @@ class SiteFolder:
     def make(
         self, site: Site, days: int = DAYS, renew: bool = False, replace: Iterable[str] = (), renew_ca: bool = False
     ) -> list[str]:
-        """Make what is missing; return sentences on what was done.
+        """Make what is missing; return sentences on what was done. ConstructionTwinError, e.g. when the CA may not vouch for one.
 
         Args:
             days: Lifetime of new certificates.
             renew, renew_ca: Sign all certificates, or the CA's for the names of this site, anew for the same keys.
             replace: Accounts that get a new password and a new key.
-
-        Raises:
-            ConstructionTwinError: When a program is missing, a name does not fit, or the CA may not vouch for one.
         """
         replace, before = set(replace), self.load()
         if unknown := replace - {*site.accounts()}:

@@ -1,7 +1,6 @@
 """Bare mode: the link to a PLC that knows only the joint string, armed by a person who takes the responsibility by name.
 
-Pure; time is an argument [ns]. The PLC says two words, `ready` and `offline`, and its pose; it is asked nothing. So no rule of this
-side arms it, and everything that a gateway would have checked or told stands in `NOT_CHECKED`, for `link`, record and documents.
+Pure; time is an argument [ns]. The PLC says two words, `ready` and `offline`, and its pose; it is asked nothing.
 """
 
 from __future__ import annotations
@@ -112,11 +111,7 @@ class BareSupervisor(LinkSupervisor):
             self._go(LinkState.ARMED, armed)
 
     def request_arm(self, now: int, person: str = "") -> None:
-        """Begin a session in the name of the person who is responsible for what is not checked; ReviewError where it cannot.
-
-        Args:
-            person: Not empty, printable, at most 64 characters.
-        """
+        """Begin a session in the name of the person who is responsible for what is not checked; ReviewError where it cannot."""
         name = person.strip()
         if not name or len(name) > _LONGEST_NAME or not name.isprintable():
             raise ReviewError(

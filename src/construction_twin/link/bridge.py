@@ -107,10 +107,7 @@ class Asked:
         self.number = 0
 
     def answer(self, now: int, ending: bool) -> tuple[bool, str] | None:
-        """Return whether the link is armed, and one sentence; None: ask again. What fails is withdrawn, also at the gateway.
-
-        What is answered is what is the case: the last look and the withdrawal are one call. `ending`: the process ends.
-        """
+        """Return whether the link is armed, and one sentence; None: ask again. The last look withdraws what has failed."""
         if self._answer is None:
             self._answer = self._look(ending or now >= self._deadline, now)
             self._deadline = now + WITHDRAWAL if self._answer else self._deadline
@@ -146,9 +143,7 @@ class Bridge:
     """The link of one robot: its supervisor, the tool behind the gateway, the speed limit, and what is reported of them.
 
     Args:
-        bare: Whether a bare PLC takes the commands.
         timeout: Longest wait of a person's request for the link to be armed [s].
-        mirrors, waits: As of `LinkSupervisor`.
     """
 
     def __init__(
@@ -267,10 +262,9 @@ class Bridge:
     # -- what a person asks for
 
     def ask(self, verb: str, person: str, moment: str | None, now: int, present: Moment) -> Asked:
-        """Ask for a session.
+        """Ask for a session: `reset` starts over from the arm's pose, `arm` where nothing needs to move for it.
 
         Args:
-            verb: `reset`: start over from the arm's pose. `arm`: where nothing needs to move for it; a bare PLC in a person's name.
             moment: Of what the person's screen had shown; None: asked at the robot's computers.
 
         Raises:

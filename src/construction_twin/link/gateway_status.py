@@ -32,7 +32,7 @@ def _short(text: str) -> str:
 
 
 def _sentence(text: str, info: ValidationInfo) -> str:
-    """Return a text as the sentence that the message has told of, where it is one."""
+    """Return a text as the sentence that the message has told of."""
     return (info.context or {}).get(text, text[:LONGEST])
 
 

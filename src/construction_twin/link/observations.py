@@ -158,7 +158,7 @@ class LinkObservations(ArmAndStream):
     def on_status(self, status: GatewayStatus, now: int) -> str:
         """Take what was said on `status`; return in a sentence why it was not taken, empty when it was.
 
-        While a gateway answers, only its own run's word may end a motion. Another run's is remembered: two are an `obstacle`.
+        While a gateway answers, only its own run's word may end a motion; two runs are an `obstacle`.
         """
         problem = self.why_not_believed(status, now)
         if status.kind != PLC:

@@ -1,10 +1,8 @@
 """Who may command, and when: the bridge's side of arming and resetting the gateway.
 
-Pure: events in, control messages out; time is an argument [ns]. Angles in rad (axis space).
-
-A session is one continuous right to command. Its change makes the twin take over the arm's pose and executor and gate start over;
-only then, with a command stream within the start tolerance of the arm, is the gateway armed (docs/architecture.md, law 5). What
-leads from state to state is read from `poll` downwards: what is missing, which side may command, which message comes next.
+Pure: events in, control messages out; time is an argument [ns]. Angles in rad (axis space). A session is one continuous right to
+command. Its change makes the twin take over the arm's pose and executor and gate start over; only then, with a command stream
+within the start tolerance of the arm, is the gateway armed (law 5). What leads from state to state is read from `poll` downwards.
 """
 
 from __future__ import annotations
@@ -30,21 +28,16 @@ class LinkSupervisor:
     """Decides when to start a session, arm, and resume.
 
     Args:
-        new_id: Returns a new unique id.
         mirrors: Whether the arm leads from the start: it did when the process before this one ended, and only a person ends that.
         waits: What `waits_for` said when the process before this one ended: then nothing is armed before a person resets.
 
     Attributes:
-        state, reason: The link's, and why, in one sentence.
         session: "" before the first.
-        inputs: What is known of gateway, arm and command stream.
         mirrors: True from `begin_mirror` to its end, also while the arm's pose is not known.
         responsible: Who has armed a bare PLC; empty for a gateway, which checks by itself.
-        not_checked: What is not checked with a bare PLC.
-        kind: What takes the commands, of `messages.GATEWAY_KINDS`.
         sends_control: Whether control messages are understood.
         halts, requests: How often `halt` was called, and a session asked for: what was asked for before a halt is void.
-        withdraws: True while a failed request is being withdrawn: the gateway has not answered yet that nothing of it is in force.
+        withdraws: True until the gateway has answered that nothing of a failed request is in force.
     """
 
     kind = RSI
@@ -91,7 +84,7 @@ class LinkSupervisor:
 
     @property
     def waits_for(self) -> str:
-        """Why only a person leads on, in a sentence for the process after this one; "" when nothing stands against arming.
+        """Why only a person leads on, for the process after this one; "" when nothing stands against arming.
 
         A request counts until the link is armed: should this process end before, it has failed for the person who made it.
         """
@@ -164,13 +157,10 @@ class LinkSupervisor:
         self.requests += 1
 
     def withdraw(self, request: int, reason: str) -> None:
-        """Give up a person's request that was answered as failed: nothing is armed until a person asks again.
+        """Give up a person's request that was answered as failed, unless a person has asked again: nothing is armed until one does.
 
         The gateway is told to stop: an `arm` that is still under way arms nothing then, and a bridge that is started again waits
         for a person too. Where mirror mode began since, it goes on, and has ended the request's session at the gateway.
-
-        Args:
-            request: `requests` after it was asked for; nothing happens when a person has asked again since.
         """
         if request != self.requests:
             return

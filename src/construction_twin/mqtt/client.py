@@ -1,10 +1,7 @@
 """A paho client set up the way this package needs it: MQTT 5, account, TLS, TCP_NODELAY, a last will.
 
-Standard library and paho-mqtt only. Without TCP_NODELAY, traffic in both directions on one connection waits for the peer's
-delayed acknowledgement, up to 40 ms.
-
-An account file is JSON and holds names of files, never a secret; relative names start at its own folder. `make_site` writes
-one per account; for another broker it is written by hand::
+Without TCP_NODELAY, traffic in both directions waits for the peer's delayed acknowledgement, up to 40 ms. An account file holds
+names of files, never a secret; relative names start at its own folder::
 
     {"user": "kr120-gateway", "ca_file": "ca.crt", "password_file": "password"}
     {"ca_file": "ca.crt", "cert_file": "client.crt", "key_file": "client.key"}
@@ -40,8 +37,7 @@ class Account:
 
     Attributes:
         password_file: The password is its first line; only the owner may read it.
-        ca_file: Certificates (PEM) of who signed the broker's; with it the connection is TLS.
-        cert_file, key_file: Client certificate and its key (PEM, without a passphrase).
+        ca_file: PEM of who signed the broker's certificate; with it the connection is TLS.
         name: What messages call it: the account file, or the user.
     """
 
@@ -131,11 +127,7 @@ def _load(path: str, load, expected: str, *more: str) -> None:
 
 @dataclass(frozen=True)
 class Broker:
-    """Where the broker is; `keepalive` in s; without an account anonymous.
-
-    Raises:
-        ConfigurationError: When the installed paho was not tested, or a password would cross a network in clear.
-    """
+    """Where the broker is; no account: anonymous. ConfigurationError for an untested paho, or a password in clear."""
 
     host: str = "127.0.0.1"
     port: int = 1883
@@ -164,10 +156,7 @@ OFFLINE = json.dumps({"state": "offline", "reason": "connection lost"})
 
 
 def offline_word(run: str, connection: int) -> str:
-    """Return what the broker says in a client's place when its connection is lost.
-
-    It says so of a run of the client's program, and of one of that run's connections: a broker may notice late that one is lost.
-    """
+    """Return `OFFLINE` of a run of the client's program and one of its connections: a broker may notice late that one is lost."""
     return json.dumps({"state": "offline", "reason": "connection lost", "run": run, "connection": connection})
 
 
@@ -182,10 +171,8 @@ def make_client(
     """Return a client that is not connected yet.
 
     Args:
-        client_id: See `unique_id`.
-        will_topic: The broker publishes `will` there when the connection is lost.
-        will: Empty: the topic's retained message is taken away.
-        direct: Send from the thread that publishes, where the socket allows it (not with TLS); for a client served by `loop_start`.
+        will: What the broker publishes on `will_topic` when the connection is lost; empty: its retained message is taken away.
+        direct: Send from the thread that publishes, where there is no TLS; for a client served by `loop_start`.
     """
     kind = DirectClient if direct and not broker.encrypted else FastClient
     client = kind(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=MQTTProtocolVersion.MQTTv5)

@@ -68,11 +68,10 @@ def _tls_failure(error: ssl.SSLError) -> str:
 
 
 class ConnectionReport:
-    """Says why there is no connection: each sentence once, until another one is due.
+    """Says why there is no connection, each sentence once, from the thread that connects or serves the client.
 
     Args:
-        say: Takes a sentence, e.g. a logger's `error`; called from the thread that connects or serves the client.
-        first: Whether to say why there has never been a connection; False: somebody else does, by `sentence`.
+        first: Whether to say why there has never been a connection.
 
     Attributes:
         sentence: Why there is no connection; empty while there is one, and before the first attempt has ended.
@@ -139,10 +138,9 @@ class ConnectionReport:
         self._report(f"connection to {where} {why}; trying again{more}")
 
     def watch_publish(self, client: paho.Client, topic: str, mid: int) -> None:
-        """Report when the broker's access rules refuse one message that was just published.
+        """Report when the access rules refuse one message that was just published; called in the thread that serves the client.
 
-        One only: a callback for every message would cost time with each command. To be called from the thread that serves the
-        client, so that the answer cannot be here already.
+        One only: a callback for every message would cost time with each command.
         """
         account = self._broker.account
         who = account.user or account.cert_file if account else "somebody without an account"

@@ -1,11 +1,8 @@
 """A paho client that sends and reads joint strings by a shorter code path.
 
-Standard library and paho-mqtt only. What it saves per message: paho builds a table of all MQTT 5 properties for each
-message it sends or receives (25 and 50 us), reads a packet in three pieces, keeps a record with a lock of each that it
-sends, and hands what another thread publishes to its own thread.
-
-paho has no public place for this: it uses private parts, which another version may have changed. So `check_paho` refuses any
-version with which all of this was not tested.
+Per message paho builds a table of all MQTT 5 properties (25 and 50 us), reads a packet in three pieces, keeps a record with a lock
+of each that it sends, and hands what another thread publishes to its own. It has no public place for this: the private parts used
+here are those of the tested versions.
 """
 
 from __future__ import annotations
@@ -39,7 +36,7 @@ _LOOP_TIMEOUT = 0.1
 
 
 class UserProperties:
-    """User properties as paho's `publish` takes them and as a received message has them, and no others."""
+    """User properties and no others, as paho's `publish` takes them and a received message has them."""
 
     __slots__ = ("UserProperty",)
 
@@ -71,9 +68,9 @@ def _variable_length(value: int) -> bytes:
 
 
 def read_plain(packet: bytes) -> tuple[bytes, UserProperties, bytes] | None:
-    """Return topic, properties and payload of an MQTT 5 PUBLISH of QoS 0, given all that follows the fixed header.
+    """Return topic, properties and payload of an MQTT 5 PUBLISH of QoS 0 behind its fixed header; None where paho must read it.
 
-    None when it has more than at most 127 bytes of user properties in printable ASCII: it is left to paho.
+    Read are at most 127 bytes of user properties in printable ASCII.
     """
     start = 2 + int.from_bytes(packet[:2], "big")
     if start >= len(packet) or packet[start] > 127 or start + 1 + packet[start] > len(packet):
@@ -101,10 +98,7 @@ def _text(packet: bytes, at: int, end: int) -> tuple[str | None, int]:
 
 
 def whole_publish(ahead: bytes) -> tuple[int, int] | None:
-    """Return where the topic begins and the packet ends of the PUBLISH with which what has come in begins.
-
-    None unless it is one of QoS 0, shorter than 16 kB, and all of it has come.
-    """
+    """Return where the topic begins and the packet ends of a PUBLISH of QoS 0 below 16 kB that has come whole, else None."""
     if len(ahead) < 3 or ahead[0] & 0xFE != paho.PUBLISH:
         return None
     start, length = 2, ahead[1]
@@ -127,12 +121,10 @@ def received_pairs(message: paho.MQTTMessage) -> list[tuple[str, str]]:
 
 
 class FastClient(paho.Client):
-    """A client of MQTT 5 with streams: topics of which many messages come or go per second. It sends nothing that is too large.
-
-    test_fast_client compares what is read and what is sent with paho's own.
+    """A client with streams, topics of which many messages come or go per second. It sends nothing that is too large.
 
     Attributes:
-        largest: Longest packet that the broker takes, as it said last [bytes]; None: any.
+        largest: Longest packet that the broker takes [bytes]; None: any.
         on_too_large: Takes the sentence about a longer one, once per topic.
     """
 
@@ -176,10 +168,7 @@ class FastClient(paho.Client):
         return result
 
     def on_stream(self, topic: str, callback: StreamCallback) -> None:
-        """Call ``callback(payload, pairs, retained)`` in the thread that serves the connection for each message on `topic`.
-
-        `pairs` are the user properties; the topic has no wildcards.
-        """
+        """Call ``callback(payload, user properties, retained)`` for each message on `topic`, in the connection's thread."""
         self._streams[topic.encode()] = callback
         # what is left to paho, as a message with other properties
         self.message_callback_add(
@@ -188,10 +177,7 @@ class FastClient(paho.Client):
         )
 
     def send_stream(self, topic: str, payload: bytes, pairs: list[tuple[str, str]] | None = None) -> None:
-        """Publish with QoS 0, from the caller's thread unless paho has one of its own for the connection.
-
-        What the socket does not take at once paho sends when it does. While there is no connection the message is dropped.
-        """
+        """Publish with QoS 0, from the caller's thread unless paho has one of its own; dropped without a connection."""
         name = topic.encode()
         body = _LENGTH.pack(len(name)) + name + (UserProperties(pairs).pack() if pairs else b"\0") + payload
         packet = b"\x30" + _variable_length(len(body)) + body
@@ -284,10 +270,7 @@ class FastClient(paho.Client):
 
 
 class DirectClient(FastClient):
-    """Serves the connection in a thread, and sends from the thread that publishes instead of waking that one.
-
-    For sockets without TLS: Python's TLS sockets are not made for one thread that reads and another that writes.
-    """
+    """Serves the connection in a thread, and sends from the thread that publishes; without TLS, which needs one thread for both."""
 
     def __init__(self, *arguments, **options):
         super().__init__(*arguments, **options)

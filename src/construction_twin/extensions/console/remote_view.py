@@ -1,8 +1,8 @@
 """`view` on MQTT: the state of twin, arm, gate, link and execution in one message of plain JSON. Pure.
 
-Fixed by `View`, of which pydantic makes the JSON Schema (scripts/schemas.py); a change that a reader could notice raises `VERSION`.
-Versions that only add keys keep `COMPATIBLE`: a reader of that version goes on reading, if it leaves alone what it does not know.
-SI: m, rad, s; times are numbers of seconds, because stamps in ns are larger than the whole numbers that JavaScript keeps exactly.
+Fixed by `View`, of which pydantic makes the JSON Schema (scripts/schemas.py); a change that a reader could notice raises `VERSION`,
+one that only adds keys keeps `COMPATIBLE`. SI: m, rad, s; times are numbers of seconds, because stamps in ns are larger than the
+whole numbers that JavaScript keeps exactly.
 """
 
 from __future__ import annotations
@@ -285,9 +285,7 @@ class Shown(Generic[_Report]):
 
 @dataclass(frozen=True)
 class Seen:
-    """What a view is made of; None is what is not known, or too old to be shown as the present. `plan` is the id of the plan under
-    review, "" for none; `progress` how much of the executor's plan is over, 0 to 1.
-    """
+    """What a view is made of, `plan` the id of the one under review; None: not known, or too old to be shown as the present."""
 
     twin: PoseView | None = None
     arm: PoseView | None = None
@@ -303,11 +301,7 @@ class Seen:
 
 
 class ViewWriter:
-    """Writes the messages of one run of the program; not for use from several threads.
-
-    Args:
-        run: Random id of this run: `seq` begins again with another one.
-    """
+    """Writes the messages of one run of the program, which `run` names; not for use from several threads."""
 
     def __init__(self, robot: str, run: str, joints: Joints):
         self._run = run
@@ -316,12 +310,7 @@ class ViewWriter:
         self._seq = 0
 
     def write(self, now: int, seen: Seen, moment: Moment) -> bytes:
-        """Return the next message.
-
-        Args:
-            now: ROS time [ns].
-            moment: The present one, for the requests of whoever sees this.
-        """
+        """Return the next message at the ROS time `now` [ns], with the moment that requests of whoever sees it repeat."""
         self._seq += 1
         return self._message(True, self._seq, now, seen, str(moment))
 
@@ -400,8 +389,7 @@ def _segment(shown: Shown[ExecutionReport] | None) -> SegmentNow | None:
 class PlanProgress:
     """How much of a plan's time is over, from the executor's reports, which tell the rate only when it changes.
 
-    Between two reports the rate is taken to change evenly. So during a ramp this is off by a part of the ramp's length, and exact
-    where the plan is played as planned.
+    Between two reports the rate is taken to change evenly: exact where the plan is played as planned.
     """
 
     def __init__(self):

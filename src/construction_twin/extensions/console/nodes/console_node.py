@@ -1,7 +1,6 @@
 """console_node: what operators and programs elsewhere see of a robot by MQTT, and what they ask for there.
 
-A node of its own: reading a long motion takes longer than the bridge's 4 ms, and checking one takes seconds. What people do (stop,
-pause, verdicts, ...) has a connection and threads of its own, see `acts`.
+A node of its own: reading a long motion takes longer than the bridge's 4 ms, and checking one takes seconds.
 """
 
 from __future__ import annotations
@@ -52,12 +51,11 @@ COLLECTED = 500_000
 
 
 class Settings(MqttSettings):
-    """Private parameters; see config/console_node.yaml. Folders are relative to ROS_HOME.
+    """Private parameters; see config/console_node.yaml. Folders are relative to ROS_HOME, empty: none.
 
     Attributes:
         self_collision: Empty: no joint values are found for poses that are dragged.
-        messages: Folder of the messages that outlast this node; empty: they do not.
-        private: Folder of what a console serves to whom is logged in; empty: no console was started.
+        private: Folder of what a console serves to whom is logged in.
     """
 
     trajectories: bool = True

@@ -1,8 +1,7 @@
 """Requests by MQTT, from the message to the answer: one `Endpoint` for each kind, and the `Connection` by which they come.
 
-A kind is a row (`mqtt.requests`), a model of its message (`link.requests`) and a handler; what all have in common is here.
-A message that cannot be read is refused and counted, and answered at a pace. What was asked for is carried out first and answered
-next; counts and log lines come after that, hold up nothing (`deferred_log`), and cannot fail it (`core.side_effects`).
+A kind is a row (`mqtt.requests`), a model of its message (`link.requests`) and a handler. What was asked for is carried out first
+and answered next; counts and log lines come after that, hold up nothing, and cannot fail it (`core.side_effects`).
 """
 
 from __future__ import annotations
@@ -47,15 +46,12 @@ class Connection:
     """A connection of the node to the broker, served by a thread of its own; requests are heard and answered by it.
 
     Args:
-        client: Not connected yet.
         refuse: Counts a refused input; takes reason and sentence.
 
     Attributes:
-        endpoints: What takes the messages of each kind.
         counts: What became of requests, by the name of their kind and a word.
         side_effects: What ran beside a request, and failed: it fails neither the request nor the node, which may have a stop to
             carry out.
-        log: What `write_log` writes.
     """
 
     def __init__(self, broker: Broker, client: FastClient, topics: Topics, refuse: Callable[[str, str], None]):
@@ -88,8 +84,7 @@ class Connection:
         """Connect, and whenever there is a connection subscribe and publish.
 
         Args:
-            first: Returns topic, payload and retain flag of the first message: the broker's answer shows whether this account may
-                write here.
+            first: Returns topic, payload and retain flag of the first message, whose answer shows if this account may write here.
             then: Publishes what else is retained.
             heard: What takes the messages of further topics.
         """
@@ -162,7 +157,6 @@ class Endpoint:
         act: Does what is asked for; may raise PayloadError, which is refused and counted then, and ServiceSilentError.
         queue: Where it waits. None: it is carried out where it arrives.
         limit: Longest message that is read [bytes].
-        malformed: How often an account is told that what it has sent cannot be read.
     """
 
     connection: Connection
@@ -201,12 +195,7 @@ class Endpoint:
 
 
 class Incoming:
-    """One request: its message, and all that is done with it.
-
-    Attributes:
-        account: Of the topic; "" where it names none.
-        arrived: The moment when it did.
-    """
+    """One request: its message, and all that is done with it. `account` is "" where the topic names none."""
 
     def __init__(self, endpoint: Endpoint, account: str, payload: bytes, retained: bool):
         self._endpoint, self._connection, self.kind = endpoint, endpoint.connection, endpoint.kind
@@ -304,8 +293,7 @@ class Incoming:
 
 
 class NewestQueue:
-    """A queue in which only the newest request of each sender waits: what it asked for before is not worth doing any more, nor what
-    comes too often worth an answer.
+    """A queue in which only the newest request of each sender waits, and what comes too often gets no answer.
 
     Args:
         most: Senders that may wait at once.
@@ -347,9 +335,7 @@ class NewestQueue:
 
 
 class RequestQueue:
-    """Requests are carried out one after the other, each once, each answered, and nobody alone holds up the others.
-
-    They come from the connection's thread, and are carried out in another.
+    """Requests of the connection's thread are carried out in another one after the other, each once, each answered.
 
     Args:
         most: That may wait.

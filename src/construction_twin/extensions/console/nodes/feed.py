@@ -1,7 +1,6 @@
 """What is told by MQTT of the robot's state: `view`, the status line, the scene, the tasks of the building model, messages.
 
-Everything here was published on ROS already; it is put into the words and files that a browser can use. The poses come in bundles,
-see `LatestPose`, so that `view` costs the bridge no more than any other subscriber does.
+All was published on ROS already; the poses come in bundles, so that `view` costs the bridge no more than another subscriber.
 """
 
 from __future__ import annotations
@@ -82,7 +81,7 @@ _Report = TypeVar("_Report")
 
 @dataclass(frozen=True)
 class Poses:
-    """Where the newest poses come from; None where the robot has no such stream."""
+    """Where the newest poses come from."""
 
     twin: LatestPose | None
     arm: LatestPose | None
@@ -91,13 +90,7 @@ class Poses:
 
 @dataclass(frozen=True)
 class Others:
-    """What `view` shows that other parts of the node know.
-
-    Attributes:
-        plan: Returns the id of the plan under review; empty: none.
-        closest: Returns the closest two bodies; None: not measured.
-        executor_is_there: Returns whether the publisher of `execution` is connected.
-    """
+    """What `view` shows that other parts of the node know: the id of the plan under review, "" for none; the closest two bodies."""
 
     plan: Callable[[], str] = lambda: ""
     closest: Callable[[], ClosestView | None] = lambda: None
@@ -126,14 +119,10 @@ class ConsoleFeed:
     """Keeps what is retained, and sends it again where the broker may have forgotten it. Topics come in threads of their own.
 
     Args:
-        base_link: Frame of the scene's objects.
         deployment: What was started; None: what the start waits for is not told.
         files: Where the scene's meshes go; None: no console was started with this robot.
         messages: Where the messages are kept; None: only in memory.
         clock: Returns the time of day [s since 1970].
-
-    Attributes:
-        messages: What a person must not miss.
     """
 
     def __init__(
@@ -412,11 +401,7 @@ def _pose_view(stream: LatestPose | None) -> PoseView | None:
 
 
 def deployment_of(started: Mapping[str, object] | None, namespace: str) -> Deployment | None:
-    """Return what bringup has told the node `startup`; None where that does not run.
-
-    Args:
-        started: The node's parameters.
-    """
+    """Return what bringup has told the node `startup` by its parameters; None where that does not run."""
     fields = ("arm", "broker", "rsi", "gateway", "gateway_kind")
     if started is None or not set(fields) <= set(started):
         return None

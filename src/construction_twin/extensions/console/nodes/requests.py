@@ -1,9 +1,4 @@
-"""Motions from planners elsewhere, plan and IK requests: handed to the planner's own services, and answered. Nothing here moves.
-
-What a plan service makes waits for a person's verdict as any plan. Motions and plan requests are carried out in their turn
-(`RequestQueue`); the pose of an IK request, which is dragged, is worth solving only while it is the newest of its account, in a
-thread of its own (`NewestQueue`).
-"""
+"""Motions from planners elsewhere, plan and IK requests: handed to the planner's own services, and answered. Nothing here moves."""
 
 from __future__ import annotations
 
@@ -55,13 +50,7 @@ CLOSEST_PERIOD = 0.2
 
 @dataclass(frozen=True)
 class RobotContext:
-    """What these requests need to know of the robot.
-
-    Attributes:
-        twin: Returns the twin's joint values [rad], [m]; empty while they are not known.
-        has_work: Returns whether a node `work` runs.
-        is_engaged: Returns whether only the way back can be planned.
-    """
+    """What these requests need to know of the robot: `twin` returns joint values [rad], [m], none while they are not known."""
 
     twin: Callable[[], Sequence[float]]
     has_work: Callable[[], bool] = lambda: False
@@ -71,12 +60,10 @@ class RobotContext:
 class PoseJudge:
     """Joint values for a pose that is dragged, and how close the arm is to something, for one thread at a time.
 
-    What computes with the robot is imported at the first question: most starts have no console, and the node that shows the state
-    of everything must not come up later for it.
+    What computes with the robot is imported at the first question: most starts have no console.
 
     Args:
         self_collision: YAML of the link pairs that are not checked; empty: nothing can be judged.
-        scene: Returns the present scene, None while it is not known.
     """
 
     def __init__(self, robot: RobotModel, self_collision: str, scene: Callable[[], Scene | None]):
@@ -135,8 +122,6 @@ class ConsoleRequests:
     """What carries out motions, plan and IK requests.
 
     Args:
-        services: Those that make plans, by kind of request.
-        plan_trajectory: The planner's, which checks and times a motion.
         max_trajectory_bytes: Longest motion that is read; 0: neither motions nor plan requests are taken.
 
     Attributes:
@@ -251,11 +236,9 @@ class ConsoleRequests:
 
 
 def source_of(says: str, sender: str, proven: bool) -> str:
-    """Return who asked, for the reviewer.
+    """Return who asked, for the reviewer, with what the sender `says` of itself.
 
     Args:
-        says: What the sender says of itself; empty: nothing.
-        sender: The account in the topic's name; empty when there is none.
         proven: The broker knows accounts, and by a site's rules only this one writes on that topic.
     """
     if not sender:

@@ -42,7 +42,7 @@ class ShownPlan:
         tool: Hash of the tool file, with which a rehearsal counts; empty: no tool.
 
     Attributes:
-        rehearsal: The newest one that is whole; None: there was none.
+        rehearsal: The newest one that is whole.
     """
 
     def __init__(self, connection: Connection, tool: str = ""):
@@ -155,15 +155,9 @@ class ShownPlan:
 
 
 def plan_view(message: Plan, tool: str = "") -> PlanView:
-    """Return what is shown of a plan; what a planner has not measured is left empty.
+    """Return what is shown of a plan; PlanningError if a work plan is not what its hash says.
 
-    Numbers cross unchanged. Every measured plan has its fractions of the velocity limits, so their absence means that none was.
-
-    Args:
-        tool: Hash of the tool file that counts; empty: no tool.
-
-    Raises:
-        PlanningError: If a work plan is not what its hash says.
+    Every measured plan has its fractions of the velocity limits, so their absence means that nothing was measured.
     """
     points, is_work = message.trajectory.points, bool(message.segments)
     clearance = ClearanceView(
