@@ -31,7 +31,6 @@ VERBS = ("arm", "stop", "reset", "end", "speed_limit", "switch", "void")
 READY, OFFLINE = "ready", "offline"
 #: Who answers on `status`: rsi_gateway, in JSON, or a bare PLC, in those two words.
 RSI, PLC = "rsi", "plc"
-GATEWAY_KINDS = (RSI, PLC)
 #: Number of what gateway and bridge say to each other on `status` and `control`. It rises when one side must know something that
 #: the other one did not say before; both sides must have the same. What names none speaks the first.
 PROTOCOL, FIRST_PROTOCOL = 2, 1

@@ -240,12 +240,17 @@ INTERFACE = Interface(
             "plan_caller", msg.PlanCaller, lambda node, message: node.shown_plan.on_caller(message), queue_size=5
         ),
         Subscription("review", msg.Review, ConsoleNode.on_review, queue_size=10),
-        Subscription("sync", msg.Sync, _feed(ConsoleFeed.on_sync), queue_size=1),
+        Subscription("sync", msg.Sync, lambda node, message: node.feed.on_sync(message), queue_size=1),
         Subscription("hold", msg.Hold, _feed(ConsoleFeed.on_hold), queue_size=1),
         Subscription("link", msg.Link, ConsoleNode.on_link, queue_size=5),
         Subscription("session_request", msg.SessionRequest, _feed(ConsoleFeed.on_session_request), queue_size=10),
         Subscription("speed_change", msg.SpeedChange, _feed(ConsoleFeed.on_speed_change), queue_size=50),
-        Subscription("speed_limit_in_force", msg.SpeedLimitInForce, _feed(ConsoleFeed.on_speed), queue_size=1),
+        Subscription(
+            "speed_limit_in_force",
+            msg.SpeedLimitInForce,
+            lambda node, message: node.feed.on_speed(message),
+            queue_size=1,
+        ),
     ),
 )
 # its threads take turns every millisecond: what computes a pose holds up no stop

@@ -14,6 +14,8 @@ from functools import partial
 from pathlib import Path
 from typing import Generic, TypeVar
 
+from genpy import Message
+
 from construction_twin.core.errors import ConfigurationError, PayloadError, PoseUnknownError
 from construction_twin.core.freshness import present
 from construction_twin.core.motion_errors import SceneError
@@ -43,11 +45,8 @@ from construction_twin.mqtt.requests import ACKNOWLEDGE
 from construction_twin.msg import (
     Execution,
     Hold,
-    Link,
     Plan,
     Review,
-    SpeedLimitInForce,
-    Sync,
     WorkTasks,
 )
 from construction_twin.msg import Scene as SceneMsg
@@ -100,12 +99,15 @@ class Others:
 class _Newest(Generic[_Report]):
     """The newest report of a kind, and when it came."""
 
-    def __init__(self):
+    def __init__(self, kind: type[_Report]):
+        self._kind = kind
         self._newest: tuple[_Report, float] | None = None
 
-    def take(self, report: _Report) -> None:
-        """Keep a report."""
+    def take(self, message: Message) -> _Report:
+        """Keep the report of a message, and return it."""
+        report = from_msg(self._kind, message)
         self._newest = report, time.monotonic()
+        return report
 
     def shown(self, oldest: float = math.inf) -> Shown | None:
         """Return it with its age; None: there is none, or it is older than that [s]."""
@@ -142,10 +144,9 @@ class ConsoleFeed:
         self._deployment, self._files = deployment, files
         # of the plan's progress, of the writer, of what is retained
         self._lock, self._writing, self._telling = threading.Lock(), threading.Lock(), threading.RLock()
-        self._sync: _Newest[SyncReport] = _Newest()
-        self._link: _Newest[LinkReport] = _Newest()
-        self._execution: _Newest[ExecutionReport] = _Newest()
-        self._speed: _Newest[SpeedReport] = _Newest()
+        self._sync, self._link, self._speed = _Newest(SyncReport), _Newest(LinkReport), _Newest(SpeedReport)
+        self.on_sync, self.on_link, self.on_speed = self._sync.take, self._link.take, self._speed.take
+        self._execution = _Newest(ExecutionReport)
         self._progress = PlanProgress()
         #: Of the newest plans, by id: the payload of `path` while that plan is played.
         self._paths: dict[str, bytes] = {}
@@ -196,24 +197,11 @@ class ConsoleFeed:
             )  # fmt: skip
         self.messages.on_act(APPROVED, message.header.stamp.to_sec(), sentence)
 
-    def on_sync(self, message: Sync) -> None:
-        """Take the gate's report."""
-        self._sync.take(from_msg(SyncReport, message))
-
-    def on_link(self, message: Link) -> None:
-        """Take the bridge's report."""
-        self._link.take(from_msg(LinkReport, message))
-
-    def on_speed(self, message: SpeedLimitInForce) -> None:
-        """Take which speed limit is in force."""
-        self._speed.take(from_msg(SpeedReport, message))
-
     def on_execution(self, message: Execution) -> None:
         """Take the executor's report; tell the tool's path of the plan that is under way, none once it has ended."""
-        report = from_msg(ExecutionReport, message)
         with self._lock:
+            report = self._execution.take(message)
             self._progress.on_report(report)
-        self._execution.take(report)
         with self._telling:
             self._playing = report.plan_id if report.text in _UNDER_WAY else ""
             self._tell_path()
