@@ -142,7 +142,8 @@ class BridgeBench:
 
     def connect(self) -> None:
         """Let the broker say welcome."""
-        self.bridge.on_connect(self.client, None, None, SimpleNamespace(is_failure=False), None)
+        topic, payload, _ = self.bridge.on_connect()
+        self.client.publish(topic, payload)
 
     def step(self) -> None:
         """Let 20 ms pass, with a gateway that is well and an arm at rest where it is commanded; then poll."""

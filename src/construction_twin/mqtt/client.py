@@ -15,6 +15,7 @@ import secrets
 import socket
 import ssl
 import stat
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -191,7 +192,7 @@ def _without_delay(client: paho.Client, userdata: object, sock: Any) -> None:
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
 
-def subscriptions(topics: list[tuple[str, int]]) -> list[tuple[str, SubscribeOptions]]:
+def subscriptions(topics: Iterable[tuple[str, int]]) -> list[tuple[str, SubscribeOptions]]:
     """Return topics and their QoS in the form that `client.subscribe` takes, so that a retain flag stays visible.
 
     Without "retain as published" a broker shows the flag only on what it had stored, not on what is published while we listen.

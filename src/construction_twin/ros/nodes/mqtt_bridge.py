@@ -23,7 +23,7 @@ from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.bridge import PLC_HALTED, Asked, Bridge, JointStrings
 from construction_twin.link.gateway_status import parse_answer, parse_status
 from construction_twin.link.observations import LinkState
-from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
+from construction_twin.mqtt.client import Broker, make_client, unique_id
 from construction_twin.mqtt.fast_client import FastClient
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import PLC, BridgeStatus, Control, Topics
@@ -117,7 +117,10 @@ class MqttBridge:
             self._topics.status: lambda message: self.on_status(bytes(message.payload)),
             self._topics.control_ack: lambda message: self.on_answer(bytes(message.payload)),
         }
-        connect(self._client, self._broker, self._connection, self.on_connect, self.on_disconnect, on_message)
+        topics = [(self._topics.state, 0), *((topic, 1) for topic in on_message)]
+        connect(
+            self._client, self._broker, self._connection, topics, self.on_connect, on_message, lost=self.on_disconnect
+        )
 
     @property
     def link(self) -> LinkState:
@@ -210,24 +213,14 @@ class MqttBridge:
 
     # -- MQTT to ROS
 
-    def on_connect(self, client, userdata, flags, reason_code, properties) -> None:
-        """Subscribe, and say that the bridge is here."""
-        if reason_code.is_failure:
-            self._connection.refused(reason_code)
-            return
-        self._connection.connected(client, properties)
-        topics = [(self._topics.state, 0), (self._topics.status, 1), (self._topics.control_ack, 1)]
-        client.subscribe(subscriptions(topics))
+    def on_connect(self) -> tuple[str, bytes, bool]:
+        """Return the first message of a connection, which says that the bridge is here."""
         with self._lock:
-            status = self._bridge.status()
             self._supervisor.inputs.on_connection(True)
-        # the broker answers it, and so shows whether this is the account of a bridge
-        info = client.publish(self._topics.bridge_status, status, qos=1, retain=True)
-        self._connection.watch_publish(client, self._topics.bridge_status, info.mid)
+            return self._topics.bridge_status, self._bridge.status(), True
 
-    def on_disconnect(self, client, userdata, flags, reason_code, properties) -> None:
-        """Report the end of the connection."""
-        self._connection.lost(reason_code)
+    def on_disconnect(self) -> None:
+        """Take the end of the connection."""
         with self._lock:
             self._supervisor.inputs.on_connection(False)
 

@@ -27,7 +27,7 @@ from construction_twin.core.rate_limit import Pace, SenderLimits
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.link.requests import Request, read, read_document
-from construction_twin.mqtt.client import Broker, subscriptions
+from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.fast_client import FastClient
 from construction_twin.mqtt.messages import MAX_IDENTITY_BYTES, Topics, account_of, identity_of
 from construction_twin.mqtt.requests import RequestKind, answer_limits
@@ -81,31 +81,11 @@ class Connection:
         then: Callable[[], object],
         heard: Mapping[str, Callable[[MQTTMessage], None]] = MappingProxyType({}),
     ) -> None:
-        """Connect, and whenever there is a connection subscribe and publish.
-
-        Args:
-            first: Returns topic, payload and retain flag of the first message, whose answer shows if this account may write here.
-            then: Publishes what else is retained.
-            heard: What takes the messages of further topics.
-        """
+        """Connect, as of `mqtt_connection`; `heard`: what takes the messages of further topics."""
         topics = [*((topic, 1) for topic in heard), *((each.topic, each.kind.qos) for each in self.endpoints)]
 
-        def on_connect(client, _userdata, _flags, reason_code, properties) -> None:
-            if reason_code.is_failure:
-                self._state.refused(reason_code)
-                return
-            self._state.connected(client, properties)
-            topic, payload, retain = first()
-            client.subscribe(subscriptions(topics))
-            info = client.publish(topic, payload, qos=1, retain=retain)
-            self._state.watch_publish(client, topic, info.mid)
-            then()
-
-        def on_disconnect(_client, _userdata, _flags, reason_code, _properties) -> None:
-            self._state.lost(reason_code)
-
         on_message = {**heard, **{endpoint.topic: endpoint.on_message for endpoint in self.endpoints}}
-        connect(self._client, self._broker, self._state, on_connect, on_disconnect, on_message)
+        connect(self._client, self._broker, self._state, topics, first, on_message, then)
 
     def disconnect(self) -> None:
         """Leave the broker, which publishes no last will then."""
