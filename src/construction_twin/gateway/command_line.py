@@ -138,10 +138,6 @@ def _address(text: str, option: str) -> tuple[str, int]:
 def _ends(arguments: argparse.Namespace, config: GatewayConfig) -> tuple[Broker, Topics, tuple[str, int], str | None]:
     """Return broker and topics, the address for the controller, and the controller's own."""
     account = load_account(arguments.account) if arguments.account else None
-    if account is not None and account.password_file:
-        account.password()
-    if account is not None and account.ca_file:
-        account.context()
     broker = Broker(*_address(arguments.broker, "--broker"), account=account)
     host, port = _address(arguments.listen, "--listen")
     controller = address_of(arguments.controller, "--controller") if arguments.controller else None

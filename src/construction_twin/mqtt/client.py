@@ -79,7 +79,7 @@ class Account:
 
 
 def load_account(path: str | Path) -> Account:
-    """Read an account file; return it with absolute paths, or raise ConfigurationError."""
+    """Read an account file; return it with absolute paths, or raise ConfigurationError, also where a secret cannot be used."""
     path = Path(path).expanduser()
     try:
         document = json.loads(_read(path))
@@ -92,7 +92,12 @@ def load_account(path: str | Path) -> Account:
         raise ConfigurationError(str(path), document, "texts as values")
     named = {key: value for key, value in document.items() if key.endswith("_file") and value}
     files = {key: str(path.parent.absolute() / value) for key, value in named.items()}
-    return Account(**(document | files), name=str(path))
+    account = Account(**(document | files), name=str(path))
+    if account.password_file:
+        account.password()
+    if account.ca_file:
+        account.context()
+    return account
 
 
 def _read(path: str | Path) -> str:

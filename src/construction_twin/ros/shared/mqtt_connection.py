@@ -38,10 +38,6 @@ class MqttSettings(NodeSettings):
 def broker_of(settings: MqttSettings) -> Broker:
     """Return the broker; ConfigurationError when the account file cannot be used."""
     account = load_account(settings.account) if settings.account else None
-    if account is not None and account.password_file:
-        account.password()
-    if account is not None and account.ca_file:
-        account.context()
     return Broker(settings.host, settings.port, account=account)
 
 
