@@ -342,7 +342,7 @@ class Bridge:
 
     @property
     def _gateway_values(self) -> dict[str, object]:
-        return self.supervisor.inputs.status.counters | self._values
+        return {**self.supervisor.inputs.status.counters, **self._values}
 
     def report(self, connection: str, refused: Mapping[str, int], stamp: int) -> LinkReport:
         """Return the report on `link`; `refused`: how often inputs were refused, by reason."""

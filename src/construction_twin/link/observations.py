@@ -187,7 +187,7 @@ class LinkObservations(ArmAndStream):
             return Sentence("the last will of a former connection of run {run}: it changes nothing", **found)
         if _is_before(status.fault_number, known.fault_number):
             # a client sends again what was not acknowledged, behind what is newer
-            numbers = {"number": status.fault_number, "known": known.fault_number}
+            numbers = {"number": str(status.fault_number), "known": str(known.fault_number)}
             return Sentence("an old status, of stop {number} after stop {known}", **numbers)
         return ""
 

@@ -41,13 +41,7 @@ class SwitchView:
 
 @dataclass(frozen=True)
 class SegmentView:
-    """What is shown of a segment of a work plan, which ends at `end` [s]; the keys of its JSON.
-
-    Attributes:
-        tool_path_end: Which point of the tool path is at its end, from 0.
-        scene, scene_after: Hashes.
-        put, remove: Names of objects.
-    """
+    """What is shown of a segment of a work plan, which ends at `end` [s] and at a point of the tool path; the keys of its JSON."""
 
     name: str
     end: float
@@ -63,13 +57,10 @@ class SegmentView:
 
 @dataclass(frozen=True)
 class ClearanceView:
-    """How close the arm comes to something else.
+    """How close the arm comes to something else: at a `time` of the plan [s], at a `point` in its frame [m].
 
     Attributes:
         distance: [m]; inf, which JSON has as null: there is nothing to touch.
-        time: Of the plan [s].
-        between: Links or objects.
-        point: In the plan's `frame` [m].
     """
 
     distance: Annotated[float, OR_NULL]
@@ -92,15 +83,11 @@ class PlanView:
     """A message on <prefix>/<robot>/plan: the plan under review. SI: m, rad, s.
 
     Attributes:
-        scene: Its hash.
-        frame: Of all points.
-        created_ns: ROS time [ns].
         waypoints: How many points the whole tool path has.
         tool_path: Of tool0; at the waypoints until `to_json` thins it.
         clearance: None when it was not measured.
-        trajectory: What the trajectory's hash covers besides the joints' names: ``times``, and by waypoint ``positions``,
-            ``velocities`` and ``accelerations``; None when it is too long. Who checks the hash reads the numbers.
-        tool: Hash of the tool file that counts, where there is a tool. A rehearsal with another one is none of this plan.
+        trajectory: ``times``, and by waypoint ``positions``, ``velocities``, ``accelerations``, which the hash covers; None: too long.
+        tool: Hash of the tool file that counts. A rehearsal with another one is none of this plan.
         task, content, segments: Of a work plan only. `content` is the text whose SHA-256 is its hash.
     """
 
@@ -223,15 +210,12 @@ _PATHS = pydantic.TypeAdapter(PathView)
 
 @dataclass(frozen=True)
 class ObjectView:
-    """One body of a scene.
+    """One body of a scene: at its pose in `link`, or in the scene's frame [m], x y z w.
 
     Attributes:
         size: As in `SceneObject.msg` [m]; of a mesh its scale.
         mesh: SHA-256 of the file, because a console does not see this machine's; empty for other shapes.
-        position: In `link`, or in the scene's frame [m].
-        orientation: x, y, z, w.
         padding: Distance to keep from it [m], added to the scene's own.
-        link: That carries it; empty: it stands in the scene's frame.
         touch: Links and objects that may touch it.
     """
 
@@ -248,12 +232,7 @@ class ObjectView:
 
 @dataclass(frozen=True)
 class SceneView:
-    """A message on <prefix>/<robot>/scene: what the arm must not touch.
-
-    Attributes:
-        frame: The robot's base_link.
-        padding: Distance to keep from every object [m].
-    """
+    """A message on <prefix>/<robot>/scene: what the arm must not touch, in its base_link, and how far to keep from it [m]."""
 
     hash: str
     frame: str
