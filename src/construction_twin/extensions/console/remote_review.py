@@ -86,7 +86,7 @@ class PlanView:
         waypoints: How many points the whole tool path has.
         tool_path: Of tool0; at the waypoints until `to_json` thins it.
         clearance: None when it was not measured.
-        trajectory: ``times``, and by waypoint ``positions``, ``velocities``, ``accelerations``, which the hash covers; None: too long.
+        trajectory: ``times``, and for each ``positions``, ``velocities``, ``accelerations``, which the hash covers; None: too long.
         tool: Hash of the tool file that counts. A rehearsal with another one is none of this plan.
         task, content, segments: Of a work plan only. `content` is the text whose SHA-256 is its hash.
     """

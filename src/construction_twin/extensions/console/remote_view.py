@@ -187,9 +187,9 @@ class ClosestView:
 class View:
     """A message on <prefix>/<robot>/view: the state of one robot; docs/reference/mqtt.md says its keys. SI units: m, rad, s.
 
-    null: not known, or too old. An `age` is at `stamp` of the message, since what it stands beside was received [s]. Versions 2 to 7
-    add keys to version 1 and change none, `since` is the version of a key: a reader of version 1 that asks for `compatible` <= 1, in
-    place of `version` = 1, and leaves alone the keys that it does not know, reads it.
+    null: not known, or too old. An `age` is at `stamp` of the message, since what it stands beside was received [s]. Versions 2 to
+    7 add keys to version 1 and change none, `since` is the version of a key: a reader of version 1 that asks for `compatible` <= 1,
+    in place of `version` = 1, and leaves alone the keys that it does not know, reads it.
     """
 
     version: Annotated[int, Says(const=VERSION)]
