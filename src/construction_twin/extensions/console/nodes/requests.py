@@ -204,12 +204,11 @@ class ConsoleRequests:
     def look_around(self) -> None:
         """Find the two bodies that are closest at the twin's pose."""
         q = tuple(self._around.twin())
-        found = None
+        clearance, found, problem = None, None, ""
         try:
             clearance = self._judge.closest(q) if q else None
-            problem = ""
         except (ConfigurationError, SceneError) as error:
-            clearance, problem = None, str(error)
+            problem = str(error)
         if problem and problem != self._problem:
             self._connection.refuse("closest", problem)
         self._problem = problem
@@ -220,10 +219,7 @@ class ConsoleRequests:
     def closest(self) -> ClosestView | None:
         """Return what `look_around` found last, with its age."""
         found = self._closest
-        if found is None:
-            return None
-        view, at = found
-        return ClosestView(view.distance, view.between, view.point, time.monotonic() - at)
+        return None if found is None else replace(found[0], age=time.monotonic() - found[1])
 
     def run(self, looks_around: bool) -> None:
         """Answer poses until shutdown, and look around between them."""
