@@ -65,15 +65,10 @@ class Connection:
         self.tell = self.side_effects.run
 
     def serve(
-        self,
-        kind: RequestKind,
-        read: Reader,
-        act: Handler,
-        queue: RequestQueue | NewestQueue | None = None,
-        limit: int = 0,
+        self, kind: RequestKind, read: Reader, act: Handler, queue: RequestQueue | NewestQueue | None = None
     ) -> None:
-        """Serve a kind of request, as of `Endpoint`; limit 0: the kind's own."""
-        self.endpoints.append(Endpoint(self, kind, read, act, queue, limit or kind.limit))
+        """Serve a kind of request, as of `Endpoint`."""
+        self.endpoints.append(Endpoint(self, kind, read, act, queue))
 
     def connect(
         self,
@@ -136,7 +131,6 @@ class Endpoint:
         read: Model of its message, or what takes the message's JSON object and returns what is asked for; PayloadError.
         act: Does what is asked for; may raise PayloadError, which is refused and counted then, and ServiceSilentError.
         queue: Where it waits. None: it is carried out where it arrives.
-        limit: Longest message that is read [bytes].
     """
 
     connection: Connection
@@ -144,7 +138,6 @@ class Endpoint:
     read: Reader
     act: Handler
     queue: RequestQueue | NewestQueue | None
-    limit: int
     malformed: SenderLimits = field(default_factory=answer_limits)
 
     @property
@@ -192,12 +185,12 @@ class Incoming:
     def identity(self) -> dict[str, str]:
         """What an answer repeats of it, also when it is refused, with its account."""
         named = dict.fromkeys(("account", "sender", "reviewer"), self.account) if self.account else {}
-        return identity_of(self._payload, self._document, max(MAX_IDENTITY_BYTES, self._endpoint.limit)) | named
+        return identity_of(self._payload, self._document, max(MAX_IDENTITY_BYTES, self.kind.limit)) | named
 
     def read(self) -> None:
         """Read what is asked for; PayloadError as of `link.requests`."""
         kind, how = self.kind, self._endpoint.read
-        self._document = read_document(self._payload, self._retained, kind.name, self._endpoint.limit, kind.limited_by)
+        self._document = read_document(self._payload, self._retained, kind.name, kind.limit, kind.limited_by)
         self.asked = read(how, self._document, kind.name) if isinstance(how, type) else how(self._document)
 
     def carry_out(self) -> bytes:

@@ -150,7 +150,7 @@ class ConsoleRequests:
         if max_trajectory_bytes:
             for kind in (NAMELESS_TRAJECTORY, TRAJECTORY):
                 read = partial(extension("planners.remote_trajectory").parse_trajectory, joints=joints)
-                connection.serve(kind, read, self._check_motion, self.queue, max_trajectory_bytes)
+                connection.serve(replace(kind, limit=max_trajectory_bytes), read, self._check_motion, self.queue)
             connection.serve(PLAN_REQUEST, partial(read_goal, joints=joints), self._plan, self.queue)
 
     # -- motions
