@@ -16,7 +16,7 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.extensions.console import message_board as module
 from construction_twin.extensions.console.message_board import MOST, ORDINARY, MessageBoard
 from construction_twin.extensions.console.nodes.endpoint import Connection
-from construction_twin.extensions.console.nodes.feed import ConsoleFeed, Others, Poses
+from construction_twin.extensions.console.nodes.feed import ConsoleFeed
 from construction_twin.extensions.console.remote_view import ViewWriter
 from construction_twin.link.requests import Joints
 from construction_twin.mqtt.client import Broker
@@ -122,8 +122,8 @@ def test_who_has_read_a_message_is_known_once():
 def test_one_is_acknowledged_in_the_name_of_the_topic_s_account():
     client, refused, topics = Client(), [], Topics("twin", "kr120")
     connection = Connection(Broker("127.0.0.1", 1), client, topics, lambda reason, _: refused.append(reason))
-    poses, writer = Poses(None, None), ViewWriter("kr120", "cafe", Joints(("a1",), (False,)))
-    board = ConsoleFeed("base_link", connection, writer, poses, Others()).messages
+    writer = ViewWriter("kr120", "cafe", Joints(("a1",), (False,)))
+    board = ConsoleFeed("base_link", connection, writer, {}).messages
     (endpoint,) = connection.endpoints
     board.on_act("reset", 5.0, "ada asked for a reset")
     (message,) = board.messages

@@ -18,7 +18,7 @@ import rospy
 from construction_twin import msg, srv
 from construction_twin.extensions.console.nodes.acts import Acts, Services
 from construction_twin.extensions.console.nodes.endpoint import Connection
-from construction_twin.extensions.console.nodes.feed import ConsoleFeed, Others, Poses, deployment_of
+from construction_twin.extensions.console.nodes.feed import ARM, EXPECTED, TWIN, ConsoleFeed, deployment_of
 from construction_twin.extensions.console.nodes.requests import ConsoleRequests, PoseJudge, RobotContext
 from construction_twin.extensions.console.nodes.shown_plan import ShownPlan
 from construction_twin.extensions.console.private_files import PrivateFiles
@@ -97,12 +97,10 @@ class ConsoleNode:
             robot.base_link,
             connection,
             writer,
-            Poses(*(ports.poses.get(name) for name in (TWIN, ARM, EXPECTED))),
-            Others(
-                lambda: self.shown_plan.plan,
-                lambda: self.requests.closest(),
-                lambda: ports.connections("execution") > 0,
-            ),
+            ports.poses,
+            lambda: self.shown_plan.plan,
+            lambda: self.requests.closest(),
+            lambda: ports.connections("execution") > 0,
             deployment_of(ports.parameters["startup"], rospy.get_namespace().rstrip("/")),
             files,
             ros_home() / settings.messages / f"{robot.name}.json" if settings.messages else None,
@@ -219,7 +217,6 @@ def _feed(handler: Callable[[ConsoleFeed, Any], object]) -> Callable[[ConsoleNod
     return lambda node, message: handler(node.feed, message)
 
 
-TWIN, ARM, EXPECTED = "twin/joint_states", "physical/joint_states", "expected/joint_states"
 INTERFACE = Interface(
     report=ConsoleNode.report,
     parameters=(SharedParameter("work"), SharedParameter("startup")),

@@ -9,7 +9,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -68,7 +68,8 @@ from construction_twin.views.texts import hold_cause
 LOOK, REPEAT = 0.2, 1.0
 #: Of so many plans the tool's path is kept until one is played.
 PATHS = 8
-#: A pose that is older counts as not known on `view` [s].
+#: Topics of the poses on `view`; one that is older counts as not known [s].
+TWIN, ARM, EXPECTED = "twin/joint_states", "physical/joint_states", "expected/joint_states"
 MAX_POSE_AGE = 0.25
 #: What `sync`, `link` and `speed_limit_in_force` repeat by themselves counts as lost after so long [s].
 SYNC_AGE, LINK_AGE, SPEED_AGE = 0.5, 3.0, 1.0
@@ -76,24 +77,6 @@ _UNDER_WAY = frozenset(state.name for state in ACTIVE)
 
 
 _Report = TypeVar("_Report")
-
-
-@dataclass(frozen=True)
-class Poses:
-    """Where the newest poses come from."""
-
-    twin: LatestPose | None
-    arm: LatestPose | None
-    expected: LatestPose | None = None
-
-
-@dataclass(frozen=True)
-class Others:
-    """What `view` shows that other parts of the node know: the id of the plan under review, "" for none; the closest two bodies."""
-
-    plan: Callable[[], str] = lambda: ""
-    closest: Callable[[], ClosestView | None] = lambda: None
-    executor_is_there: Callable[[], bool] = lambda: True
 
 
 class _Newest(Generic[_Report]):
@@ -121,6 +104,7 @@ class ConsoleFeed:
     """Keeps what is retained, and sends it again where the broker may have forgotten it. Topics come in threads of their own.
 
     Args:
+        plan: Returns the id of the plan under review; empty: none.
         deployment: What was started; None: what the start waits for is not told.
         files: Where the scene's meshes go; None: no console was started with this robot.
         messages: Where the messages are kept; None: only in memory.
@@ -132,15 +116,18 @@ class ConsoleFeed:
         base_link: str,
         connection: Connection,
         writer: ViewWriter,
-        poses: Poses,
-        others: Others,
+        poses: Mapping[str, LatestPose],
+        plan: Callable[[], str] = lambda: "",
+        closest: Callable[[], ClosestView | None] = lambda: None,
+        executor_is_there: Callable[[], bool] = lambda: True,
         deployment: Deployment | None = None,
         files: PrivateFiles | None = None,
         messages: Path | None = None,
         clock: Callable[[], float] = time.time,
     ):
         self._topics, self._base_link = connection.topics, base_link
-        self._connection, self._writer, self._poses, self._others = connection, writer, poses, others
+        self._connection, self._writer, self._poses = connection, writer, poses
+        self._plan, self._closest, self._executor_is_there = plan, closest, executor_is_there
         self._deployment, self._files = deployment, files
         # of the plan's progress, of the writer, of what is retained
         self._lock, self._writing, self._telling = threading.Lock(), threading.Lock(), threading.RLock()
@@ -276,7 +263,7 @@ class ConsoleFeed:
 
     def twin(self) -> Sequence[float]:
         """Return the twin's joint values [rad], [m]; empty while they are not known."""
-        pose = _pose_view(self._poses.twin)
+        pose = _pose_view(self._poses.get(TWIN))
         return pose.positions if pose is not None else ()
 
     def is_engaged(self) -> bool:
@@ -310,21 +297,21 @@ class ConsoleFeed:
         with self._lock:
             progress = self._progress.at(now_ns() / NANOSECONDS)
         return ViewInputs(
-            twin=_pose_view(self._poses.twin),
-            arm=_pose_view(self._poses.arm),
-            expected=_pose_view(self._poses.expected),
+            twin=_pose_view(self._poses.get(TWIN)),
+            arm=_pose_view(self._poses.get(ARM)),
+            expected=_pose_view(self._poses.get(EXPECTED)),
             sync=sync,
             link=self._link.shown(LINK_AGE),
             execution=execution,
-            plan=self._others.plan(),
-            closest=self._others.closest(),
+            plan=self._plan(),
+            closest=self._closest(),
             progress=progress,
             hold=self._hold if sync is not None else HoldReport(),
             speed=speed.report if speed is not None else None,
         )
 
     def _present_execution(self) -> Shown[ExecutionReport] | None:
-        return self._execution.shown() if self._others.executor_is_there() else None
+        return self._execution.shown() if self._executor_is_there() else None
 
     def publish_status_line(self) -> None:
         """Send the status line when it has changed, or was not sent for a while."""
@@ -348,7 +335,7 @@ class ConsoleFeed:
         heard = ReportsNow(
             *words,
             bare=link is not None and link.report.gateway_kind == "plc",
-            plan=self._others.plan(),
+            plan=self._plan(),
             obstacle="" if execution is None else execution.report.approval_obstacle,
             cause="" if sync is None else hold_cause(self._hold),
             engaged=execution is not None and bool(execution.report.engaged),
